@@ -1,0 +1,63 @@
+"""What was refused and why, in one shape for messages, `--json` and reports."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong, said so that a person can mend it.
+
+    Parameters
+    ----------
+    code : str
+        Stable upper-case name, such as ``E_BAND_COUNT``.
+    message : str
+        One sentence: what is wrong.
+    file, field : str, optional
+        Where: a path, and a key, tag or header field in it.
+    found, expected : optional
+        What was there and what should have been.
+    fix : str, optional
+        What to do about it.
+
+    Examples
+    --------
+    >>> print(Problem("E_BAND_COUNT", "the bands do not fit", file="nir/", found=31, expected=33))
+    the bands do not fit (file: nir/; found: 31; expected: 33)
+    """
+
+    code: str
+    message: str
+    file: str | None = None
+    field: str | None = None
+    found: Any = None
+    expected: Any = None
+    fix: str | None = None
+
+    def __str__(self) -> str:
+        parts = [
+            f"{name}: {value}"
+            for name in ("file", "field", "found", "expected")
+            if (value := getattr(self, name)) is not None
+        ]
+        text = self.message + (f" ({'; '.join(parts)})" if parts else "")
+        return f"{text}. {self.fix}" if self.fix else text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON-ready values; what is unknown is ``None``."""
+        plain = (str, int, float, bool, type(None))
+        return {k: v if isinstance(v, plain) else str(v) for k, v in asdict(self).items()}
+
+
+class Refused(Exception):
+    """Something was refused; `problems` holds every reason, not only the first."""
+
+    def __init__(self, *problems: Problem) -> None:
+        self.problems = problems
+        super().__init__("\n".join(str(p) for p in problems))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self.problems
