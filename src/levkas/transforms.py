@@ -278,7 +278,11 @@ class Lens:
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """Map target points back by Newton; NaN past the fold of the lens."""
-        return invert(self, points, np.asarray(points, float))
+        found = invert(self, points, np.asarray(points, float))
+        change = self.jacobian(found)
+        # Past the fold the lens turns its picture over or about: another sheet, not an inverse.
+        upright = (change[:, 0, 0] > 0) & (np.linalg.det(change) > 0)
+        return np.where(upright[:, None], found, np.nan)
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
         """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
