@@ -1,0 +1,161 @@
+"""What was made of what: fingerprints of stages, so that a build does only what is stale."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas import __version__
+from levkas.files import hash_file, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+PACKAGE = Path(__file__).resolve().parents[1]
+DIGEST_CHUNK = 1 << 20
+
+
+@dataclass(frozen=True, order=True)
+class Key:
+    """One stage of one capture; camera and setup are empty where a stage has none."""
+
+    object: str
+    camera: str = ""
+    setup: str = ""
+    stage: str = ""
+
+    @property
+    def layer(self) -> str:
+        """Camera and setup as frames and files name them: ``d80`` or ``d80@45-degree``."""
+        return f"{self.camera}@{self.setup}" if self.setup else self.camera
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the identifying fields of a stage report."""
+        return {
+            "object": self.object,
+            "camera": self.camera,
+            "setup": self.setup,
+            "stage": self.stage,
+        }
+
+
+@cache
+def code_version(*parts: str) -> str:
+    """Hash the sources of some packages and modules of levkas, so that changed code is stale.
+
+    Parameters
+    ----------
+    *parts : str
+        Names under the package: ``"calibration"``, ``"warping.py"``.
+    """
+    digest = hashlib.sha256(__version__.encode())
+    for part in sorted(parts):
+        root = PACKAGE / part
+        for path in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
+            digest.update(path.relative_to(PACKAGE).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+class Hashes:
+    """SHA-256 of files; size and modification time spare a second reading of an unchanged one."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.known: dict[str, list[Any]] = _read(path)
+        self.changed = False
+
+    def __call__(self, path: Path) -> str:
+        status = path.stat()
+        stamp = [status.st_size, status.st_mtime_ns]
+        entry = self.known.get(str(path))
+        if entry is None or entry[:2] != stamp:
+            entry = self.known[str(path)] = [*stamp, hash_file(path)]
+            self.changed = True
+        return str(entry[2])
+
+    def save(self) -> None:
+        """Keep what was learnt."""
+        if self.changed:
+            write_json(self.path, self.known)
+            self.changed = False
+
+
+class Ledger:
+    """Fingerprints and products of finished stages, one small file a stage.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the records are kept, beside the database and never inside it.
+    output : Path
+        The database; products are recorded relative to it.
+    """
+
+    def __init__(self, folder: Path, output: Path) -> None:
+        self.folder, self.output = folder, output
+        self.hashes = Hashes(folder / "hashes.json")
+
+    def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
+        """Say why a stage must be done; empty where its products stand and fit."""
+        record = _read(self._path(key))
+        if not record:
+            return "not yet built"
+        if changed := _difference(record.get("fingerprint", {}), fingerprint):
+            return changed
+        for name, digest in record.get("products", {}).items():
+            path = self.output / name
+            if not path.is_file():
+                return f"{name} is missing"
+            if self.hashes(path) != digest:
+                return f"{name} was changed after it was built"
+        return ""
+
+    def products(self, key: Key) -> dict[str, str]:
+        """Return the names and hashes of what a finished stage made."""
+        return dict(_read(self._path(key)).get("products", {}))
+
+    def keep(self, key: Key, fingerprint: dict[str, Any], products: Iterable[Path]) -> None:
+        """Record a finished stage; called last, so that an interrupted one is done again."""
+        made = {p.relative_to(self.output).as_posix(): self.hashes(p) for p in sorted(products)}
+        write_json(self._path(key), {"fingerprint": fingerprint, "products": made})
+        self.hashes.save()
+
+    def forget(self, key: Key) -> None:
+        """Drop the record of a stage that is about to be done anew."""
+        self._path(key).unlink(missing_ok=True)
+
+    def _path(self, key: Key) -> Path:
+        parts = [part for part in (key.object, key.layer, key.stage) if part]
+        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}.json")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
+    changes = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    if not changes:
+        return ""
+    name = changes[0]
+    more = f" and {len(changes) - 1} more" if len(changes) > 1 else ""
+    if name not in before:
+        return f"{name} is new{more}"
+    if name not in now:
+        return f"{name} is gone{more}"
+    if name.startswith("file ") or name == "code":
+        return f"{name} changed{more}"
+    return f"{name} {_short(before[name])} → {_short(now[name])}{more}"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 40 else text[:37] + "…"

@@ -1,0 +1,242 @@
+"""The command line: parse, one library call, print."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from levkas import __version__
+from levkas.problems import Problem, Refused
+
+app = typer.Typer(
+    name="levkas",
+    help="Raw captures of a painting to one calibrated, registered spectral image database.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Report as one JSON object.")]
+CampaignPath = Annotated[Path, typer.Argument(help="Folder of a campaign, or its campaign.toml.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"levkas {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _levkas(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _report(command: str, as_json: bool, ok: bool, problems: list[Problem], **more: Any) -> None:
+    """Print one report: an object for programs, else the problems for people."""
+    if as_json:
+        record = {
+            "levkas": __version__,
+            "command": command,
+            "ok": ok,
+            "problems": [p.to_dict() for p in problems],
+            **more,
+        }
+        typer.echo(json.dumps(_finite(record), ensure_ascii=False, indent=2, allow_nan=False))
+        return
+    for problem in problems:
+        typer.secho(f"{problem.code}: {problem}", err=True, fg=typer.colors.RED)
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON has no word for by null."""
+    if isinstance(value, dict):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and value - value != 0:
+        return None
+    return value
+
+
+def _refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Turn a refusal into a report and exit status 1."""
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def wrapped(*args: Any, **options: Any) -> None:
+            try:
+                function(*args, **options)
+            except Refused as refused:
+                _report(command, bool(options.get("as_json")), False, list(refused.problems))
+                raise typer.Exit(1) from None
+            except KeyboardInterrupt:
+                typer.secho("interrupted; run the same command to go on", err=True)
+                raise typer.Exit(130) from None
+
+        return wrapped
+
+    return decorate
+
+
+def _drawn(steps: Iterator[Any], quiet: bool) -> list[Any]:
+    """Consume the steps of long work; draw them on a terminal, tell them in lines elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        done = []
+        for step in steps:
+            done.append(step)
+            if not quiet and step.finished:
+                typer.echo(step.line, err=True)
+        return done
+    from levkas.terminal import draw
+
+    return draw(steps)
+
+
+@app.command()
+@_refusing("build")
+def build(
+    campaign: CampaignPath,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Database folder, instead of the campaign's own.")
+    ] = None,
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="Build only this object; may be repeated.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Build the database of a campaign from its raw frames."""
+    from levkas.building import build as build_campaign
+    from levkas.building import summarise
+
+    steps = _drawn(build_campaign(campaign, output=output, objects=objects), as_json)
+    report = summarise(steps)
+    _report("build", as_json, report.ok, report.problems, **report.to_dict())
+    if not as_json:
+        typer.echo(report.text)
+    raise typer.Exit(0 if report.ok else 1)
+
+
+@app.command()
+@_refusing("status")
+def status(
+    campaign: CampaignPath,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Database folder, instead of the campaign's own.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Say what of a database is stale, and why."""
+    from levkas.building import status as status_of
+
+    report = status_of(campaign, output=output)
+    _report("status", as_json, report.ok, report.problems, **report.to_dict())
+    if not as_json:
+        typer.echo(report.text)
+    raise typer.Exit(0 if report.ok else 1)
+
+
+@app.command()
+@_refusing("evaluate")
+def evaluate(
+    database: Annotated[Path, typer.Argument(help="Database folder, or the campaign it was built from.")],
+    truth: Annotated[
+        Path | None, typer.Option(help="Folder `truth` of a simulated campaign; found beside a campaign.")
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(help="CSV of check points: object, camera, band, reference_x, reference_y, x, y."),
+    ] = None,
+    maps: Annotated[
+        Path | None, typer.Option(help="Folder for SSIM maps as PNG, one a layer.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Report the error of every band where truth or check points are, and SSIM."""
+    from levkas.assessment import assess
+
+    report = assess(database, truth=truth, points=points, maps=maps)
+    _report("evaluate", as_json, True, report.problems, results=report.results)
+    if not as_json:
+        typer.echo(report.text)
+
+
+@app.command(name="map")
+@_refusing("map")
+def map_points(
+    database: Annotated[Path, typer.Argument(help="Database folder.")],
+    name: Annotated[str, typer.Argument(metavar="OBJECT", help="Object in the database.")],
+    points: Annotated[
+        Path | None, typer.Argument(help="CSV with header x,y; standard input without it.")
+    ] = None,
+    source: Annotated[str, typer.Option("--from", help="Frame: grid, CAMERA, CAMERA@SETUP:BAND …")] = "grid",
+    target: Annotated[str, typer.Option("--to", help="Frame the points are wanted in.")] = "grid",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+) -> None:
+    """Map points between any two pixel frames of an object."""
+    from levkas.mapping import map_table
+
+    text = points.read_text(encoding="utf-8") if points else sys.stdin.read()
+    mapped = map_table(database, name, text, source=source, target=target)
+    if output is None:
+        typer.echo(mapped, nl=False)
+        return
+    from levkas.files import write_text
+
+    write_text(output, mapped)
+
+
+@app.command()
+@_refusing("simulate")
+def simulate(
+    folder: Annotated[Path, typer.Argument(help="New folder for the simulated campaign.")],
+    preset: Annotated[str, typer.Option(help="small, default, hard or full.")] = "default",
+    scale: Annotated[float | None, typer.Option(help="1 is the paper's size; less shrinks it.")] = None,
+    objects: Annotated[int, typer.Option(help="Number of painted panels.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
+    setups: Annotated[bool, typer.Option(help="Also the 45-degree lighting.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Simulate a five-camera campaign with known truth."""
+    from levkas.simulation import simulate_campaign
+
+    steps = simulate_campaign(
+        folder, preset=preset, scale=scale, objects=objects, seed=seed, setups=setups
+    )
+    _drawn(steps, as_json)
+    _report("simulate", as_json, True, [], campaign=str(folder))
+    if not as_json:
+        typer.echo(f"Simulated {folder}. Build it: levkas build {folder}")
+
+
+@app.command()
+@_refusing("demo")
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder for the demonstration.")] = Path("demo"),
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
+    as_json: Json = False,
+) -> None:
+    """Simulate a small campaign, build it, compare it with the truth, say where to look."""
+    from levkas.demonstration import demonstrate
+
+    report = demonstrate(folder, seed=seed, draw=lambda steps: _drawn(steps, as_json))
+    _report("demo", as_json, report.ok, report.problems, results=report.results)
+    if not as_json:
+        typer.echo(report.text)
+    raise typer.Exit(0 if report.ok else 1)
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

@@ -1,0 +1,1 @@
+"""Pages that say what happened to an object, readable without levkas."""
