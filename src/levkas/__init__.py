@@ -1,3 +1,51 @@
 """Levkas: raw captures of a painting to one calibrated, registered spectral image database."""
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "build": "building",
+    "status": "building",
+    "load_campaign": "campaign",
+    "find_captures": "discovery",
+    "open": "database",
+    "read_stiff": "database.spectral_tiff",
+    "write_stiff": "database.spectral_tiff",
+    "read_mtiff": "database.spectral_tiff",
+    "map_points": "mapping",
+    "assess": "assessment",
+    "register": "registration",
+    "warp": "warping",
+    "Grid": "gridding",
+    "simulate_campaign": "simulation",
+    "Band": "cube",
+    "Cube": "cube",
+    "Flag": "cube",
+    "Problem": "problems",
+    "Refused": "problems",
+    "Affine": "transforms",
+    "Homography": "transforms",
+    "Polynomial": "transforms",
+    "Lens": "transforms",
+    "Composed": "transforms",
+    "Inverse": "transforms",
+    "Sensor": "noise",
+    "noise_variance": "noise",
+    "structural_similarity": "evaluation",
+    "position_errors": "evaluation",
+}
+__all__ = sorted([*_HOMES, "__version__"])  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'levkas' has no attribute {name!r}")
+    return getattr(import_module(f"levkas.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__
