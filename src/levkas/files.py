@@ -1,0 +1,489 @@
+"""All writing of the package: nothing stands under a final name before it is whole and on the disk.
+
+A file is written under a temporary name in its own folder, synced, renamed, and the folder synced.
+A folder is built aside under `name.partial-…`, synced once as a whole, and renamed. What a killed
+run leaves behind bears a partial name, is never read, and `sweep` takes it away.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import hashlib
+import io
+import json
+import math
+import os
+import re
+import secrets
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+try:
+    import fcntl
+except ImportError:  # Windows has no advisory locks of this kind: nothing is swept there
+    fcntl = None  # type: ignore[assignment]
+
+PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
+BUFFER_BYTES = 1 << 20
+LONGEST_NAME = 200
+DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG}
+REFUSED = {
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR),
+    *(errno.EISDIR, errno.ENOENT, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP),
+}
+
+
+class WriteRefused(Refused):
+    """Something could not be written; nothing half-written stands under its name."""
+
+
+def _no_fault(step: str, path: Path) -> None:
+    """Do nothing: the fault of every day."""
+
+
+fault: Callable[[str, Path], None] = _no_fault
+"""Told (step, path) before each step on the disk; a test puts a function here that raises or kills.
+
+The steps: ``open``, ``write``, ``fsync``, ``rename``, ``folder`` (make one), ``sync`` (a folder's
+entries, or a whole file system), ``remove``.
+"""
+
+
+# --- whole files ------------------------------------------------------------------------------
+
+
+def write_bytes(path: str | Path, data: bytes | bytearray | memoryview) -> None:
+    """Write `data` as the whole of `path`, or leave what was there.
+
+    Raises
+    ------
+    WriteRefused
+        ``E_UNWRITABLE``, ``E_DISK_FULL`` (with bytes needed and free) or ``E_IO``.
+    """
+    with replacing(path, bytes_needed=memoryview(data).nbytes) as handle:
+        handle.write(data)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` as UTF-8 with its line ends as they are."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: str | Path, record: Any) -> None:
+    """Write `record` as `to_json` spells it."""
+    write_text(path, to_json(record))
+
+
+def to_json(record: Any) -> str:
+    """Return `record` as JSON text: keys in their own order, NaN and infinities as null.
+
+    Numpy numbers and arrays, tuples and paths become plain; anything else is a TypeError.
+
+    Examples
+    --------
+    >>> print(to_json({"b": 1.0, "a": float("nan")}), end="")
+    {
+     "b": 1.0,
+     "a": null
+    }
+    """
+    return json.dumps(_plain(record), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, os.PathLike):
+        return Path(value).as_posix()
+    if isinstance(value, int) and not isinstance(value, bool):
+        return int(value)
+    return value
+
+
+def copy_file(source: str | Path, path: str | Path) -> None:
+    """Copy the bytes of `source` to `path`, whole or not at all."""
+    with (
+        Path(source).open("rb") as origin,
+        replacing(path, bytes_needed=os.fstat(origin.fileno()).st_size) as handle,
+    ):
+        shutil.copyfileobj(origin, handle, BUFFER_BYTES)
+
+
+@contextlib.contextmanager
+def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[io.BufferedRandom]:
+    """Open a temporary file that becomes `path` when the block ends well.
+
+    Parameters
+    ----------
+    path : path
+        Its folder is made where it is missing.
+    bytes_needed : int, optional
+        Checked against the free space before anything is written, and told when the disk is full.
+
+    Yields
+    ------
+    handle : binary file, seekable, for reading and writing
+        `handle.name` is the temporary path, for libraries that open files themselves.
+
+    Raises
+    ------
+    WriteRefused
+        On any failure of the disk; other exceptions of the block pass as they are. Either way
+        `path` is what it was and the temporary file is gone.
+    """
+    path = Path(path)
+    make_folder(path.parent)
+    if bytes_needed is not None:
+        require_space(path.parent, bytes_needed, path=path)
+    raw = _open_partial(path, bytes_needed)
+    handle = io.BufferedRandom(raw, BUFFER_BYTES)
+    try:
+        with _refusing(path, bytes_needed, only_of=Path(raw.name)):
+            yield handle
+        with _refusing(path, bytes_needed):
+            handle.flush()
+            fault("fsync", path)
+            os.fsync(raw.fileno())
+            fault("rename", path)
+            Path(raw.name).replace(path)
+    except BaseException:
+        raw.discarding = True
+        with contextlib.suppress(OSError):
+            Path(raw.name).unlink()
+        raise
+    finally:
+        handle.close()
+    _sync_folder(path.parent)
+
+
+class _Watched(io.FileIO):
+    """A file that announces its writes and turns their failures into refusals."""
+
+    def __init__(self, descriptor: int, path: Path, final: Path, bytes_needed: int | None) -> None:
+        super().__init__(descriptor, "r+b")
+        self.final, self.bytes_needed, self.discarding = final, bytes_needed, False
+        self.name = str(path)
+
+    def write(self, data: Any) -> int:
+        if self.discarding:
+            return memoryview(data).nbytes
+        with _refusing(self.final, self.bytes_needed):
+            fault("write", self.final)
+            return super().write(data)
+
+
+def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
+    with _refusing(path, bytes_needed):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "a folder stands there", str(path))
+        while True:
+            fault("open", path)
+            partial = _partial(path)
+            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+            descriptor = os.open(partial, flags, 0o666)
+            if _hold(descriptor, partial):
+                return _Watched(descriptor, partial, path, bytes_needed)
+            os.close(descriptor)
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(f"{path.name[:LONGEST_NAME]}.partial-{secrets.token_hex(4)}")
+
+
+# --- whole folders ----------------------------------------------------------------------------
+
+
+class Folder:
+    """A folder being built under a partial name.
+
+    `path` is where it stands meanwhile. What is written here is not synced file by file: the
+    whole folder is, once, before it takes its name.
+    """
+
+    def __init__(self, path: Path, final: Path) -> None:
+        self.path, self.final = path, final
+
+    def write_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
+        """Write one file of the folder; `name` is relative, with its folders made as needed."""
+        target, final = self.path / name, self.final / name
+        with _refusing(final, memoryview(data).nbytes):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            fault("open", final)
+            with target.open("wb", buffering=0) as handle:
+                view = memoryview(data).cast("B")
+                while view:
+                    fault("write", final)
+                    view = view[handle.write(view) :]
+
+
+@contextlib.contextmanager
+def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[Folder]:
+    """Build a folder aside that becomes `path`, in place of what was there, when the block ends well.
+
+    Yields
+    ------
+    folder : Folder
+
+    Raises
+    ------
+    WriteRefused
+        As `replacing` does. The old folder stands until the new one is whole.
+    """
+    path = Path(path)
+    make_folder(path.parent)
+    if bytes_needed is not None:
+        require_space(path.parent, bytes_needed, path=path)
+    partial, descriptor = _make_partial(path)
+    try:
+        with _refusing(path, bytes_needed, only_of=partial):
+            yield Folder(partial, path)
+        with _refusing(path, bytes_needed):
+            fault("sync", path)
+            _sync_file_system(descriptor)
+            _take_place(partial, path)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    finally:
+        os.close(descriptor)
+    _sync_folder(path.parent)
+
+
+def _make_partial(path: Path) -> tuple[Path, int]:
+    with _refusing(path, None):
+        while True:
+            fault("folder", path)
+            partial = _partial(path)
+            partial.mkdir()
+            descriptor = os.open(partial, os.O_RDONLY)
+            if _hold(descriptor, partial):
+                return partial, descriptor
+            os.close(descriptor)
+
+
+def _take_place(partial: Path, path: Path) -> None:
+    # Another builder may publish the same folder meanwhile: both are whole, the last one stays.
+    while True:
+        fault("rename", path)
+        try:
+            partial.rename(path)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise
+        if _exchange(partial, path):
+            _discard(partial)
+            return
+        old = _partial(path)
+        with contextlib.suppress(FileNotFoundError):
+            path.rename(old)
+            partial.rename(path)
+            _discard(old)
+            return
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Swap two names in one step, so that no moment is without either; False where it cannot be."""
+    call = (
+        getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name != "nt" else None
+    )
+    here, exchange = -100, 2
+    return call is not None and call(here, bytes(one), here, bytes(other), exchange) == 0
+
+
+def _discard(path: Path) -> None:
+    fault("remove", path)
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def make_folder(path: str | Path) -> None:
+    """Make a folder and those above it, and sync the entries, so that they outlast a power loss."""
+    path = Path(path)
+    missing = []
+    while not path.is_dir():
+        missing.append(path)
+        path = path.parent
+    for folder in reversed(missing):
+        with _refusing(folder, None):
+            fault("folder", folder)
+            folder.mkdir(exist_ok=True)
+        _sync_folder(folder.parent)
+
+
+def remove(path: str | Path) -> None:
+    """Take a file or a folder away; nothing happens where there is none."""
+    path = Path(path)
+    with _refusing(path, None):
+        if path.is_dir() and not path.is_symlink():
+            gone = _partial(path)
+            fault("rename", path)
+            path.rename(gone)
+            _discard(gone)
+        else:
+            _discard(path)
+    _sync_folder(path.parent)
+
+
+def sweep(folder: str | Path) -> list[Path]:
+    """Take away what killed runs left under partial names, in `folder` and below.
+
+    A partial file that a living process still writes is locked by it and stays.
+
+    Returns
+    -------
+    removed : list of Path
+    """
+    removed: list[Path] = []
+    for place, folders, names in os.walk(folder):
+        partial = [n for n in (*folders, *names) if PARTIAL.fullmatch(n)]
+        folders[:] = sorted(set(folders) - set(partial))
+        for name in sorted(partial):
+            path = Path(place, name)
+            if _abandoned(path):
+                with _refusing(path, None):
+                    _discard(path)
+                removed.append(path)
+    return removed
+
+
+def _abandoned(path: Path) -> bool:
+    if fcntl is None:
+        return False
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def _hold(descriptor: int, path: Path) -> bool:
+    # A sweep may come between the making of a partial file and this lock: then it is made anew.
+    if fcntl is None:
+        return True
+    with contextlib.suppress(OSError):  # a file system without locks has nothing swept either
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    try:
+        return path.stat().st_ino == os.fstat(descriptor).st_ino
+    except FileNotFoundError:
+        return False
+
+
+# --- the disk ---------------------------------------------------------------------------------
+
+
+def hash_file(path: str | Path) -> str:
+    """Return the SHA-256 of a file, streamed, as 64 hexadecimal digits."""
+    with Path(path).open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def hash_tree(folder: str | Path) -> dict[str, str]:
+    """Return the SHA-256 of every file below `folder`, by its relative path, in sorted order."""
+    root = Path(folder)
+    names = sorted(p.relative_to(root).as_posix() for p in root.rglob("*") if p.is_file())
+    return {name: hash_file(root / name) for name in names}
+
+
+def require_space(folder: str | Path, bytes_needed: int, *, path: str | Path | None = None) -> None:
+    """Refuse with ``E_DISK_FULL`` where `folder`'s file system has not `bytes_needed` free."""
+    free = _free_bytes(Path(folder))
+    if free is not None and free < bytes_needed:
+        raise WriteRefused(_disk_full(Path(path or folder), bytes_needed, free))
+
+
+def _free_bytes(folder: Path) -> int | None:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
+
+
+def _sync_folder(folder: Path) -> None:
+    with _refusing(folder, None):
+        fault("sync", folder)
+        if os.name == "nt":
+            return
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _sync_file_system(descriptor: int) -> None:
+    call = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None) if os.name != "nt" else None
+    if call is None:
+        getattr(os, "sync", lambda: None)()
+    elif call(descriptor) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+@contextlib.contextmanager
+def _refusing(
+    path: Path, bytes_needed: int | None, *, only_of: Path | None = None
+) -> Iterator[None]:
+    """Turn OSErrors into refusals; with `only_of`, those alone that surely are of this writing."""
+    try:
+        yield
+    except OSError as error:
+        ours = only_of is None or error.errno in DISK_FULL
+        if not ours and not str(error.filename or "").startswith(str(only_of)):
+            raise
+        raise WriteRefused(_problem(path, error, bytes_needed)) from error
+
+
+def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
+    if error.errno in DISK_FULL:
+        return _disk_full(path, bytes_needed, _free_bytes(path.parent))
+    reason = error.strerror or type(error).__name__
+    if error.errno in REFUSED:
+        return Problem(
+            "E_UNWRITABLE",
+            f"{path.name} cannot be written: {reason}",
+            file=str(path),
+            expected="a folder that can be written to",
+            fix="Give another output folder, or change its permissions.",
+        )
+    return Problem(
+        "E_IO",
+        f"the disk failed while {path.name} was written: {reason}",
+        file=str(path),
+        fix="Check the disk; the build can then be run again and goes on where it was.",
+    )
+
+
+def _disk_full(path: Path, bytes_needed: int | None, free: int | None) -> Problem:
+    return Problem(
+        "E_DISK_FULL",
+        f"the disk is full: {path.name} was not written",
+        file=str(path),
+        found=None if free is None else f"{free} bytes free",
+        expected=None if bytes_needed is None else f"{bytes_needed} bytes",
+        fix="Free some space, or give another output folder; then run the build again.",
+    )

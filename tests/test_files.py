@@ -1,0 +1,234 @@
+import errno
+import json
+import os
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from levkas import files
+from levkas.files import WriteRefused
+
+OLD, NEW = b"old" * 1000, b"new" * 400_000
+
+
+class Fail:
+    """Fails at the n-th call; counts all of them."""
+
+    def __init__(self, at=None, number=errno.EIO):
+        self.at, self.number, self.steps = at, number, []
+
+    def __call__(self, step, path):
+        self.steps.append(step)
+        if len(self.steps) - 1 == self.at:
+            raise OSError(self.number, os.strerror(self.number))
+
+
+def file_job(folder):
+    files.write_bytes(folder / "deep" / "file.bin", NEW)
+
+
+def folder_job(folder):
+    with files.publishing(folder / "deep" / "set") as made:
+        for name in ("a", "b/c"):
+            made.write_bytes(name, NEW)
+        with files.replacing(made.path / "d") as handle:
+            handle.write(NEW)
+
+
+def steps_of(job, folder, monkeypatch):
+    count = Fail()
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "fault", count)
+        job(folder)
+    return count.steps
+
+
+def whole(folder, job):
+    if job is file_job:
+        return {"deep/file.bin": NEW}
+    return {f"deep/set/{name}": NEW for name in ("a", "b/c", "d")}
+
+
+def old_state(folder, job):
+    for name in whole(folder, job):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(OLD)
+
+
+def state(folder):
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()
+    }
+
+
+@pytest.mark.parametrize("job", [file_job, folder_job])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EACCES])
+@pytest.mark.parametrize("before", [False, True])
+def test_a_fault_at_any_step_leaves_the_old_or_the_new_and_nothing_else(
+    tmp_path, monkeypatch, job, number, before
+):
+    count = len(steps_of(job, tmp_path / "count", monkeypatch))
+    assert count >= 6
+    codes = {errno.ENOSPC: "E_DISK_FULL", errno.EIO: "E_IO", errno.EACCES: "E_UNWRITABLE"}
+    for at in range(count + before):
+        folder = tmp_path / f"at{at}"
+        folder.mkdir()
+        if before:
+            old_state(folder, job)
+        start = state(folder)
+        monkeypatch.setattr(files, "fault", Fail(at, number))
+        try:
+            job(folder)
+        except WriteRefused as refusal:
+            assert refusal.problems[0].code == codes[number]
+            assert state(folder) in (start, whole(folder, job))
+        monkeypatch.setattr(files, "fault", files._no_fault)
+        job(folder)
+        files.sweep(folder)
+        assert state(folder) == whole(folder, job)
+
+
+def killed_at(job, folder, at):
+    """Run `job` in a child that dies just before its step `at`; return its exit status."""
+    child = os.fork()
+    if child == 0:
+        steps = []
+
+        def die(step, path):
+            steps.append(step)
+            if len(steps) - 1 == at:
+                os._exit(9)
+
+        files.fault = die
+        job(folder)
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.parametrize("job", [file_job, folder_job])
+def test_a_kill_at_any_step_then_a_second_run_gives_the_same_bytes(tmp_path, job):
+    for at in range(100):
+        folder = tmp_path / f"at{at}"
+        folder.mkdir()
+        old_state(folder, job)
+        start = state(folder)
+        status = killed_at(job, folder, at)
+        visible = {k: v for k, v in state(folder).items() if ".partial-" not in k}
+        assert visible in (start, whole(folder, job))
+        if status == 0:
+            break
+        files.sweep(folder)
+        job(folder)
+        assert state(folder) == whole(folder, job)
+    assert at >= 5
+
+
+def test_the_data_are_synced_before_the_name_and_the_name_before_the_end(tmp_path, monkeypatch):
+    calls = []
+    real = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda fd: calls.append(os.fstat(fd).st_mode) or real(fd))
+    files.write_bytes(tmp_path / "a", b"1")
+    assert [mode & 0o170000 for mode in calls] == [0o100000, 0o040000]
+
+
+def test_an_unwritable_folder_is_said_clearly(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(
+        WriteRefused, match=r"cannot be written.*Give another output folder"
+    ) as info:
+        files.write_text(tmp_path / "file" / "below.txt", "x")
+    assert info.value.problems[0].code == "E_UNWRITABLE"
+
+
+def test_a_full_disk_is_foreseen_with_bytes_needed_and_free(tmp_path):
+    with (
+        pytest.raises(WriteRefused) as info,
+        files.replacing(tmp_path / "big", bytes_needed=1 << 60),
+    ):
+        pass
+    problem = info.value.problems[0]
+    assert problem.code == "E_DISK_FULL"
+    assert problem.expected == f"{1 << 60} bytes"
+    assert problem.found.endswith("bytes free")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_of_the_caller_passes_as_it_is_and_leaves_nothing(tmp_path):
+    with pytest.raises(FileNotFoundError), files.replacing(tmp_path / "a") as handle:
+        handle.write(b"half")
+        Path("/nowhere/at/all").read_bytes()
+    with pytest.raises(KeyboardInterrupt), files.publishing(tmp_path / "b") as folder:
+        folder.write_bytes("half", b"x")
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sweep_spares_what_is_being_written(tmp_path):
+    with files.replacing(tmp_path / "a") as handle, files.publishing(tmp_path / "b") as folder:
+        handle.write(b"x")
+        folder.write_bytes("c", b"y")
+        (tmp_path / "old.partial-0123abcd").write_bytes(b"left behind")
+        (tmp_path / "set.partial-0123abcd").mkdir()
+        assert [p.name for p in files.sweep(tmp_path)] == [
+            "old.partial-0123abcd",
+            "set.partial-0123abcd",
+        ]
+    assert state(tmp_path) == {"a": b"x", "b/c": b"y"}
+
+
+def test_two_writers_of_one_folder_both_succeed(tmp_path):
+    def publish(value):
+        for _ in range(30):
+            with files.publishing(tmp_path / "set") as folder:
+                folder.write_bytes("a", value)
+                folder.write_bytes("b", value)
+
+    both = [threading.Thread(target=publish, args=(v,)) for v in (b"1", b"2")]
+    [t.start() for t in both]
+    [t.join() for t in both]
+    assert state(tmp_path) in ({"set/a": v, "set/b": v} for v in (b"1", b"2"))
+
+
+json_values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(json_values)
+def test_json_is_read_as_it_was_written(value):
+    assert json.loads(files.to_json(value)) == value
+
+
+def test_json_holds_no_nan_and_takes_numpy(tmp_path):
+    record = {
+        "x": np.float32("nan"),
+        "n": np.int64(3),
+        "a": np.array([[1.0, np.inf]]),
+        "p": tmp_path,
+    }
+    files.write_json(tmp_path / "r.json", record)
+    read = json.loads((tmp_path / "r.json").read_text("utf-8"))
+    assert read == {"x": None, "n": 3, "a": [[1.0, None]], "p": tmp_path.as_posix()}
+
+
+def test_hashes_and_copies(tmp_path):
+    files.write_text(tmp_path / "a" / "one", "abc")
+    files.copy_file(tmp_path / "a" / "one", tmp_path / "two")
+    # The SHA-256 of "abc" is a test vector of FIPS 180-2.
+    vector = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert files.hash_tree(tmp_path) == {"a/one": vector, "two": vector}
+    files.remove(tmp_path / "a")
+    files.remove(tmp_path / "never")
+    assert files.hash_tree(tmp_path) == {"two": vector}
