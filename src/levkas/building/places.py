@@ -1,0 +1,53 @@
+"""Where the files of a database stand; names as the contract has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Places:
+    """Paths of one database and of what is kept beside it.
+
+    Parameters
+    ----------
+    output : Path
+        The database.
+    """
+
+    output: Path
+
+    @property
+    def kept(self) -> Path:
+        """Records and intermediate results of the build; may be deleted, costs only time."""
+        return self.output.with_name(self.output.name + ".kept")
+
+    def folder(self, name: str) -> Path:
+        """Folder of an object."""
+        return self.output / "objects" / name
+
+    def layer(self, name: str, camera: str, setup: str = "", *, kind: str = ".tif") -> Path:
+        """Published file of one layer: ``.tif``, ``.flags.tif``, ``.sigma.tif`` or ``.png``."""
+        return self.folder(name) / (_stem(name, camera, setup) + kind)
+
+    def native(self, name: str, camera: str, setup: str, sensor: str, *, kind: str = ".tif") -> Path:
+        """Calibrated, not resampled, one file a sensor."""
+        stem = _stem(name, camera, setup, sensor)
+        return self.folder(name) / "native" / (stem + kind)
+
+    def registration(self, name: str, layer: str) -> Path:
+        """Registration record of one layer."""
+        return self.folder(name) / "registration" / f"{layer}.json"
+
+    def matches(self, name: str, layer: str) -> Path:
+        """Matches of one layer."""
+        return self.folder(name) / "registration" / f"{layer}.matches.csv"
+
+    def store(self, name: str) -> Path:
+        """Zarr store of an object."""
+        return self.output / "zarr" / f"{name}.zarr"
+
+
+def _stem(*parts: str) -> str:
+    return "_".join(part for part in parts if part)
