@@ -1,0 +1,97 @@
+"""Registration: which pixel of which band of which camera shows which point of the reference."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from levkas.registration.images import BandImage
+from levkas.registration.record import (
+    Matches,
+    Registration,
+    RegistrationRefused,
+    Trace,
+    Verdict,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import numpy as np
+
+METHODS: dict[str, tuple[str, str]] = {
+    "levkas": ("levkas.registration.levkas", "register_levkas"),
+    "mirhashemi2019": ("levkas.registration.mirhashemi2019", "register_mirhashemi2019"),
+}
+DEFAULT_METHOD = "levkas"
+
+__all__ = [
+    "METHODS",
+    "BandImage",
+    "Matches",
+    "Registration",
+    "RegistrationRefused",
+    "Trace",
+    "Verdict",
+    "register",
+]
+
+
+def register(
+    reference: Sequence[BandImage],
+    target: Sequence[BandImage],
+    *,
+    reference_band: str,
+    method: str = DEFAULT_METHOD,
+    reject: float | None = None,
+    stop: float = 1.0,
+    region: Sequence[float] | None = None,
+    rng: np.random.Generator | None = None,
+    **options: Any,
+) -> Registration:
+    """Find the map from reference px to native px of every band of one camera.
+
+    Parameters
+    ----------
+    reference : sequence of BandImage
+        Bands of the reference camera.
+    target : sequence of BandImage
+        Bands of the camera to register; the same sequence for the reference camera itself.
+    reference_band : str
+        Label of the band of `reference` that defines reference px.
+    method : str
+        A key of `METHODS`.
+    reject, stop : float, reference px
+        T1 (None: the method's default) and T2 of the paper.
+    region : (x, y, width, height), reference px, optional
+        Where the object lies; nothing outside is used or judged.
+    rng : numpy.random.Generator, optional
+        For what is drawn at random; a fixed seed without it.
+    **options
+        Of the method.
+
+    Returns
+    -------
+    registration : Registration
+        With the verdict ``"refuse"`` where there is an answer that cannot be believed.
+
+    Raises
+    ------
+    RegistrationRefused
+        Where there is no answer at all, or an argument is wrong.
+    """
+    from levkas.registration.arguments import check_arguments
+
+    check_arguments(reference, target, reference_band, method, METHODS, reject, stop, region)
+    module, name = METHODS[method]
+    run: Callable[..., Registration] = getattr(import_module(module), name)
+    return run(
+        reference,
+        target,
+        reference_band=reference_band,
+        reject=reject,
+        stop=stop,
+        region=region,
+        rng=rng,
+        **options,
+    )
