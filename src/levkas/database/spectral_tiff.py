@@ -1,0 +1,373 @@
+"""The spectral TIFF of the University of Eastern Finland: one page a band, after an RGB render.
+
+Tag 65000 of the first band page holds the centre wavelengths, tag 65111 a text, tag 65001 of each
+page of a mask file its label. Float pages are zlib with predictor 3, which every reader knows.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas import __version__
+from levkas.database.credits import Credits
+from levkas.database.tiff_pages import TiffRefused, open_pages
+from levkas.files import replacing
+from levkas.icc import srgb_profile
+from levkas.problems import Problem
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from tifffile import TiffWriter
+
+WAVELENGTHS, METADATA, LABEL, XMP, COPYRIGHT, ARTIST = 65000, 65111, 65001, 700, 33432, 315
+STRIP_BYTES = 1 << 18
+LEVEL = 1
+"""Of libdeflate: on noisy float32 as small as level 6 and half again as fast (benchmarks/)."""
+CLASSIC_LIMIT = 4_000_000_000
+PREDICTORS = {"f": 3, "u": 2, "i": 2}
+
+
+def write_spectral_tiff(
+    path: str | Path,
+    planes: Iterable[np.ndarray],
+    *,
+    shape: tuple[int, int],
+    wavelengths: Sequence[float],
+    text: str = "",
+    dtype: Any = np.float32,
+    rgb: np.ndarray | None = None,
+    px_per_mm: float | None = None,
+    credits: Credits | None = None,
+    threads: int = 2,
+    bigtiff: bool | None = None,
+) -> None:
+    """Write one page a band as the planes arrive; the same bytes for any number of threads.
+
+    Parameters
+    ----------
+    path : path
+    planes : iterable of ndarray, (height, width)
+        One a wavelength, in order; each is done with before the next is asked for.
+    shape : (height, width)
+    wavelengths : sequence of float, nm
+        Tag 65000: centres, centroids of sensitivities, or 0 … n−1 for channels without any.
+    text : str
+        Tag 65111.
+    dtype : numpy dtype, default float32
+        Of the pages; uint8 for flags and masks.
+    rgb : ndarray, (any height, any width, 3), uint8, optional
+        sRGB render for page 0.
+    px_per_mm : float, optional
+        Sampling, for the resolution tags.
+    credits : Credits, optional
+    threads : int
+        For compression.
+    bigtiff : bool, optional
+        Default: past 4 GB.
+
+    Raises
+    ------
+    TiffRefused
+        ``E_BAND_COUNT`` or ``E_SIZE`` where the planes are not what was announced.
+    WriteRefused
+        Where the disk refuses.
+    """
+    from tifffile import TiffWriter
+
+    dtype, count = np.dtype(dtype), len(wavelengths)
+    if bigtiff is None:
+        bigtiff = dtype.itemsize * shape[0] * shape[1] * count > CLASSIC_LIMIT
+    rows = max(1, STRIP_BYTES // max(1, shape[1] * dtype.itemsize))
+    common = _common_tags(px_per_mm)
+    first = _first_tags(text, wavelengths, credits if rgb is None else None)
+    strips = _compressed(_checked(Path(path), planes, shape, dtype, count), rows, threads)
+    with replacing(path) as handle, TiffWriter(handle, bigtiff=bigtiff, byteorder="<") as tiff:
+        if rgb is not None:
+            _write_render(tiff, rgb, common, credits or Credits())
+        for index, encoded in enumerate(strips):
+            tiff.write(
+                iter(encoded),
+                shape=shape,
+                dtype=dtype,
+                photometric="minisblack",
+                compression="zlib",
+                predictor=PREDICTORS[dtype.kind] if dtype.itemsize > 1 else None,
+                rowsperstrip=rows,
+                **common,
+                **(first if index == 0 else {"software": False}),
+            )
+
+
+def _common_tags(px_per_mm: float | None) -> dict[str, Any]:
+    tags: dict[str, Any] = {"metadata": None, "contiguous": False}
+    if px_per_mm:
+        tags |= {"resolution": (px_per_mm * 10, px_per_mm * 10), "resolutionunit": "CENTIMETER"}
+    return tags
+
+
+def _first_tags(text: str, wavelengths: Sequence[float], credits: Credits | None) -> dict[str, Any]:
+    encoded = _encode_text(text)
+    centres = tuple(float(w) for w in wavelengths)
+    extra: list[tuple[Any, ...]] = [
+        (WAVELENGTHS, "f", len(centres), centres, True),
+        (METADATA, "s", len(encoded), encoded, True),
+    ]
+    return _credit_tags(credits or Credits(), extra)
+
+
+def _credit_tags(credits: Credits, extra: list[tuple[Any, ...]]) -> dict[str, Any]:
+    for code, fact in ((ARTIST, credits.creator), (COPYRIGHT, credits.rights)):
+        if value := fact.replace("\0", "").encode("utf-8", "replace"):
+            extra.append((code, "s", len(value), value, True))
+    title = " – ".join(part for part in (credits.title, credits.description) if part)
+    return {
+        "software": f"levkas {__version__}",
+        "description": title.replace("\0", "").encode("utf-8", "replace") or None,
+        "datetime": credits.moment,
+        "extratags": extra,
+    }
+
+
+def _write_render(
+    tiff: TiffWriter, rgb: np.ndarray, common: Mapping[str, Any], credits: Credits
+) -> None:
+    packet = credits.to_xmp()
+    extra: list[tuple[Any, ...]] = [(XMP, "B", len(packet), packet, True)] if packet else []
+    tiff.write(
+        np.ascontiguousarray(rgb, np.uint8),
+        photometric="rgb",
+        compression="zlib",
+        compressionargs={"level": LEVEL},
+        predictor=2,
+        iccprofile=srgb_profile(),
+        **common,
+        **_credit_tags(credits, extra),
+    )
+
+
+def _checked(
+    path: Path, planes: Iterable[np.ndarray], shape: tuple[int, int], dtype: np.dtype, count: int
+) -> Iterator[np.ndarray]:
+    found = 0
+    for plane in planes:
+        if plane.shape != tuple(shape):
+            _refuse("E_SIZE", path, f"band {found} has another size", plane.shape, tuple(shape))
+        found += 1
+        if found <= count:
+            yield np.ascontiguousarray(plane, dtype)
+    if found != count:
+        _refuse("E_BAND_COUNT", path, "bands and wavelengths do not fit", found, count)
+
+
+def _compressed(planes: Iterable[np.ndarray], rows: int, threads: int) -> Iterator[list[bytes]]:
+    """Yield the encoded strips of each plane; one plane is compressed while another is written."""
+    ready: deque[list[bytes]] = deque()
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        for plane in planes:
+            cuts = range(0, len(plane), rows)
+            jobs = [pool.submit(_encode_strip, plane[y : y + rows]) for y in cuts]
+            if ready:
+                yield ready.popleft()
+            ready.append([job.result() for job in jobs])
+        yield from ready
+
+
+def _encode_strip(strip: Any) -> bytes:
+    import imagecodecs
+
+    if strip.dtype.kind == "f":
+        strip = imagecodecs.floatpred_encode(strip, axis=-1)
+    elif strip.dtype.itemsize > 1:
+        strip = imagecodecs.delta_encode(strip, axis=-1)
+    return bytes(imagecodecs.deflate_encode(strip, level=LEVEL))
+
+
+def planes_of(values: np.ndarray, *, group: int = 8) -> Iterator[np.ndarray]:
+    """Yield the bands of a (height, width, bands) array as planes of their own.
+
+    Several are gathered in one passage over the memory, in which bands lie innermost.
+    """
+    height, width, count = values.shape
+    for start in range(0, count, group):
+        part = np.empty((min(group, count - start), height, width), values.dtype)
+        for y in range(0, height, 16):
+            part[:, y : y + 16] = np.moveaxis(values[y : y + 16, :, start : start + group], 2, 0)
+        yield from part
+
+
+def write_stiff(
+    path: str | Path,
+    cube: np.ndarray,
+    wavelengths: Sequence[float] | np.ndarray,
+    rgb: np.ndarray | None,
+    metadata: str = "",
+) -> None:
+    """Write a spectral TIFF, with the name and the order of arguments that its users know.
+
+    Parameters
+    ----------
+    path : path
+    cube : ndarray, (height, width, bands)
+        Floats are written as float32; uint16 (reflectance × 65535) and uint8 as they are.
+    wavelengths : (bands,), nm
+    rgb : ndarray, (height, width, 3), uint8, or None
+    metadata : str
+
+    Raises
+    ------
+    TiffRefused, WriteRefused
+    """
+    cube = np.asarray(cube)
+    keep = cube.dtype in (np.uint8, np.uint16)
+    if cube.ndim != 3 or (cube.dtype.kind != "f" and not keep):
+        _refuse(
+            "E_SIZE",
+            Path(path),
+            "a cube is (height, width, bands) of floats, uint16 or uint8",
+            f"{cube.shape} {cube.dtype}",
+            "three dimensions",
+        )
+    if rgb is not None and (rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8):
+        found = f"{rgb.shape} {rgb.dtype}"
+        _refuse("E_SIZE", Path(path), "the RGB render does not fit", found, "(h, w, 3) uint8")
+    write_spectral_tiff(
+        path,
+        planes_of(cube),
+        shape=(cube.shape[0], cube.shape[1]),
+        wavelengths=[float(w) for w in wavelengths],
+        text=metadata,
+        dtype=cube.dtype if keep else np.float32,
+        rgb=rgb,
+    )
+
+
+def read_stiff(
+    path: str | Path, silent: bool = False, rgb_only: bool = False
+) -> tuple[np.ndarray | None, np.ndarray, np.ndarray | None, str]:
+    """Read a spectral TIFF, with the name and the order of arguments that its users know.
+
+    Parameters
+    ----------
+    path : path
+    silent : bool
+        Whether to say nothing of wavelengths or texts that are repeated on every page.
+    rgb_only : bool
+        Whether to leave the bands out, and to give None for the cube.
+
+    Returns
+    -------
+    cube : ndarray, (height, width, bands), or None
+        Wavelengths ascending; uint16 pages as float32 reflectance (÷ 65535), others as they are.
+    wavelengths : ndarray, (bands,), nm
+        0, 1, 2 … where the file has none.
+    rgb : ndarray, (height, width, 3), uint8, or None
+    metadata : str
+
+    Raises
+    ------
+    TiffRefused
+        Damaged or truncated files, and lists that differ from page to page.
+    """
+    pages = open_pages(path)
+    wavelengths = _only(pages.path, pages.tags(WAVELENGTHS), "wavelengths", silent)
+    text = _only(pages.path, pages.tags(METADATA), "metadata", silent) or ""
+    centres = np.arange(len(pages), dtype=np.float64)
+    if wavelengths is not None:
+        centres = np.atleast_1d(np.asarray(wavelengths, np.float32))
+        if len(centres) != len(pages):
+            message = "pages and wavelengths do not fit: pages are missing, or one is no band"
+            _refuse("E_BAND_COUNT", pages.path, message, len(pages), len(centres), WAVELENGTHS)
+    cube = None if rgb_only else pages.read()
+    if centres[0] > centres[-1]:
+        centres = centres[::-1]
+        cube = None if cube is None else cube[:, :, ::-1]
+    if cube is not None and cube.dtype == np.uint16:
+        cube = cube.astype(np.float32) / np.float32(65535)
+    return cube, centres, pages.read_render(), _decode_text(text)
+
+
+def read_tiff_pages(path: str | Path) -> np.ndarray:
+    """Return the pages of a flags or sigma file as they are stored, (height, width, bands)."""
+    return open_pages(path).read()
+
+
+def _only(path: Path, values: Sequence[Any], what: str, silent: bool) -> Any:
+    found = [value for value in values if value is not None and value != ""]
+    if any(value != found[0] for value in found):
+        _refuse("E_VALUE", path, f"the pages have different {what}", "several", "one")
+    if len(found) > 1 and not silent:
+        warnings.warn(f"{path}: {what} repeated on {len(found)} pages", stacklevel=3)
+    return found[0] if found else None
+
+
+def _encode_text(text: str) -> bytes:
+    # Old readers cannot take an empty text, and strip quotes that enclose the whole of it.
+    encoded = text.encode("unicode_escape") or b" "
+    return b"\\x27" + encoded[1:] if encoded[:1] == b"'" else encoded
+
+
+def _decode_text(stored: str) -> str:
+    try:
+        text = stored.encode("ascii", "backslashreplace").decode("unicode_escape")
+    except UnicodeDecodeError:  # written by others, with backslashes of their own
+        return stored
+    if len(stored) > 1 and stored[0] == stored[-1] == "'":  # early files of the group
+        text = text.strip("'").replace("\\n", "\n")
+    return "" if text == " " else text
+
+
+# --- masks --------------------------------------------------------------------------------------
+
+
+def write_mtiff(path: str | Path, masks: Mapping[str, np.ndarray]) -> None:
+    """Write masks, (height, width) each, one page a label."""
+    from tifffile import TiffWriter
+
+    with replacing(path) as handle, TiffWriter(handle, byteorder="<") as tiff:
+        for label, mask in masks.items():
+            encoded = _encode_text(label)
+            tiff.write(
+                np.where(np.asarray(mask) > 0, np.uint8(255), np.uint8(0)),
+                photometric="minisblack",
+                compression="zlib",
+                compressionargs={"level": LEVEL},
+                metadata=None,
+                contiguous=False,
+                software=f"levkas {__version__}",
+                extratags=[(LABEL, "s", len(encoded), encoded, True)],
+            )
+
+
+def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
+    """Read masks: {label: (height, width) bool}.
+
+    Raises
+    ------
+    TiffRefused
+        Where a page has no label, or two have the same.
+    """
+    pages = open_pages(path, uniform=False)
+    masks: dict[str, np.ndarray] = {}
+    for index, label in enumerate(pages.tags(LABEL)):
+        if label is None:
+            _refuse("E_KEY", pages.path, f"page {index} has no label", None, "a text", LABEL)
+        name = _decode_text(str(label))
+        if name in masks:
+            _refuse("E_BAND_TWICE", pages.path, f"two masks are called {name!r}", name, "one")
+        masks[name] = pages.read_page(index) > 0
+    return masks
+
+
+def _refuse(
+    code: str, path: Path, message: str, found: Any, expected: Any, tag: int | None = None
+) -> None:
+    field = None if tag is None else f"tag {tag}"
+    problem = Problem(code, message, str(path), field, str(found), str(expected))
+    raise TiffRefused(problem)

@@ -1,0 +1,221 @@
+"""Pages of a TIFF read as planes; what is missing, cut off or damaged is refused, never zeros."""
+
+from __future__ import annotations
+
+import struct
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from levkas.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tifffile import TiffFile, TiffPage
+
+DAMAGE = (
+    *(RuntimeError, ValueError, IndexError, KeyError, TypeError, AttributeError),
+    *(struct.error, OverflowError, ZeroDivisionError, MemoryError, AssertionError, OSError),
+)
+FIRST_PRIVATE = 65000
+MOST_COMPRESSED = 1200
+"""Deflate cannot shrink further than 1032 to 1: a file that declares more is damaged or hostile."""
+
+
+class TiffRefused(Refused):
+    """A TIFF cannot be read as what it should be."""
+
+
+class TiffPages:
+    """The band pages of one file, each (height, width), and the render before them.
+
+    Opened by `open_pages`; the file is opened anew for each reading, so that any number of these
+    can be held, and read from several threads.
+
+    Attributes
+    ----------
+    path : Path
+    shape : (height, width, bands)
+    dtype : numpy dtype
+    """
+
+    def __init__(
+        self, path: Path, render: TiffPage | None, bands: list[TiffPage], tags: list[dict[int, Any]]
+    ) -> None:
+        self.path, self._render, self._bands, self._tags = path, render, bands, tags
+        height, width = bands[0].shape
+        self.shape = (int(height), int(width), len(bands))
+        self.dtype = np.dtype(bands[0].dtype)
+
+    def __len__(self) -> int:
+        return len(self._bands)
+
+    def tags(self, code: int) -> list[Any]:
+        """Return the value of a private tag (>= 65000) on every band page, None where it is not."""
+        return [tags.get(code) for tags in self._tags]
+
+    def read_render(self) -> np.ndarray | None:
+        """Return the RGB page, (height, width, 3), or None."""
+        from tifffile import TiffFile
+
+        if self._render is None:
+            return None
+        try:
+            with TiffFile(self.path) as tiff:
+                return tiff.pages[0].asarray()
+        except DAMAGE as error:
+            raise TiffRefused(_unreadable(self.path, error)) from error
+
+    def read_page(self, index: int, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """Return rows `start` to `stop` of one page; only the strips that hold them are read."""
+        page = self._bands[index]
+        stop = page.shape[0] if stop is None else min(stop, page.shape[0])
+        plane = np.empty((max(0, stop - start), page.shape[1]), page.dtype)
+        try:
+            with self.path.open("rb") as handle:
+                for number in _segments(page, start, stop):
+                    _place(handle, page, number, plane, start)
+        except DAMAGE as error:
+            raise TiffRefused(_unreadable(self.path, error, index)) from error
+        return plane
+
+    def read(
+        self, start: int = 0, stop: int | None = None, bands: Sequence[int] | None = None
+    ) -> np.ndarray:
+        """Return some rows of some bands, (rows, width, bands), bands innermost in memory."""
+        chosen = range(len(self)) if bands is None else bands
+        stop = self.shape[0] if stop is None else min(stop, self.shape[0])
+        cube = np.empty((max(0, stop - start), self.shape[1], len(chosen)), self.dtype)
+
+        def fetch(place: int) -> None:
+            cube[:, :, place] = self.read_page(chosen[place], start, stop)
+
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(fetch, range(len(chosen))))
+        return cube
+
+
+def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
+    """Read the directory of a TIFF and check it against the file's size.
+
+    Parameters
+    ----------
+    path : path
+    uniform : bool
+        Whether all band pages must have one size and type, and page 0 may be an RGB render.
+
+    Raises
+    ------
+    TiffRefused
+        ``E_UNREADABLE``, ``E_TRUNCATED`` (data or pages missing), ``E_SIZE`` (pages that differ).
+    """
+    from tifffile import TiffFile
+
+    path = Path(path)
+    try:
+        with TiffFile(path) as tiff:
+            pages: list[Any] = list(tiff.pages)
+            if not pages:
+                raise ValueError("it has no pages")
+            _check_chain(path, tiff)
+            size = path.stat().st_size
+            for index, page in enumerate(pages):
+                _check_page(path, page, index, size)
+            tags = [{t.code: t.value for t in p.tags if t.code >= FIRST_PRIVATE} for p in pages]
+    except DAMAGE as error:
+        raise TiffRefused(_unreadable(path, error)) from error
+    render = pages[0] if uniform and pages[0].ndim == 3 else None
+    first = 0 if render is None else 1
+    _check_bands(path, pages[first:], uniform)
+    return TiffPages(path, render, pages[first:], tags[first:])
+
+
+def _check_bands(path: Path, pages: list[TiffPage], uniform: bool) -> None:
+    wrong = [p for p in pages if p.ndim != 2]
+    if uniform:
+        wrong += [p for p in pages if (p.shape, p.dtype) != (pages[0].shape, pages[0].dtype)]
+    if wrong or not pages:
+        raise TiffRefused(
+            Problem(
+                "E_SIZE",
+                "pages are not bands of one size and type" if wrong else "there are no bands",
+                file=str(path),
+                found=f"page {wrong[0].index}: {wrong[0].shape} {wrong[0].dtype}" if wrong else 0,
+                expected=f"{pages[0].shape} {pages[0].dtype}" if pages else "one page a band",
+            )
+        )
+
+
+def _check_chain(path: Path, tiff: TiffFile) -> None:
+    place, width = tiff.pages.next_page_offset, tiff.tiff.offsetsize
+    if place is None:
+        raise ValueError("the list of pages has no end")
+    tiff.filehandle.seek(place)
+    if tiff.filehandle.read(width) != bytes(width):
+        raise TiffRefused(_truncated(path, "the list of pages breaks off", len(tiff.pages)))
+
+
+def _check_page(path: Path, page: TiffPage, index: int, size: int) -> None:
+    expected = int(np.prod(page.chunked))
+    counts, offsets = page.databytecounts, page.dataoffsets
+    if len(counts) != expected or len(offsets) != expected or 0 in counts or 0 in offsets:
+        raise TiffRefused(_truncated(path, f"page {index} lacks strips", len(counts), expected))
+    end = max(o + c for o, c in zip(offsets, counts, strict=True))
+    if end > size:
+        raise TiffRefused(
+            _truncated(path, f"page {index} is cut off", f"{size} bytes", f"{end} bytes")
+        )
+    if page.nbytes > MOST_COMPRESSED * max(1, sum(counts)):
+        raise ValueError(f"page {index} declares {page.nbytes} bytes, far more than it can hold")
+
+
+def _segments(page: TiffPage, start: int, stop: int) -> range:
+    if stop <= start:
+        return range(0)
+    high, across = _segment_height(page), page.chunked[-1]
+    return range(start // high * across, ((stop - 1) // high + 1) * across)
+
+
+def _segment_height(page: TiffPage) -> int:
+    return int(page.tilelength if page.is_tiled else min(page.rowsperstrip, page.shape[0]))
+
+
+def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, start: int) -> None:
+    """Read one strip or tile and copy what of it lies in `plane`, whose first row is `start`."""
+    handle.seek(page.dataoffsets[number])
+    data = handle.read(page.databytecounts[number])
+    if len(data) != page.databytecounts[number]:
+        raise ValueError(f"strip {number} is cut off")
+    decoded, (_, _, top, left, _), _ = page.decode(data, number)
+    pixels = np.asarray(decoded)[0, :, :, 0]
+    skip = max(0, start - top)
+    rows = pixels[skip : start + len(plane) - top]
+    row = top + skip - start
+    part = plane[row : row + len(rows), left : left + pixels.shape[1]]
+    part[...] = rows[: part.shape[0], : part.shape[1]]
+
+
+def _truncated(path: Path, message: str, found: Any, expected: Any = None) -> Problem:
+    return Problem(
+        "E_TRUNCATED",
+        f"{path.name}: {message}",
+        file=str(path),
+        found=str(found),
+        expected=None if expected is None else str(expected),
+        fix="The file is incomplete: copy it anew, or build it again.",
+    )
+
+
+def _unreadable(path: Path, error: BaseException, index: int | None = None) -> Problem:
+    reason = " ".join(str(error).split())[:200] or type(error).__name__
+    where = "" if index is None else f" in band page {index}"
+    return Problem(
+        "E_UNREADABLE",
+        f"{path.name} cannot be read{where}: {reason}",
+        file=str(path),
+        expected="a TIFF, whole",
+        fix="The file is damaged or no TIFF: copy it anew, or build it again.",
+    )
