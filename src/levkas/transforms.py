@@ -382,4 +382,12 @@ KINDS: dict[str, Any] = {
     ),
     "composed": lambda r: Composed(*(from_dict(step) for step in r["steps"])),
     "inverse": lambda r: Inverse(from_dict(r["of"])),
+    "spline": lambda r: _spline(r),
 }
+
+
+def _spline(record: dict[str, Any]) -> Transform:
+    from levkas.spline import SplineShift
+
+    coefficients = np.array(record["coefficients"], float)
+    return SplineShift(np.array(record["origin"], float), record["spacing"], coefficients)

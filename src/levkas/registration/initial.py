@@ -1,0 +1,263 @@
+"""The wide-baseline start: scale 0.2 to 5, any rotation, mirrored or with inverted contrast.
+
+Key points are found once in each image. What contrast inversion and mirroring do to a SIFT
+descriptor is a permutation of its entries, so that all four cases cost one detection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.transforms import Affine, Composed, Homography, Polynomial, Transform
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+LONG_SIDE_PX = 1000
+KEY_POINTS = 5000
+RATIO = 0.92
+REACH_PX = 3.0
+LEAST_INLIERS = 12
+SCALES = (0.14, 7.0)
+
+
+@dataclass(frozen=True)
+class Start:
+    """A first map of one sensor and what it rests on.
+
+    Parameters
+    ----------
+    transform : Transform
+        Reference px → native px of the sensor.
+    reference, target : ndarray, (n, 2)
+        All pairs that were tried, in px of either image; `kept` marks those that agree.
+    mirrored : bool
+    """
+
+    transform: Transform
+    reference: np.ndarray
+    target: np.ndarray
+    kept: np.ndarray
+    mirrored: bool
+
+
+@dataclass(frozen=True)
+class _Points:
+    positions: NDArray[np.float64]
+    descriptors: NDArray[np.float32]
+
+
+def start(reference: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> Start | None:
+    """Return the map that key points agree on, or None where they do not.
+
+    Parameters
+    ----------
+    reference, target : sequences of ndarray, (h, w), float32
+        Grey images of either camera (all of one size within a camera), NaN where invalid.
+    """
+    for side in (LONG_SIDE_PX, 2 * LONG_SIDE_PX):
+        found = _attempt(reference, target, side)
+        shrunk = max(max(i[0].shape) for i in (reference, target)) > side
+        if found is not None or not shrunk:
+            return found
+    return None
+
+
+def _attempt(
+    reference: Sequence[np.ndarray], target: Sequence[np.ndarray], side: int
+) -> Start | None:
+    ours, theirs = ([_detect(grey, side) for grey in greys] for greys in (reference, target))
+    best: tuple[int, Start] | None = None
+    for mirrored in (False, True):
+        pairs = [_pair(a, b, mirrored) for a in ours for b in theirs]
+        p, q = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
+        p, q = _unique(p, q)
+        fitted = _consensus(p, q, mirrored, reference[0].shape, target[0].shape)
+        if fitted is not None and (best is None or fitted[1].sum() > 1.2 * best[0]):
+            best = int(fitted[1].sum()), Start(fitted[0], p, q, fitted[1], mirrored)
+    if best is None:
+        return None
+    return _rematch(best[1], ours, theirs, reference[0].shape)
+
+
+def _detect(image: np.ndarray, side: int) -> _Points:
+    import cv2
+
+    n = max(1, -(-max(image.shape) // side))
+    h, w = (image.shape[0] // n) * n, (image.shape[1] // n) * n
+    small = image[:h, :w].reshape(h // n, n, w // n, n).mean((1, 3)) if n > 1 else image
+    # Precise upscaling mends OpenCV's bias of a quarter pixel.
+    sift = cv2.SIFT_create(KEY_POINTS, 3, 0.01, 12, 1.6, enable_precise_upscale=True)
+    mask = np.isfinite(small).astype(np.uint8) * 255
+    keys, descriptors = sift.detectAndCompute(_equalised(small), mask)
+    if not keys:
+        return _Points(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
+    order = sorted(range(len(keys)), key=lambda i: (-keys[i].response, keys[i].pt, keys[i].angle))
+    order = order[:KEY_POINTS]
+    positions = np.array([keys[i].pt for i in order], float)
+    root = np.sqrt(descriptors[order] / np.maximum(descriptors[order].sum(1, keepdims=True), 1e-9))
+    return _Points((positions + 0.5) * n - 0.5, root.astype(np.float32))
+
+
+def _equalised(image: np.ndarray) -> np.ndarray:
+    """8 bits, local mean taken out and local contrast evened, so that glare does not blind it."""
+    import cv2
+
+    low, high = np.nanpercentile(image, (0.5, 99.5)) if np.isfinite(image).any() else (0.0, 1.0)
+    filled = np.where(np.isfinite(image), image, (low + high) / 2)
+    flat = np.clip((filled - low) / max(high - low, 1e-12), 0, 1).astype(np.float32)
+    sigma = max(4.0, max(image.shape) / 40)
+    mean = cv2.GaussianBlur(flat, (0, 0), sigma)
+    spread = np.sqrt(np.maximum(cv2.GaussianBlur((flat - mean) ** 2, (0, 0), sigma), 0))
+    even = (flat - mean) / (spread + 0.25 * float(spread.mean()) + 1e-6)
+    return (np.clip(even * 40 + 128, 0, 255)).astype(np.uint8)
+
+
+def _inverted(descriptors: np.ndarray) -> np.ndarray:
+    """Descriptors of the same points in the negative: the main direction turns by 180 degrees."""
+    return descriptors.reshape(-1, 4, 4, 8)[:, ::-1, ::-1].reshape(-1, 128)
+
+
+def _mirrored(descriptors: np.ndarray) -> np.ndarray:
+    """Descriptors of the same points in the mirror: across the main direction, angles negated."""
+    turned = descriptors.reshape(-1, 4, 4, 8)[:, ::-1]
+    return turned[..., (-np.arange(8)) % 8].reshape(-1, 128)
+
+
+def _likeness(a: np.ndarray, b: np.ndarray, mirrored: bool) -> np.ndarray:
+    b = _mirrored(b) if mirrored else b
+    b = np.ascontiguousarray(b)
+    return np.maximum(a @ b.T, a @ np.ascontiguousarray(_inverted(b)).T)
+
+
+def _pair(a: _Points, b: _Points, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
+    if len(a.positions) < 2 or len(b.positions) < 2:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    alike = _likeness(a.descriptors, b.descriptors, mirrored)
+    best = alike.argmax(1)
+    rows = np.arange(len(alike))
+    top = alike[rows, best]
+    mutual = alike.argmax(0)[best] == rows
+    alike[rows, best] = -1
+    # Key points with several main directions repeat; the rival has to lie elsewhere.
+    rival_at = alike.argmax(1)
+    rival = alike[rows, rival_at]
+    same = np.abs(b.positions[rival_at] - b.positions[best]).max(1) < 2
+    clear = (1 - top) < RATIO**2 * (1 - rival)
+    good = mutual & (clear | same)
+    return a.positions[good], b.positions[best[good]]
+
+
+def _unique(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    if not len(p):
+        return p, q
+    keys = np.round(np.hstack([p, q]) * 2).astype(np.int64)
+    _, first = np.unique(keys, axis=0, return_index=True)
+    first.sort()
+    return p[first], q[first]
+
+
+def _consensus(
+    p: np.ndarray, q: np.ndarray, mirrored: bool, ours: tuple[int, ...], theirs: tuple[int, ...]
+) -> tuple[Homography, np.ndarray] | None:
+    import cv2
+
+    if len(p) < LEAST_INLIERS:
+        return None
+    settings = cv2.UsacParams()
+    settings.threshold, settings.confidence, settings.maxIterations = REACH_PX, 0.9999, 20000
+    settings.score, settings.sampler = cv2.SCORE_METHOD_MAGSAC, cv2.SAMPLING_UNIFORM
+    settings.loMethod, settings.randomGeneratorState = cv2.LOCAL_OPTIM_SIGMA, 0
+    try:
+        matrix, mask = cv2.findHomography(q, p, settings)
+        forward = np.linalg.inv(matrix) if matrix is not None else None
+    except (cv2.error, np.linalg.LinAlgError):
+        return None
+    if forward is None or not np.isfinite(forward).all():
+        return None
+    found = Homography(forward / forward[2, 2])
+    inside = mask.reshape(-1).astype(bool)
+    # Matches that agree must be more than chance gives: the spread of random pairs over the frame.
+    chance = len(p) * np.pi * REACH_PX**2 * 4 / (ours[0] * ours[1])
+    enough = inside.sum() >= max(LEAST_INLIERS, 8 + 6 * np.sqrt(chance) + chance)
+    return (found, inside) if enough and plausible(found, ours, mirrored) else None
+
+
+def plausible(transform: Transform, shape: tuple[int, ...], mirrored: bool) -> bool:
+    """Whether the Jacobian keeps its sign, and scales stay in 0.14 to 7, all over the frame."""
+    x, y = np.meshgrid(np.linspace(0.05, 0.95, 7) * shape[1], np.linspace(0.05, 0.95, 7) * shape[0])
+    jacobian = transform.jacobian(np.stack([x, y], -1).reshape(-1, 2))
+    if not np.isfinite(jacobian).all():
+        return False
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    determinant = np.linalg.det(jacobian) * (-1 if mirrored else 1)
+    in_range = (values > SCALES[0]).all() and (values < SCALES[1]).all()
+    steady = determinant.min() > 0.2 * determinant.max() and (values[:, 0] < 3 * values[:, 1]).all()
+    return bool(in_range and steady and determinant.min() > 0)
+
+
+def _rematch(
+    first: Start, ours: Sequence[_Points], theirs: Sequence[_Points], shape: tuple[int, ...]
+) -> Start:
+    """Match again, each point only against those where the first map expects its partner."""
+    from scipy.spatial import cKDTree
+
+    scale = float(np.sqrt(abs(np.linalg.det(first.transform.jacobian(first.reference[:1])[0]))))
+    reach = max(6.0, 0.015 * max(shape))
+    found_p, found_q = [], []
+    for a in ours:
+        for b in theirs:
+            if not len(a.positions) or not len(b.positions):
+                continue
+            near = (
+                cKDTree(b.positions)
+                .query(
+                    np.nan_to_num(first.transform(a.positions), nan=-1e9),
+                    k=min(12, len(b.positions)),
+                    distance_upper_bound=reach * scale,
+                )[1]
+                .reshape(len(a.positions), -1)
+            )
+            candidates = np.minimum(near, len(b.positions) - 1)
+            flipped = _mirrored(b.descriptors) if first.mirrored else b.descriptors
+            alike = np.maximum(
+                np.einsum("nd,nkd->nk", a.descriptors, flipped[candidates]),
+                np.einsum("nd,nkd->nk", a.descriptors, _inverted(flipped)[candidates]),
+            )
+            alike[near >= len(b.positions)] = -1
+            best = alike.argmax(1)
+            good = alike[np.arange(len(best)), best] > 0.8
+            found_p.append(a.positions[good])
+            found_q.append(b.positions[candidates[np.arange(len(best)), best][good]])
+    p, q = _unique(np.concatenate(found_p), np.concatenate(found_q))
+    return _polish(first, p, q)
+
+
+def _polish(first: Start, p: np.ndarray, q: np.ndarray) -> Start:
+    """Robust refit from homography to cubic on the new pairs, each from the one before."""
+    model: Transform = first.transform
+    scale = float(np.sqrt(abs(np.linalg.det(model.jacobian(first.reference[:1])[0]))))
+    kept = np.linalg.norm(model(p) - q, axis=1) < REACH_PX * scale
+    for order in (2, 3):
+        if kept.sum() < 4 * (order + 1) * (order + 2):
+            break
+        for _ in range(4):
+            error = np.linalg.norm(model(p) - q, axis=1) / scale
+            spread = max(float(np.median(error[kept])), 0.05)
+            kept = error < max(4 * spread, 0.5)
+            if kept.sum() < 4 * (order + 1) * (order + 2):
+                break
+            weights = 1 / (1 + (error[kept] / (2 * spread)) ** 2)
+            model = Polynomial.fit(p[kept], q[kept], order=order, weights=weights)
+    if kept.sum() < LEAST_INLIERS:
+        return first
+    return Start(model, p, q, kept, first.mirrored)
+
+
+def turned(transform: Transform, factor: int) -> Transform:
+    """Return `transform` with its target shrunk by blocks of `factor` px."""
+    return transform if factor == 1 else Composed(transform, Affine.scaling(1 / factor))

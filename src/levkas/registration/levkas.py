@@ -1,0 +1,103 @@
+"""The default method: key points for the start, dense prediction for every band, models by held-out blocks."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.registration.record import Registration
+from levkas.transforms import Transform
+
+if TYPE_CHECKING:
+    from levkas.registration.images import BandImage
+
+MOST_PREDICTING = 12
+MANY = 6
+
+
+def register_levkas(
+    reference: Sequence[BandImage],
+    target: Sequence[BandImage],
+    *,
+    reference_band: str,
+    reject: float | None = None,
+    stop: float = 1.0,
+    region: Sequence[float] | None = None,
+    rng: np.random.Generator | None = None,
+    reference_transforms: Mapping[str, Transform] | None = None,
+) -> Registration:
+    """Register every band of `target` to the reference band.
+
+    Parameters
+    ----------
+    reference, target : sequence of BandImage
+        Of either camera; the same sequence for the reference camera's own bands.
+    reference_band : str
+        Label of the band of `reference` that defines reference px.
+    reject, stop : float, reference px
+        Of the paper's method; nothing here depends on them.
+    region : (x, y, width, height), reference px, optional
+        Where the object lies; nothing outside is used.
+    rng : numpy.random.Generator, optional
+        Not drawn from: the method is deterministic.
+    reference_transforms : mapping of label to Transform, optional
+        Of the reference camera's own bands, from its own registration: saves measuring them again.
+
+    Returns
+    -------
+    registration : Registration
+
+    Raises
+    ------
+    RegistrationRefused
+        Where no start is found (``E_MATCHES``), or too little of the frames can be compared
+        (``E_WINDOWS``).
+    """
+    from levkas.registration.assessment import assess
+    from levkas.registration.prediction import Scene, registered
+    from levkas.registration.sensors import align_own, align_sensor, images_of
+
+    images = images_of(reference, region)
+    anchor = next(image for image in reference if image.label == reference_band)
+    siblings = [image for image in reference if image.sensor == anchor.sensor]
+    own = target is reference
+    first = None
+    if reference_transforms is None or own:
+        first = align_own(siblings if own else _spread(siblings, anchor), images, anchor)
+        known: Mapping[str, Transform] = first.transforms
+    else:
+        known = {i.label: reference_transforms[i.label] for i in siblings}
+    sensors = [first] if own and first is not None else []
+    names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
+    if names:
+        scene = Scene(registered(images, known, anchor.values.shape))
+        theirs = images if own else images_of(target, None)
+        ours = _greys([images[label] for label in known])
+        for name in names:
+            bands = [image for image in target if image.sensor == name]
+            greys = _greys([theirs[band.label] for band in bands])
+            sensors.append(align_sensor(bands, theirs, scene, ours, greys))
+    return assess(sensors, [image.label for image in target])
+
+
+def _spread(bands: Sequence[BandImage], anchor: BandImage) -> list[BandImage]:
+    """Return at most 12 bands, evenly over the wavelengths, the anchor among them."""
+    from levkas.registration.sensors import ordered
+
+    bands = ordered(bands)
+    picks = np.linspace(0, len(bands) - 1, min(MOST_PREDICTING, len(bands))).round().astype(int)
+    places = sorted({*picks.tolist(), bands.index(anchor)})
+    return [bands[i] for i in places]
+
+
+def _greys(images: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return the mean of all bands brought to one contrast; of each end, too, where they are many."""
+    even = [image / max(float(np.nanstd(image)), 1e-12) for image in images]
+    third = max(len(even) // 3, 1)
+    groups = [even] if len(even) < MANY else [even, even[:third], even[-third:]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return [np.nanmean(group, axis=0).astype(np.float32) for group in groups]

@@ -1,0 +1,220 @@
+"""Fitting one model of a position to displacements that are known in one direction better than another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from levkas.spline import SplineShift, spline_weights
+from levkas.transforms import (
+    Affine,
+    Composed,
+    Homography,
+    Lens,
+    Polynomial,
+    Transform,
+    design_matrix,
+    frame_of,
+)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Where points of the reference lie in the target, and how well that is known.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 2), reference px
+    target : ndarray, (n, 2), native px of the target
+    jacobian : ndarray, (n, 2, 2)
+        d(target)/d(reference) there, to quote residuals in reference px.
+    information : ndarray, (n, 2, 2), 1/reference px²
+    """
+
+    points: np.ndarray
+    target: np.ndarray
+    jacobian: np.ndarray
+    information: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def part(self, mask: np.ndarray) -> Observations:
+        """Return the observations that `mask` selects."""
+        return Observations(
+            self.points[mask], self.target[mask], self.jacobian[mask], self.information[mask]
+        )
+
+    def residuals(self, model: Transform) -> np.ndarray:
+        """Return (n, 2) residuals in reference px."""
+        miss = self.target - model(self.points)
+        return np.linalg.solve(self.jacobian, miss[..., None])[..., 0]
+
+    def weighted(self, weights: np.ndarray) -> Observations:
+        """Return the observations with their information scaled."""
+        return replace(self, information=self.information * weights[:, None, None])
+
+
+def temper(residuals: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return information with a floor of common variance, and robust weights.
+
+    Windows err by more than their own noise: what the prediction cannot explain pulls. A variance
+    that is common to all is added so that the median normalised residual is as it should be.
+    """
+    variance = np.linalg.inv(information + 1e-9 * np.eye(2))
+    expected = 2 * np.log(2)
+    low, high = 0.0, float(np.median((residuals**2).sum(1))) + 1e-12
+
+    def median(extra: float) -> float:
+        inverse = np.linalg.inv(variance + extra * np.eye(2))
+        return float(np.median(np.einsum("na,nab,nb->n", residuals, inverse, residuals)))
+
+    if median(0.0) > expected:
+        for _ in range(12):
+            middle = (low + high) / 2
+            low, high = (middle, high) if median(middle) > expected else (low, middle)
+    else:
+        high = 0.0
+    floored = np.linalg.inv(variance + high * np.eye(2))
+    distance = np.einsum("na,nab,nb->n", residuals, floored, residuals)
+    return floored, 1 / (1 + distance / 8) ** 2
+
+
+def fit_linear(
+    observations: Observations, design: np.ndarray, *, ridge: np.ndarray | None = None
+) -> np.ndarray:
+    """Return coefficients (terms, 2) of target ≈ design @ coefficients under full 2 x 2 weights."""
+    terms = design.shape[1]
+    inverse = np.linalg.inv(observations.jacobian)
+    weight = np.swapaxes(inverse, 1, 2) @ observations.information @ inverse
+    normal = np.zeros((2, terms, 2, terms))
+    for a in range(2):
+        for b in range(2):
+            normal[a, :, b] = design.T @ (design * weight[:, a, b][:, None])
+    right = np.einsum("nt,nab,nb->at", design, weight, observations.target).reshape(-1)
+    matrix = normal.reshape(2 * terms, 2 * terms)
+    if ridge is not None:
+        matrix = matrix + np.kron(np.eye(2), ridge)
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix * scale[:, None] * scale
+    solved = np.linalg.lstsq(scaled, right * scale, rcond=1e-13)[0] * scale
+    return solved.reshape(2, terms).T
+
+
+def fit_polynomial(observations: Observations, order: int) -> Polynomial:
+    """Fit a polynomial of `order` in coordinates that are centred on the observations."""
+    centre, spread = frame_of(observations.points)
+    design = design_matrix(observations.points, order, centre, spread)
+    offset = observations.target.mean(0)
+    shifted = replace(observations, target=observations.target - offset)
+    coefficients = fit_linear(shifted, design)
+    coefficients[0] += offset
+    return Polynomial(order, centre, spread, coefficients)
+
+
+def fit_similarity(observations: Observations) -> Affine:
+    """Fit rotation, scale and shift, mirrored where the Jacobian says so."""
+    sign = np.sign(np.median(np.linalg.det(observations.jacobian)))
+    centre, spread = frame_of(observations.points)
+    u, v = ((observations.points - centre) / spread).T
+    one, nil = np.ones_like(u), np.zeros_like(u)
+    rows = np.stack(
+        [np.stack([u, -v * sign, one, nil], 1), np.stack([v * sign, u, nil, one], 1)], 1
+    )
+    inverse = np.linalg.inv(observations.jacobian)
+    weight = np.swapaxes(inverse, 1, 2) @ observations.information @ inverse
+    normal = np.einsum("nat,nab,nbs->ts", rows, weight, rows)
+    right = np.einsum("nat,nab,nb->t", rows, weight, observations.target)
+    a, b, x, y = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
+    linear = np.array([[a, -b * sign], [b, a * sign]]) / spread
+    return Affine(np.column_stack([linear, np.array([x, y]) - linear @ centre]))
+
+
+def fit_projective(observations: Observations, *, lens: bool) -> Transform:
+    """Fit a homography, with Brown's radial and tangential terms if `lens`, by Gauss-Newton."""
+    centre, spread = frame_of(observations.points)
+    out_centre, out_spread = frame_of(observations.target)
+    affine = fit_polynomial(observations, 1)
+    start = np.zeros(12 if lens else 8)
+    start[:6] = ((affine.coefficients - [out_centre, [0, 0], [0, 0]]) / out_spread).T.reshape(-1)
+
+    def build(p: np.ndarray) -> Transform:
+        matrix = np.array([[p[1], p[2], p[0]], [p[4], p[5], p[3]], [p[6], p[7], 1.0]])
+        into = np.array(
+            [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
+        )
+        out = np.array([[out_spread, 0, out_centre[0]], [0, out_spread, out_centre[1]], [0, 0, 1]])
+        plane = Homography(out @ matrix @ into)
+        if not lens:
+            return plane
+        return Composed(plane, Lens(out_centre, out_spread, (p[8], p[9]), (p[10], p[11])))
+
+    return build(_gauss_newton(observations, build, start))
+
+
+def _gauss_newton(
+    observations: Observations, build: Callable[[np.ndarray], Transform], start: np.ndarray
+) -> np.ndarray:
+    root = np.swapaxes(np.linalg.cholesky(observations.information + 1e-9 * np.eye(2)), 1, 2)
+
+    def whitened(p: np.ndarray) -> np.ndarray:
+        return np.einsum("nab,nb->na", root, observations.residuals(build(p))).reshape(-1)
+
+    best, residual = start, whitened(start)
+    for _ in range(8):
+        step = 1e-6
+        slopes = np.stack(
+            [(whitened(best + step * unit) - residual) / step for unit in np.eye(len(best))], 1
+        )
+        move = np.linalg.lstsq(slopes, -residual, rcond=1e-12)[0]
+        tried = whitened(best + move)
+        if not (np.isfinite(tried).all() and tried @ tried < residual @ residual):
+            break
+        small = residual @ residual - tried @ tried < 1e-9 * (residual @ residual)
+        best, residual = best + move, tried
+        if small:
+            break
+    return best
+
+
+def fit_spline(
+    observations: Observations, under: Transform, spacing: float, stiff: float
+) -> Transform:
+    """Fit a smooth displacement of the reference before `under`, bending priced by `stiff`."""
+    low, high = observations.points.min(0), observations.points.max(0)
+    columns, rows = np.maximum(np.ceil((high - low) / spacing), 1).astype(int) + 3
+    origin = (low + high) / 2 - (np.array([columns, rows]) - 3) * spacing / 2
+    place = (observations.points - origin) / spacing
+    whole = np.clip(place.astype(int), 0, np.array([columns, rows]) - 4)
+    bx, by = (spline_weights(place[:, k] - whole[:, k]) for k in (0, 1))
+    design = np.zeros((len(place), rows, columns))
+    index = np.arange(len(place))
+    for a in range(4):
+        for b in range(4):
+            design[index, whole[:, 1] + a, whole[:, 0] + b] = by[:, a] * bx[:, b]
+    shift = observations.residuals(under)
+    plain = replace(
+        observations, target=shift, jacobian=np.broadcast_to(np.eye(2), (len(shift), 2, 2))
+    )
+    price = stiff * np.trace(observations.information, axis1=1, axis2=2).sum() / (rows * columns)
+    bending = price * (_roughness(rows, columns) + 1e-3 * np.eye(rows * columns))
+    solved = fit_linear(plain, design.reshape(len(place), -1), ridge=bending)
+    return Composed(SplineShift(origin, spacing, solved.reshape(rows, columns, 2)), under)
+
+
+def _roughness(rows: int, columns: int) -> np.ndarray:
+    def second(n: int) -> np.ndarray:
+        d = np.diff(np.eye(n), n=2, axis=0)
+        return d.T @ d
+
+    def first(n: int) -> np.ndarray:
+        d = np.diff(np.eye(n), axis=0)
+        return d.T @ d
+
+    return (
+        np.kron(np.eye(rows), second(columns))
+        + np.kron(second(rows), np.eye(columns))
+        + 2 * np.kron(first(rows), first(columns))
+    )

@@ -1,0 +1,288 @@
+"""Aligning all the bands of one sensor: one base map that they share, and what sets each apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.problems import Problem
+from levkas.registration.chromatic import Chromatic, fit_chromatic, still
+from levkas.registration.initial import Start, plausible, start
+from levkas.registration.ladder import Rung, climb
+from levkas.registration.models import Observations
+from levkas.registration.prediction import Scene, cell_px, compared, condense, sampled
+from levkas.registration.record import RegistrationRefused
+from levkas.registration.refinement import Predictor, Windows
+from levkas.transforms import Affine, Composed, Transform
+
+if TYPE_CHECKING:
+    from levkas.registration.images import BandImage
+
+COARSE_BANDS = 4
+ROUNDS = 2
+LEAST_CELLS = 5
+LEAST_WINDOWS = 12
+HALVES_FROM = 6
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One sensor registered.
+
+    Parameters
+    ----------
+    name : str
+    transforms : dict of label to Transform
+    base : Transform
+    chromatic : Chromatic
+    rung : Rung or None
+        The ladder's choice for the base map; None for the reference's own sensor.
+    windows : dict of label to Windows
+        Shifts that the last round saw, before its correction.
+    start : Start or None
+    step : int
+        Reference px per px of the grid on which it was compared.
+    """
+
+    name: str
+    transforms: dict[str, Transform]
+    base: Transform
+    chromatic: Chromatic
+    rung: Rung | None
+    windows: dict[str, Windows]
+    start: Start | None = None
+    step: int = 1
+    evidence: dict[str, float] = field(default_factory=dict)
+
+
+def images_of(bands: Sequence[BandImage], region: Sequence[float] | None) -> dict[str, np.ndarray]:
+    """Return label → float32 image, NaN where invalid or outside `region`."""
+    result = {}
+    for band in bands:
+        image = np.where(band.valid, band.values, np.nan).astype(np.float32)
+        if region is not None:
+            x, y, w, h = (round(float(v)) for v in region)
+            inside = np.zeros(image.shape, bool)
+            inside[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = True
+            image[~inside] = np.nan
+        result[band.label] = image
+    return result
+
+
+def ordered(bands: Sequence[BandImage]) -> list[BandImage]:
+    """Return the bands by wavelength where all are known, else as they come."""
+    known = all(np.isfinite(band.wavelength) for band in bands)
+    return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
+
+
+def _frame(shape: tuple[int, int]) -> tuple[np.ndarray, float]:
+    return np.array([shape[1] - 1, shape[0] - 1]) / 2, max(shape) / 2
+
+
+def _steps(shape: tuple[int, int], finest: int) -> list[int]:
+    steps = [finest]
+    while min(shape) // (steps[-1] * 2) >= LEAST_CELLS * cell_px((0, 0)) and len(steps) < 4:
+        steps.append(steps[-1] * 2)
+    return steps[::-1]
+
+
+def align_own(
+    bands: Sequence[BandImage], images: Mapping[str, np.ndarray], anchor: BandImage
+) -> Sensor:
+    """Register the bands of the reference's sensor to `anchor`.
+
+    Every band is predicted from the others that are not its neighbours in the order of
+    wavelength; the bands of either half of that order in turn, so that each half follows the
+    other, and all of them stay with the anchor.
+    """
+    bands = ordered(bands)
+    shape = anchor.values.shape
+    labels = [band.label for band in bands]
+    fixed = labels.index(anchor.label)
+    model = still(len(bands), *_frame(shape))
+    identity = Affine.identity()
+    seen: dict[str, Windows] = {}
+    steps = _steps(shape, 1) if len(bands) > 1 else []
+    for step in [*steps, *([1] * (ROUNDS - 1) if steps else [])]:
+        size = (shape[0] // step, shape[1] // step)
+        warped = [
+            sampled(images[label], model.transform(i), size, step) for i, label in enumerate(labels)
+        ]
+        seen = {}
+        for group in _groups(len(bands), fixed):
+            others = [i for i in range(len(bands)) if i not in group]
+            predictor = Predictor(
+                condense(np.stack([warped[i] for i in others])), step=step, cell=cell_px(size)
+            )
+            for i in group:
+                seen[labels[i]] = compared(predictor, warped[i])
+        model = fit_chromatic(
+            [seen[label] for label in labels],
+            model,
+            [band.wavelength for band in bands],
+            highest="cubic" if step == 1 else "affine",
+            fixed=fixed,
+        )
+    transforms: dict[str, Transform] = {
+        label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
+    }
+    return Sensor(anchor.sensor, transforms, identity, model, None, seen)
+
+
+def _groups(count: int, fixed: int) -> list[list[int]]:
+    if count < HALVES_FROM:
+        return [[i] for i in range(count)]
+    return [list(range(k, count, 2)) for k in ((fixed + 1) % 2, fixed % 2)]
+
+
+def align_sensor(
+    bands: Sequence[BandImage],
+    images: Mapping[str, np.ndarray],
+    scene: Scene,
+    greys: Sequence[np.ndarray],
+    theirs: Sequence[np.ndarray],
+) -> Sensor:
+    """Register the bands of one sensor of another camera to the scene."""
+    found = start(greys, theirs)
+    if found is None:
+        raise RegistrationRefused(
+            Problem(
+                "E_MATCHES",
+                "too few key points agree on any map of this sensor to the reference",
+                field=bands[0].sensor or None,
+                fix="Check that both show the same object, in focus and well exposed; give control "
+                "points if they do.",
+            )
+        )
+    bands = ordered(bands)
+    base = found.transform
+    scale = _scale(base, scene.shape)
+    block = max(1, round(scale / 1.2))
+    finest = max(1, round(0.9 / scale))
+    model = still(len(bands), *_frame(scene.shape))
+    rung, seen = None, {}
+    steps = _steps(scene.shape, finest)
+    for turn, step in enumerate([*steps, *[finest] * (ROUNDS - 1)]):
+        last = turn >= len(steps) - 1
+        chosen = bands if last else _spread(bands, COARSE_BANDS)
+        places = [bands.index(band) for band in chosen]
+        size = (scene.shape[0] // step, scene.shape[1] // step)
+        predictor = scene.predictor(step)
+        here = {}
+        for i, band in zip(places, chosen, strict=True):
+            full = Composed(model.transform(i), base)
+            image = sampled(images[band.label], full, size, step, block=block if scale > 1 else 1)
+            here[band.label] = compared(predictor, image)
+        common, information = combine(list(here.values()))
+        rung = _base(base, here[chosen[0].label].centres, common, information, step, last)
+        if last:
+            seen = here
+            corrected = _correction(base, rung.transform, here[chosen[0].label].centres)
+            model = (
+                fit_chromatic(
+                    list(here.values()), model, [b.wavelength for b in bands], common=corrected
+                )
+                if len(bands) > 1
+                else model
+            )
+        base = rung.transform
+        if not plausible(base, scene.shape, found.mirrored):
+            raise RegistrationRefused(
+                Problem(
+                    "E_FOLD",
+                    "the map of this sensor folds or stretches beyond belief",
+                    field=bands[0].sensor or None,
+                )
+            )
+    evidence = _evidence(predictor, image, here[band.label])
+    transforms: dict[str, Transform] = {
+        band.label: Composed(model.transform(i), base) for i, band in enumerate(bands)
+    }
+    return Sensor(bands[0].sensor, transforms, base, model, rung, seen, found, finest, evidence)
+
+
+def _evidence(predictor: Predictor, image: np.ndarray, seen: Windows) -> dict[str, float]:
+    """Compare what is explained with what a frame shifted by a third explains by chance."""
+    used = np.trace(seen.information, axis1=1, axis2=2) > 0
+    able = predictor.counts.reshape(-1) > 0
+    away = np.roll(image, (image.shape[0] // 3, image.shape[1] // 3), (0, 1))
+    chance = compared(predictor, away)
+    null = chance.r2[np.trace(chance.information, axis1=1, axis2=2) > 0]
+    level = float(np.quantile(null, 0.95)) if len(null) >= 10 else 0.5
+    return {
+        "share_above_chance": float((seen.r2[used] > level).mean()) if used.any() else 0.0,
+        "cover": float(used.sum() / max(able.sum(), 1)),
+        "chance_r2": level,
+    }
+
+
+def _scale(base: Transform, shape: tuple[int, int]) -> float:
+    x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * shape[1], np.linspace(0.1, 0.9, 5) * shape[0])
+    jacobian = base.jacobian(np.stack([x, y], -1).reshape(-1, 2))
+    return float(np.sqrt(np.median(np.abs(np.linalg.det(jacobian)))))
+
+
+def _spread(bands: Sequence[BandImage], most: int) -> list[BandImage]:
+    picks = np.unique(np.linspace(0, len(bands) - 1, min(most, len(bands))).round().astype(int))
+    return [bands[i] for i in picks]
+
+
+def combine(seen: Sequence[Windows]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shift of each window that all bands agree on, (n, 2), and its information.
+
+    Bands are weighted by what they know; one that contradicts the others is turned down.
+    """
+    shifts = np.stack([w.shift for w in seen])
+    information = np.stack([w.information for w in seen])
+    weights = np.ones(shifts.shape[:2])
+    for _ in range(4 if len(seen) > 2 else 1):
+        scaled = information * weights[..., None, None]
+        total = scaled.sum(0)
+        common = np.einsum(
+            "nab,nb->na",
+            np.linalg.inv(total + 1e-9 * np.eye(2)),
+            np.einsum("bnac,bnc->na", scaled, shifts),
+        )
+        apart = shifts - common
+        distance = np.einsum("bna,bnac,bnc->bn", apart, information, apart)
+        used = np.trace(information, axis1=2, axis2=3) > 0
+        typical = np.median(distance[used]) / 1.386 + 1e-12 if used.any() else 1.0
+        weights = 1 / (1 + distance / (4 * typical))
+    return common, total
+
+
+def _base(
+    base: Transform,
+    centres: np.ndarray,
+    common: np.ndarray,
+    information: np.ndarray,
+    step: int,
+    last: bool,
+) -> Rung:
+    used = np.trace(information, axis1=1, axis2=2) > 0
+    if used.sum() < LEAST_WINDOWS:
+        raise RegistrationRefused(
+            Problem(
+                "E_WINDOWS",
+                "too few windows of this sensor can be compared with the reference",
+                found=int(used.sum()),
+                expected=f"at least {LEAST_WINDOWS}",
+                fix="The frames overlap too little, or the picture is too small.",
+            )
+        )
+    points = centres[used]
+    jacobian = base.jacobian(points)
+    target = base(points) - np.einsum("nab,nb->na", jacobian, common[used])
+    finite = np.isfinite(target).all(1)
+    observations = Observations(points, target, jacobian, information[used]).part(finite)
+    spacing = 4.0 * step * cell_px((0, 0))
+    return climb(observations, spacing=spacing, highest=None if last else "cubic")
+
+
+def _correction(before: Transform, after: Transform, centres: np.ndarray) -> np.ndarray:
+    """Shift, reference px, that the step from one base map to the next takes care of."""
+    miss = before(centres) - after(centres)
+    return np.linalg.solve(before.jacobian(centres), miss[..., None])[..., 0]
