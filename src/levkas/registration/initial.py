@@ -57,13 +57,16 @@ def start(reference: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> Star
     Parameters
     ----------
     reference, target : sequences of ndarray, (h, w), float32
-        Grey images of either camera (all of one size within a camera), NaN where invalid.
+        Grey images of either camera (all of one size within a camera), NaN where invalid. The
+        first of each is tried first, then all pairs of them.
     """
     for side in (LONG_SIDE_PX, 2 * LONG_SIDE_PX):
-        found = _attempt(reference, target, side)
-        shrunk = max(max(i[0].shape) for i in (reference, target)) > side
-        if found is not None or not shrunk:
-            return found
+        for ours, theirs in ((reference[:1], target[:1]), (reference, target)):
+            found = _attempt(ours, theirs, side)
+            if found is not None:
+                return found
+        if max(max(i[0].shape) for i in (reference, target)) <= side:
+            break
     return None
 
 

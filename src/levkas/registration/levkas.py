@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from levkas.registration.images import BandImage
 
 MOST_PREDICTING = 12
-MANY = 6
+MOST_GREYS = 4
 
 
 def register_levkas(
@@ -94,10 +94,13 @@ def _spread(bands: Sequence[BandImage], anchor: BandImage) -> list[BandImage]:
 
 
 def _greys(images: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return the mean of all bands brought to one contrast; of each end, too, where they are many."""
+    """Return the mean of all bands brought to one contrast, and up to four others.
+
+    Those are the bands themselves where they are few, else means of parts of the spectrum.
+    """
     even = [image / max(float(np.nanstd(image)), 1e-12) for image in images]
-    third = max(len(even) // 3, 1)
-    groups = [even] if len(even) < MANY else [even, even[:third], even[-third:]]
+    parts = np.array_split(np.arange(len(even)), min(MOST_GREYS, len(even)))
+    groups = [even, *([even[i] for i in part] for part in parts if len(even) > 1)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return [np.nanmean(group, axis=0).astype(np.float32) for group in groups]
