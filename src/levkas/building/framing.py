@@ -50,10 +50,14 @@ def bounding_box(grey: np.ndarray, valid: np.ndarray | None = None) -> tuple[int
     floor = np.median(border) + 4 * max(1.0, 1.4826 * np.median(np.abs(border - np.median(border))))
     mask = (bytes_ > min(cut, floor)).astype(np.uint8)
     kernel = np.ones((3, 3), np.uint8)
-    mask = cv2.morphologyEx(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel, iterations=3)
+    mask = cv2.morphologyEx(
+        cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel, iterations=3
+    )
     count, _, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
         return whole
-    best = 1 + int(np.argmax(statistics[1:, cv2.CC_STAT_WIDTH] * statistics[1:, cv2.CC_STAT_HEIGHT]))
+    best = 1 + int(
+        np.argmax(statistics[1:, cv2.CC_STAT_WIDTH] * statistics[1:, cv2.CC_STAT_HEIGHT])
+    )
     x, y, w, h = (int(v) for v in statistics[best, :4])
     return (x, y, w, h) if w * h >= SMALLEST_SHARE * width * height else whole

@@ -31,7 +31,9 @@ class Places:
         """Published file of one layer: ``.tif``, ``.flags.tif``, ``.sigma.tif`` or ``.png``."""
         return self.folder(name) / (_stem(name, camera, setup) + kind)
 
-    def native(self, name: str, camera: str, setup: str, sensor: str, *, kind: str = ".tif") -> Path:
+    def native(
+        self, name: str, camera: str, setup: str, sensor: str, *, kind: str = ".tif"
+    ) -> Path:
         """Calibrated, not resampled, one file a sensor."""
         stem = _stem(name, camera, setup, sensor)
         return self.folder(name) / "native" / (stem + kind)

@@ -1,0 +1,158 @@
+"""The paper's Figures 9 and 10 of one registration, as SVG text."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.reporting.page import Figure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.registration.record import Matches, Trace
+
+MOST_PAIRS = 400
+"""Pairs drawn in a panel; more only blacken it."""
+PANEL_PX = 260
+
+
+def draw_trace(matches: Matches, trace: Trace | None) -> list[Figure]:
+    """Return Figures 9 and 10 of a registration, or one panel of its pairs where it left no trace."""
+    if len(matches) == 0:
+        return []
+    if trace is None:
+        return [Figure(_panels([_pairs_only(matches)]), _PAIRS)]
+    middle = max(1, trace.rounds // 2)
+    rounds = sorted({0, middle, trace.rounds - 1})
+    panels = [_panel(matches, trace, -1, "start: scale alone")]
+    panels += [_panel(matches, trace, r, f"round {r + 1} of {trace.rounds}") for r in rounds]
+    return [Figure(_panels(panels), _COURSE), Figure(_curve(trace), _LARGEST)]
+
+
+_COURSE = (
+    "The course of the registration in reference pixels (the paper's Figure 9): black the reference "
+    "frame, red the target's frame under scale alone, magenta under the fit; dots are pairs, red in "
+    "the reference, blue mapped from the target, gray lines the errors."
+)
+_LARGEST = (
+    "The largest error at each round as the worst pair leaves (the paper's Figure 10); the first "
+    "point is the cut under scale alone at `reject`, the dashed line is `stop`."
+)
+_PAIRS = "Pairs of control points in reference pixels: kept ones red, removed ones gray."
+
+
+def _panels(panels: Sequence[str]) -> str:
+    columns = 2 if len(panels) > 1 else 1
+    rows = -(-len(panels) // columns)
+    placed = [
+        f'<g transform="translate({(i % columns) * PANEL_PX},{(i // columns) * PANEL_PX})">{p}</g>'
+        for i, p in enumerate(panels)
+    ]
+    size = f"0 0 {columns * PANEL_PX} {rows * PANEL_PX}"
+    return f'<svg viewBox="{size}" role="img" aria-label="course of the registration">{"".join(placed)}</svg>'
+
+
+def _panel(matches: Matches, trace: Trace, number: int, title: str) -> str:
+    """One state of the removal: frames, and the pairs under the map of that state."""
+    width, height = trace.size
+    frame = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], float)
+    place = _placing(np.vstack([frame, trace.frame]))
+    kept = np.ones(len(matches), bool) if number < 0 else trace.kept_at(number)
+    chosen = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // MOST_PAIRS)]
+    mapped = trace.scale(matches.target[chosen])
+    if number >= 0:
+        mapped = _under_corners(trace, number, mapped)
+    reference = matches.reference[chosen]
+    parts = [_outline(place(frame), "currentColor"), _outline(place(trace.frame), "var(--ref)")]
+    if number >= 0:
+        parts.append(_outline(place(trace.corners[number]), "var(--fit)"))
+    parts += [_lines(place(reference), place(mapped)), _dots(place(reference), "var(--ref)")]
+    parts.append(_dots(place(mapped), "var(--tgt)"))
+    parts.append(f'<text x="8" y="16">{title}: {int(kept.sum())} pairs</text>')
+    return "".join(parts)
+
+
+def _under_corners(trace: Trace, number: int, mapped: np.ndarray) -> np.ndarray:
+    """Move points from the scale-only frame to the fitted one by its corners, enough for a drawing."""
+    a, b = trace.frame, trace.corners[number]
+    span = a[2] - a[0]
+    u, v = ((mapped - a[0]) / span).T[:, :, None]
+    return b[0] * (1 - u) * (1 - v) + b[1] * u * (1 - v) + b[2] * u * v + b[3] * (1 - u) * v
+
+
+def _pairs_only(matches: Matches) -> str:
+    place = _placing(matches.reference)
+    kept = matches.kept
+    return _dots(place(matches.reference[~kept][:MOST_PAIRS]), "currentColor") + _dots(
+        place(matches.reference[kept][:: max(1, int(kept.sum()) // MOST_PAIRS)]), "var(--ref)"
+    )
+
+
+class _placing:
+    """Bring reference pixels into a panel, margins for the title left free."""
+
+    def __init__(self, points: np.ndarray) -> None:
+        self.low, high = points.min(0), points.max(0)
+        self.scale = (PANEL_PX - 40) / max(float((high - self.low).max()), 1.0)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return (np.asarray(points) - self.low) * self.scale + [20, 28]
+
+
+def _outline(points: np.ndarray, colour: str) -> str:
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return f'<polygon points="{path}" fill="none" stroke="{colour}" stroke-width="1.2"/>'
+
+
+def _dots(points: np.ndarray, colour: str) -> str:
+    path = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points if np.isfinite(x + y))
+    return f'<path d="{path}" stroke="{colour}" stroke-width="2" stroke-linecap="round" opacity="0.7"/>'
+
+
+def _lines(start: np.ndarray, end: np.ndarray) -> str:
+    ends = np.hstack([start, end])
+    path = "".join(
+        f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for a, b, c, d in ends if np.isfinite(a + b + c + d)
+    )
+    return f'<path d="{path}" stroke="#999" stroke-width="0.6" fill="none"/>'
+
+
+def _curve(trace: Trace) -> str:
+    """Largest error by round, logarithmic, with the cut and `stop` marked."""
+    width, height, left, bottom = 2 * PANEL_PX, PANEL_PX, 52, 34
+    cut = trace.scale_errors[np.isfinite(trace.scale_errors)]
+    errors = np.concatenate([[cut.max() if len(cut) else trace.reject], trace.largest])
+    errors = np.maximum(errors, 1e-3)
+    low, high = (
+        np.log10(min(errors.min(), trace.stop)) - 0.1,
+        np.log10(max(errors.max(), trace.reject)) + 0.1,
+    )
+    chosen = np.unique(np.linspace(0, len(errors) - 1, min(len(errors), 500)).astype(int))
+    x = left + (width - left - 12) * chosen / max(len(errors) - 1, 1)
+
+    def y_of(value: np.ndarray | float) -> np.ndarray:
+        return 12 + (height - bottom - 12) * (high - np.log10(value)) / (high - low)
+
+    path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y_of(errors[chosen]), strict=True))
+    parts = [f'<polyline points="{path}" fill="none" stroke="var(--ref)" stroke-width="1.5"/>']
+    for power in range(int(np.ceil(low)), int(np.floor(high)) + 1):
+        y = float(y_of(10.0**power))
+        parts.append(f'<path d="M{left} {y:.1f}H{width - 12}" stroke="#8884"/>')
+        parts.append(
+            f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{10.0**power:g}</text>'
+        )
+    stop = float(y_of(trace.stop))
+    parts.append(
+        f'<path d="M{left} {stop:.1f}H{width - 12}" stroke="var(--tgt)" stroke-dasharray="5 4"/>'
+    )
+    parts.append(
+        f'<text x="{width - 14}" y="{stop - 5:.1f}" text-anchor="end">stop {trace.stop:g} px</text>'
+    )
+    middle = (left + width) / 2
+    parts.append(
+        f'<text x="{middle}" y="{height - 8}" text-anchor="middle">round (of {trace.rounds})</text>'
+    )
+    parts.append(f'<text x="{left}" y="{height - 8}">largest error, px</text>')
+    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="largest error by round">{"".join(parts)}</svg>'
