@@ -1,0 +1,205 @@
+"""Iterative removal: the very pairs of the plain loop, whatever the order, and a trace that can be redrawn."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from levkas.registration.outliers import clean, cut, remove_outliers
+from levkas.registration.record import RegistrationRefused
+from levkas.transforms import Affine, Polynomial, frame_of
+
+SIZE = (1392, 1040)
+STILL = Affine.identity()
+
+
+def plant(n, wrong, *, seed, noise=0.2, radius=100.0):
+    """Return target, reference and the mask of wrong pairs: a bent map, noise, displaced pairs."""
+    rng = np.random.default_rng(seed)
+    target = rng.uniform(0, SIZE, (n, 2))
+    u, v = ((target - np.array(SIZE) / 2) / 700).T
+    bend = np.stack([3 * u**3 + 2 * v**2 + 5, 4 * v * u**2 - 3], 1)
+    reference = target + bend + rng.normal(0, noise, (n, 2))
+    bad = np.zeros(n, bool)
+    bad[rng.choice(n, wrong, replace=False)] = True
+    angle, reach = rng.uniform(0, 2 * np.pi, wrong), radius * rng.uniform(0.1, 0.95, wrong)
+    reference[bad] += np.stack([np.cos(angle), np.sin(angle)], 1) * reach[:, None]
+    return target, reference, bad
+
+
+def plain_loop(target, reference, *, reject, stop, order=3):
+    """Return (worst, largest) a round: every fit from scratch, as the paper says it."""
+    kept = cut(target, reference, STILL, reject)[1]
+    frame = frame_of(target[kept])
+    rank = np.empty(len(target), int)
+    rank[np.lexsort((*target.T[::-1], *reference.T[::-1]))] = np.arange(len(target))
+    rounds = []
+    while True:
+        model = Polynomial.fit(target[kept], reference[kept], order=order, frame=frame)
+        errors = np.where(kept, np.linalg.norm(model(target) - reference, axis=1), -1)
+        equal = np.flatnonzero(errors >= errors.max() - 1e-9)
+        worst = int(equal[rank[equal].argmin()])
+        rounds.append((worst, errors[worst]))
+        if errors[worst] <= stop:
+            return rounds
+        kept[worst] = False
+
+
+def assert_same_as_plain(target, reference, **options):
+    steps = list(remove_outliers(target, reference, scale=STILL, **options))
+    plain = plain_loop(target, reference, **options)
+    assert [s.worst for s in steps] == [worst for worst, _ in plain]
+    # Rounding of a thousand updates: a millionth of what separates two pairs here.
+    np.testing.assert_allclose([s.largest for s in steps], [e for _, e in plain], atol=1e-8)
+    assert [s.removed for s in steps] == [True] * (len(steps) - 1) + [False]
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_the_same_pairs_leave_as_in_the_plain_loop(order):
+    target, reference, _ = plant(400, 200, seed=order)
+    assert_same_as_plain(target, reference, reject=120.0, stop=1.0, order=order)
+
+
+def test_the_same_pairs_leave_past_a_new_factorisation():
+    target, reference, _ = plant(1250, 1080, seed=7)
+    assert_same_as_plain(target, reference, reject=120.0, stop=1.0)
+
+
+def test_the_same_pairs_leave_when_nearly_all_must():
+    target, reference, _ = plant(120, 118, seed=3)
+    assert_same_as_plain(target, reference, reject=120.0, stop=0.5)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-7, 1e-6])
+def test_near_ties_leave_in_the_order_of_the_plain_loop(apart):
+    target, reference, _ = plant(300, 0, seed=5, noise=0.05)
+    rng = np.random.default_rng(5)
+    # Eighty pairs whose errors are equal, or all but equal, in a pattern of mirror images.
+    reach = 30.0 + apart * rng.permutation(80)
+    side = np.where(np.arange(80) % 2, 1.0, -1.0)
+    reference[:80, 0] += side * reach
+    reference[:40] = np.round(reference[:40])
+    assert_same_as_plain(target, reference, reject=120.0, stop=1.0)
+
+
+def test_exact_mirror_images_leave_by_their_place():
+    x, y = np.meshgrid(np.arange(-6.0, 7), np.arange(-6.0, 7))
+    target = np.stack([x.ravel(), y.ravel()], 1) * 50
+    reference = target.copy()
+    corners = np.abs(target).min(1) == 300
+    reference[corners] *= 1.1
+    assert_same_as_plain(target, reference, reject=120.0, stop=1.0, order=1)
+
+
+def test_repeated_pairs_leave_one_after_another():
+    target, reference, _ = plant(100, 20, seed=9)
+    twice = np.repeat(np.arange(100), 2)
+    assert_same_as_plain(target[twice], reference[twice], reject=120.0, stop=1.0)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.0, 0.6), st.floats(0.3, 5.0))
+def test_removal_equals_the_plain_loop(seed, share, stop):
+    target, reference, _ = plant(150, int(150 * share), seed=seed)
+    assert_same_as_plain(target, reference, reject=110.0, stop=stop)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_order_of_matches_does_not_matter(seed):
+    target, reference, _ = plant(150, 60, seed=seed)
+    order = np.random.default_rng(seed).permutation(150)
+    one = [s.worst for s in remove_outliers(target, reference, scale=STILL, reject=110, stop=1)]
+    two = remove_outliers(target[order], reference[order], scale=STILL, reject=110, stop=1)
+    assert [int(order[s.worst]) for s in two] == one
+
+
+def test_planted_outliers_go_and_the_map_is_recovered():
+    target, reference, bad = plant(600, 250, seed=1)
+    done = clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+    assert not done.kept[bad].any()
+    assert done.kept[~bad].mean() > 0.99
+    truth = plant(600, 0, seed=1, noise=0.0)[1]
+    assert np.abs(done.model(target) - truth).max() < 0.2  # 350 pairs, sigma 0.2, ten coefficients
+
+
+def test_cut_is_under_scale_alone():
+    target = np.array([[10.0, 10.0], [20.0, 30.0]])
+    errors, kept = cut(
+        target,
+        Affine.scaling(2.0)(target) + np.array([[0, 3.0], [40, 0]]),
+        Affine.scaling(2.0),
+        5.0,
+    )
+    np.testing.assert_allclose(errors, [3, 40])
+    assert kept.tolist() == [True, False]
+
+
+def test_trace_redraws_every_round():
+    target, reference, _ = plant(200, 60, seed=2, radius=180)
+    done = clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+    trace = done.trace
+    assert trace.rounds == len(trace.corners) == len(trace.removed)
+    assert trace.largest[-1] <= 1 < trace.largest[-2] and trace.removed[-1] == -1
+    for number in (0, trace.rounds // 2, trace.rounds - 1):
+        kept = trace.kept_at(number)
+        model = Polynomial.fit(target[kept], reference[kept])
+        corners = np.array([[-0.5, -0.5], [1391.5, -0.5], [1391.5, 1039.5], [-0.5, 1039.5]])
+        np.testing.assert_allclose(trace.corners[number], model(corners), atol=1e-6)
+        errors = np.linalg.norm(model(target[kept]) - reference[kept], axis=1)
+        assert trace.largest[number] == pytest.approx(errors.max(), abs=1e-8)
+    assert (done.round == 0).sum() == (trace.scale_errors >= 108).sum() > 0
+    assert sorted(done.round[done.round > 0]) == list(range(1, trace.rounds))
+    assert trace.to_dict()["rounds"] == trace.rounds
+
+
+def test_leave_one_out_is_the_error_of_a_fit_without_the_pair():
+    target, reference, _ = plant(60, 10, seed=4)
+    done = clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+    k = int(np.flatnonzero(done.kept)[5])
+    others = done.kept.copy()
+    others[k] = False
+    model = Polynomial.fit(target[others], reference[others])
+    error = np.linalg.norm(model(target[[k]]) - reference[[k]])
+    assert done.leave_one_out[k] == pytest.approx(error, abs=1e-9)
+
+
+def test_inputs_are_not_changed():
+    target, reference, _ = plant(100, 20, seed=0)
+    copies = target.copy(), reference.copy()
+    list(remove_outliers(target, reference, scale=STILL, reject=108, stop=1))
+    np.testing.assert_array_equal(target, copies[0])
+    np.testing.assert_array_equal(reference, copies[1])
+
+
+def test_too_few_matches_are_refused_with_the_trace():
+    target, reference, _ = plant(9, 0, seed=0)
+    with pytest.raises(RegistrationRefused, match="at least 10 matches, got 9") as refusal:
+        clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+    assert refusal.value.problems[0].code == "E_MATCHES"
+    assert refusal.value.trace.rounds == 0
+
+
+def test_matches_on_a_line_are_refused():
+    target = np.stack([np.linspace(0, 900, 40), np.linspace(0, 300, 40)], 1)
+    with pytest.raises(RegistrationRefused, match="too few lines"):
+        list(remove_outliers(target, target + 1, scale=STILL, reject=108, stop=1))
+
+
+@pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), "3", True])
+@pytest.mark.parametrize("name", ["reject", "stop"])
+def test_thresholds_that_are_no_positive_numbers_are_refused(name, bad):
+    target, reference, _ = plant(40, 0, seed=0)
+    with pytest.raises(RegistrationRefused) as refusal:
+        list(
+            remove_outliers(
+                target, reference, scale=STILL, **({"reject": 108.0, "stop": 1.0} | {name: bad})
+            )
+        )
+    assert refusal.value.problems[0].field == f"registration.{name}"
+
+
+def test_reject_below_stop_is_refused():
+    target, reference, _ = plant(40, 0, seed=0)
+    with pytest.raises(RegistrationRefused, match="more than stop"):
+        list(remove_outliers(target, reference, scale=STILL, reject=1.0, stop=2.0))
