@@ -54,7 +54,7 @@ def test_what_is_written_is_what_is_read(tmp_path_factory, cube, text, with_rgb,
     np.testing.assert_array_equal(read, expected)
     assert read.dtype == expected.dtype
     np.testing.assert_array_equal(centres, np.float32(wavelengths))
-    assert metadata == ("" if text == " " else text)
+    assert metadata == text
     assert (rgb is None) or np.array_equal(rgb, RGB)
     assert (rgb is not None) == with_rgb
     np.testing.assert_array_equal(read_tiff_pages(path), cube)
@@ -198,7 +198,7 @@ def test_damage_is_refused_or_harmless_never_another_picture(tmp_path):
     data = (tmp_path / "a.tif").read_bytes()
     rng = np.random.default_rng(3)
     wrong = {"cut": 0, "bit": 0, "zeros": 0}
-    for _ in range(600):
+    for _ in range(300):
         changed, kind = damaged(data, rng)
         if changed == data:
             continue
@@ -211,7 +211,7 @@ def test_damage_is_refused_or_harmless_never_another_picture(tmp_path):
     # The directory has no checksum of its own: a flipped bit in it may swap two tags. Hashes find it.
     assert wrong["cut"] == 0
     assert wrong["zeros"] <= 1
-    assert wrong["bit"] <= 4
+    assert wrong["bit"] <= 3
 
 
 def test_a_missing_strip_is_an_error_not_zeros(tmp_path):
@@ -235,10 +235,10 @@ def test_what_is_no_tiff_is_refused(tmp_path):
 @settings(max_examples=40, deadline=None)
 @given(
     st.dictionaries(
-        st.text(min_size=1).filter(lambda t: t != " "),
-        hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, max_side=20)),
+        st.text(min_size=1),
+        hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)),
         min_size=1,
-        max_size=4,
+        max_size=3,
     )
 )
 def test_masks_are_read_as_they_were_written(tmp_path_factory, masks):

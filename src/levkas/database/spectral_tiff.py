@@ -290,7 +290,7 @@ def read_stiff(
         cube = None if cube is None else cube[:, :, ::-1]
     if cube is not None and cube.dtype == np.uint16:
         cube = cube.astype(np.float32) / np.float32(65535)
-    return cube, centres, pages.read_render(), _decode_text(text)
+    return cube, centres, pages.read_render(), decode_text(text)
 
 
 def read_tiff_pages(path: str | Path) -> np.ndarray:
@@ -308,19 +308,27 @@ def _only(path: Path, values: Sequence[Any], what: str, silent: bool) -> Any:
 
 
 def _encode_text(text: str) -> bytes:
-    # Old readers cannot take an empty text, and strip quotes that enclose the whole of it.
-    encoded = text.encode("unicode_escape") or b" "
-    return b"\\x27" + encoded[1:] if encoded[:1] == b"'" else encoded
+    # Old readers cannot take an empty text, strip quotes around the whole, and spaces at its ends.
+    encoded = text.encode("unicode_escape")
+    for end in (b"'", b" "):
+        if encoded.startswith(end):
+            encoded = b"\\x%02x" % end[0] + encoded[1:]
+        if encoded.endswith(end):
+            encoded = encoded[:-1] + b"\\x%02x" % end[0]
+    return encoded or b" "
 
 
-def _decode_text(stored: str) -> str:
+def decode_text(stored: str) -> str:
+    """Return the text of tag 65111 as it was meant."""
+    if not stored.strip():
+        return ""
     try:
         text = stored.encode("ascii", "backslashreplace").decode("unicode_escape")
     except UnicodeDecodeError:  # written by others, with backslashes of their own
         return stored
     if len(stored) > 1 and stored[0] == stored[-1] == "'":  # early files of the group
         text = text.strip("'").replace("\\n", "\n")
-    return "" if text == " " else text
+    return text
 
 
 # --- masks --------------------------------------------------------------------------------------
@@ -358,7 +366,7 @@ def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
     for index, label in enumerate(pages.tags(LABEL)):
         if label is None:
             _refuse("E_KEY", pages.path, f"page {index} has no label", None, "a text", LABEL)
-        name = _decode_text(str(label))
+        name = decode_text(str(label))
         if name in masks:
             _refuse("E_BAND_TWICE", pages.path, f"two masks are called {name!r}", name, "one")
         masks[name] = pages.read_page(index) > 0

@@ -1,0 +1,124 @@
+"""catalogue.csv: one row a layer of the database, in order, so that two builds write the same."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from levkas.files import write_text
+from levkas.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+NAME = "catalogue.csv"
+
+
+class DatabaseRefused(Refused):
+    """A folder is no database, or a part of it is missing or damaged."""
+
+
+@dataclass(frozen=True, order=True)
+class Entry:
+    """One layer: an object by a camera under a setup ("" for the default one).
+
+    `bands` is their number, `width` and `height` are of the grid, `sha256` is of the layer's TIFF.
+    """
+
+    object: str
+    camera: str
+    setup: str
+    bands: int
+    width: int
+    height: int
+    px_per_mm: float
+    quantity: str
+    verdict: str
+    sha256: str
+
+    def to_row(self) -> list[str]:
+        """Return the cells; an unknown sampling is empty."""
+        cells = [getattr(self, field.name) for field in fields(self)]
+        return ["" if isinstance(c, float) and math.isnan(c) else str(c) for c in cells]
+
+
+COLUMNS = tuple(field.name for field in fields(Entry))
+
+
+def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
+    """Write the catalogue, rows sorted by object, camera and setup; raises WriteRefused.
+
+    Returns
+    -------
+    path : Path
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(COLUMNS)
+    rows = sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
+    table.writerows(entry.to_row() for entry in rows)
+    path = Path(database) / NAME
+    write_text(path, text.getvalue())
+    return path
+
+
+def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
+    """Read the catalogue of a database.
+
+    Raises
+    ------
+    DatabaseRefused
+        Where there is none, or rows cannot be understood: all of them, at most ten.
+    """
+    path = Path(database) / NAME
+    try:
+        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
+    except (OSError, ValueError, csv.Error) as error:
+        raise DatabaseRefused(
+            Problem(
+                "E_UNREADABLE",
+                f"there is no catalogue that can be read: {error}",
+                file=str(path),
+                fix="Give the folder of a database, or build the campaign first.",
+            )
+        ) from error
+    if not rows or tuple(rows[0]) != COLUMNS:
+        found = ",".join(rows[0])[:120] if rows else "an empty file"
+        expected = ",".join(COLUMNS)
+        raise DatabaseRefused(
+            Problem(
+                "E_KEY", "the catalogue has other columns", str(path), "line 1", found, expected
+            )
+        )
+    entries, problems = [], []
+    for number, row in enumerate(rows[1:], start=2):
+        try:
+            entries.append(_entry(row))
+        except ValueError as error:
+            field = f"line {number}"
+            problems.append(Problem("E_VALUE", f"a row is damaged: {error}", str(path), field))
+    if problems:
+        raise DatabaseRefused(*problems[:10])
+    return tuple(entries)
+
+
+def _entry(row: list[str]) -> Entry:
+    if len(row) != len(COLUMNS):
+        raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
+    cells = dict(zip(COLUMNS, row, strict=True))
+    return Entry(
+        object=cells["object"],
+        camera=cells["camera"],
+        setup=cells["setup"],
+        bands=int(cells["bands"]),
+        width=int(cells["width"]),
+        height=int(cells["height"]),
+        px_per_mm=float(cells["px_per_mm"] or math.nan),
+        quantity=cells["quantity"],
+        verdict=cells["verdict"],
+        sha256=cells["sha256"],
+    )

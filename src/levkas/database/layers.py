@@ -1,0 +1,223 @@
+"""One layer's files in one call: spectral TIFF, flags, sigma, preview and Zarr."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from math import isnan, nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.colour import preview
+from levkas.database.catalogue import Entry
+from levkas.database.credits import Credits
+from levkas.database.preview import write_preview
+from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
+from levkas.database.store import layer_name, write_layer_store
+from levkas.files import hash_file
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.cube import Band, Cube
+
+SIGMA_BITS = 11
+"""Mantissa bits that sigma keeps, 2.4e-4 relative: nobody knows it better, and it halves the file."""
+ROUNDING_ROWS = 64
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a layer's files say about it beside its pixels.
+
+    Parameters
+    ----------
+    object, camera, setup : str
+        `setup` is empty for the default one.
+    px_per_mm : float
+        NaN where the sampling is not known.
+    credits : Credits
+    centroids : sequence of float, nm, optional
+        Of the sensitivities of channels without a centre wavelength, for tag 65000.
+    """
+
+    object: str
+    camera: str
+    setup: str = ""
+    px_per_mm: float = nan
+    credits: Credits = field(default_factory=Credits)
+    centroids: tuple[float, ...] | None = None
+
+    @property
+    def name(self) -> str:
+        """``CAMERA`` or ``CAMERA@SETUP``."""
+        return layer_name(self.camera, self.setup)
+
+    @property
+    def stem(self) -> str:
+        """``OBJECT_CAMERA`` or ``OBJECT_CAMERA_SETUP``."""
+        return "_".join(part for part in (self.object, self.camera, self.setup) if part)
+
+    def attributes(self, quantity: str) -> dict[str, Any]:
+        """Return what the arrays say of themselves; what is unknown is left out."""
+        facts = {
+            "quantity": quantity,
+            "object": self.object,
+            "camera": self.camera,
+            "setup": self.setup,
+            "px_per_mm": None if isnan(self.px_per_mm) else float(self.px_per_mm),
+        }
+        return {key: value for key, value in facts.items() if value is not None}
+
+
+def write_layer(
+    database: str | Path,
+    layer: Layer,
+    cube: Cube,
+    *,
+    verdict: str = "accept",
+    sensitivity: tuple[np.ndarray, np.ndarray] | None = None,
+    encoded: bool = False,
+    white: float | None = None,
+    zarr: bool = True,
+    threads: int = 2,
+) -> tuple[Entry, tuple[Path, ...]]:
+    """Write all files of one registered layer.
+
+    Parameters
+    ----------
+    database : path
+    layer : Layer
+    cube : Cube
+        On the grid.
+    verdict : str
+        For the catalogue.
+    sensitivity, encoded, white
+        For the picture, as in `levkas.colour.preview`.
+    zarr : bool
+        Whether the Zarr layer is written too.
+    threads : int
+        For compression; the bytes are the same for any number.
+
+    Returns
+    -------
+    entry : Entry
+        The row of the catalogue.
+    files : tuple of Path
+        All that was written, files only.
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses; each file is then the old one or the new one.
+    """
+    database = Path(database)
+    picture, description = preview(cube, sensitivity=sensitivity, encoded=encoded, white=white)
+    cube = _rounded(cube)
+    base = database / "objects" / layer.object / layer.stem
+    written = write_tiffs(base, layer, cube, rgb=picture, rendering=description, threads=threads)
+    png = base.with_name(base.name + ".png")
+    scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
+    write_preview(png, picture, description=description, px_per_mm=scale)
+    written.append(png)
+    if zarr:
+        root = database / "zarr" / f"{layer.object}.zarr"
+        write_layer_store(root, layer.name, cube, attributes=layer.attributes(cube.quantity))
+        written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
+    height, width, count = cube.values.shape
+    entry = Entry(
+        *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
+        *(cube.quantity, verdict, hash_file(written[0])),
+    )
+    return entry, tuple(written)
+
+
+def write_tiffs(
+    base: Path,
+    layer: Layer,
+    cube: Cube,
+    *,
+    rgb: np.ndarray | None = None,
+    rendering: str = "",
+    threads: int = 2,
+) -> list[Path]:
+    """Write `base`.tif, .flags.tif and, where the noise is known, .sigma.tif; raises WriteRefused.
+
+    Also for the native files of single sensors.
+    """
+    facts = layer.attributes(cube.quantity)
+    parts: list[tuple[str, np.ndarray, dict[str, Any]]] = [
+        (".tif", cube.values, {**facts, "rendering": rendering} if rendering else facts),
+        (".flags.tif", cube.flags, {**facts, "quantity": "flags"}),
+    ]
+    if cube.sigma is not None:
+        parts.append((".sigma.tif", cube.sigma, {**facts, "quantity": f"sigma of {cube.quantity}"}))
+    written = []
+    for suffix, values, more in parts:
+        path = base.with_name(base.name + suffix)
+        write_spectral_tiff(
+            path,
+            planes_of(values),
+            shape=(values.shape[0], values.shape[1]),
+            wavelengths=centres_of(cube.bands, layer.centroids),
+            text=describe_bands(cube.bands, more),
+            dtype=values.dtype,
+            rgb=rgb if suffix == ".tif" else None,
+            px_per_mm=facts.get("px_per_mm"),
+            credits=layer.credits,
+            threads=threads,
+        )
+        written.append(path)
+    return written
+
+
+def centres_of(bands: Sequence[Band], centroids: Sequence[float] | None = None) -> list[float]:
+    """Return what tag 65000 holds: centres, else centroids of sensitivities, else 0 … n−1.
+
+    Examples
+    --------
+    >>> from levkas.cube import Band
+    >>> centres_of([Band("R1"), Band("G1")]), centres_of([Band("550 nm", 550.0)])
+    ([0.0, 1.0], [550.0])
+    """
+    centres = [band.wavelength for band in bands]
+    if any(isnan(centre) for centre in centres):
+        centres = list(centroids) if centroids is not None else []
+    if len(centres) != len(bands) or any(isnan(centre) for centre in centres):
+        centres = [float(number) for number in range(len(bands))]
+    return centres
+
+
+def describe_bands(bands: Sequence[Band], facts: dict[str, Any]) -> str:
+    """Return tag 65111: a JSON object with the facts, the bands' labels, wavelengths and widths."""
+    record = {
+        **facts,
+        "bands": [band.label for band in bands],
+        "wavelength": [None if isnan(b.wavelength) else float(b.wavelength) for b in bands],
+        "fwhm": [None if isnan(b.fwhm) else float(b.fwhm) for b in bands],
+    }
+    return json.dumps(record, ensure_ascii=False, allow_nan=False)
+
+
+def _rounded(cube: Cube) -> Cube:
+    return cube if cube.sigma is None else replace(cube, sigma=round_sigma(cube.sigma))
+
+
+def round_sigma(sigma: np.ndarray) -> np.ndarray:
+    """Round float32 to 11 bits of mantissa; NaN and infinity stay.
+
+    Examples
+    --------
+    >>> round_sigma(np.float32([0.1, np.inf])).tolist()
+    [0.100006103515625, inf]
+    """
+    drop = 23 - SIGMA_BITS
+    half, keep = np.uint32(1 << (drop - 1)), np.uint32((0xFFFFFFFF << drop) & 0xFFFFFFFF)
+    result = np.empty(sigma.shape, np.float32)
+    for row in range(0, len(sigma), ROUNDING_ROWS):  # a cube's worth of temporaries is too much
+        part = np.ascontiguousarray(sigma[row : row + ROUNDING_ROWS], np.float32)
+        rounded = ((part.view(np.uint32) + half) & keep).view(np.float32)
+        result[row : row + ROUNDING_ROWS] = np.where(np.isfinite(part), rounded, part)
+    return result

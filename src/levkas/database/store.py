@@ -1,0 +1,272 @@
+"""Zarr v3 stores, one an object: a group a layer, which xarray opens with its bands labelled.
+
+A group holds ``values``, ``flags`` and, where the noise is known, ``sigma``, all (y, x, band), and
+the coordinates ``band``, ``wavelength`` and ``fwhm``. Every chunk carries a checksum.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from math import nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.cube import Band, Cube, Flag
+from levkas.files import Folder, publishing, to_json, write_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+DIMENSIONS = ("y", "x", "band")
+LEVEL = 1
+"""Of zstd: noise does not get smaller at higher levels, only slower."""
+BAND_CHUNK, NARROW, SIDE, WIDE_SIDE = 16, 8, 128, 256
+SHARD_TARGET, SHARD_LIMIT = 64 << 20, 256_000_000
+ROOT = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
+
+
+def layer_name(camera: str, setup: str = "") -> str:
+    """Return the name of a layer's group: ``CAMERA``, or ``CAMERA@SETUP``."""
+    return f"{camera}@{setup}" if setup else camera
+
+
+def chunks_of(shape: tuple[int, int, int]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Choose chunks and shards for a (height, width, bands) array of 4-byte numbers.
+
+    A chunk of about 1 MB holds a few bands of a square, so that a spectrum needs few chunks and a
+    band a small part of all; a shard is a slab of whole rows where that stays below the limit.
+
+    Examples
+    --------
+    >>> chunks_of((1040, 1392, 33))
+    ((128, 128, 11), (256, 1408, 33))
+    """
+    height, width, bands = shape
+    groups = -(-bands // BAND_CHUNK)
+    depth = -(-bands // groups)
+    side = SIDE if depth >= NARROW else WIDE_SIDE
+    chunk = (min(side, height), min(side, width), depth)
+    unit = 4 * chunk[0] * chunk[1] * chunk[2]
+    across = min(-(-width // chunk[1]), max(1, SHARD_LIMIT // (unit * groups)))
+    deep = min(groups, max(1, SHARD_LIMIT // (unit * across)))
+    down = min(-(-height // chunk[0]), max(1, SHARD_TARGET // (unit * across * deep)))
+    return chunk, (chunk[0] * down, chunk[1] * across, chunk[2] * deep)
+
+
+class LayerWriter:
+    """Takes the rows of a layer from top to bottom, in blocks of any height."""
+
+    def __init__(self, arrays: Mapping[str, Any], shape: tuple[int, int, int], slab: int) -> None:
+        self._arrays, self._shape, self._slab = arrays, shape, slab
+        self._row = self._filled = 0
+        self._buffers: dict[str, np.ndarray] = {}
+
+    def write_rows(
+        self, values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None = None
+    ) -> None:
+        """Append rows, each array (rows, width, bands).
+
+        Raises
+        ------
+        ValueError
+            Where sigma is missing or not expected, or the rows are more than the layer has.
+        """
+        blocks = {"values": values, "flags": flags} | ({} if sigma is None else {"sigma": sigma})
+        if blocks.keys() != self._arrays.keys() or any(
+            b.shape != values.shape for b in blocks.values()
+        ):
+            expected = {name: values.shape for name in self._arrays}
+            found = {name: block.shape for name, block in blocks.items()}
+            raise ValueError(f"a layer of {expected} was given {found}")
+        start, count = 0, len(values)
+        if self._row + self._filled + count > self._shape[0]:
+            raise ValueError(f"more rows than the {self._shape[0]} of the layer")
+        while start < count:
+            take = min(self._slab - self._filled, count - start)
+            self._take({name: block[start : start + take] for name, block in blocks.items()}, take)
+            start += take
+
+    def _take(self, blocks: Mapping[str, np.ndarray], take: int) -> None:
+        # A shard is always written once and whole: so its bytes do not depend on the blocks.
+        end = self._row + self._filled + take == self._shape[0]
+        if self._filled == 0 and (take == self._slab or end):
+            self._write(blocks, take)
+            return
+        if not self._buffers:
+            size = (self._slab, *self._shape[1:])
+            self._buffers = {name: np.empty(size, a.dtype) for name, a in self._arrays.items()}
+        for name, block in blocks.items():
+            self._buffers[name][self._filled : self._filled + take] = block
+        self._filled += take
+        if end or self._filled == self._slab:
+            height, self._filled = self._filled, 0
+            self._write({name: b[:height] for name, b in self._buffers.items()}, height)
+
+    def _write(self, blocks: Mapping[str, np.ndarray], height: int) -> None:
+        for name, block in blocks.items():
+            self._arrays[name][self._row : self._row + height] = block
+        self._row += height
+
+    def close(self) -> None:
+        """Raise ValueError where rows are missing."""
+        if self._row != self._shape[0]:
+            raise ValueError(f"{self._row + self._filled} rows written of {self._shape[0]}")
+
+
+@contextlib.contextmanager
+def writing_layer(
+    root: str | Path,
+    name: str,
+    *,
+    shape: tuple[int, int, int],
+    bands: Sequence[Band],
+    attributes: Mapping[str, Any],
+    sigma: bool = True,
+) -> Iterator[LayerWriter]:
+    """Write a layer by blocks of rows; it takes its place when the block ends well.
+
+    Parameters
+    ----------
+    root : path
+        ``OBJECT.zarr``.
+    name : str
+        As `layer_name` gives it.
+    shape : (height, width, bands)
+    bands : sequence of Band
+    attributes : mapping
+        Of the values: quantity, object, camera, setup, px_per_mm.
+    sigma : bool
+        Whether sigma is written too.
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses; the layer that was there is still there.
+    """
+    import zarr
+
+    root = Path(root)
+    write_root(root)
+    chunks, shards = chunks_of(shape)
+    with publishing(root / name) as folder:
+        group = zarr.create_group(_store(folder), zarr_format=3)
+        facts = {k: v for k, v in attributes.items() if v is not None}
+        kinds: dict[str, tuple[Any, Any, Mapping[str, Any]]] = {
+            "values": (np.float32, nan, facts),
+            "flags": (np.uint8, int(Flag.OUTSIDE), flag_attributes()),
+            "sigma": (np.float32, nan, {"long_name": "one standard deviation of the random part"}),
+        }
+        arrays = {
+            key: group.create_array(
+                key,
+                shape=shape,
+                dtype=dtype,
+                chunks=chunks,
+                shards=shards,
+                filters=[],
+                compressors=_codecs(),
+                fill_value=fill,
+                attributes={**more, "coordinates": "wavelength fwhm"},
+                dimension_names=DIMENSIONS,
+                config={"write_empty_chunks": True},
+            )
+            for key, (dtype, fill, more) in kinds.items()
+            if sigma or key != "sigma"
+        }
+        _write_coordinates(group, bands)
+        writer = LayerWriter(arrays, shape, shards[0])
+        yield writer
+        writer.close()
+
+
+def write_layer_store(
+    root: str | Path, name: str, cube: Cube, *, attributes: Mapping[str, Any] | None = None
+) -> None:
+    """Write a whole cube as a layer; raises WriteRefused."""
+    facts = {"quantity": cube.quantity, **(attributes or {})}
+    height, width, count = cube.values.shape
+    with writing_layer(
+        root,
+        name,
+        shape=(height, width, count),
+        bands=cube.bands,
+        attributes=facts,
+        sigma=cube.sigma is not None,
+    ) as layer:
+        layer.write_rows(cube.values, cube.flags, cube.sigma)
+
+
+def write_root(root: Path) -> None:
+    """Make the store of an object, without an index: what is written next would outdate it."""
+    plain = to_json(ROOT).encode()
+    target = root / "zarr.json"
+    if not target.is_file() or target.read_bytes() != plain:
+        write_bytes(target, plain)
+
+
+def write_index(root: str | Path) -> None:
+    """Consolidate the metadata of all layers in the store's root, so that xarray reads one file.
+
+    Call it when the last layer of an object is written; writing one more drops the index again.
+    """
+    root = Path(root)
+    found = sorted(
+        p for p in root.glob("**/zarr.json") if p.parent != root and ".partial-" not in str(p)
+    )
+    entries = {p.parent.relative_to(root).as_posix(): json.loads(p.read_bytes()) for p in found}
+    index = {"kind": "inline", "must_understand": False, "metadata": entries}
+    write_bytes(root / "zarr.json", to_json({**ROOT, "consolidated_metadata": index}).encode())
+
+
+def flag_attributes() -> dict[str, Any]:
+    """Return the meaning of the flag bits as the CF conventions spell it."""
+    flags = list(Flag)
+    meanings = " ".join(str(flag.name).lower() for flag in flags)
+    return {"flag_masks": [int(flag) for flag in flags], "flag_meanings": meanings}
+
+
+def _write_coordinates(group: Any, bands: Sequence[Band]) -> None:
+    coordinates: dict[str, tuple[Any, Any, np.ndarray]] = {
+        "band": (str, "", np.array([b.label for b in bands], dtype=object)),
+        "wavelength": (np.float64, nan, np.array([b.wavelength for b in bands])),
+        "fwhm": (np.float64, nan, np.array([b.fwhm for b in bands])),
+    }
+    for name, (dtype, fill, numbers) in coordinates.items():
+        array = group.create_array(
+            name,
+            shape=numbers.shape,
+            dtype=dtype,
+            chunks=numbers.shape,
+            filters="auto" if dtype is str else [],
+            compressors=_codecs(),
+            fill_value=fill,
+            attributes={} if name == "band" else {"units": "nm"},
+            dimension_names=("band",),
+            config={"write_empty_chunks": True},
+        )
+        array[...] = numbers
+
+
+def _codecs() -> list[Any]:
+    from zarr.codecs import ZstdCodec
+
+    return [ZstdCodec(level=LEVEL, checksum=True)]
+
+
+def _store(folder: Folder) -> Any:
+    from zarr.storage import LocalStore
+
+    class FolderStore(LocalStore):
+        """Every write goes through the one module that writes."""
+
+        async def _set(self, key: str, value: Any, exclusive: bool = False) -> None:
+            await asyncio.to_thread(self.set_sync, key, value)
+
+        def set_sync(self, key: str, value: Any) -> None:
+            folder.write_bytes(key, value.as_buffer_like())
+
+    return FolderStore(folder.path)

@@ -1,0 +1,231 @@
+import pickle
+import shutil
+
+import numpy as np
+import pytest
+import xarray
+
+import levkas
+from levkas.cube import Band, Cube
+from levkas.database.catalogue import (
+    COLUMNS,
+    DatabaseRefused,
+    read_catalogue,
+    write_catalogue,
+)
+from levkas.database.credits import Credits
+from levkas.database.layers import Layer, centres_of, round_sigma, write_layer
+from levkas.database.spectral_tiff import read_stiff, write_stiff
+from levkas.files import hash_file, hash_tree, write_json
+
+
+def cube_of(bands, *, seed=0, sigma=True, shape=(60, 80)):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0.5, 0.2, (*shape, len(bands))).astype(np.float32)
+    flags = rng.integers(0, 128, values.shape, dtype=np.uint8)
+    return Cube(values, flags, 0.01 * np.abs(values) if sigma else None, tuple(bands))
+
+
+VIS = cube_of([Band(f"{nm} nm", float(nm), 7.0) for nm in range(400, 721, 40)])
+RGB = cube_of([Band(c) for c in "RGB"], seed=1)
+LAMP = cube_of([Band(c) for c in "RGB"], seed=2, sigma=False)
+
+
+def build(folder, **options):
+    facts = {"px_per_mm": 12.5, "credits": Credits("Ikone", "Müller")}
+    jobs = [
+        (Layer("icon1", "vis", **facts), VIS),
+        (Layer("icon1", "d80", centroids=(600.0, 540.0, 460.0)), RGB),
+        (Layer("icon1", "d80", "45-degree"), LAMP),
+    ]
+    entries = [write_layer(folder, layer, cube, **options)[0] for layer, cube in jobs]
+    write_catalogue(folder, entries)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("db"))
+
+
+@pytest.fixture(params=["zarr", "tiff", "bare"])
+def opened(request, database, tmp_path):
+    """The same database with Zarr, without it, and without a catalogue either."""
+    if request.param == "zarr":
+        return levkas.open(database)
+    shutil.copytree(database / "objects", tmp_path / "objects")
+    if request.param == "tiff":
+        shutil.copy(database / "catalogue.csv", tmp_path)
+    return levkas.open(tmp_path)
+
+
+def test_a_layer_is_a_lazy_labelled_array(opened):
+    cube = opened["icon1"]["vis"]
+    assert isinstance(cube, xarray.DataArray)
+    assert (cube.dims, cube.shape, cube.dtype) == (("y", "x", "band"), (60, 80, 9), np.float32)
+    assert not cube.variable._in_memory
+    assert cube.band.values.tolist() == VIS.labels
+    assert cube.wavelength.values.tolist() == [b.wavelength for b in VIS.bands]
+    assert cube.fwhm.values.tolist() == [7.0] * 9
+    assert cube.attrs["quantity"] == "reflectance"
+    assert (cube.attrs["object"], cube.attrs["camera"]) == ("icon1", "vis")
+    assert cube.attrs["px_per_mm"] == 12.5
+    np.testing.assert_array_equal(cube.values, VIS.values)
+
+
+def test_every_way_of_selecting_reads_what_numpy_would(opened):
+    cube, whole = opened["icon1"]["vis"], VIS.values
+    np.testing.assert_array_equal(cube.sel(band="560 nm").values, whole[:, :, 4])
+    np.testing.assert_array_equal(cube[10, 20].values, whole[10, 20])
+    np.testing.assert_array_equal(cube[-1, ::-7, [8, 0, 0]].values, whole[-1, ::-7][:, [8, 0, 0]])
+    np.testing.assert_array_equal(cube[5:5].values, whole[5:5])
+    np.testing.assert_array_equal(
+        cube[::3, 4:50:5][1:, ::-1, 2].values, whole[::3, 4:50:5][1:, ::-1, 2]
+    )
+    rows, columns = xarray.DataArray([3, 50, 3], dims="p"), xarray.DataArray([0, 79, 5], dims="p")
+    np.testing.assert_array_equal(cube[rows, columns].values, whole[[3, 50, 3], [0, 79, 5]])
+    np.testing.assert_array_equal((cube[:2] * 2).values, whole[:2] * 2)
+
+
+def test_flags_and_sigma_stand_beside_and_follow_selections(opened):
+    cube = opened["icon1"]["vis"]
+    np.testing.assert_array_equal(cube.flags.values, VIS.flags)
+    assert cube.flags.dtype == np.uint8
+    sigma = cube.sel(band="400 nm")[10:20, 3].sigma
+    np.testing.assert_array_equal(sigma.values, round_sigma(VIS.sigma)[10:20, 3, 0])
+    np.testing.assert_array_equal(opened["icon1"].flags("vis").values, VIS.flags)
+    assert opened["icon1"]["d80", "45-degree"].sigma is None
+    assert opened["icon1"].sigma("d80", "45-degree") is None
+    with pytest.raises(ValueError, match="was computed"):
+        _ = (cube * 2).flags
+
+
+def test_another_setup_is_another_layer(opened):
+    thing = opened["icon1"]
+    assert set(thing) == {"vis", "d80", ("d80", "45-degree")}
+    np.testing.assert_array_equal(thing["d80"].values, RGB.values)
+    np.testing.assert_array_equal(thing["d80", "45-degree"].values, LAMP.values)
+    assert np.isnan(thing["d80"].wavelength.values).all()
+    assert thing["d80"].band.values.tolist() == ["R", "G", "B"]
+
+
+def test_names_that_are_not_there_are_said_with_those_that_are(opened):
+    with pytest.raises(KeyError, match="icon1"):
+        opened["icon2"]
+    with pytest.raises(KeyError, match="d80@45-degree"):
+        opened["icon1"]["nir"]
+    with pytest.raises(KeyError):
+        opened["../icon1"]
+
+
+def test_an_array_can_be_sent_to_another_process(opened):
+    cube = pickle.loads(pickle.dumps(opened["icon1"]["vis"][3:5]))
+    np.testing.assert_array_equal(cube.values, VIS.values[3:5])
+    np.testing.assert_array_equal(cube.flags.values, VIS.flags[3:5])
+
+
+def test_the_files_are_those_of_the_contract(database):
+    names = {p.relative_to(database).as_posix() for p in database.rglob("*") if p.is_file()}
+    stems = ("icon1_vis", "icon1_d80", "icon1_d80_45-degree")
+    expected = {
+        f"objects/icon1/{s}{k}" for s in stems for k in (".tif", ".flags.tif", ".sigma.tif", ".png")
+    }
+    expected.remove("objects/icon1/icon1_d80_45-degree.sigma.tif")
+    assert {n for n in names if not n.startswith("zarr/")} == expected | {"catalogue.csv"}
+    assert (database / "zarr/icon1.zarr/d80@45-degree/values/zarr.json").is_file()
+
+
+def test_tag_65000_holds_centres_or_centroids_or_numbers(database):
+    folder = database / "objects" / "icon1"
+    cube, centres, rgb, text = read_stiff(folder / "icon1_vis.tif")
+    np.testing.assert_array_equal(cube, VIS.values)
+    assert centres.tolist() == [b.wavelength for b in VIS.bands]
+    assert rgb.shape == (60, 80, 3)
+    assert '"rendering": "sRGB under D65' in text
+    assert centres_of(RGB.bands, (600.0, 540.0, 460.0)) == [600.0, 540.0, 460.0]
+    cube, centres, _, text = read_stiff(folder / "icon1_d80_45-degree.tif")
+    assert centres.tolist() == [0, 1, 2]
+    assert '"bands": ["R", "G", "B"]' in text
+
+
+def test_the_catalogue_is_read_as_it_was_written(database):
+    entries = read_catalogue(database)
+    assert [(e.camera, e.setup, e.bands) for e in entries] == [
+        ("d80", "", 3),
+        ("d80", "45-degree", 3),
+        ("vis", "", 9),
+    ]
+    assert entries[2].sha256 == hash_file(database / "objects/icon1/icon1_vis.tif")
+    assert (entries[2].px_per_mm, entries[2].width, entries[2].height) == (12.5, 80, 60)
+    assert np.isnan(entries[0].px_per_mm)
+    text = (database / "catalogue.csv").read_bytes().decode()
+    assert (
+        text.splitlines()[0]
+        == "object,camera,setup,bands,width,height,px_per_mm,quantity,verdict,sha256"
+    )
+    assert "\r" not in text
+
+
+def test_a_damaged_catalogue_lists_all_its_faults(tmp_path):
+    rows = [",".join(COLUMNS), "a,b,,x,1,1,,reflectance,accept,0", "a,b"]
+    (tmp_path / "catalogue.csv").write_text("\n".join(rows))
+    with pytest.raises(DatabaseRefused) as info:
+        levkas.open(tmp_path)
+    assert [p.field for p in info.value.problems] == ["line 2", "line 3"]
+
+
+def test_two_builds_write_the_same_bytes(database, tmp_path):
+    assert hash_tree(build(tmp_path, threads=1)) == hash_tree(database)
+
+
+def test_a_missing_shard_is_an_error_not_emptiness(database, tmp_path):
+    shutil.copytree(database, tmp_path / "db")
+    for shard in (tmp_path / "db/zarr/icon1.zarr/vis/values/c").rglob("*"):
+        if shard.is_file():
+            shard.unlink()
+    cube = levkas.open(tmp_path / "db")["icon1"]["vis"]
+    with pytest.raises(DatabaseRefused, match="missing"):
+        _ = cube[0, 0].values
+    np.testing.assert_array_equal(cube.flags.values, VIS.flags)
+
+
+def test_damage_in_a_chunk_is_refused(database, tmp_path):
+    shutil.copytree(database, tmp_path / "db")
+    shard = next(
+        p for p in (tmp_path / "db/zarr/icon1.zarr/vis/values/c").rglob("*") if p.is_file()
+    )
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 1
+    shard.write_bytes(data)
+    with pytest.raises(DatabaseRefused, match="damaged"):
+        _ = levkas.open(tmp_path / "db")["icon1"]["vis"].values
+
+
+def test_files_of_others_are_opened_too(tmp_path):
+    (tmp_path / "objects" / "x").mkdir(parents=True)
+    write_stiff(
+        tmp_path / "objects/x/x_cam.tif", VIS.values, np.arange(400.0, 721, 40), None, "by hand"
+    )
+    cube = levkas.open(tmp_path)["x"]["cam"]
+    assert cube.band.values.tolist() == VIS.labels
+    assert cube.attrs == {"metadata": "by hand"}
+
+
+def test_no_database_is_said_so(tmp_path):
+    with pytest.raises(DatabaseRefused, match="no database here"):
+        levkas.open(tmp_path)
+
+
+def test_transform_maps_between_frames(database, tmp_path):
+    shutil.copytree(database, tmp_path / "db")
+    identity = {"kind": "affine", "matrix": [[1.0, 0, 0], [0, 1, 0]]}
+    band = {"transform": {"kind": "affine", "matrix": [[2.0, 0, 1], [0, 2, 3]]}, "size": [160, 120]}
+    record = {
+        "target": "d80:G",
+        "grid": {"transform": identity, "size": [80, 60]},
+        "bands": {"G": band},
+    }
+    write_json(tmp_path / "db/objects/icon1/registration/d80.json", record)
+    cube = levkas.open(tmp_path / "db")["icon1"]["vis"]
+    mapped = cube.transform("grid", "d80")(np.array([[10.0, 20.0]]))
+    np.testing.assert_allclose(mapped, [[21, 43]])

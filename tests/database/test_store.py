@@ -1,0 +1,177 @@
+import warnings
+
+import numpy as np
+import pytest
+import xarray
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from levkas import files
+from levkas.cube import Band, Cube, Flag
+from levkas.database import store
+from levkas.database.store import chunks_of, write_index, write_layer_store, writing_layer
+from levkas.files import WriteRefused, hash_tree
+
+
+def cube_of(height=70, width=90, bands=5, *, seed=0, sigma=True):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0.5, 0.2, (height, width, bands)).astype(np.float32)
+    values[0, 0, 0] = np.nan
+    labels = tuple(Band(f"{400 + 10 * i} nm", 400.0 + 10 * i, 7.0) for i in range(bands))
+    flags = rng.integers(0, 128, values.shape, dtype=np.uint8)
+    return Cube(values, flags, np.abs(values) if sigma else None, labels)
+
+
+def opened(root, name="cam", **options):
+    return xarray.open_zarr(root, group=name, chunks=None, **options)
+
+
+def test_xarray_opens_a_layer_with_its_labels(tmp_path):
+    cube = cube_of()
+    write_layer_store(
+        tmp_path / "a.zarr", "cam@45", cube, attributes={"camera": "cam", "px_per_mm": 2.5}
+    )
+    write_index(tmp_path / "a.zarr")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        data = opened(tmp_path / "a.zarr", "cam@45")
+    assert data["values"].dims == ("y", "x", "band")
+    assert data.band.values.tolist() == cube.labels
+    assert set(data.coords) == {"band", "wavelength", "fwhm"}
+    np.testing.assert_array_equal(data["values"].values, cube.values)
+    np.testing.assert_array_equal(data["flags"].values, cube.flags)
+    np.testing.assert_array_equal(data["sigma"].values, cube.sigma)
+    assert data["values"].attrs == {"quantity": "reflectance", "camera": "cam", "px_per_mm": 2.5}
+    one = data["values"].swap_dims(band="wavelength").sel(wavelength=420)
+    np.testing.assert_array_equal(one.values, cube.values[:, :, 2])
+    assert data["flags"].attrs["flag_masks"] == [int(f) for f in Flag]
+    chunk = data["values"].encoding
+    assert chunk["compressors"][0].to_dict()["configuration"]["checksum"] is True
+
+
+def test_a_layer_without_sigma_or_centres_is_opened_too(tmp_path):
+    cube = cube_of(sigma=False, bands=3)
+    plain = Cube(cube.values, cube.flags, None, (Band("R"), Band("G"), Band("B")), "counts")
+    write_layer_store(tmp_path / "a.zarr", "cam", plain)
+    data = opened(tmp_path / "a.zarr", consolidated=False)
+    assert set(data.data_vars) == {"values", "flags"}
+    assert np.isnan(data.wavelength.values).all()
+    assert data["values"].attrs["quantity"] == "counts"
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.tuples(st.integers(1, 60), st.integers(1, 40), st.integers(1, 20)),
+    st.lists(st.integers(1, 30), min_size=1, max_size=6),
+)
+def test_blocks_of_any_height_give_the_bytes_of_the_whole(tmp_path_factory, shape, heights):
+    folder = tmp_path_factory.mktemp("zarr")
+    cube = cube_of(*shape)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("SIDE", 8), ("WIDE_SIDE", 16), ("SHARD_TARGET", 4096)):
+            patch.setattr(store, name, value)
+        write_layer_store(folder / "whole.zarr", "cam", cube)
+        with writing_layer(
+            folder / "parts.zarr",
+            "cam",
+            shape=shape,
+            bands=cube.bands,
+            attributes={"quantity": "reflectance"},
+        ) as layer:
+            row = 0
+            while row < shape[0]:
+                stop = row + heights[row % len(heights)]
+                part = slice(row, stop)
+                layer.write_rows(cube.values[part], cube.flags[part], cube.sigma[part])
+                row = stop
+    assert hash_tree(folder / "whole.zarr") == hash_tree(folder / "parts.zarr")
+    data = opened(folder / "parts.zarr", consolidated=False)
+    np.testing.assert_array_equal(data["values"].values, cube.values)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (1, 1, 1),
+        (1040, 1392, 121),
+        (2611, 3900, 3),
+        (20000, 2000, 400),
+        (100, 300000, 1000),
+        (9, 9, 50000),
+    ],
+)
+def test_shards_are_below_the_limit_and_whole_chunks(shape):
+    chunks, shards = chunks_of(shape)
+    assert 4 * np.prod(shards, dtype=np.int64) <= 256_000_000
+    assert all(s % c == 0 for s, c in zip(shards, chunks, strict=True))
+    assert 4 * np.prod(chunks, dtype=np.int64) <= 2 << 20
+    assert -(-shape[2] // chunks[2]) <= max(1, -(-shape[2] // 16))
+
+
+def test_rows_that_are_missing_or_too_many_leave_no_layer(tmp_path):
+    cube = cube_of()
+    for rows in (60, 80):
+        with (
+            pytest.raises(ValueError, match="rows"),
+            writing_layer(
+                tmp_path / "a.zarr", "cam", shape=(70, 90, 5), bands=cube.bands, attributes={}
+            ) as layer,
+        ):
+            layer.write_rows(
+                *(np.resize(a, (rows, 90, 5)) for a in (cube.values, cube.flags, cube.sigma))
+            )
+    with (
+        pytest.raises(ValueError, match="was given"),
+        writing_layer(
+            tmp_path / "a.zarr", "cam", shape=(70, 90, 5), bands=cube.bands, attributes={}
+        ) as layer,
+    ):
+        layer.write_rows(cube.values, cube.flags)
+    assert [p.name for p in (tmp_path / "a.zarr").iterdir()] == ["zarr.json"]
+
+
+def test_a_new_layer_drops_the_index_and_takes_the_place_of_the_old(tmp_path):
+    root = tmp_path / "a.zarr"
+    write_layer_store(root, "cam", cube_of(20, 20, 3))
+    write_index(root)
+    write_layer_store(root, "cam", cube_of(30, 20, 3))
+    assert opened(root, consolidated=False)["values"].shape == (30, 20, 3)
+    assert b"consolidated" not in (root / "zarr.json").read_bytes()
+    first = hash_tree(root)
+    write_layer_store(root, "cam", cube_of(30, 20, 3))
+    assert hash_tree(root) == first
+
+
+def test_one_flipped_bit_is_always_found(tmp_path):
+    root, cube = tmp_path / "a.zarr", cube_of(40, 50, 4)
+    write_layer_store(root, "cam", cube)
+    shard = next((root / "cam" / "values" / "c").rglob("0"), None)
+    while shard.is_dir():
+        shard = shard / "0"
+    data, rng = bytearray(shard.read_bytes()), np.random.default_rng(0)
+    for _ in range(150):
+        place, bit = int(rng.integers(len(data))), 1 << int(rng.integers(8))
+        data[place] ^= bit
+        shard.write_bytes(data)
+        with pytest.raises((RuntimeError, ValueError)):
+            opened(root, consolidated=False)["values"].load()
+        data[place] ^= bit
+    shard.write_bytes(data)
+    np.testing.assert_array_equal(opened(root, consolidated=False)["values"].values, cube.values)
+
+
+def test_a_full_disk_in_the_middle_leaves_the_old_layer(tmp_path, monkeypatch):
+    root, old = tmp_path / "a.zarr", cube_of(20, 20, 3)
+    write_layer_store(root, "cam", old)
+    before, steps = hash_tree(root), []
+
+    def full(step, path):
+        steps.append(step)
+        if step == "write" and steps.count("write") == 6:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files, "fault", full)
+    with pytest.raises(WriteRefused) as info:
+        write_layer_store(root, "cam", cube_of(30, 30, 3))
+    assert info.value.problems[0].code == "E_DISK_FULL"
+    assert hash_tree(root) == before
