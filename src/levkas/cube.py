@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import IntFlag
-from math import isnan, nan
+from math import nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -127,8 +127,10 @@ def band_labels(wavelengths: Sequence[float]) -> list[str]:
     )
 
 
-def find_band(labels: Sequence[str], text: str) -> int:
+def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = ()) -> int:
     """Return the index of the band that `text` names: ``"550 nm"``, ``"550nm"``, ``"550"``, ``"R1"``.
+
+    A wavelength with more decimals than the labels have is found among `wavelengths`, nm.
 
     Raises
     ------
@@ -143,8 +145,8 @@ def find_band(labels: Sequence[str], text: str) -> int:
     if text in labels:
         return list(labels).index(text)
     number = _wavelength(str(text))
-    if not isnan(number):
-        hits = [i for i, label in enumerate(labels) if abs(_wavelength(label) - number) < 1e-9]
+    for known in ([_wavelength(label) for label in labels], wavelengths):
+        hits = [i for i, wavelength in enumerate(known) if abs(wavelength - number) < 5e-4]
         if len(hits) == 1:
             return hits[0]
     raise Refused(

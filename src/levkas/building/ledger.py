@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
-from levkas.files import hash_file, write_json
+from levkas.files import hash_file, make_folder, remove, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -118,15 +118,23 @@ class Ledger:
         """Return the names and hashes of what a finished stage made."""
         return dict(_read(self._path(key)).get("products", {}))
 
-    def keep(self, key: Key, fingerprint: dict[str, Any], products: Iterable[Path]) -> None:
+    def told(self, key: Key) -> dict[str, Any]:
+        """Return what a finished stage noted for later ones."""
+        return dict(_read(self._path(key)).get("notes", {}))
+
+    def keep(
+        self, key: Key, fingerprint: dict[str, Any], products: Iterable[Path], **notes: Any
+    ) -> None:
         """Record a finished stage; called last, so that an interrupted one is done again."""
         made = {p.relative_to(self.output).as_posix(): self.hashes(p) for p in sorted(products)}
-        write_json(self._path(key), {"fingerprint": fingerprint, "products": made})
+        path = self._path(key)
+        make_folder(path.parent)
+        write_json(path, {"fingerprint": fingerprint, "products": made, "notes": notes})
         self.hashes.save()
 
     def forget(self, key: Key) -> None:
         """Drop the record of a stage that is about to be done anew."""
-        self._path(key).unlink(missing_ok=True)
+        remove(self._path(key))
 
     def _path(self, key: Key) -> Path:
         parts = [part for part in (key.object, key.layer, key.stage) if part]

@@ -1,44 +1,27 @@
-"""A build: the stages of every capture of a campaign, what is fresh left alone."""
+"""A build: the stages of every object of a campaign, what is fresh left alone."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import time
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from levkas.building import fingerprints
+from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key, Ledger
+from levkas.building.objects import NoReference, ObjectBuild
 from levkas.building.places import Places
+from levkas.building.shelf import Shelf
 from levkas.building.steps import BuildReport, Step, summarise
+from levkas.campaign import Campaign, CampaignInvalid, load_campaign
+from levkas.discovery import Capture, Refusals, find_captures
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from levkas.database.catalogue import Entry
 
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
-
-STAGES = ("calibrate", "register", "resample")
-
-
-class BuildRefused(Refused):
-    """The build cannot begin, or a stage's neighbour is missing."""
-
-
-@dataclass
-class Work:
-    """What one build knows while it runs."""
-
-    campaign: Campaign
-    places: Places
-    ledger: Ledger
-    total: int = 0
-    done: int = 0
-    digests: dict[Key, str] = field(default_factory=dict)
-    ended: dict[Key, Step] = field(default_factory=dict)
+STAGES_A_CAPTURE = 3
 
 
 def build(
@@ -69,31 +52,208 @@ def build(
 
     campaign, captures, refusals = _plan(path, objects)
     places = Places(Path(output).resolve() if output else campaign.output)
+    _check_apart(campaign, places)
     for folder in (places.output, places.kept):
         make_folder(folder)
         sweep(folder)
-    work = Work(campaign, places, Ledger(places.kept, places.output))
-    yield from _run(work, captures, refusals)
+    ledger = Ledger(places.kept, places.output)
+    names = list(dict.fromkeys([c.object for c in captures] + [key[0] for key in refusals]))
+    shelf = Shelf(places.kept / "templates", ledger.hashes, shared=len(names) > 1)
+    total = STAGES_A_CAPTURE * len(captures) + len(refusals) + len(names) + 1
+    done = 0
+    for name in names:
+        mine = [c for c in captures if c.object == name]
+        theirs = {key: r for key, r in refusals.items() if key[0] == name}
+        for step in _object(campaign, places, ledger, shelf, name, mine, theirs):
+            skipped = 0
+            if step.finished:
+                stages = ("calibrate", "register", "resample")
+                lost = (
+                    step.state in ("refused", "failed")
+                    and step.key.stage in stages
+                    and step.key.camera
+                )
+                skipped = (
+                    2 - stages.index(step.key.stage)
+                    if lost and not _is_refusal(step, theirs)
+                    else 0
+                )
+                done += 1 + skipped
+            yield replace(step, done=done, total=total)
+    yield replace(_write_catalogue(places, ledger, captures), done=total, total=total)
+    ledger.hashes.save()
 
 
 def status(path: str | Path, *, output: str | Path | None = None) -> BuildReport:
-    """Say of every stage whether it is fresh or stale, and why; nothing is read but file facts.
+    """Say of every stage whether it is fresh or stale, and why; no pixel is read.
 
     Raises as `build`.
     """
     campaign, captures, refusals = _plan(path, None)
     places = Places(Path(output).resolve() if output else campaign.output)
-    work = Work(campaign, places, Ledger(places.kept, places.output))
-    steps = [_refusal(work, key, refused) for key, refused in _refusal_keys(refusals)]
-    for capture in captures:
-        for key, prints in fingerprints.of_capture(work, capture):
-            why = work.ledger.why_stale(key, prints)
-            steps.append(Step(key, "stale" if why else "fresh", why))
-            work.digests[key] = digest(prints)
+    ledger = Ledger(places.kept, places.output)
+    steps = [_refusal(key, refused) for key, refused in refusals.items()]
+    shelf = Shelf(places.kept / "templates", ledger.hashes, shared=True)
+    for name in dict.fromkeys(c.object for c in captures):
+        mine = ObjectBuild(
+            campaign, places, ledger, shelf, name, [c for c in captures if c.object == name]
+        )
+        steps += mine.states()
     return summarise(steps, places.output)
 
 
-def digest(prints: dict[str, Any]) -> str:
-    """Hash a fingerprint, so that what depends on it can name it."""
-    text = json.dumps(prints, sort_keys=True, ensure_ascii=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+def _plan(path: str | Path, objects: list[str] | None) -> tuple[Campaign, list[Capture], Refusals]:
+    """Read the campaign and find its captures, those of some objects only where asked."""
+    campaign = load_campaign(path)
+    captures, refusals = find_captures(campaign)
+    if objects:
+        known = sorted({c.object for c in captures} | {key[0] for key in refusals})
+        if missing := [name for name in objects if name not in known]:
+            raise CampaignInvalid(
+                Problem(
+                    "E_VALUE",
+                    "there is no such object",
+                    str(campaign.path),
+                    "--object",
+                    ", ".join(missing),
+                    ", ".join(known),
+                )
+            )
+        captures = [c for c in captures if c.object in objects]
+        refusals = {key: r for key, r in refusals.items() if key[0] in objects}
+    return campaign, captures, refusals
+
+
+def _check_apart(campaign: Campaign, places: Places) -> None:
+    """Refuse an output that would stand in or over the raw frames' own folder."""
+    if places.output == campaign.root or places.output in campaign.root.parents:
+        raise CampaignInvalid(
+            Problem(
+                "E_VALUE",
+                "the database would be written over the campaign",
+                str(campaign.path),
+                "campaign.output",
+                str(places.output),
+                "a folder of its own",
+                'Write output = "database".',
+            )
+        )
+
+
+def _object(
+    campaign: Campaign,
+    places: Places,
+    ledger: Ledger,
+    shelf: Shelf,
+    name: str,
+    captures: list[Capture],
+    refusals: Refusals,
+) -> Iterator[Step]:
+    """All stages of one object, then its page."""
+    steps: list[Step] = []
+    for key, refused in refusals.items():
+        steps.append(_refusal(key, refused))
+        yield steps[-1]
+    reference = campaign.reference.camera
+    has_reference = bool(captures) and captures[0].camera == reference and not captures[0].setup
+    if not has_reference:
+        lost = refusals.get((name, reference, ""))
+        problem = Problem(
+            "E_NO_REFERENCE",
+            f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
+            field="campaign.reference",
+            found="; ".join(str(p) for p in lost.problems) if lost else "no capture",
+            fix="Mend the reference camera's frames first.",
+        )
+        for capture in captures:
+            yield _refusal((name, capture.camera, capture.setup), NoReference(problem))
+        return
+    mine = ObjectBuild(campaign, places, ledger, shelf, name, captures)
+    for step in mine.run():
+        steps.append(step)
+        yield step
+    yield from _page(campaign, places, ledger, name, mine, steps)
+
+
+def _page(
+    campaign: Campaign,
+    places: Places,
+    ledger: Ledger,
+    name: str,
+    mine: ObjectBuild,
+    steps: list[Step],
+) -> Iterator[Step]:
+    from levkas.building.pages import report_of
+    from levkas.files import make_folder, write_text
+
+    key = Key(name, stage="report")
+    layers = {k.layer + " " + k.stage: v for k, v in mine.digests.items()}
+    refused = {s.key.layer: s.why for s in steps if s.state in ("refused", "failed")}
+    prints = fingerprints.of_report(
+        campaign, name, {**layers, **{f"{k} refused": v for k, v in refused.items()}}
+    )
+    why = ledger.why_stale(key, prints)
+    if not why:
+        yield Step(key, "fresh")
+        return
+    yield Step(key, "running", why)
+    page = places.folder(name) / "report.html"
+    facts = places.folder(name) / "object.toml"
+    try:
+        make_folder(page.parent)
+        write_text(page, report_of(campaign, places, ledger, name, mine.captures, steps))
+        write_text(facts, _object_toml(campaign, name))
+    except Refused as error:
+        yield Step(key, "refused", error.problems[0].message, problems=error.problems)
+        return
+    ledger.keep(key, prints, [page, facts])
+    yield Step(key, "done", why)
+
+
+def _object_toml(campaign: Campaign, name: str) -> str:
+    """Museum facts of an object as TOML; strings as JSON writes them, which TOML reads alike."""
+    import json
+
+    facts = campaign.objects.get(name)
+    record = {"name": name, **(facts.model_dump() if facts else {})}
+    lines = []
+    for key, value in record.items():
+        if value not in ("", None):
+            plain = list(value) if isinstance(value, tuple) else value
+            lines.append(f"{key} = {json.dumps(plain, ensure_ascii=False)}")
+    return "\n".join(lines) + "\n"
+
+
+def _write_catalogue(places: Places, ledger: Ledger, captures: list[Capture]) -> Step:
+    """One row a layer that stands in the database; objects of earlier builds keep theirs."""
+    from levkas.database.catalogue import DatabaseRefused, read_catalogue, write_catalogue
+
+    built = {c.object for c in captures}
+    entries: list[Entry] = []
+    try:
+        entries = [e for e in read_catalogue(places.output) if e.object not in built]
+    except DatabaseRefused:
+        entries = []
+    from levkas.database.catalogue import entry_of
+
+    for capture in captures:
+        key = fingerprints.keys_of(capture)["resample"]
+        if row := ledger.told(key).get("entry"):
+            entries.append(entry_of(row))
+    write_catalogue(places.output, entries)
+    return Step(Key("", stage="catalogue"), "done")
+
+
+def _refusal(where: tuple[str, str, str], refused: Refused) -> Step:
+    name, camera, setup = where
+    message = refused.problems[0].message if refused.problems else str(refused)
+    return Step(
+        Key(name, camera, setup, "calibrate"), "refused", message, problems=tuple(refused.problems)
+    )
+
+
+def _is_refusal(step: Step, refusals: Refusals) -> bool:
+    return (step.key.object, step.key.camera, step.key.setup) in refusals
+
+
+__all__ = ["build", "digest", "status", "summarise"]

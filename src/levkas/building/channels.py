@@ -1,0 +1,110 @@
+"""The channel that a camera's own frame means."""
+
+from __future__ import annotations
+
+import csv
+from math import isnan, nan
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.cube import find_band
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from levkas.campaign import Campaign
+    from levkas.cube import Band
+
+
+def reference_channel(
+    campaign: Campaign, camera: str, bands: Sequence[Band], wavelength: float
+) -> str:
+    """Return the label that `CAMERA` without a band stands for.
+
+    The declared `reference_band`, else the band whose wavelength (or sensitivity's centroid) is
+    nearest to the reference band's, else the middle one as declared.
+    """
+    keys = campaign.cameras[camera]
+    labels = [band.label for band in bands]
+    if keys.reference_band:
+        return labels[find_band(labels, keys.reference_band, [b.wavelength for b in bands])]
+    centres = [band.wavelength for band in bands]
+    if any(isnan(c) for c in centres) and keys.sensitivity:
+        wavelengths, table = read_sensitivity(campaign.root / keys.sensitivity, labels)
+        centres = list(centroids(wavelengths, table))
+    distances = np.abs(np.array(centres, float) - wavelength)
+    if isnan(wavelength) or np.isnan(distances).all():
+        return labels[len(labels) // 2]
+    return labels[int(np.nanargmin(distances))]
+
+
+def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Read a CSV of wavelength and a column a channel; columns by header where it names them all.
+
+    Returns
+    -------
+    wavelengths : ndarray, (n,), nm
+    table : ndarray, (n, channels)
+
+    Raises
+    ------
+    Refused
+        Where it cannot be read, or has not as many columns as there are channels.
+    """
+    from levkas.problems import Problem, Refused
+
+    rows: list[list[float]] = []
+    head: list[str] = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as lines:
+            for row in csv.reader(lines):
+                cells = [cell.strip() for cell in row]
+                if not any(cells) or cells[0].startswith("#"):
+                    continue
+                try:
+                    rows.append([float(c) if c else nan for c in cells])
+                except ValueError:
+                    if rows or head:
+                        raise
+                    head = cells
+        table = np.array(rows, float)
+        if table.ndim != 2 or len(table) < 2 or table.shape[1] < 2:
+            raise ValueError(f"{len(rows)} rows of numbers")
+    except (OSError, ValueError, UnicodeDecodeError, csv.Error) as error:
+        raise Refused(
+            Problem(
+                "E_UNREADABLE",
+                "the sensitivities cannot be read",
+                str(path),
+                found=str(error),
+                expected="a CSV of wavelength in nm and a column a channel",
+            )
+        ) from error
+    columns = list(range(1, table.shape[1]))
+    if head and all(label in head for label in labels):
+        columns = [head.index(label) for label in labels]
+    if len(columns) != len(labels):
+        raise Refused(
+            Problem(
+                "E_BAND_COUNT",
+                "the sensitivities do not fit the channels",
+                str(path),
+                found=f"{len(columns)} columns",
+                expected=f"{len(labels)}: {', '.join(labels)}",
+            )
+        )
+    return table[:, 0], np.nan_to_num(table[:, columns])
+
+
+def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Return the centroid of each sensitivity, nm.
+
+    >>> centroids(np.array([500.0, 600.0]), np.array([[1.0], [3.0]])).tolist()
+    [575.0]
+    """
+    weights = np.maximum(table, 0)
+    total = weights.sum(0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((wavelengths[:, None] * weights).sum(0) / total)

@@ -1,0 +1,423 @@
+"""Raw frames of one capture to calibrated cubes in native pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.building.native import Native
+from levkas.building.whiteboard import white_reflectance
+from levkas.calibration.flatfield import Calibrated, flat_field
+from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.cube import Cube, Flag
+from levkas.problems import Problem, Refused
+from levkas.readers.frames import Facts, read_facts, read_frame
+
+if TYPE_CHECKING:
+    from levkas.building.shelf import Shelf
+    from levkas.calibration.noise_fit import NoiseModel
+    from levkas.campaign import Camera, Campaign
+    from levkas.discovery import Capture, FrameRef, SensorFrames
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What holds for every frame of one sensor."""
+
+    campaign: Campaign
+    camera: Camera
+    sensor: SensorFrames
+    facts: Facts
+    shelf: Shelf
+
+    @property
+    def saturation(self) -> float | None:
+        """Code at which a sensel is full: declared, the file's own, or the full scale of `bits`."""
+        declared = self.camera.saturation or self.facts.saturation
+        if declared:
+            return float(declared)
+        bits = self.camera.bits or (
+            self.facts.bits if np.dtype(self.facts.dtype).kind == "u" else None
+        )
+        return float(2**bits - 1) if bits else None
+
+    @property
+    def black(self) -> float | None:
+        """Declared, else the file's own black level, counts; None where nobody says."""
+        return self.camera.black if self.camera.black is not None else self.facts.black
+
+    def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
+        """Average shots of one exposure; templates are kept for the other objects."""
+        exposure = exposure_of(frames[0])
+
+        def make() -> Template:
+            try:
+                return average(_read(frames), saturation=self.saturation, exposure_s=exposure)
+            except CalibrationRefused as refused:
+                raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
+
+        if not kept:
+            return make()
+        return self.shelf.template(frames, make, saturation=self.saturation, exposure=exposure)
+
+    def templates(self, frames: Sequence[FrameRef]) -> list[Template]:
+        """Average frames exposure by exposure, shortest first."""
+        times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
+        return [self.average([f for f in frames if exposure_of(f) == t], kept=True) for t in times]
+
+
+def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
+    """Calibrate every sensor of a capture.
+
+    Raises
+    ------
+    Refused
+        UnreadableCapture or CalibrationRefused, with the files in question.
+    """
+    camera = campaign.cameras[capture.camera]
+    cubes, notes, captured = {}, [], None
+    for sensor in capture.sensors:
+        facts = read_facts(sensor.object[0].path)
+        captured = captured or facts.captured
+        bench = Bench(campaign, camera, sensor, facts, shelf)
+        notes += _doubts(bench)
+        cubes[sensor.name] = DEVELOPERS[camera.kind](bench, notes)
+    aligns = {sensor.name: sensor.align for sensor in capture.sensors}
+    where = f"{capture.object}/{capture.layer}"
+    told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
+    return Native(cubes, aligns, captured, told)
+
+
+def _doubts(bench: Bench) -> list[str]:
+    """What a person should know before believing the values."""
+    doubts, camera = [], bench.camera
+    targets = bench.campaign.targets
+    if camera.kind != "image" and not bench.sensor.white:
+        doubts.append("no white reference is declared: the cube stays in counts")
+    elif bench.sensor.white and targets.white and not isinstance(targets.white.reflectance, str):
+        given = targets.white.reflectance
+        doubts.append(
+            f"the white board is taken for {1.0 if given is None else given:g} at every wavelength; "
+            "a CSV of its spectrum in targets.white.reflectance is better"
+        )
+    return doubts
+
+
+def exposure_of(frame: FrameRef) -> float | None:
+    """Exposure from the file's name, else from its EXIF, s."""
+    if frame.exposure_s is not None or frame.path.suffix.lower() in (".hdr", ".png"):
+        return frame.exposure_s
+    return read_facts(frame.path).exposure_s
+
+
+def _read(frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
+    for frame in frames:
+        yield read_frame(frame.path, page=frame.page)
+
+
+def _placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
+    """Name the folder of the frames where the kernels, which know no files, could not."""
+    names = ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else "")
+    return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
+
+
+def _flat(
+    bench: Bench, shot: Template, dark: list[Template], white: Template | None, **more: Any
+) -> Calibrated:
+    """Flat-field with the files named in every refusal."""
+    try:
+        return flat_field(shot, dark or None, white, black=bench.black, **more)
+    except CalibrationRefused as refused:
+        frames = bench.sensor.white or bench.sensor.object
+        raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
+
+
+def _white(bench: Bench, frames: Sequence[FrameRef]) -> Template | None:
+    return bench.average(frames, kept=True) if frames else None
+
+
+def _noise(
+    shots: list[Template], whites: list[Template | None], darks: list[Template], bench: Bench
+) -> NoiseModel | None:
+    """Noise of the sensor from stacks, or from single shots where there are no stacks."""
+    from levkas.calibration.noise_fit import fit_noise, fit_noise_single
+
+    dark = darks[0] if darks else None
+    stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
+    black = bench.black or 0.0
+    fitted = fit_noise(stacks, dark, black=black) if stacks else None
+    if fitted is not None:
+        return fitted
+    pattern = bench.sensor.pattern
+    return fit_noise_single(shots, whites, dark, black=black, pattern=pattern)
+
+
+def _cube(
+    bench: Bench, values: np.ndarray, flags: np.ndarray, variance: np.ndarray | None, quantity: str
+) -> Cube:
+    sigma = None
+    if variance is not None:
+        sigma = (
+            np.sqrt(np.maximum(variance, 0), out=variance)
+            if variance.dtype == np.float32
+            else np.sqrt(variance)
+        )
+    lost = ~np.isfinite(values)
+    if lost.any():
+        values = np.where(lost, np.float32(0), values)
+        flags = np.where(lost, flags | Flag.DEFECT, flags).astype(np.uint8)
+    return Cube(values, flags, sigma, bench.sensor.bands, quantity)
+
+
+def _expose(bench: Bench, frames: Sequence[FrameRef]) -> list[Template]:
+    """Average the object's shots, exposure by exposure."""
+    times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
+    if len(times) > 1 and bench.camera.exposures == "one":
+        from levkas.discovery import CaptureRefused
+
+        raise CaptureRefused(
+            Problem(
+                "E_EXPOSURES",
+                f"{bench.camera.name}: shots of several exposures",
+                str(frames[0].path.parent),
+                f"cameras.{bench.camera.name}.exposures",
+                ", ".join(f"{t:g} s" for t in times if t),
+                "one exposure",
+                'Write exposures = "best" (the longest unsaturated) or "merge".',
+            )
+        )
+    return [bench.average([f for f in frames if exposure_of(f) == t]) for t in times]
+
+
+def _choose(bench: Bench, shots: list[Template], darks: list[Template]) -> Template:
+    from levkas.calibration.exposures import best_exposure, merge_exposures
+
+    if len(shots) == 1:
+        return shots[0]
+    if bench.camera.exposures == "merge":
+        return merge_exposures(shots, darks, black=bench.black)
+    return best_exposure(shots)
+
+
+def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
+    """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
+    from levkas.calibration.defects import find_defects, replace_defects
+    from levkas.calibration.mosaic import demosaic
+
+    sensor, camera = bench.sensor, bench.camera
+    darks = bench.templates(sensor.dark)
+    white = _white(bench, sensor.white)
+    shots = _expose(bench, sensor.object)
+    shot = _choose(bench, shots, darks)
+    noise = _noise(shots, [white] * len(shots), darks, bench)
+    pattern = sensor.pattern
+    defects = find_defects(darks, white, pattern=pattern)
+    reflectance = white_reflectance(bench.campaign, sensor.bands)
+    flat = _flat(
+        bench,
+        shot,
+        darks,
+        white,
+        white_reflectance=reflectance,
+        noise=noise,
+        defects=defects,
+        pattern=pattern,
+        labels=[b.label for b in sensor.bands],
+    )
+    notes.extend(flat.notes)
+    values, flags, variance = replace_defects(
+        flat.values, flat.flags, flat.variance, pattern=pattern
+    )
+    if pattern is None:
+        planes = [
+            None if a is None else a[..., None] if a.ndim == 2 else a
+            for a in (values, flags, variance)
+        ]
+        return _cube(bench, *planes, flat.quantity)  # type: ignore[arg-type]
+    method = camera.demosaic or (
+        "bilinear" if camera.kind == "sensors" and len(pattern) == 2 else None
+    )
+    made = demosaic(
+        values, flags, variance, pattern, method=method, channels=[b.label for b in sensor.bands]
+    )
+    return _cube(bench, *made, flat.quantity)
+
+
+def develop_bands(bench: Bench, notes: list[str]) -> Cube:
+    """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
+    from levkas.calibration.defects import find_defects, replace_defects
+
+    sensor = bench.sensor
+    reflectance = white_reflectance(bench.campaign, sensor.bands)
+    noise = _noise_of_bands(bench)
+    values = flags = variance = None
+    quantity = "reflectance"
+    for i, band in enumerate(sensor.bands):
+        darks = bench.templates(_of_band(sensor.dark, band.label))
+        white = _white(bench, _require(_of_band(sensor.white, band.label), bench, band.label))
+        shot = _choose(
+            bench, _expose(bench, [f for f in sensor.object if f.band == band.label]), darks
+        )
+        defects = find_defects(darks, white, pattern=sensor.pattern)
+        flat = _flat(
+            bench,
+            shot,
+            darks,
+            white,
+            white_reflectance=float(np.atleast_1d(reflectance)[min(i, np.size(reflectance) - 1)]),
+            noise=noise,
+            defects=defects,
+            labels=[band.label],
+        )
+        notes.extend(flat.notes)
+        quantity = flat.quantity
+        plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
+        if sensor.pattern is not None:
+            from levkas.calibration.equalising import equalise_phases
+
+            plane = equalise_phases(*plane, sensor.pattern)
+        if values is None:
+            shape = (*plane[0].shape, len(sensor.bands))
+            values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+            variance = None if plane[2] is None else np.empty(shape, np.float32)
+        _check_shape(bench, band.label, plane[0].shape, values.shape[:2])
+        values[..., i], flags[..., i] = plane[0], plane[1]
+        if variance is not None:
+            variance[..., i] = np.nan if plane[2] is None else plane[2]
+    assert_some(values, bench)
+    return _cube(bench, values, flags, variance, quantity)  # type: ignore[arg-type]
+
+
+def assert_some(values: np.ndarray | None, bench: Bench) -> None:
+    """Refuse a camera without a band."""
+    if values is None:
+        raise Refused(Problem("E_BAND_COUNT", f"{bench.camera.name} has no band"))
+
+
+def _require(frames: list[FrameRef], bench: Bench, label: str) -> list[FrameRef]:
+    if not frames and bench.sensor.white:
+        raise CalibrationRefused(
+            Problem(
+                "E_TEMPLATE_MISSING",
+                f"{bench.camera.name}: no white for band {label}",
+                str(bench.sensor.white[0].path.parent),
+                f"cameras.{bench.camera.name}.files",
+                "no file",
+                f"a white frame of {label}",
+                "Add the frame, or leave the band out of `wavelengths`.",
+            )
+        )
+    return frames
+
+
+def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:
+    """Templates of one band: its own where frames carry a band, else those shared by all."""
+    own = [f for f in frames if f.band == label]
+    return own or [f for f in frames if f.band is None]
+
+
+def _check_shape(
+    bench: Bench, label: str, found: tuple[int, ...], expected: tuple[int, ...]
+) -> None:
+    if found != expected:
+        path = next(f.path for f in bench.sensor.object if f.band == label)
+        raise CalibrationRefused(
+            Problem(
+                "E_SIZE",
+                f"{bench.camera.name}: band {label} has another size than the others",
+                str(path),
+                "width, height",
+                f"{found[1]} x {found[0]}",
+                f"{expected[1]} x {expected[0]}",
+                "Take the frame of the right camera.",
+            )
+        )
+
+
+def _noise_of_bands(bench: Bench) -> NoiseModel | None:
+    """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor."""
+    bands = bench.sensor.bands
+    chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})
+    shots, whites, darks = [], [], []
+    for i in chosen:
+        label = bands[i].label
+        shots.append(bench.average([f for f in bench.sensor.object if f.band == label][:1]))
+        whites.append(_white(bench, _of_band(bench.sensor.white, label)))
+        darks = bench.templates(_of_band(bench.sensor.dark, label))
+    return _noise(shots, whites, darks, bench)
+
+
+def develop_cube(bench: Bench, notes: list[str]) -> Cube:
+    """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
+    from levkas.calibration.scanning import average_lines, join_strips
+
+    sensor, mirror = bench.sensor, bench.camera.scan == "mirror"
+
+    def template(frames: Sequence[FrameRef]) -> Template | None:
+        if not frames:
+            return None
+        if mirror:
+            return bench.average(frames, kept=True)
+        return average_lines(
+            (read_frame(f.path, page=f.page) for f in frames), saturation=bench.saturation
+        )
+
+    dark, white = template(sensor.dark), template(sensor.white)
+    reflectance = white_reflectance(bench.campaign, sensor.bands)
+    noise, strips = None, []
+    for frame in sensor.object:
+        shot = bench.average([frame])
+        noise = noise or _noise(
+            [shot] if mirror else [],
+            [white] if white and not mirror else [],
+            [dark] if dark else [],
+            bench,
+        )
+        flat = _flat(
+            bench,
+            shot,
+            [dark] if dark else [],
+            white,
+            white_reflectance=reflectance,
+            noise=noise,
+            labels=[b.label for b in sensor.bands],
+        )
+        notes.extend(flat.notes)
+        strips.append(flat)
+    values, flags, variance, quantity = (
+        strips[0].values,
+        strips[0].flags,
+        strips[0].variance,
+        strips[0].quantity,
+    )
+    if len(strips) > 1:
+        joined = join_strips([(s.values, s.flags, s.variance) for s in strips])
+        values, flags, variance = joined.values, joined.flags, joined.variance
+        notes.extend(joined.notes)
+    return _cube(bench, values, flags, variance, quantity)
+
+
+def develop_image(bench: Bench, notes: list[str]) -> Cube:
+    """A photograph or radiograph: nothing to calibrate, its codes as they are."""
+    shot = bench.average(bench.sensor.object)
+    values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
+    saturated = shot.saturated.reshape(values.shape)
+    flags = np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
+    variance = (
+        None
+        if shot.variance is None
+        else (shot.variance / shot.count).reshape(values.shape).astype(np.float32)
+    )
+    return _cube(bench, np.ascontiguousarray(values, np.float32), flags, variance, "counts")
+
+
+DEVELOPERS = {
+    "mosaic": develop_mosaic,
+    "sensors": develop_mosaic,
+    "bands": develop_bands,
+    "cube": develop_cube,
+    "image": develop_image,
+}

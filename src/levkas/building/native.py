@@ -1,0 +1,112 @@
+"""Calibrated cubes of one capture in native pixels, in memory and in the database."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.cube import Band, Cube, Flag
+from levkas.registration.images import BandImage
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from levkas.building.places import Places
+    from levkas.database.credits import Credits
+    from levkas.discovery import Capture
+
+UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED | Flag.DEFECT
+"""Pixels that registration must not lean on."""
+
+
+@dataclass(frozen=True)
+class Native:
+    """One capture, calibrated and not resampled: a cube a sensor.
+
+    Parameters
+    ----------
+    cubes : dict of str to Cube
+        Sensor name → cube; the name is empty for a camera of one sensor.
+    aligns : dict of str to ("measure" or matrix)
+        Native px of the first sensor → this one, as declared.
+    captured : str or None
+        Date of the first frame that says one, ISO 8601.
+    warnings : tuple of str
+    """
+
+    cubes: dict[str, Cube]
+    aligns: dict[str, object] = field(default_factory=dict)
+    captured: str | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """All bands, sensor by sensor."""
+        return tuple(band for cube in self.cubes.values() for band in cube.bands)
+
+    @property
+    def quantity(self) -> str:
+        """``"reflectance"`` where every sensor has it, else ``"counts"``."""
+        quantities = {cube.quantity for cube in self.cubes.values()}
+        return "reflectance" if quantities == {"reflectance"} else "counts"
+
+    def images(self) -> list[BandImage]:
+        """Return every band as registration sees it."""
+        return [
+            BandImage(
+                band.label,
+                band.wavelength,
+                np.ascontiguousarray(cube.values[..., i]),
+                np.isfinite(cube.values[..., i]) & ((cube.flags[..., i] & UNRELIABLE) == 0),
+                sensor,
+            )
+            for sensor, cube in self.cubes.items()
+            for i, band in enumerate(cube.bands)
+        ]
+
+    def size_of(self, label: str) -> list[int]:
+        """Return [width, height] of the sensor that recorded a band."""
+        for cube in self.cubes.values():
+            if label in cube.labels:
+                return [cube.values.shape[1], cube.values.shape[0]]
+        raise KeyError(label)
+
+
+def write_native(native: Native, capture: Capture, places: Places, credits: Credits) -> list[Path]:
+    """Write the cubes, their flags and, where known, their sigma; return the files."""
+    from levkas.database.layers import Layer, write_tiffs
+    from levkas.files import make_folder
+
+    made = []
+    layer = Layer(capture.object, capture.camera, capture.setup, credits=credits)
+    for sensor, cube in native.cubes.items():
+        path = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
+        make_folder(path.parent)
+        made += write_tiffs(path, layer, cube)
+    return made
+
+
+def read_native(
+    capture: Capture, places: Places, quantity: str, warnings: tuple[str, ...]
+) -> Native:
+    """Read back what `write_native` wrote."""
+    from levkas.database.spectral_tiff import read_tiff_pages
+
+    cubes, aligns = {}, {}
+    for sensor in capture.sensors:
+        arrays: list[np.ndarray | None] = []
+        for kind in (".tif", ".flags.tif", ".sigma.tif"):
+            path = places.native(
+                capture.object, capture.camera, capture.setup, sensor.name, kind=kind
+            )
+            arrays.append(read_tiff_pages(path) if path.is_file() else None)
+        values, flags, sigma = arrays
+        if values is None or flags is None:
+            raise FileNotFoundError(
+                places.native(capture.object, capture.camera, capture.setup, sensor.name)
+            )
+        cubes[sensor.name] = Cube(values, flags, sigma, sensor.bands, quantity)
+        aligns[sensor.name] = sensor.align
+    return Native(cubes, aligns, None, warnings)

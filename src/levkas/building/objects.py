@@ -1,0 +1,424 @@
+"""The stages of one object: calibrate, register, resample, report."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.building import fingerprints
+from levkas.building.fingerprints import digest
+from levkas.building.ledger import Key, Ledger
+from levkas.building.steps import Step
+from levkas.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from levkas.building.native import Native
+    from levkas.building.places import Places
+    from levkas.building.shelf import Shelf
+    from levkas.campaign import Campaign
+    from levkas.cube import Cube
+    from levkas.database.credits import Credits
+    from levkas.discovery import Capture
+    from levkas.gridding import Grid
+    from levkas.registration import BandImage, Registration
+
+
+@dataclass
+class ObjectBuild:
+    """What the stages of one object share while they run.
+
+    Parameters
+    ----------
+    captures : list of Capture
+        The reference camera's own first.
+    """
+
+    campaign: Campaign
+    places: Places
+    ledger: Ledger
+    shelf: Shelf
+    name: str
+    captures: list[Capture]
+    digests: dict[Key, str] = field(default_factory=dict)
+    _images: list[BandImage] | None = None
+    _own: Registration | None = None
+    _grid: tuple[Grid, float, tuple[float, float, float, float] | None] | None = None
+    _grey: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def reference(self) -> Capture:
+        """The capture that all others are registered to."""
+        return self.captures[0]
+
+    def run(self) -> Iterator[Step]:
+        """Yield every stage as it begins and as it ends."""
+        broken: Refused | None = None
+        for capture in self.captures:
+            if broken is not None and capture is not self.reference:
+                yield _refused(self.keys(capture)["calibrate"], broken)
+                continue
+            failed = None
+            for step in self._capture(capture):
+                yield step
+                failed = step if step.state in ("refused", "failed") else failed
+            if failed is not None and capture is self.reference:
+                broken = NoReference(_no_reference(self.name, capture.layer, failed))
+
+    def states(self) -> list[Step]:
+        """Say of every stage whether it is fresh or stale, and why, without doing any."""
+        steps = []
+        for capture in self.captures:
+            for stage, key in self.keys(capture).items():
+                prints = self._prints(capture, stage)
+                self.digests[key] = digest(prints)
+                why = self.ledger.why_stale(key, prints)
+                step = Step(key, "stale", why) if why else self._fresh(key)
+                steps.append(step)
+                if step.state == "refused":
+                    break
+        return steps
+
+    def keys(self, capture: Capture) -> dict[str, Key]:
+        """Return the keys of a capture's stages."""
+        return fingerprints.keys_of(capture)
+
+    # --- one capture --------------------------------------------------------------------------
+
+    def _capture(self, capture: Capture) -> Iterator[Step]:
+        native: list[Native] = []
+        for stage in ("calibrate", "register", "resample"):
+            key = self.keys(capture)[stage]
+            prints = self._prints(capture, stage)
+            self.digests[key] = digest(prints)
+            why = self.ledger.why_stale(key, prints)
+            if not why:
+                step = self._fresh(key)
+            else:
+                yield Step(key, "running", why)
+                step = self._attempt(stage, key, prints, capture, native, why)
+            yield step
+            if step.state in ("refused", "failed"):
+                self._withdraw(capture, after=stage)
+                return
+
+    def _prints(self, capture: Capture, stage: str) -> dict[str, Any]:
+        if stage == "calibrate":
+            return fingerprints.of_calibration(self.campaign, capture, self.ledger.hashes)
+        keys, base = self.keys(capture), self.keys(self.reference)
+        if stage == "register":
+            ends = self.digests[keys["calibrate"]], self.digests[base["calibrate"]]
+            return fingerprints.of_registration(self.campaign, capture, *ends)
+        ends = self.digests[keys["register"]], self.digests[base["register"]]
+        return fingerprints.of_resampling(self.campaign, capture, *ends)
+
+    def _fresh(self, key: Key) -> Step:
+        notes = self.ledger.told(key)
+        warnings = tuple(notes.get("warnings", ()))
+        problems = tuple(Problem(**p) for p in notes.get("refused", ()))
+        if problems:
+            return Step(key, "refused", problems[0].message, problems=problems, warnings=warnings)
+        return Step(key, "fresh", warnings=warnings)
+
+    def _attempt(
+        self,
+        stage: str,
+        key: Key,
+        prints: dict[str, Any],
+        capture: Capture,
+        native: list[Native],
+        why: str,
+    ) -> Step:
+        self.ledger.forget(key)
+        run = {
+            "calibrate": self._calibrate,
+            "register": self._register,
+            "resample": self._resample,
+        }[stage]
+        try:
+            return run(key, prints, capture, native, why)
+        except Refused as refused:
+            return _refused(key, refused)
+
+    def _native(self, capture: Capture, native: list[Native]) -> Native:
+        """The calibrated cubes, from this run or from the database."""
+        if not native:
+            from levkas.building.native import read_native
+
+            notes = self.ledger.told(self.keys(capture)["calibrate"])
+            native.append(
+                read_native(
+                    capture,
+                    self.places,
+                    notes.get("quantity", "counts"),
+                    tuple(notes.get("warnings", ())),
+                )
+            )
+        return native[0]
+
+    def _calibrate(
+        self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
+    ) -> Step:
+        from levkas.building.developing import develop
+        from levkas.building.native import write_native
+
+        made = develop(capture, self.campaign, self.shelf)
+        native.append(made)
+        credits = self._credits(made.captured or "")
+        files = write_native(made, capture, self.places, credits)
+        notes = {
+            "quantity": made.quantity,
+            "warnings": list(made.warnings),
+            "captured": made.captured or "",
+        }
+        self.ledger.keep(key, prints, files, **notes)
+        return Step(key, "done", why, warnings=made.warnings)
+
+    def _register(
+        self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
+    ) -> Step:
+        from levkas.building import registering
+        from levkas.files import make_folder, write_json, write_text
+        from levkas.registration import RegistrationRefused
+        from levkas.reporting.figures import draw_trace
+
+        started = time.monotonic()
+        here = self._native(capture, native)
+        options = self.campaign.registration_of(capture.camera)
+        own = None if capture is self.reference else self._own_registration()
+        registration, refused = None, None
+        grid, sampling, region = self._frame(native if capture is self.reference else [])
+        try:
+            registration = registering.register_capture(
+                here,
+                self._reference_images(native if own is None else []),
+                self._reference_band(),
+                own,
+                region,
+                options,
+            )
+        except RegistrationRefused as error:
+            refused = error
+        if capture is self.reference and registration is not None:
+            self._own = registration
+        record = registering.record_of(
+            registration,
+            refused,
+            capture,
+            here,
+            grid,
+            self._reference_record(),
+            sampling,
+            self._channel(capture),
+            options.get("method", "levkas"),
+        )
+        path, table = (
+            self.places.registration(self.name, capture.layer),
+            self.places.matches(self.name, capture.layer),
+        )
+        make_folder(path.parent)
+        write_json(path, record)
+        files = [path]
+        if registration is not None:
+            write_text(table, registering.table_of(registration))
+            files.append(table)
+        problems = _verdict_problems(record, capture, refused)
+        figures = draw_trace(registration.matches, registration.trace) if registration else []
+        notes = {
+            "seconds": round(time.monotonic() - started, 2),
+            "refused": [p.to_dict() for p in problems],
+            "figures": [[f.svg, f.caption] for f in figures],
+        }
+        self.ledger.keep(key, prints, files, **notes)
+        if problems:
+            return Step(key, "refused", problems[0].message, problems=problems)
+        verdict = record["verdict"]
+        warned = (
+            ()
+            if verdict["decision"] != "warn"
+            else (f"{self.name}/{capture.layer}: {' '.join(verdict['reasons'])}",)
+        )
+        return Step(key, "done", why, warnings=warned)
+
+    def _resample(
+        self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
+    ) -> Step:
+        from levkas.building.resampling import describe_flags, resample
+        from levkas.database.layers import Layer, write_layer
+        from levkas.files import make_folder
+
+        grid, sampling, _ = self._frame(native if capture is self.reference else [])
+        cube = resample(self._native(capture, native), self._transforms(capture), grid)
+        native.clear()
+        captured = self.ledger.told(self.keys(capture)["calibrate"]).get("captured", "")
+        layer = Layer(
+            self.name, capture.camera, capture.setup, sampling or nan, self._credits(captured)
+        )
+        record = self._record(capture)
+        encoded = self.campaign.cameras[capture.camera].kind == "image"
+        make_folder(self.places.folder(self.name))
+        make_folder(self.places.store(self.name))
+        entry, files = write_layer(
+            self.places.output, layer, cube, verdict=record["verdict"]["decision"], encoded=encoded
+        )
+        notes = {
+            **self._similarity(capture, cube),
+            "flags": describe_flags(cube.flags),
+            "entry": entry.to_row(),
+        }
+        self.ledger.keep(key, prints, files, **notes)
+        return Step(key, "done", why)
+
+    def _withdraw(self, capture: Capture, *, after: str) -> None:
+        """Take away what an earlier build published of a layer that is refused now."""
+        import shutil
+
+        from levkas.files import remove
+
+        key = self.keys(capture)["resample"]
+        for name in self.ledger.products(key):
+            remove(self.places.output / name)
+        shutil.rmtree(self.places.store(self.name) / capture.layer, ignore_errors=True)
+        self.ledger.forget(key)
+
+    # --- what stages share --------------------------------------------------------------------
+
+    def _reference_band(self) -> str:
+        from levkas.cube import find_band
+
+        bands = self.reference.bands
+        wanted = self.campaign.reference.band
+        labels = [band.label for band in bands]
+        if wanted is None:
+            return labels[len(labels) // 2]
+        return labels[find_band(labels, wanted, [band.wavelength for band in bands])]
+
+    def _reference_images(self, native: list[Native]) -> list[BandImage]:
+        if self._images is None:
+            self._images = self._native(self.reference, native).images()
+        return self._images
+
+    def _own_registration(self) -> Registration:
+        """The reference camera's own registration, from this run or from its record."""
+        if self._own is None:
+            from levkas.registration import Matches, Registration, Verdict
+
+            self._own = Registration(
+                "",
+                self._transforms(self.reference),
+                Verdict("accept"),
+                {},
+                Matches.of(np.zeros((0, 2)), np.zeros((0, 2))),
+            )
+        return self._own
+
+    def _record(self, capture: Capture) -> dict[str, Any]:
+        import json
+
+        path = self.places.registration(self.name, capture.layer)
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+
+    def _transforms(self, capture: Capture) -> dict[str, Any]:
+        from levkas.transforms import from_dict
+
+        bands = self._record(capture)["bands"]
+        return {label: from_dict(band["transform"]) for label, band in bands.items()}
+
+    def _reference_record(self) -> dict[str, Any]:
+        image = next(i for i in self._reference_images([]) if i.label == self._reference_band())
+        return {"camera": self.reference.camera, "band": image.label, "size": list(image.size)}
+
+    def _frame(
+        self, native: list[Native]
+    ) -> tuple[Grid, float | None, tuple[float, float, float, float] | None]:
+        """The grid, its sampling in px per mm where known, and the object's region in reference px."""
+        if self._grid is None:
+            from levkas.building.framing import frame_object
+
+            image = next(
+                i for i in self._reference_images(native) if i.label == self._reference_band()
+            )
+            facts = self.campaign.objects.get(self.name)
+            self._grid = frame_object(image, self.campaign.grid, facts.size_mm if facts else None)
+        return self._grid
+
+    def _channel(self, capture: Capture) -> str:
+        from levkas.building.channels import reference_channel
+
+        wanted = next(b for b in self.reference.bands if b.label == self._reference_band())
+        return reference_channel(self.campaign, capture.camera, capture.bands, wanted.wavelength)
+
+    def _credits(self, captured: str) -> Credits:
+        from levkas.database.credits import Credits
+
+        facts, described = self.campaign.objects.get(self.name), self.campaign.campaign
+        return Credits(
+            title=(facts.title if facts else "") or self.name,
+            creator=described.creator,
+            date=captured or described.date or "",
+            rights=(facts.rights if facts else "") or described.licence,
+        )
+
+    def _similarity(self, capture: Capture, cube: Cube) -> dict[str, Any]:
+        """SSIM against the reference layer, and its map as PNG text, for the report."""
+        from levkas.building.resampling import grey_of, read_grey, shrink_map
+        from levkas.database.preview import encode_png
+        from levkas.evaluation import structural_similarity
+
+        grey = grey_of(cube.values, cube.flags)
+        if capture is self.reference:
+            self._grey = grey
+            return {"ssim": None, "ssim_map": ""}
+        if self._grey is None:
+            self._grey = read_grey(self.places.layer(self.name, self.reference.camera))
+        score, full = structural_similarity(self._grey[0], grey[0], self._grey[1] & grey[1])
+        if np.isnan(score):
+            return {"ssim": None, "ssim_map": ""}
+        return {
+            "ssim": score,
+            "ssim_map": base64.b64encode(encode_png(shrink_map(full))).decode("ascii"),
+        }
+
+
+class NoReference(Refused):
+    """Nothing can be registered to a reference that is not there."""
+
+
+def _no_reference(name: str, layer: str, failed: Step) -> Problem:
+    return Problem(
+        "E_NO_REFERENCE",
+        f"{name}: the reference camera could not be built, so nothing can be registered to it",
+        field="campaign.reference",
+        found=f"{layer}: {failed.why}",
+        fix="Mend the reference camera's frames first.",
+    )
+
+
+def _refused(key: Key, refused: Refused) -> Step:
+    why = refused.problems[0].message if refused.problems else str(refused)
+    return Step(key, "refused", why, problems=tuple(refused.problems))
+
+
+def _verdict_problems(
+    record: dict[str, Any], capture: Capture, refused: Refused | None
+) -> tuple[Problem, ...]:
+    """The problems of a registration that is refused; none for one that is accepted."""
+    if refused is not None:
+        return tuple(refused.problems)
+    verdict = record["verdict"]
+    if verdict["decision"] != "refuse":
+        return ()
+    reasons = " ".join(verdict["reasons"])
+    return (
+        Problem(
+            "E_VERDICT",
+            f"{capture.object}/{capture.layer}: the registration cannot be believed: {reasons}",
+            field=f"cameras.{capture.camera}.registration",
+            fix=verdict["next_step"] or None,
+        ),
+    )

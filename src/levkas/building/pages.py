@@ -1,0 +1,150 @@
+"""The report page of an object from the records of its layers."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from levkas import __version__
+from levkas.building.fingerprints import keys_of
+from levkas.reporting.page import (
+    Figure,
+    LayerReport,
+    ObjectReport,
+    describe_flags,
+    describe_model,
+    render_report,
+)
+
+if TYPE_CHECKING:
+    from levkas.building.ledger import Ledger
+    from levkas.building.places import Places
+    from levkas.building.steps import Step
+    from levkas.campaign import Campaign
+    from levkas.discovery import Capture
+
+
+def report_of(
+    campaign: Campaign,
+    places: Places,
+    ledger: Ledger,
+    name: str,
+    captures: list[Capture],
+    steps: list[Step],
+) -> str:
+    """Return the HTML of an object's report."""
+    layers = [layer for c in captures if (layer := _layer(campaign, places, ledger, c)) is not None]
+    facts = campaign.objects.get(name)
+    told = (
+        [facts.creator, facts.date or "", facts.medium, facts.owner, facts.inventory]
+        if facts
+        else []
+    )
+    told += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
+    told += [campaign.campaign.licence]
+    problems = [
+        {"code": p.code, "text": str(p)}
+        for step in steps
+        if step.state in ("refused", "failed")
+        for p in step.problems
+    ]
+    reference = campaign.reference
+    sampling = _sampling(places, captures)
+    return render_report(
+        ObjectReport(
+            title=(facts.title if facts else "") or name,
+            facts=[text for text in dict.fromkeys(told) if text],
+            reference=f"{reference.camera}:{reference.band or 'middle band'}",
+            layers=layers,
+            problems=problems,
+            mm_per_px=sampling,
+            footer=f"Levkas {__version__}. Object {name}; every figure is in pixels of the reference band unless it says otherwise.",
+            views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
+        )
+    )
+
+
+def _layer(
+    campaign: Campaign, places: Places, ledger: Ledger, capture: Capture
+) -> LayerReport | None:
+    path = places.registration(capture.object, capture.layer)
+    keys = keys_of(capture)
+    calibrated = ledger.told(keys["calibrate"])
+    if not path.is_file() or not calibrated:
+        return None
+    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    registered, resampled = ledger.told(keys["register"]), ledger.told(keys["resample"])
+    verdict, errors = record["verdict"], record.get("errors", {})
+    preview = places.layer(capture.object, capture.camera, capture.setup, kind=".png")
+    shown = preview.is_file() and verdict["decision"] != "refuse"
+    is_reference = capture.camera == campaign.reference.camera and not capture.setup
+    ssim, ssim_map = resampled.get("ssim"), resampled.get("ssim_map", "")
+    return LayerReport(
+        name=capture.layer,
+        bands=[band.label for band in capture.bands],
+        quantity=str(calibrated.get("quantity", "")),
+        decision="reference"
+        if is_reference and verdict["decision"] == "accept"
+        else verdict["decision"],
+        method=record["method"],
+        model=describe_model(record.get("model", {})),
+        reasons=verdict["reasons"],
+        next_step=verdict["next_step"],
+        warnings=calibrated.get("warnings", []),
+        error=_error(errors),
+        ssim="–" if ssim is None else f"{ssim:.3f}",
+        flags=describe_flags(resampled.get("flags", {})),
+        preview=preview.name if shown else "",
+        description=str(resampled.get("description", "")) or f"{len(capture.bands)} bands",
+        figures=[Figure(svg, caption) for svg, caption in registered.get("figures", [])],
+        ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
+        columns=("shift at the centre, px", "x", "y"),
+        rows=_band_rows(record),
+    )
+
+
+def _error(errors: dict[str, Any]) -> str:
+    for key in ("held_out_mean", "held_out", "mean", "kept_mean"):
+        value = errors.get(key)
+        if isinstance(value, int | float):
+            return f"{value:.3f}"
+    return "–"
+
+
+def _band_rows(record: dict[str, Any]) -> list[list[str]]:
+    """Where the middle of the reference lies in each band, against the camera's reference channel."""
+    import numpy as np
+
+    from levkas.transforms import from_dict
+
+    bands = record.get("bands", {})
+    channel = record.get("target", {}).get("reference_band")
+    if channel not in bands:
+        return []
+    size = np.array(record["reference"]["size"], float)
+    middle = (size[None] - 1) / 2
+    base = from_dict(bands[channel]["transform"])
+    rows = []
+    for label, band in bands.items():
+        where = from_dict(band["transform"])(middle)
+        apart = base.inverse(where) - middle
+        rows.append(
+            [label, f"{np.linalg.norm(apart):.3f}", f"{apart[0, 0]:+.3f}", f"{apart[0, 1]:+.3f}"]
+        )
+    return rows
+
+
+def _sampling(places: Places, captures: list[Capture]) -> str:
+    path = places.registration(captures[0].object, captures[0].layer)
+    if not path.is_file():
+        return ""
+    record = json.loads(path.read_text(encoding="utf-8"))
+    px_per_mm = record["grid"].get("px_per_mm")
+    if not px_per_mm:
+        return ""
+    import numpy as np
+
+    from levkas.transforms import from_dict
+
+    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
+    return f"{1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5):.3f}"

@@ -1,0 +1,113 @@
+"""One capture registered to the reference band, and the record of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas import __version__
+from levkas.registration import Registration, RegistrationRefused, register
+from levkas.transforms import Affine
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.building.native import Native
+    from levkas.discovery import Capture
+    from levkas.gridding import Grid
+    from levkas.registration import BandImage
+
+FEWEST_PX = 16
+"""A band smaller than this has nothing to register by."""
+
+
+def register_capture(
+    native: Native,
+    reference: Sequence[BandImage],
+    reference_band: str,
+    own: Registration | None,
+    region: tuple[float, float, float, float] | None,
+    options: dict[str, Any],
+) -> Registration:
+    """Register every band of a capture; `own` is the reference camera's registration, None for itself.
+
+    Raises RegistrationRefused where there is no answer at all.
+    """
+    if own is None:
+        return register(
+            reference, reference, reference_band=reference_band, region=region, **options
+        )
+    if options.get("method", "levkas") == "levkas":
+        options = {**options, "reference_transforms": own.transforms}
+    aligns = {s: a for s, a in native.aligns.items() if a != "measure"}
+    if aligns and options.get("method") == "mirhashemi2019":
+        options = {**options, "align": {s: Affine(np.array(a, float)) for s, a in aligns.items()}}
+    return register(
+        reference, native.images(), reference_band=reference_band, region=region, **options
+    )
+
+
+def record_of(
+    registration: Registration | None,
+    refused: RegistrationRefused | None,
+    capture: Capture,
+    native: Native,
+    grid: Grid,
+    reference: dict[str, Any],
+    px_per_mm: float | None,
+    channel: str,
+    method: str,
+) -> dict[str, Any]:
+    """Return the record of registration/CAMERA.json."""
+    record: dict[str, Any] = {
+        "levkas": __version__,
+        "object": capture.object,
+        "camera": capture.camera,
+        "setup": capture.setup,
+        "method": method,
+        "reference": reference,
+        "target": {"camera": capture.camera, "setup": capture.setup, "reference_band": channel},
+        "grid": {
+            "size": list(grid.size),
+            "transform": grid.transform.to_dict(),
+            "px_per_mm": px_per_mm,
+        },
+    }
+    if registration is None:
+        problems = refused.problems if refused else ()
+        trace = refused.trace.to_dict() if refused and refused.trace else {}
+        verdict = {
+            "decision": "refuse",
+            "reasons": [str(p.message) for p in problems],
+            "next_step": next((p.fix for p in problems if p.fix), ""),
+            "numbers": {},
+        }
+        return {
+            **record,
+            "verdict": verdict,
+            "model": {"kind": "none"},
+            "bands": {},
+            "errors": {},
+            "trace": trace,
+        }
+    told = registration.to_dict()
+    bands = {
+        label: {"size": native.size_of(label), "transform": transform.to_dict()}
+        for label, transform in registration.transforms.items()
+    }
+    keep = ("method", "verdict", "model", "errors", "trace")
+    return {**record, **{k: told[k] for k in keep}, "bands": bands}
+
+
+def table_of(registration: Registration) -> str:
+    """Return CAMERA.matches.csv."""
+    from levkas.registration.record import COLUMNS
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(registration.matches.rows())
+    return text.getvalue()

@@ -1,0 +1,49 @@
+"""Every band of one capture on the grid, each pixel interpolated once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.cube import Flag
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+LONGEST_MAP = 640
+"""Longest side of an SSIM map on a page, px."""
+
+
+def grey_of(values: np.ndarray, flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of the registered bands, (h, w), and the pixels that every band saw."""
+    valid = ~np.any(flags & Flag.OUTSIDE, axis=2)
+    return np.where(valid, values.mean(axis=2, dtype=np.float64), 0.0), valid
+
+
+def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return `grey_of` of a published layer."""
+    from levkas.database.spectral_tiff import read_stiff, read_tiff_pages
+
+    values = read_stiff(path, silent=True)[0]
+    return grey_of(values, read_tiff_pages(path.with_name(path.stem + ".flags.tif")))
+
+
+def shrink_map(full: np.ndarray) -> np.ndarray:
+    """Return an SSIM map as bytes, 0 to 255 for 0 to 1, at most `LONGEST_MAP` px long."""
+    step = max(1, -(-max(full.shape) // LONGEST_MAP))
+    height, width = (n // step * step for n in full.shape)
+    blocks = np.nan_to_num(full[:height, :width]).reshape(height // step, step, width // step, step)
+    return np.asarray(np.round(255 * np.clip(blocks.mean((1, 3)), 0, 1)), np.uint8)
+
+
+def describe_flags(flags: np.ndarray) -> dict[str, float]:
+    """Return the share of pixels and bands under each flag, by its name."""
+    counts = np.bincount(flags.ravel(), minlength=256)
+    codes = np.arange(256)
+    return {
+        flag.name.lower(): float(counts[(codes & flag.value) != 0].sum() / max(flags.size, 1))
+        for flag in Flag
+        if flag.name
+    }
