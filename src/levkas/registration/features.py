@@ -134,15 +134,14 @@ def sift(picture: np.ndarray, *, contrast: float = CONTRAST, root: bool = True) 
     root : bool
         Hellinger instead of Euclidean distance (Arandjelović & Zisserman 2012).
     """
-    import cv2
-
+    create = _opencv("SIFT_create", "sift")
     options = {"contrastThreshold": contrast}
     shift = 0.0
     try:
-        finder = cv2.SIFT_create(enable_precise_upscale=True, **options)
-    except (TypeError, cv2.error):
+        finder = create(enable_precise_upscale=True, **options)
+    except TypeError:
         # Releases without the switch look for key points in a picture that lies 0.25 px off.
-        finder, shift = cv2.SIFT_create(**options), 0.25
+        finder, shift = create(**options), 0.25
     found = _gather(*finder.detectAndCompute(picture, None), width=128)
     if shift:
         found = KeyPoints(found.points - shift, *(_rest(found)))

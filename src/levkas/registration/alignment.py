@@ -1,0 +1,192 @@
+"""Alignment of the sensors of one camera: first sensor's px → each sensor's px, given or measured."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.problems import Problem
+from levkas.registration.features import find_key_points
+from levkas.registration.images import BandImage, grey, stretch
+from levkas.registration.matching import match
+from levkas.registration.outliers import remove_outliers
+from levkas.registration.record import RegistrationRefused
+from levkas.transforms import Affine, Composed, Inverse, Transform
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+REJECT_SHARE = 1 / 16
+STOP_PX = 1.0
+LEAST_MATCHES = {"rigid": 8, "affine": 12}
+EDGE = 0.999
+
+
+def sensors_of(images: Sequence[BandImage]) -> dict[str, list[BandImage]]:
+    """Group bands by sensor, in the order in which sensors are first met."""
+    groups: dict[str, list[BandImage]] = {}
+    for image in images:
+        groups.setdefault(image.sensor, []).append(image)
+    return groups
+
+
+def align_sensors(
+    images: Sequence[BandImage],
+    *,
+    given: Mapping[str, Any] | None = None,
+    model: str = "affine",
+    first: str | None = None,
+) -> dict[str, Transform]:
+    """Find how the sensors of one camera lie to one another.
+
+    Parameters
+    ----------
+    images : sequence of BandImage
+    given : mapping of sensor name to (2, 3) matrix or Transform, optional
+        Native px of the first sensor → this sensor, where it is known.
+    model : {"affine", "rigid"}
+        Of what is measured; rigid is a rotation and a shift.
+    first : str, optional
+        The sensor that all are aligned to instead of the first that is met.
+
+    Returns
+    -------
+    alignments : dict of sensor name to Transform
+        Px of that sensor → px of each; the identity for itself.
+
+    Raises
+    ------
+    RegistrationRefused
+        Where two sensors show too little in common, or a matrix is not (2, 3).
+
+    Notes
+    -----
+    The sensors look through one lens, so that they differ by little: matches farther apart than
+    1/16 of the diagonal are cut at once, and the worst removed until none is above 1 px.
+    """
+    if model not in LEAST_MATCHES:
+        raise ValueError(f"model must be one of {sorted(LEAST_MATCHES)}, got {model!r}")
+    groups = sensors_of(images)
+    origin = next(iter(groups))
+    known = {name: _transform(name, matrix) for name, matrix in (given or {}).items()}
+    alignments: dict[str, Transform] = {}
+    for name in groups:
+        if name == origin:
+            alignments[name] = Affine.identity()
+        elif name in known:
+            alignments[name] = known[name]
+        else:
+            alignments[name] = _measure(groups[origin], groups[name], model)
+    if first is None or first == origin:
+        return alignments
+    back = Inverse(alignments[first])
+    return {
+        name: Affine.identity() if name == first else Composed(back, transform)
+        for name, transform in alignments.items()
+    }
+
+
+def camera_grey(
+    images: Sequence[BandImage], alignments: Mapping[str, Transform], first: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Average all bands of a camera in the frame of its sensor `first`.
+
+    Returns
+    -------
+    values, valid : ndarray, (h, w), float32 and bool
+        As `images.grey` gives them; a pixel is valid where every sensor saw it.
+    """
+    groups = sensors_of(images)
+    values, valid = grey(groups[first])
+    if len(groups) == 1:
+        return values, valid
+    total = values * np.float64(len(groups[first]))
+    for name, bands in groups.items():
+        if name != first:
+            part, seen = _resample(*grey(bands), alignments[name], values.shape)
+            total += part * len(bands)
+            valid &= seen
+    return (total / len(images)).astype(np.float32), valid
+
+
+def _resample(
+    values: np.ndarray, valid: np.ndarray, transform: Transform, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pull an image on to another sensor's grid, linearly, row by row."""
+    from scipy.ndimage import map_coordinates
+
+    h, w = shape
+    filled = np.where(valid, values, 0).astype(np.float32)
+    weight = valid.astype(np.float32)
+    out, seen = np.zeros(shape, np.float32), np.zeros(shape, bool)
+    columns = np.arange(w, dtype=float)
+    for start in range(0, h, 256):
+        rows = np.arange(start, min(start + 256, h), dtype=float)
+        x, y = np.meshgrid(columns, rows)
+        places = transform(np.stack([x.ravel(), y.ravel()], 1)).T[::-1]
+        block = slice(start, start + len(rows))
+        out[block] = map_coordinates(filled, places, order=1).reshape(len(rows), w)
+        seen[block] = map_coordinates(weight, places, order=1).reshape(len(rows), w) > EDGE
+    return out, seen
+
+
+def _measure(first: list[BandImage], other: list[BandImage], model: str) -> Affine:
+    """Fit first → other to key points that both greys share."""
+    pictures = []
+    for bands in (first, other):
+        values, valid = grey(bands)
+        pictures.append((stretch(values, valid), valid))
+    points = [find_key_points(picture, valid) for picture, valid in pictures]
+    rows, columns, _ = match(points[0], points[1])
+    a, b = points[0].points[rows], points[1].points[columns]
+    scale = Affine.scaling(*np.divide(first[0].size, other[0].size))
+    reject = REJECT_SHARE * float(np.hypot(*first[0].size))
+    try:
+        rounds = list(remove_outliers(b, a, scale=scale, reject=reject, stop=STOP_PX, order=1))
+    except RegistrationRefused as refusal:
+        raise _apart(first, other, len(a)) from refusal
+    kept = np.linalg.norm(scale(b) - a, axis=1) < reject
+    kept[[step.worst for step in rounds if step.removed]] = False
+    if kept.sum() < LEAST_MATCHES[model]:
+        raise _apart(first, other, int(kept.sum()))
+    return Affine.fit(a[kept], b[kept]) if model == "affine" else _rigid(a[kept], b[kept])
+
+
+def _rigid(source: np.ndarray, target: np.ndarray) -> Affine:
+    """Return the rotation and shift of `source` to `target` by least squares (Kabsch 1976)."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    turn = (u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T
+    return Affine(np.column_stack([turn, target.mean(0) - turn @ source.mean(0)]))
+
+
+def _transform(name: str, given: Any) -> Transform:
+    if isinstance(given, Transform):
+        return given
+    matrix = np.asarray(given, float)
+    if matrix.shape != (2, 3) or not np.isfinite(matrix).all():
+        raise RegistrationRefused(
+            Problem(
+                "E_VALUE",
+                f"the alignment of sensor {name!r} is not a matrix of numbers",
+                field="align",
+                found=str(matrix.shape),
+                expected="2 rows of 3 numbers: px of the first sensor → px of this one",
+            )
+        )
+    return Affine(matrix)
+
+
+def _apart(first: list[BandImage], other: list[BandImage], found: int) -> RegistrationRefused:
+    names = f"{first[0].sensor!r} and {other[0].sensor!r}"
+    return RegistrationRefused(
+        Problem(
+            "E_MATCHES",
+            f"sensors {names} show too little in common to be aligned",
+            field="align",
+            found=f"{found} matches",
+            expected=f"at least {LEAST_MATCHES['affine']}",
+            fix="Give the 2x3 matrix as `align`, or align on an object with more structure.",
+        )
+    )

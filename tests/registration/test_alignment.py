@@ -1,0 +1,75 @@
+"""Sensors of one camera: measured or given, and the grey picture that they share."""
+
+import numpy as np
+import pytest
+
+from levkas.registration import BandImage, RegistrationRefused, register
+from levkas.registration.alignment import align_sensors, camera_grey
+from levkas.transforms import Affine
+
+TURN = Affine(np.array([[1.0, -0.004, 3.4], [0.004, 1.0, -2.2]]))
+
+
+def band(label, values, sensor):
+    return BandImage(label, 550.0, values, np.isfinite(values), sensor)
+
+
+@pytest.fixture(scope="module")
+def camera(studio):
+    """A camera of two sensors; `TURN` maps px of the first to px of the second."""
+    painting = studio.paint(11)
+    first = studio.photograph(painting, Affine.identity(), seed=1)
+    second = studio.photograph(painting, TURN.inverse, seed=2)
+    return [band("a", first, "ccd1"), band("b", 0.2 + 0.7 * second, "ccd2")]
+
+
+@pytest.mark.parametrize("model", ["affine", "rigid"])
+def test_a_planted_alignment_is_measured(camera, model):
+    found = align_sensors(camera, model=model)
+    corners = np.array([[0.0, 0], [299, 0], [299, 229], [0, 229]])
+    np.testing.assert_array_equal(found["ccd1"](corners), corners)
+    # Some hundred key points of about 0.2 px each.
+    np.testing.assert_allclose(found["ccd2"](corners), TURN(corners), atol=0.12)
+
+
+def test_a_given_alignment_is_taken(camera):
+    found = align_sensors(camera, given={"ccd2": TURN.matrix.tolist()})
+    np.testing.assert_array_equal(found["ccd2"].matrix, TURN.matrix)
+
+
+def test_alignments_can_start_at_another_sensor(camera):
+    found = align_sensors(camera, given={"ccd2": TURN}, first="ccd2")
+    points = np.array([[10.0, 20.0], [200.0, 100.0]])
+    np.testing.assert_allclose(found["ccd1"](points), TURN.inverse(points), atol=1e-9)
+    np.testing.assert_array_equal(found["ccd2"](points), points)
+
+
+def test_a_matrix_of_another_shape_is_refused(camera):
+    with pytest.raises(RegistrationRefused, match="ccd2"):
+        align_sensors(camera, given={"ccd2": np.eye(3)})
+
+
+def test_sensors_without_anything_in_common_are_refused(camera):
+    blank = band("b", np.full((230, 300), 0.5, np.float32), "ccd2")
+    with pytest.raises(RegistrationRefused, match="too little in common"):
+        align_sensors([camera[0], blank])
+
+
+def test_the_grey_picture_lies_in_the_frame_of_the_first_sensor(camera):
+    values, valid = camera_grey(camera, {"ccd1": Affine.identity(), "ccd2": TURN}, "ccd1")
+    inner = slice(20, -20), slice(20, -20)
+    expected = 0.5 * camera[0].values + 0.5 * (0.2 + 0.7 * camera[0].values)
+    assert valid[inner].all() and not valid[0].any()
+    assert np.corrcoef(values[inner].ravel(), expected[inner].ravel())[0, 1] > 0.99
+
+
+def test_every_band_gets_the_map_of_its_sensor(studio, camera):
+    reference = [band("r", studio.photograph(studio.paint(11), Affine.identity(), seed=5), "")]
+    found = register(
+        reference, camera, reference_band="r", method="mirhashemi2019", alignments={"ccd2": TURN}
+    )
+    points = np.array([[60.0, 50.0], [220.0, 160.0]])
+    np.testing.assert_allclose(found.transforms["a"](points), points, atol=0.3)
+    np.testing.assert_allclose(
+        found.transforms["b"](points), TURN(found.transforms["a"](points)), atol=1e-9
+    )

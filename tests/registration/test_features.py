@@ -1,0 +1,158 @@
+"""Key points lie where they are, in an order of their own; matching is exact and one to one."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from levkas.registration.features import DETECTORS, KeyPoints, find_key_points
+from levkas.registration.matching import METHODS, find_neighbours, match
+from levkas.registration.record import RegistrationRefused
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rng = np.random.default_rng(3)
+    texture = sum(ndimage.gaussian_filter(rng.normal(0, 1, (480, 640)), s) * s for s in (1, 2, 5))
+    return texture.astype(np.float32)
+
+
+def picture(values):
+    return np.clip(127 + 60 * values / values.std(), 0, 255).astype(np.uint8)
+
+
+def everywhere(image):
+    return np.ones(image.shape, bool)
+
+
+def test_sift_has_no_bias_between_pictures_of_different_scale(scene):
+    # Half-size by exact 2 x 2 means: x' = (x + 0.5) / 2 - 0.5. OpenCV's default is 0.13 px off.
+    small = scene.reshape(240, 2, 320, 2).mean((1, 3))
+    a, b = picture(scene), picture(small)
+    one, two = find_key_points(a, everywhere(a)), find_key_points(b, everywhere(b))
+    rows, columns, _ = match(one, two, ratio=0.8)
+    miss = (two.points[columns] + 0.5) * 2 - 0.5 - one.points[rows]
+    good = np.hypot(*miss.T) < 2
+    assert good.sum() > 100
+    assert np.abs(np.median(miss[good], 0)).max() < 0.05
+
+
+def test_sift_is_found_without_the_switch_of_newer_releases(scene, monkeypatch):
+    image = picture(scene)
+    precise = find_key_points(image, everywhere(image), limit=10**6)
+    create = cv2.SIFT_create
+
+    def older(**options):
+        if "enable_precise_upscale" in options:
+            raise TypeError("unknown option")
+        return create(**options)
+
+    monkeypatch.setattr(cv2, "SIFT_create", older)
+    rough = find_key_points(image, everywhere(image), limit=10**6)
+    from scipy.spatial import cKDTree
+
+    distance, near = cKDTree(rough.points).query(precise.points)
+    offset = np.median(rough.points[near[distance < 0.5]] - precise.points[distance < 0.5], 0)
+    assert np.abs(offset).max() < 0.05
+
+
+def test_key_points_are_the_same_each_time_and_sorted(scene):
+    image = picture(scene)
+    one, two = (find_key_points(image, everywhere(image)) for _ in "ab")
+    np.testing.assert_array_equal(one.points, two.points)
+    np.testing.assert_array_equal(one.descriptors, two.descriptors)
+    assert np.all(np.diff(one.points[:, 0]) >= 0)
+
+
+def test_the_limit_keeps_the_strongest_of_every_part(scene):
+    scene = scene.copy()
+    scene[:, 320:] *= 0.2
+    image = picture(scene)
+    few = find_key_points(image, everywhere(image), limit=200)
+    assert len(few) == 200
+    assert 60 < (few.points[:, 0] > 320).sum() < 140
+
+
+def test_no_key_point_stands_on_what_is_invalid(scene):
+    image, valid = picture(scene), np.ones(scene.shape, bool)
+    valid[:, 300:340] = False
+    x = find_key_points(image, valid).points[:, 0]
+    assert not np.any((x > 298) & (x < 341))
+
+
+def test_a_blank_picture_has_no_key_points():
+    blank = np.full((64, 64), 127, np.uint8)
+    assert len(find_key_points(blank, everywhere(blank))) == 0
+
+
+@pytest.mark.parametrize("detector", sorted(DETECTORS))
+def test_every_detector_matches_a_shifted_picture_or_says_why_not(scene, detector):
+    a, b = picture(scene)[:-8, :-12], picture(scene)[8:, 12:]
+    try:
+        one = find_key_points(a, everywhere(a), detector=detector)
+    except RegistrationRefused as refusal:
+        assert "OpenCV" in str(refusal)
+        return
+    two = find_key_points(b, everywhere(b), detector=detector)
+    rows, columns, _ = match(one, two)
+    miss = np.hypot(*(one.points[rows] - two.points[columns] - (12, 8)).T)
+    assert len(rows) > 50 and (miss < 1).mean() > 0.9
+
+
+def test_an_unknown_detector_is_refused():
+    with pytest.raises(RegistrationRefused, match="sift"):
+        find_key_points(np.zeros((20, 20), np.uint8), np.ones((20, 20), bool), detector="orbit")
+
+
+def whole(rng, n, d=16):
+    return rng.integers(0, 40, (n, d)).astype(np.float32)
+
+
+def key_points(descriptors, points=None):
+    n = len(descriptors)
+    points = np.stack([np.arange(n), np.zeros(n)], 1).astype(float) if points is None else points
+    zero = np.zeros(n)
+    return KeyPoints(points, zero, zero, zero, descriptors)
+
+
+def test_neighbours_are_those_of_all_distances():
+    rng = np.random.default_rng(1)
+    a, b = whole(rng, 1500), whole(rng, 700)
+    distance = np.linalg.norm(a[:, None] - b[None], axis=2)
+    found = find_neighbours(a, b)
+    np.testing.assert_allclose(found.distance, distance.min(1), rtol=1e-6)
+    np.testing.assert_allclose(found.second, np.sort(distance, 1)[:, 1], rtol=1e-6)
+    np.testing.assert_array_equal(found.nearest, distance.argmin(1))
+    np.testing.assert_array_equal(found.back, distance.argmin(0))
+
+
+def test_binary_descriptors_are_compared_bit_by_bit():
+    rng = np.random.default_rng(2)
+    a, b = (rng.integers(0, 256, (n, 61)).astype(np.uint8) for n in (40, 30))
+    bits = np.unpackbits(a[:, None] ^ b[None], axis=2).sum(2)
+    found = find_neighbours(a, b)
+    np.testing.assert_array_equal(found.distance, bits.min(1))
+    np.testing.assert_array_equal(found.nearest, bits.argmin(1))
+
+
+@pytest.mark.parametrize("matching", sorted(METHODS))
+def test_no_place_is_used_twice(matching):
+    rng = np.random.default_rng(4)
+    a, b = whole(rng, 200), whole(rng, 150)
+    places = rng.integers(0, 60, (200, 1)) * np.ones(2)
+    one, two = key_points(a, places), key_points(b)
+    rows, columns, _ = match(one, two, matching=matching, ratio=1.0)
+    assert len(rows) > 10
+    assert len(np.unique(places[rows], axis=0)) == len(rows) == len(np.unique(columns))
+
+
+def test_matching_with_nothing_is_nothing():
+    none, some = key_points(np.empty((0, 16), np.float32)), key_points(np.ones((3, 16), np.float32))
+    assert len(match(none, some)[0]) == len(match(some, none)[0]) == 0
+
+
+@pytest.mark.parametrize("options", [{"ratio": 0.0}, {"ratio": 1.1}, {"matching": "guess"}])
+def test_wrong_options_of_matching_are_refused(options):
+    some = key_points(np.ones((3, 16), np.float32))
+    with pytest.raises(RegistrationRefused):
+        match(some, some, **options)
