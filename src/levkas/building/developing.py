@@ -95,9 +95,11 @@ def _doubts(bench: Bench) -> list[str]:
     """What a person should know before believing the values."""
     doubts, camera = [], bench.camera
     targets = bench.campaign.targets
-    if camera.kind != "image" and not bench.sensor.white:
+    if camera.kind == "image":
+        return doubts
+    if not bench.sensor.white:
         doubts.append("no white reference is declared: the cube stays in counts")
-    elif bench.sensor.white and targets.white and not isinstance(targets.white.reflectance, str):
+    elif targets.white and not isinstance(targets.white.reflectance, str):
         given = targets.white.reflectance
         doubts.append(
             f"the white board is taken for {1.0 if given is None else given:g} at every wavelength; "
@@ -198,13 +200,28 @@ def _choose(bench: Bench, shots: list[Template], darks: list[Template]) -> Templ
     if len(shots) == 1:
         return shots[0]
     if bench.camera.exposures == "merge":
-        return merge_exposures(shots, darks, black=bench.black)
+        saturation = bench.saturation or float("inf")
+        return merge_exposures(shots, darks, saturation=saturation, black=bench.black).template
     return best_exposure(shots)
+
+
+def _without_dark(bench: Bench, shots: list[Template], darks: list[Template]) -> list[Template]:
+    """A merged series is above dark already."""
+    return [] if len(shots) > 1 and bench.camera.exposures == "merge" else darks
+
+
+def _defects(darks: list[Template], white: Template | None, pattern: Any) -> np.ndarray | None:
+    """Hot sensels of the longest dark and dead ones of the white."""
+    from levkas.calibration.defects import find_defects
+
+    if not darks and white is None:
+        return None
+    return find_defects(darks[-1] if darks else None, white, pattern)
 
 
 def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
-    from levkas.calibration.defects import find_defects, replace_defects
+    from levkas.calibration.defects import replace_defects
     from levkas.calibration.mosaic import demosaic
 
     sensor, camera = bench.sensor, bench.camera
@@ -214,7 +231,7 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     shot = _choose(bench, shots, darks)
     noise = _noise(shots, [white] * len(shots), darks, bench)
     pattern = sensor.pattern
-    defects = find_defects(darks, white, pattern=pattern)
+    defects = _defects(darks, white, pattern)
     reflectance = white_reflectance(bench.campaign, sensor.bands)
     flat = _flat(
         bench,
@@ -248,7 +265,7 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
 
 def develop_bands(bench: Bench, notes: list[str]) -> Cube:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
-    from levkas.calibration.defects import find_defects, replace_defects
+    from levkas.calibration.defects import replace_defects
 
     sensor = bench.sensor
     reflectance = white_reflectance(bench.campaign, sensor.bands)
@@ -261,7 +278,7 @@ def develop_bands(bench: Bench, notes: list[str]) -> Cube:
         shot = _choose(
             bench, _expose(bench, [f for f in sensor.object if f.band == band.label]), darks
         )
-        defects = find_defects(darks, white, pattern=sensor.pattern)
+        defects = _defects(darks, white, sensor.pattern)
         flat = _flat(
             bench,
             shot,
@@ -394,9 +411,14 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
         strips[0].quantity,
     )
     if len(strips) > 1:
-        joined = join_strips([(s.values, s.flags, s.variance) for s in strips])
+        joined, seams = join_strips(strips)
         values, flags, variance = joined.values, joined.flags, joined.variance
-        notes.extend(joined.notes)
+        for i, seam in enumerate(seams, 1):
+            worst = float(np.nanmax(np.abs(seam.difference)))
+            notes.append(
+                f"strips {i} and {i + 1} share {seam.overlap} samples (shift {seam.shift} lines); the seam "
+                f"differs by {100 * seam.rms:.1f} % rms, by {100 * worst:.1f} % in its worst band"
+            )
     return _cube(bench, values, flags, variance, quantity)
 
 
