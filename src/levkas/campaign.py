@@ -416,16 +416,11 @@ def _known_keys(where: list[str]) -> list[str]:
     """Keys that the schema knows at a place such as ``["cameras", "nir"]``."""
     model: Any = Document
     for step in where:
-        if isinstance(model, type) and issubclass(model, BaseModel):
-            field = model.model_fields.get(step)
-            model = field.annotation if field else None
-            inner = _models_in(model)
-            model = inner if inner is not None else model
-    return (
-        sorted(k for k in model.model_fields if k != "name" or model is Sensor)
-        if isinstance(model, type) and issubclass(model, BaseModel)
-        else []
-    )
+        # A name that a user chose, or a place in a list, is no key of the schema.
+        field = model.model_fields.get(step)
+        inner = _models_in(field.annotation) if field else None
+        model = inner or model
+    return sorted(k for k in model.model_fields if k != "name" or model is Sensor)
 
 
 def _models_in(annotation: Any) -> Any:
