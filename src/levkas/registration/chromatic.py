@@ -1,8 +1,8 @@
 """The bands of one camera against its base map: low-order fields, smooth in wavelength.
 
 A lens magnifies every wavelength a little differently, a filter wheel shifts every band by its
-own wedge. Each band gets the same few displacement fields; how many is chosen on held-out blocks,
-and their amounts are drawn to what the neighbouring wavelengths say as far as the data allow.
+own wedge. Each band gets the same few displacement fields, shift and magnification freely, others at
+a price; their amounts are drawn to what the neighbouring wavelengths say as far as data allow.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from levkas.registration.models import temper
 from levkas.registration.refinement import Windows
 from levkas.transforms import Polynomial, design_matrix
 
-FOLDS = 4
 BLOCKS = 8
+LEAST_WINDOWS = 12
 LENGTHS_NM = (60.0, 120.0, 240.0, 480.0)
-GAIN = 0.002
 
 # Columns of a cubic polynomial: 1 u v uu uv vv uuu uuv uvv vvv; rows below are (x′, y′) of each.
 _FIELDS: list[tuple[str, list[dict[tuple[int, int], float]]]] = [
@@ -31,6 +30,15 @@ _FIELDS: list[tuple[str, list[dict[tuple[int, int], float]]]] = [
     ("cubic", [{(k, a): 1} for k in (6, 7, 8) for a in (0, 1)] + [{(9, 0): 1}]),
 ]
 KINDS = [name for name, _ in _FIELDS]
+#: How large a field is expected to be beside shift and magnification; None: as the data say.
+SHARES: dict[str, float | None] = {
+    "shift": None,
+    "similarity": None,
+    "affine": 0.05,
+    "radial": 0.2,
+    "quadratic": 0.03,
+    "cubic": 0.03,
+}
 
 
 @dataclass(frozen=True)
@@ -43,15 +51,12 @@ class Chromatic:
         The richest fields that were taken, a key of the ladder of this file.
     centre, spread : (2,) and float, reference px
     amounts : ndarray, (bands, fields), px
-    scores : dict of str to float
-        Held-out error of each kind, reference px.
     """
 
     kind: str
     centre: np.ndarray
     spread: float
     amounts: np.ndarray
-    scores: dict[str, float]
 
     def transform(self, band: int) -> Polynomial:
         """Return reference px ↦ where the base map has to be asked for this band."""
@@ -63,7 +68,7 @@ class Chromatic:
 
 def still(bands: int, centre: np.ndarray, spread: float) -> Chromatic:
     """Return no displacement at all."""
-    return Chromatic("shift", centre, spread, np.zeros((bands, 2)), {})
+    return Chromatic("shift", centre, spread, np.zeros((bands, 2)))
 
 
 def fit_chromatic(
@@ -74,6 +79,7 @@ def fit_chromatic(
     common: np.ndarray | None = None,
     highest: str = "cubic",
     fixed: int | None = None,
+    leaning: np.ndarray | None = None,
 ) -> Chromatic:
     """Return `before` corrected by what the windows of each band saw.
 
@@ -86,28 +92,32 @@ def fit_chromatic(
     common : ndarray, (n, 2), px, optional
         Shift of each window that the base map takes care of.
     highest : str
-        The richest kind that may be tried.
+        The richest fields that may be used.
     fixed : int, optional
-        The band that all else is relative to: its own amounts are taken from every band.
+        The band that all else is relative to and that stays where it is.
+    leaning : ndarray, (bands, bands), optional
+        How the position of each band's prediction hangs on those of the bands: what a window sees
+        is the band's shift less theirs. Without it predictions are taken to be where they should.
     """
     names = KINDS[: KINDS.index(highest) + 1]
-    count = sum(len(f) for name, f in _FIELDS if name in names)
+    count = _size(names[-1])
     earlier = np.zeros((len(seen), count))
     width = min(count, before.amounts.shape[1])
     earlier[:, :width] = before.amounts[:, :width]
-    systems = [_system(w, before, count, earlier[i], common) for i, w in enumerate(seen)]
-    kind, scores = _choose(systems, names)
-    size = _size(kind)
-    amounts, covariances = _amounts(systems, size)
-    if fixed is not None:
-        amounts = amounts - amounts[fixed]
-    return Chromatic(
-        kind,
-        before.centre,
-        before.spread,
-        _smooth(amounts, covariances, wavelengths, fixed),
-        scores,
-    )
+    systems = [_system(w, before, earlier[i], common) for i, w in enumerate(seen)]
+    free = min(count, _size("similarity"))
+    apart = np.eye(len(seen)) - (0.0 if leaning is None else leaning)
+    prior = np.zeros(free)
+    measured, variances = _amounts(systems, prior, earlier)
+    amounts = _smooth(measured, variances, wavelengths, fixed, apart, earlier)
+    if count > free:
+        # Bands differ by shift and magnification first; other fields are small beside them.
+        size = float(np.sqrt(np.mean(amounts**2) * free))
+        shares = [SHARES[name] for name, group in _FIELDS if name in names for _ in group]
+        prior = np.array([0.0 if s is None else 1 / (s * size + 1e-4) ** 2 for s in shares])
+        measured, variances = _amounts(systems, prior, earlier)
+        amounts = _smooth(measured, variances, wavelengths, fixed, apart, earlier)
+    return Chromatic(names[-1], before.centre, before.spread, amounts)
 
 
 def _size(kind: str) -> int:
@@ -124,36 +134,46 @@ def _tensor(count: int) -> np.ndarray:
 
 
 def _system(
-    windows: Windows, before: Chromatic, count: int, earlier: np.ndarray, common: np.ndarray | None
+    windows: Windows, before: Chromatic, earlier: np.ndarray, common: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix and right side of each fold: (folds, f, f) and (folds, f), amounts in total."""
-    terms = design_matrix(windows.centres, 3, before.centre, before.spread)
+    """Normal matrix (f, f) and right side (f,) of a band's total amounts.
+
+    What a prediction gets wrong pulls all windows along a stroke or a patch the same way. The
+    matrix is deflated until the gradients of whole blocks scatter as it says they should.
+    """
+    count = len(earlier)
+    used = np.trace(windows.information, axis1=1, axis2=2) > 0
+    if used.sum() < LEAST_WINDOWS:
+        return np.zeros((count, count)), np.zeros(count)
+    terms = design_matrix(windows.centres[used], 3, before.centre, before.spread)
     design = np.einsum("nk,fka->naf", terms, _tensor(count))
     shift = windows.shift if common is None else windows.shift - common
-    goal = np.einsum("naf,f->na", design, earlier) - shift
-    used = np.trace(windows.information, axis1=1, axis2=2) > 0
-    matrix, right = np.zeros((FOLDS, count, count)), np.zeros((FOLDS, count))
-    if used.sum() < 12:
-        return matrix, right
-    design, goal = design[used], goal[used]
-    information = _reweighted(design, goal, windows.information[used])
-    folds = _folds(windows.centres)[used]
-    for fold in range(FOLDS):
-        here = folds == fold
-        matrix[fold] = np.einsum("naf,nab,nbg->fg", design[here], information[here], design[here])
-        right[fold] = np.einsum("naf,nab,nb->f", design[here], information[here], goal[here])
-    return matrix, right
+    goal = np.einsum("naf,f->na", design, earlier) - shift[used]
+    information, residual = _reweighted(design, goal, windows.information[used])
+    pulled = np.einsum("naf,nab->nfb", design, information)
+    matrix = np.einsum("nfb,nbg->fg", pulled, design)
+    gradients = np.einsum("nfb,nb->nf", pulled, residual)
+    blocks = _blocks(windows.centres[used])
+    summed = np.zeros((blocks.max() + 1, count))
+    np.add.at(summed, blocks, gradients)
+    size = min(count, _size("similarity"))
+    scatter = np.trace(np.linalg.pinv(matrix[:size, :size]) @ (summed.T @ summed)[:size, :size])
+    deflate = max(float(scatter) / size, 1.0)
+    return matrix / deflate, np.einsum("nfb,nb->f", pulled, goal) / deflate
 
 
-def _reweighted(design: np.ndarray, goal: np.ndarray, information: np.ndarray) -> np.ndarray:
-    current = information
-    for _ in range(5):
-        matrix = np.einsum("naf,nab,nbg->fg", design, current, design)
-        right = np.einsum("naf,nab,nb->f", design, current, goal)
-        residual = goal - design @ _solve(matrix, right)
+def _reweighted(
+    design: np.ndarray, goal: np.ndarray, information: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    size = min(design.shape[2], _size("similarity"))
+    lean, current, residual = design[..., :size], information, goal
+    for _ in range(6):
+        matrix = np.einsum("naf,nab,nbg->fg", lean, current, lean)
+        right = np.einsum("naf,nab,nb->f", lean, current, goal)
+        residual = goal - lean @ _solve(matrix, right)
         floored, weights = temper(residual, information)
         current = floored * weights[:, None, None]
-    return current
+    return current, residual
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -162,92 +182,80 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return solved * scale
 
 
-def _folds(points: np.ndarray) -> np.ndarray:
+def _blocks(points: np.ndarray) -> np.ndarray:
     low, high = points.min(0), points.max(0)
     block = ((points - low) / max(float((high - low).max()) / BLOCKS, 1e-9)).astype(int)
-    return (block[:, 0] + 2 * block[:, 1]) % FOLDS
-
-
-def _choose(
-    systems: Sequence[tuple[np.ndarray, np.ndarray]], names: Sequence[str]
-) -> tuple[str, dict[str, float]]:
-    """Held-out gain of each kind over no displacement, from the normal systems alone."""
-    scores: dict[str, float] = {}
-    best, taken = np.inf, names[0]
-    for name in names:
-        size, loss = _size(name), 0.0
-        for matrix, right in systems:
-            whole_matrix, whole_right = matrix.sum(0), right.sum(0)
-            for fold in range(FOLDS):
-                rest = (whole_matrix - matrix[fold])[:size, :size]
-                amounts = _solve(rest, (whole_right - right[fold])[:size])
-                loss += amounts @ matrix[fold][:size, :size] @ amounts
-                loss -= 2 * amounts @ right[fold][:size]
-        scores[name] = float(loss)
-        if loss < best - GAIN * abs(best if np.isfinite(best) else 0.0):
-            best, taken = loss, name
-    return taken, scores
+    return np.unique(block[:, 0] * 1000 + block[:, 1], return_inverse=True)[1].reshape(-1)
 
 
 def _amounts(
-    systems: Sequence[tuple[np.ndarray, np.ndarray]], size: int
+    systems: Sequence[tuple[np.ndarray, np.ndarray]], price: np.ndarray, earlier: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of each band's amounts under a price on total squares, and variances; inf if unseen."""
+    size = len(price)
     amounts = np.zeros((len(systems), size))
-    covariances = np.full((len(systems), size), np.inf)
+    variances = np.full((len(systems), size), np.inf)
     for band, (matrix, right) in enumerate(systems):
-        whole = matrix.sum(0)[:size, :size]
-        if not whole.any():
+        if not matrix.any():
             continue
-        amounts[band] = _solve(whole, right.sum(0)[:size])
+        whole = matrix[:size, :size] + np.diag(price)
+        amounts[band] = _solve(whole, right[:size]) - earlier[band, :size]
         scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-30))
         inverse = np.linalg.pinv(whole * scale[:, None] * scale, rcond=1e-10, hermitian=True)
-        covariances[band] = np.diag(inverse) * scale**2
-    return amounts, covariances
+        variances[band] = np.diag(inverse) * scale**2
+    return amounts, variances
 
 
 def _smooth(
-    amounts: np.ndarray, variances: np.ndarray, wavelengths: Sequence[float], fixed: int | None
+    measured: np.ndarray,
+    variances: np.ndarray,
+    wavelengths: Sequence[float],
+    fixed: int | None,
+    apart: np.ndarray,
+    earlier: np.ndarray,
 ) -> np.ndarray:
-    """Draw each amount to what the other bands say: Gaussian process, its scales from the data."""
+    """Draw each amount to what the other bands say: Gaussian process, its scales from the data.
+
+    `measured` are changes seen against predictions: ``apart @ (amounts − earlier)``.
+    """
     places = np.asarray(wavelengths, float)
     smooth = np.isfinite(places).all() and len(np.unique(places)) >= 4
-    result = amounts.copy()
-    if fixed is not None:
-        variances = variances.copy()
-        variances[fixed] = 1e-12
-    for column in range(amounts.shape[1]):
-        y, noise = amounts[:, column], np.minimum(variances[:, column], 1e6)
-        if len(y) >= 4:
-            result[:, column] = _posterior(y, noise, places if smooth else None)
-        elif not np.isfinite(variances[:, column]).all():
-            known = np.isfinite(variances[:, column])
-            result[~known, column] = y[known].mean() if known.any() else 0.0
-    if fixed is not None:
-        result = result - result[fixed]
-    return result
+    result = np.zeros_like(measured)
+    for column in range(measured.shape[1]):
+        known = np.isfinite(variances[:, column])
+        seen, noise = apart[known], variances[known, column] + 1e-10
+        y = measured[known, column] + seen @ earlier[:, column]
+        if fixed is not None:
+            seen = np.vstack([seen, np.eye(len(apart))[fixed]])
+            y, noise = np.append(y, 0.0), np.append(noise, 1e-10)
+        if len(y):
+            result[:, column] = _posterior(y, noise, seen, places if smooth else None)
+    return result if fixed is None else result - result[fixed]
 
 
-def _posterior(y: np.ndarray, noise: np.ndarray, places: np.ndarray | None) -> np.ndarray:
-    known = noise < 1e5
-    if known.sum() < 3:
-        return np.where(known, y, y[known].mean() if known.any() else 0.0)
-    size = max(float(np.var(y[known])), 1e-12)
-    common = 100 * size * np.ones((len(y), len(y)))
-    best, answer = -np.inf, y
-    lengths: tuple[float, ...] = LENGTHS_NM if places is not None else (0.0,)
-    for length in lengths:
-        if places is not None:
-            apart = (places[:, None] - places) / length
-            bend = np.exp(-0.5 * apart**2)
-        else:
-            bend = np.zeros((len(y), len(y)))
+def _posterior(
+    y: np.ndarray, noise: np.ndarray, seen: np.ndarray, places: np.ndarray | None
+) -> np.ndarray:
+    bands = seen.shape[1]
+    plain = np.linalg.lstsq(seen, y, rcond=1e-3)[0]
+    size = max(float(np.var(plain)), 1e-10)
+    common = 100 * size * np.ones((bands, bands))
+    bends = [np.zeros((bands, bands))]
+    if places is not None:
+        bends = [np.exp(-0.5 * ((places[:, None] - places) / nm) ** 2) for nm in LENGTHS_NM]
+    best, answer = -np.inf, plain
+    for bend in bends:
         for smooth in (0.0, 0.3, 1.0, 3.0, 10.0) if places is not None else (0.0,):
-            for rough in (0.0, 0.01, 0.1, 0.5, 1.0):
-                prior = common + size * (smooth * bend + rough * np.eye(len(y)))
-                total = prior + np.diag(noise)
-                part = total[np.ix_(known, known)]
-                solved = np.linalg.solve(part, y[known])
-                likelihood = -0.5 * (y[known] @ solved + np.linalg.slogdet(part)[1])
+            for rough in (0.0, 0.003, 0.03, 0.3, 1.0):
+                prior = common + size * (smooth * bend + rough * np.eye(bands))
+                total = seen @ prior @ seen.T + np.diag(noise)
+                try:
+                    factor = np.linalg.cholesky(total)
+                except np.linalg.LinAlgError:
+                    continue
+                white = np.linalg.solve(factor, y)
+                likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
                 if likelihood > best:
-                    best, answer = likelihood, prior[:, known] @ solved
+                    best = likelihood
+                    answer = prior @ seen.T @ np.linalg.solve(factor.T, white)
     return answer

@@ -59,10 +59,13 @@ def register_levkas(
     from levkas.registration.assessment import assess
     from levkas.registration.prediction import Scene, registered
     from levkas.registration.sensors import align_own, align_sensor, images_of
+    from levkas.registration.silhouette import find_object
 
     images = images_of(reference, region)
     anchor = next(image for image in reference if image.label == reference_band)
     siblings = [image for image in reference if image.sensor == anchor.sensor]
+    outline = find_object(_greys([images[i.label] for i in siblings])[0])
+    images |= {i.label: np.where(outline, images[i.label], np.nan) for i in siblings}
     own = target is reference
     first = None
     if reference_transforms is None or own:

@@ -3,95 +3,155 @@
 A painting has few pigments in any one place, so that a handful of images span what every band
 shows there. A target band is predicted as their linear combination, with gains of its own in each
 window: near infrared is predicted from the visible as well as the overlap of pigments allows.
+Paint is mixed neither as light is added nor as absorption is: images of the square root of
+reflectance are predicted from combinations of reflectance and of its logarithm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.registration.refinement import Predictor, Windows, highpass, reduce, warp
-from levkas.transforms import Transform
+from levkas.registration.refinement import RIDGE, Predictor, Windows
+from levkas.registration.sampling import highpass, reduce, warp
+from levkas.transforms import Affine, Composed, Transform
 
-COMPONENTS = 5
-BLURRED = 2
+LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
+LEAST_SHARE = 1e-6
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Images from which others are predicted.
+
+    Parameters
+    ----------
+    images : ndarray, (k, h, w), float32
+        Principal images in their natural size, so that a ridge weighs on what varies little.
+    loadings : ndarray, (k, bands)
+        Share of each band in each image.
+    groups : ndarray of int, (k,)
+        Images of one group are principal images of one stack.
+    """
+
+    images: np.ndarray
+    loadings: np.ndarray
+    groups: np.ndarray
+
+    def ready(self) -> Palette:
+        """Return the images without their slow parts, blurred copies of the first ones appended.
+
+        A combination of an image and its blurred copy is as sharp or as soft as the target is.
+        """
+        sharp = np.stack([highpass(image) for image in self.images])
+        soft = soften(soften(sharp[:BLURRED]))
+        return Palette(
+            np.concatenate([sharp, soft]),
+            np.concatenate([self.loadings, self.loadings[:BLURRED]]),
+            np.concatenate([self.groups, np.full(len(soft), self.groups.max() + 1)]),
+        )
+
+    def leaning(self, seen: Windows) -> np.ndarray:
+        """Return how a prediction's position hangs on that of each band, (bands,); sums to one."""
+        weights = np.trace(seen.information, axis1=1, axis2=2)
+        if not weights.any():
+            return np.zeros(self.loadings.shape[1])
+        mean = np.einsum("n,nij->ij", weights / weights.sum(), seen.leaning)
+        mean = np.where(self.groups[:, None] == self.groups, mean, 0.0)
+        shares = np.einsum("ij,ib,jb->b", mean, self.loadings, self.loadings)
+        return shares / shares.sum() if abs(shares.sum()) > 0.1 else np.zeros(len(shares))
+
+
+def condense(stack: np.ndarray) -> Palette:
+    """Return the principal images of reflectance and of its logarithm.
+
+    Parameters
+    ----------
+    stack : ndarray, (bands, h, w), float32
+        Square roots of reflectance as `rooted` gives them; NaN where invalid in a band.
+    """
+    parts = [(stack**2, LINEAR), (np.log(np.maximum(stack, 1e-3)), LOGARITHMIC)]
+    images, loadings, groups = [], [], []
+    for number, (values, count) in enumerate(parts):
+        vectors = _principal(values, count)
+        mean = np.nanmean(values, axis=(1, 2))
+        part = np.tensordot(vectors, values - mean[:, None, None], 1)
+        images.append(part / max(float(np.nanstd(part[0])), 1e-12))
+        loadings.append(vectors)
+        groups.append(np.full(len(vectors), number))
+    return Palette(
+        np.concatenate(images).astype(np.float32), np.concatenate(loadings), np.concatenate(groups)
+    )
+
+
+def _principal(stack: np.ndarray, count: int) -> np.ndarray:
+    """Return orthonormal loadings, (<= count, bands), of what remains without slow parts."""
+    rough = stack[:, ::2, 4::2] - stack[:, ::2, :-4:2]
+    flat = rough[:, np.isfinite(rough).all(0)].astype(np.float64)
+    values, vectors = np.linalg.eigh(flat @ flat.T)
+    order = np.argsort(-values)[:count]
+    order = order[values[order] > LEAST_SHARE * max(values[order[0]], 1e-300)]
+    if not len(order):
+        order = np.argsort(-values)[:1]
+    vectors = vectors[:, order]
+    return (vectors * np.sign(vectors[np.abs(vectors).argmax(0), np.arange(len(order))])).T
+
+
+def rooted(image: np.ndarray) -> np.ndarray:
+    """Return square roots of an image in units of its 99th percentile; shot noise becomes even."""
+    known = image[np.isfinite(image)]
+    level = (
+        max(float(np.percentile(known[:: max(len(known) // 100000, 1)], 99)), 1e-12)
+        if len(known)
+        else 1.0
+    )
+    return np.sqrt(np.maximum(image / level, -0.5 * TOE) + TOE).astype(np.float32)
+
+
+TOE = 0.02
 
 
 def registered(
-    images: Mapping[str, np.ndarray],
-    transforms: Mapping[str, Transform],
-    shape: tuple[int, int],
-    *,
-    step: int = 1,
+    images: Mapping[str, np.ndarray], transforms: Mapping[str, Transform], shape: tuple[int, int]
 ) -> np.ndarray:
     """Return the bands in the reference frame, (bands, h, w), in the order of `transforms`."""
-    size = (shape[0] // step, shape[1] // step)
-    return np.stack(
-        [sampled(images[label], transform, size, step) for label, transform in transforms.items()]
-    )
+    return np.stack([sampled(images[label], t, shape, 1) for label, t in transforms.items()])
 
 
 def sampled(
     image: np.ndarray, transform: Transform, size: tuple[int, int], step: int, *, block: int = 1
 ) -> np.ndarray:
     """Warp one band on to a grid of `step` reference px, averaged over blocks of the target."""
-    from levkas.registration.initial import turned
-
     factor = max(1, block * step)
-    source = reduce(np.ascontiguousarray(image, np.float32), factor) if factor > 1 else image
-    return warp(source, turned(transform, factor), size, step=step)
+    if factor == 1:
+        return warp(image, transform, size, step=step)
+    return warp(
+        reduce(image, factor), Composed(transform, Affine.scaling(1 / factor)), size, step=step
+    )
 
 
-def compared(predictor: Predictor, image: np.ndarray) -> Windows:
+def compared(predictor: Predictor, image: np.ndarray, *, ridge: float = RIDGE) -> Windows:
     """Return the shifts of `image`, sampled in the predictor's frame, once its slow part is out."""
-    return predictor.compare(highpass(image))
-
-
-def condense(stack: np.ndarray, count: int = COMPONENTS, *, ready: bool = True) -> np.ndarray:
-    """Return the principal images of `stack`; if `ready`, high-passed, with blurred copies.
-
-    Parameters
-    ----------
-    stack : ndarray, (bands, h, w)
-        NaN where invalid in a band.
-    count : int
-        Most principal images; those of less than 1e-6 of the variance are left out.
-    Returns
-    -------
-    images : ndarray, (k, h, w), float32
-        In their natural size, so that a ridge weighs on what varies little.
-    """
-    whole = np.isfinite(stack).all(0)
-    if not whole.any():
-        return stack[:1].astype(np.float32)
-    mean = np.nanmean(stack, axis=(1, 2))
-    # Differences over a few pixels: what remains of the bands once their slow parts are out.
-    rough = stack[:, ::2, 4::2] - stack[:, ::2, :-4:2]
-    flat = rough[:, np.isfinite(rough).all(0)].astype(np.float64)
-    values, vectors = np.linalg.eigh(flat @ flat.T)
-    order = np.argsort(-values)[:count]
-    order = order[values[order] > 1e-6 * max(values[order[0]], 1e-300)]
-    if not len(order):
-        order = np.argsort(-values)[:1]
-    vectors = vectors[:, order] * np.sign(vectors[np.abs(vectors[:, order]).argmax(0), order])
-    images = np.tensordot(vectors.T, stack - mean[:, None, None], 1).astype(np.float32)
-    return with_blurred(np.stack([highpass(image) for image in images])) if ready else images
-
-
-def with_blurred(images: np.ndarray) -> np.ndarray:
-    """Append blurred copies of the first images: a combination of both is as sharp as the target."""
-    return np.concatenate([images, soften(soften(images[:BLURRED]))])
+    return predictor.compare(highpass(image), ridge=ridge)
 
 
 def soften(images: np.ndarray) -> np.ndarray:
     """Blur (k, h, w) images by (1 4 6 4 1)/16 on both axes: one pixel of sigma; NaN spreads."""
+    return _convolved(images, (1, 4, 6, 4, 1))
+
+
+def _convolved(images: np.ndarray, taps: Sequence[int]) -> np.ndarray:
+    reach = len(taps) // 2
     for axis in (1, 2):
-        padded = np.pad(images, [(2, 2) if a == axis else (0, 0) for a in range(3)], mode="edge")
-        n = images.shape[axis]
-        parts = [np.take(padded, range(k, k + n), axis) for k in range(5)]
-        images = (parts[0] + parts[4] + 4 * (parts[1] + parts[3]) + 6 * parts[2]) / 16
-    return images.astype(np.float32)
+        padding = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
+        padded, n = np.pad(images, padding, mode="edge"), images.shape[axis]
+        cuts = [
+            padded[:, k : k + n] if axis == 1 else padded[:, :, k : k + n] for k in range(len(taps))
+        ]
+        images = sum(np.float32(t / sum(taps)) * cut for t, cut in zip(taps, cuts, strict=True))
+    return images
 
 
 def cell_px(shape: Sequence[int]) -> int:
@@ -105,34 +165,27 @@ class Scene:
     Parameters
     ----------
     stack : ndarray, (bands, h, w)
-        Registered bands; NaN where invalid.
+        Registered bands, `rooted`; NaN where invalid.
     """
 
     def __init__(self, stack: np.ndarray) -> None:
-        self.images = condense(stack, ready=False)
+        self.palette = condense(stack)
         self._ready: dict[int, Predictor] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) of the reference frame."""
-        return self.images.shape[1], self.images.shape[2]
+        return self.palette.images.shape[1], self.palette.images.shape[2]
 
     def predictor(self, step: int = 1) -> Predictor:
         """Return the predictor on a grid of `step` reference px."""
         if step not in self._ready:
-            images = self.images
+            palette = self.palette
             if step > 1:
-                images = np.stack([reduce(image, step) for image in images])
-                images = _spline_seen(images)
-            stack = with_blurred(np.stack([highpass(image) for image in images]))
-            self._ready[step] = Predictor(stack, step=step, cell=cell_px(stack.shape[1:]))
+                # The target's samples are averages seen through the spline; so are these.
+                small = np.stack([reduce(image, step) for image in palette.images])
+                small = _convolved(small, (1, 4, 1))
+                palette = Palette(small, palette.loadings, palette.groups)
+            images = palette.ready().images
+            self._ready[step] = Predictor(images, step=step, cell=cell_px(images.shape[1:]))
         return self._ready[step]
-
-
-def _spline_seen(images: np.ndarray) -> np.ndarray:
-    for axis in (1, 2):
-        padded = np.pad(images, [(1, 1) if a == axis else (0, 0) for a in range(3)], mode="edge")
-        n = images.shape[axis]
-        parts = [np.take(padded, range(k, k + n), axis) for k in range(3)]
-        images = (parts[0] + 4 * parts[1] + parts[2]) / 6
-    return images.astype(np.float32)

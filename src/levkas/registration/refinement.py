@@ -11,20 +11,15 @@ so that the fraction of a pixel at which a sample falls does not bias the shift.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-if TYPE_CHECKING:
-    from levkas.transforms import Transform
+from levkas.registration.sampling import in_threads
 
 CELL_PX = 16
-LATTICE_PX = 8
 RIDGE = 1e-4
 LEAST_COVER = 0.6
-HIGHPASS_PX = 3.0
 
 
 @dataclass(frozen=True)
@@ -40,149 +35,15 @@ class Windows:
         Inverse covariance of `shift` under white residuals; zero where a window is unusable.
     r2 : ndarray, (n,), 0..1
         Share of the window's variance (after bias and ramp) that the prediction explains.
+    leaning : ndarray, (n, k, k)
+        g_i <∇R_j, ∇P> / <∇P, ∇P>: how the prediction's position hangs on those of its predictors.
     """
 
     centres: np.ndarray
     shift: np.ndarray
     information: np.ndarray
     r2: np.ndarray
-
-
-def warp(
-    image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: float = 1.0
-) -> np.ndarray:
-    """Return `image` seen in the frame of `transform`'s source through a cubic B-spline.
-
-    Parameters
-    ----------
-    image : ndarray, (h, w), float32
-        NaN where invalid.
-    transform : Transform
-        Output px (times `step`, about pixel corners) → px of `image`.
-    shape : (height, width) of the output
-    step : float
-        Source px per output px.
-
-    Returns
-    -------
-    warped : ndarray, `shape`, float32
-        NaN where the kernel touches what is invalid or outside.
-
-    Notes
-    -----
-    The map is evaluated every 8 px and interpolated linearly: 1e-4 px for lenses with up to one
-    per cent of distortion.
-    """
-    rows, cols = (ceil((n - 1) / LATTICE_PX) + 1 for n in shape)
-    x, y = np.meshgrid(np.arange(cols) * LATTICE_PX, np.arange(rows) * LATTICE_PX)
-    points = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * step - 0.5
-    lattice = np.ascontiguousarray(transform(points).reshape(rows, cols, 2))
-    return _warp(np.ascontiguousarray(image, np.float32), lattice, shape[0], shape[1])
-
-
-@njit(parallel=True, cache=True)
-def _warp(image, lattice, height, width):  # type: ignore[no-untyped-def]
-    out = np.full((height, width), np.nan, np.float32)
-    h, w = image.shape
-    for i in prange(height):
-        fy = i / LATTICE_PX
-        ly = min(int(fy), lattice.shape[0] - 2) if lattice.shape[0] > 1 else 0
-        ty = fy - ly
-        my = min(ly + 1, lattice.shape[0] - 1)
-        wx = np.empty(4)
-        wy = np.empty(4)
-        for j in range(width):
-            fx = j / LATTICE_PX
-            lx = min(int(fx), lattice.shape[1] - 2) if lattice.shape[1] > 1 else 0
-            tx = fx - lx
-            mx = min(lx + 1, lattice.shape[1] - 1)
-            x = (1 - ty) * ((1 - tx) * lattice[ly, lx, 0] + tx * lattice[ly, mx, 0]) + ty * (
-                (1 - tx) * lattice[my, lx, 0] + tx * lattice[my, mx, 0]
-            )
-            y = (1 - ty) * ((1 - tx) * lattice[ly, lx, 1] + tx * lattice[ly, mx, 1]) + ty * (
-                (1 - tx) * lattice[my, lx, 1] + tx * lattice[my, mx, 1]
-            )
-            if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
-                continue
-            x0 = int(x)
-            y0 = int(y)
-            _spline_weights(x - x0, wx)
-            _spline_weights(y - y0, wy)
-            total = 0.0
-            for a in range(4):
-                line = 0.0
-                for b in range(4):
-                    line += wx[b] * image[y0 - 1 + a, x0 - 1 + b]
-                total += wy[a] * line
-            out[i, j] = total
-    return out
-
-
-@njit(inline="always")
-def _spline_weights(t, weights):  # type: ignore[no-untyped-def]
-    s = 1.0 - t
-    weights[0] = s * s * s / 6.0
-    weights[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
-    weights[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
-    weights[3] = t * t * t / 6.0
-
-
-@njit(parallel=True, cache=True)
-def reduce(image, n):  # type: ignore[no-untyped-def]
-    """Return the means of n x n blocks, (h // n, w // n) float32; NaN where a pixel is invalid."""
-    h, w = image.shape[0] // n, image.shape[1] // n
-    out = np.empty((h, w), np.float32)
-    for i in prange(h):
-        for j in range(w):
-            total = 0.0
-            for a in range(n):
-                for b in range(n):
-                    total += image[i * n + a, j * n + b]
-            out[i, j] = total / (n * n)
-    return out
-
-
-def highpass(image: np.ndarray) -> np.ndarray:
-    """Return `image` less its local mean over what is valid (Gaussian, sigma 3 px); NaN stays NaN.
-
-    Glare, shading and the difference of two cameras' flat fields are smooth; paint is not. Without
-    its slow part the residual of a prediction is nearly white, which least squares takes for granted.
-    """
-    taps = np.exp(-0.5 * (np.arange(-8, 9) / HIGHPASS_PX) ** 2)
-    return _highpass(
-        np.ascontiguousarray(image, np.float32), (taps / taps.sum()).astype(np.float32)
-    )
-
-
-@njit(parallel=True, cache=True)
-def _highpass(image, taps):  # type: ignore[no-untyped-def]
-    h, w = image.shape
-    reach = len(taps) // 2
-    across = np.zeros((h, w), np.float32)
-    share = np.zeros((h, w), np.float32)
-    out = np.empty((h, w), np.float32)
-    for i in prange(h):
-        value = np.zeros(w + 2 * reach, np.float32)
-        mask = np.zeros(w + 2 * reach, np.float32)
-        for j in range(w):
-            if np.isfinite(image[i, j]):
-                value[j + reach] = image[i, j]
-                mask[j + reach] = 1.0
-        for k in range(len(taps)):
-            for j in range(w):
-                across[i, j] += taps[k] * value[j + k]
-                share[i, j] += taps[k] * mask[j + k]
-    for i in prange(h):
-        total = np.zeros(w, np.float32)
-        weight = np.zeros(w, np.float32)
-        for k in range(max(0, i - reach), min(h, i + reach + 1)):
-            tap = taps[k - i + reach]
-            for j in range(w):
-                total[j] += tap * across[k, j]
-                weight[j] += tap * share[k, j]
-        for j in range(w):
-            out[i, j] = image[i, j] - total[j] / max(weight[j], np.float32(1e-6))
-    return out
+    leaning: np.ndarray
 
 
 def features(predictors: np.ndarray) -> np.ndarray:
@@ -195,14 +56,12 @@ def features(predictors: np.ndarray) -> np.ndarray:
     return stack
 
 
-@njit(parallel=True, cache=True)
-def _gram(stack, cell):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True)
+def _gram(start, stop, stack, cell, grams, counts):  # type: ignore[no-untyped-def]
     """Sums of products of (1, u, v, stack) over each cell where all of it is valid."""
     d = stack.shape[0] + 3
-    rows, cols = stack.shape[1] // cell, stack.shape[2] // cell
-    grams = np.zeros((rows, cols, d, d))
-    counts = np.zeros((rows, cols), np.int64)
-    for r in prange(rows):
+    cols = counts.shape[1]
+    for r in range(start, stop):
         v = np.empty(d)
         g = np.empty((d, d))
         for c in range(cols):
@@ -222,21 +81,21 @@ def _gram(stack, cell):  # type: ignore[no-untyped-def]
                     v[1] = (j + 0.5) / cell
                     v[2] = (i + 0.5) / cell
                     for a in range(d):
-                        for b in range(d):
+                        for b in range(a + 1):
                             g[a, b] += v[a] * v[b]
+            for a in range(d):
+                for b in range(a):
+                    g[b, a] = g[a, b]
             grams[r, c] = g
             counts[r, c] = n
-    return grams, counts
 
 
-@njit(parallel=True, cache=True)
-def _cross(target, stack, cell, grams, counts):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True)
+def _cross(start, stop, target, stack, cell, grams, counts, out, number):  # type: ignore[no-untyped-def]
     """Bordered sums: those of `_gram` with the target as the last row, masked by both."""
     d = stack.shape[0] + 3
-    rows, cols = counts.shape
-    out = np.zeros((rows, cols, d + 1, d + 1))
-    number = np.zeros((rows, cols), np.int64)
-    for r in prange(rows):
+    cols = counts.shape[1]
+    for r in range(start, stop):
         v = np.empty(d + 1)
         for c in range(cols):
             n = 0
@@ -275,20 +134,133 @@ def _cross(target, stack, cell, grams, counts):  # type: ignore[no-untyped-def]
                     for b in range(d):
                         out[r, c, a, b] = grams[r, c, a, b]
             number[r, c] = kept
-    return out, number
 
 
-@njit(parallel=True, cache=True)
-def _solve(cells, number, cell, k, ridge, cover):  # type: ignore[no-untyped-def]
-    """Shift, information, r² of every 3 x 3 window of cells under tent weights."""
+@njit(cache=True)
+def _cholesky(a, n):  # type: ignore[no-untyped-def]
+    """Factor the leading n x n block in place (lower); False where it is not positive definite."""
+    for i in range(n):
+        for j in range(i + 1):
+            total = a[i, j]
+            for m in range(j):
+                total -= a[i, m] * a[j, m]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                a[i, i] = np.sqrt(total)
+            else:
+                a[i, j] = total / a[j, j]
+    return True
+
+
+@njit(cache=True)
+def _substitute(factor, n, right, out):  # type: ignore[no-untyped-def]
+    """Solve with the factor that `_cholesky` left."""
+    for i in range(n):
+        total = right[i]
+        for m in range(i):
+            total -= factor[i, m] * out[m]
+        out[i] = total / factor[i, i]
+    for back in range(n):
+        i = n - 1 - back
+        total = out[i]
+        for m in range(i + 1, n):
+            total -= factor[m, i] * out[m]
+        out[i] = total / factor[i, i]
+
+
+@njit(cache=True)
+def _project_out(g, d, n):  # type: ignore[no-untyped-def]
+    """Take bias and ramp (rows 0..2) out of the sums in place."""
+    factor = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            factor[i, j] = g[i, j] + (1e-9 * n if i == j else 0.0)
+    if not _cholesky(factor, 3):
+        return False
+    right, out = np.empty(3), np.empty((d, 3))
+    for c in range(3, d):
+        for i in range(3):
+            right[i] = g[i, c]
+        _substitute(factor, 3, right, out[c])
+    for r in range(3, d):
+        for c in range(3, d):
+            g[r, c] -= g[r, 0] * out[c, 0] + g[r, 1] * out[c, 1] + g[r, 2] * out[c, 2]
+    return True
+
+
+@njit(cache=True)
+def _gauss_newton(g, d, k, ridge, total, gains, answer, lean):  # type: ignore[no-untyped-def]
+    """Fit gains and shift; answer holds e, the Schur complement (3) and what is left; False if ill."""
+    size, t = k + 2, d - 1
+    system, factor = np.zeros((size, size)), np.zeros((size, size))
+    right, solved = np.zeros(size), np.zeros(size)
+    grad = np.zeros((2, d))
+    energy = 0.0
+    for a in range(k):
+        energy += g[3 + a, 3 + a]
+        right[a] = g[t, 3 + a]
+        for b in range(k):
+            system[a, b] = g[3 + a, 3 + b]
+    for a in range(k):
+        system[a, a] += ridge * energy
+    factor[:k, :k] = system[:k, :k]
+    if not _cholesky(factor, k):
+        return False
+    _substitute(factor, k, right, gains)
+    for _ in range(3):
+        for axis in range(2):
+            first = 3 + (1 + axis) * k
+            for c in range(3, d):
+                value = 0.0
+                for a in range(k):
+                    value += gains[a] * g[first + a, c]
+                grad[axis, c] = value
+            right[k + axis] = grad[axis, t]
+            for a in range(k):
+                system[k + axis, a] = grad[axis, 3 + a]
+                system[a, k + axis] = grad[axis, 3 + a]
+        for axis in range(2):
+            for other in range(2):
+                value = 0.0
+                for a in range(k):
+                    value += gains[a] * grad[axis, 3 + (1 + other) * k + a]
+                system[k + axis, k + other] = value
+        tiny = 1e-9 * (system[k, k] + system[k + 1, k + 1]) + 1e-300
+        system[k, k] += tiny
+        system[k + 1, k + 1] += tiny
+        factor[:, :] = system
+        if not _cholesky(factor, size):
+            return False
+        _substitute(factor, size, right, solved)
+        left = total
+        for a in range(size):
+            left -= solved[a] * right[a]
+        gains[:] = solved[:k]
+    answer[0], answer[1], answer[5] = solved[k], solved[k + 1], left
+    # The lower right block of the factor is that of the Schur complement.
+    p, q, r = factor[k, k], factor[k + 1, k], factor[k + 1, k + 1]
+    answer[2], answer[3], answer[4] = p * p, p * q, q * q + r * r
+    whole = system[k, k] + system[k + 1, k + 1]
+    for a in range(k):
+        for b in range(k):
+            value = 0.0
+            for axis in range(2):
+                value += grad[axis, 3 + (1 + axis) * k + b]
+            lean[a, b] = gains[a] * value / whole
+    return True
+
+
+@njit(nogil=True, cache=True)
+def _solve(start, stop, cells, number, cell, ridge, cover, shift, info, r2, lean):  # type: ignore[no-untyped-def]
+    """Shift, information, r² and leaning of every 3 x 3 window of cells under tent weights."""
     rows, cols = number.shape
-    shift = np.zeros((rows, cols, 2))
-    info = np.zeros((rows, cols, 2, 2))
-    r2 = np.zeros((rows, cols))
-    d = cells.shape[2]
-    m = 3 + k
-    for r in prange(rows):
+    d, k = cells.shape[2], lean.shape[2]
+    for r in range(start, stop):
         g = np.empty((d, d))
+        answer = np.empty(6)
+        gains = np.empty(k)
+        here = np.empty((k, k))
         for c in range(cols):
             g[:] = 0.0
             n = 0.0
@@ -300,61 +272,31 @@ def _solve(cells, number, cell, k, ridge, cover):  # type: ignore[no-untyped-def
                     if number[a, b] > 0:
                         n += weight * number[a, b]
                         g += weight * cells[a, b]
-            if n < cover * full or n < 3 * (m + 2):
+            if n < cover * full or n < 3 * (k + 5):
                 continue
             # Ramps about the window's own centre keep the system well conditioned.
-            for axis, centre in ((1, c + 0.5), (2, r + 0.5)):
-                g[axis] -= centre * g[0]
-                g[:, axis] -= centre * g[:, 0]
-            t = d - 1
-            base = np.linalg.solve(g[:3, :3] + 1e-9 * n * np.eye(3), g[:3, 3:])
-            g[3:, 3:] -= g[3:, :3] @ base
-            total = g[t, t]
-            energy = 0.0
-            for a in range(k):
-                energy += g[3 + a, 3 + a]
-            if not (total > 1e-12 * n and energy > 1e-12 * n):
+            for i in range(d):
+                g[1, i] -= (c + 0.5) * g[0, i]
+                g[2, i] -= (r + 0.5) * g[0, i]
+            for i in range(d):
+                g[i, 1] -= (c + 0.5) * g[i, 0]
+                g[i, 2] -= (r + 0.5) * g[i, 0]
+            if not _project_out(g, d, n):
                 continue
-            system = np.zeros((k + 2, k + 2))
-            right = np.zeros(k + 2)
-            system[:k, :k] = g[3:m, 3:m]
-            for a in range(k):
-                system[a, a] += ridge * energy
-                right[a] = g[t, 3 + a]
-            gains = np.linalg.solve(system[:k, :k], right[:k])
-            e = np.zeros(2)
-            schur = np.zeros((2, 2))
-            left = total
-            for _ in range(3):
-                for axis in range(2):
-                    first = m + axis * k
-                    grad = np.zeros(d)
-                    for a in range(k):
-                        grad += gains[a] * g[first + a]
-                    for a in range(k):
-                        system[k + axis, a] = grad[3 + a]
-                        system[a, k + axis] = grad[3 + a]
-                    right[k + axis] = grad[t]
-                    for other in range(2):
-                        total_gg = 0.0
-                        for a in range(k):
-                            total_gg += gains[a] * grad[m + other * k + a]
-                        system[k + axis, k + other] = total_gg
-                tiny = 1e-9 * (system[k, k] + system[k + 1, k + 1]) + 1e-15 * n
-                system[k, k] += tiny
-                system[k + 1, k + 1] += tiny
-                solved = np.linalg.solve(system, right)
-                gains = solved[:k].copy()
-                e[0] = solved[k]
-                e[1] = solved[k + 1]
-                left = total - (solved * right).sum()
-            inner = np.linalg.solve(system[:k, :k], system[:k, k:].copy())
-            schur = system[k:, k:] - system[k:, :k] @ inner
-            noise = max(left, 1e-9 * total) / max(n - m - 2, 1.0)
-            shift[r, c] = e
-            info[r, c] = schur / noise
-            r2[r, c] = 1.0 - left / total
-    return shift, info, r2
+            total = g[d - 1, d - 1]
+            if not (
+                total > 1e-12 * n and _gauss_newton(g, d, k, ridge, total, gains, answer, here)
+            ):
+                continue
+            noise = max(answer[5], 1e-9 * total) / max(n - k - 5, 1.0)
+            shift[r, c, 0] = answer[0]
+            shift[r, c, 1] = answer[1]
+            info[r, c, 0, 0] = answer[2] / noise
+            info[r, c, 0, 1] = answer[3] / noise
+            info[r, c, 1, 0] = answer[3] / noise
+            info[r, c, 1, 1] = answer[4] / noise
+            r2[r, c] = 1.0 - answer[5] / total
+            lean[r, c] = here
 
 
 class Predictor:
@@ -372,7 +314,11 @@ class Predictor:
         self.k, self.step = len(images), step
         self.cell = min(cell, *images.shape[1:])
         self.stack = np.ascontiguousarray(features(np.asarray(images, np.float32)))
-        self.grams, self.counts = _gram(self.stack, self.cell)
+        d = len(self.stack) + 3
+        rows, cols = (n // self.cell for n in self.stack.shape[1:])
+        self.grams = np.zeros((rows, cols, d, d))
+        self.counts = np.zeros((rows, cols), np.int64)
+        in_threads(_gram, rows, self.stack, self.cell, self.grams, self.counts)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -381,9 +327,16 @@ class Predictor:
 
     def compare(self, target: np.ndarray, *, ridge: float = RIDGE) -> Windows:
         """Return the shifts of `target`, warped into the common frame, against the predictors."""
-        cells, number = _cross(target, self.stack, self.cell, self.grams, self.counts)
-        shift, info, r2 = _solve(cells, number, self.cell, self.k, ridge, LEAST_COVER)
-        rows, cols = number.shape
+        rows, cols = self.counts.shape
+        d, k = self.grams.shape[2] + 1, self.k
+        cells, number = np.zeros((rows, cols, d, d)), np.zeros((rows, cols), np.int64)
+        target = np.ascontiguousarray(target, np.float32)
+        known = (self.stack, self.cell, self.grams, self.counts)
+        in_threads(_cross, rows, target, *known, cells, number)
+        shift, r2 = np.zeros((rows, cols, 2)), np.zeros((rows, cols))
+        info, lean = np.zeros((rows, cols, 2, 2)), np.zeros((rows, cols, k, k))
+        result = (shift, info, r2, lean)
+        in_threads(_solve, rows, cells, number, self.cell, ridge, LEAST_COVER, *result)
         x, y = np.meshgrid(np.arange(cols), np.arange(rows))
         centres = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * (self.cell * self.step) - 0.5
         return Windows(
@@ -391,4 +344,5 @@ class Predictor:
             shift.reshape(-1, 2) * self.step,
             info.reshape(-1, 2, 2) / self.step**2,
             r2.reshape(-1),
+            lean.reshape(-1, self.k, self.k),
         )

@@ -13,7 +13,7 @@ from levkas.registration.chromatic import Chromatic, fit_chromatic, still
 from levkas.registration.initial import Start, plausible, start
 from levkas.registration.ladder import Rung, climb
 from levkas.registration.models import Observations
-from levkas.registration.prediction import Scene, cell_px, compared, condense, sampled
+from levkas.registration.prediction import Scene, cell_px, compared, condense, rooted, sampled
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.refinement import Predictor, Windows
 from levkas.transforms import Affine, Composed, Transform
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 COARSE_BANDS = 4
 ROUNDS = 2
 LEAST_CELLS = 5
+#: Bands that are not yet aligned differ by gradients, and a combination of them passes for a shift.
+#: The price of small components falls as they come to mean paint.
+RIDGES = (1e-2, 1e-3, 3e-4, 1e-4)
 LEAST_WINDOWS = 12
 HALVES_FROM = 6
 
@@ -59,7 +62,7 @@ class Sensor:
 
 
 def images_of(bands: Sequence[BandImage], region: Sequence[float] | None) -> dict[str, np.ndarray]:
-    """Return label → float32 image, NaN where invalid or outside `region`."""
+    """Return label → square root of the image, NaN where invalid or outside `region`."""
     result = {}
     for band in bands:
         image = np.where(band.valid, band.values, np.nan).astype(np.float32)
@@ -68,7 +71,7 @@ def images_of(bands: Sequence[BandImage], region: Sequence[float] | None) -> dic
             inside = np.zeros(image.shape, bool)
             inside[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = True
             image[~inside] = np.nan
-        result[band.label] = image
+        result[band.label] = rooted(image)
     return result
 
 
@@ -94,9 +97,9 @@ def align_own(
 ) -> Sensor:
     """Register the bands of the reference's sensor to `anchor`.
 
-    Every band is predicted from the others that are not its neighbours in the order of
-    wavelength; the bands of either half of that order in turn, so that each half follows the
-    other, and all of them stay with the anchor.
+    The bands of either half, every other one in the order of wavelength, are predicted from those
+    of the other half. Where a prediction lies depends on where its bands lie: all positions are
+    solved for together, the anchor's being given.
     """
     bands = ordered(bands)
     shape = anchor.values.shape
@@ -105,26 +108,29 @@ def align_own(
     model = still(len(bands), *_frame(shape))
     identity = Affine.identity()
     seen: dict[str, Windows] = {}
-    steps = _steps(shape, 1) if len(bands) > 1 else []
-    for step in [*steps, *([1] * (ROUNDS - 1) if steps else [])]:
+    steps = _steps(shape, 1)[:-1] if len(bands) > 1 else []
+    rounds = [(step, RIDGES[0]) for step in steps]
+    for step, ridge in [*rounds, *([(1, r) for r in RIDGES] if len(bands) > 1 else [])]:
         size = (shape[0] // step, shape[1] // step)
         warped = [
             sampled(images[label], model.transform(i), size, step) for i, label in enumerate(labels)
         ]
         seen = {}
+        leaning = np.zeros((len(bands), len(bands)))
         for group in _groups(len(bands), fixed):
             others = [i for i in range(len(bands)) if i not in group]
-            predictor = Predictor(
-                condense(np.stack([warped[i] for i in others])), step=step, cell=cell_px(size)
-            )
+            palette = condense(np.stack([warped[i] for i in others])).ready()
+            predictor = Predictor(palette.images, step=step, cell=cell_px(size))
             for i in group:
-                seen[labels[i]] = compared(predictor, warped[i])
+                seen[labels[i]] = compared(predictor, warped[i], ridge=ridge)
+                leaning[i, others] = palette.leaning(seen[labels[i]])
         model = fit_chromatic(
             [seen[label] for label in labels],
             model,
             [band.wavelength for band in bands],
             highest="cubic" if step == 1 else "affine",
             fixed=fixed,
+            leaning=leaning,
         )
     transforms: dict[str, Transform] = {
         label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
