@@ -1,0 +1,147 @@
+"""The dark that belongs to an exposure: the matching one, or one brought to its time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.problems import Problem
+
+SAME_TIME = 0.01  # relative: EXIF rounds 1/60 s to 0.017 s now and then
+
+
+@dataclass(frozen=True)
+class MatchedDark:
+    """What to subtract from a frame.
+
+    Parameters
+    ----------
+    mean : ndarray, broadcasts to the frame, float32
+        Counts.
+    variance : ndarray like `mean`, or None
+        Of one shot, counts².
+    share : float
+        Variance of `mean` over that of one shot: 1/n for an average of n, 0 for a constant.
+    count : int
+        Shots behind `variance`.
+    saturated : ndarray like `mean`, bool
+    note : str
+        What was done where nothing matched; empty where it did.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray | None
+    share: float
+    count: int
+    saturated: np.ndarray
+    note: str = ""
+
+
+def match_dark(
+    darks: Template | Sequence[Template] | None,
+    exposure_s: float | None,
+    *,
+    black: float | None = None,
+) -> MatchedDark:
+    """Return the dark for an exposure of `exposure_s`.
+
+    Parameters
+    ----------
+    darks : Template or sequence of Template or None
+        None: the black level alone is subtracted.
+    exposure_s : float, optional
+        Of the frame to correct.
+    black : float, optional
+        Black level, counts: the dark at exposure 0. None: not known.
+
+    Returns
+    -------
+    dark : MatchedDark
+        The dark within 1 % of the time as it is. Else, of two or more, the line through the two
+        nearest times, pixel by pixel. A single one is scaled about `black` where that is known,
+        black + (D − black)·t/tD, and used as it is where not: scaling an unknown offset would
+        be far worse than leaving the dark current of another time.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_EXPOSURES where darks of several times are offered and the frame's time is not known.
+
+    Examples
+    --------
+    >>> dark = Template(np.full((1, 1), 70, "f4"), None, 1, *2 * [np.zeros((1, 1), bool)], 1.0)
+    >>> float(match_dark(dark, 2.0, black=64.0).mean[0, 0])
+    76.0
+    """
+    offered = [darks] if isinstance(darks, Template) else list(darks or ())
+    if not offered:
+        level = np.full((1, 1), black or 0.0, np.float32)
+        return MatchedDark(level, None, 0.0, 0, np.zeros((1, 1), bool))
+    timed = sorted((d for d in offered if d.exposure_s is not None), key=_time)
+    if exposure_s is None or not timed:
+        return _only(offered)
+    nearest = min(timed, key=lambda d: abs(np.log(max(_time(d), 1e-9) / max(exposure_s, 1e-9))))
+    if abs(_time(nearest) - exposure_s) <= SAME_TIME * exposure_s:
+        return _as_it_is(nearest)
+    if len({_time(d) for d in timed}) > 1:
+        return _on_line(timed, exposure_s)
+    return _scaled(nearest, exposure_s, black)
+
+
+def _time(dark: Template) -> float:
+    return float(dark.exposure_s or 0.0)
+
+
+def _as_it_is(dark: Template, note: str = "") -> MatchedDark:
+    return MatchedDark(dark.mean, dark.variance, 1.0 / dark.count, dark.count, dark.saturated, note)
+
+
+def _only(darks: list[Template]) -> MatchedDark:
+    if len(darks) > 1:
+        raise CalibrationRefused(
+            Problem(
+                "E_EXPOSURES",
+                "there are several darks and no exposure to choose one by",
+                field="exposure",
+                found=", ".join(f"{d.exposure_s} s" for d in darks),
+                fix="Put {exposure} into the file pattern, or keep one dark.",
+            )
+        )
+    return _as_it_is(darks[0])
+
+
+def _on_line(timed: list[Template], exposure_s: float) -> MatchedDark:
+    """Interpolate between the darks around `exposure_s`, or extrapolate from the last two."""
+    times = np.unique([_time(d) for d in timed])
+    after = int(np.clip(np.searchsorted(times, exposure_s), 1, len(times) - 1))
+    first, second = (
+        next(d for d in timed if _time(d) == t) for t in (times[after - 1], times[after])
+    )
+    part = (exposure_s - _time(first)) / (_time(second) - _time(first))
+    mean = (1 - part) * first.mean + part * second.mean
+    share = (1 - part) ** 2 / first.count + part**2 / second.count
+    variance = None
+    if first.variance is not None and second.variance is not None:
+        variance = ((first.variance + second.variance) / 2).astype(np.float32)
+    note = f"dark for {exposure_s:g} s taken on the line through {_time(first):g} s and "
+    return MatchedDark(
+        mean.astype(np.float32),
+        variance,
+        float(share),
+        min(first.count, second.count),
+        first.saturated | second.saturated,
+        f"{note}{_time(second):g} s",
+    )
+
+
+def _scaled(dark: Template, exposure_s: float, black: float | None) -> MatchedDark:
+    if black is None:
+        note = f"dark of {_time(dark):g} s used for {exposure_s:g} s: the black level is not known"
+        return _as_it_is(dark, note)
+    scale = exposure_s / max(_time(dark), 1e-9)
+    mean = (black + (dark.mean - np.float32(black)) * np.float32(scale)).astype(np.float32)
+    note = f"dark of {_time(dark):g} s scaled to {exposure_s:g} s about black {black:g}"
+    return MatchedDark(mean, dark.variance, scale**2 / dark.count, dark.count, dark.saturated, note)

@@ -1,0 +1,205 @@
+"""HySime: the signal subspace of a spectral cube, and the cube seen through it, streamed.
+
+With R = Σ y yᵀ the noise of band i that no other band predicts has the power 1/(R⁻¹)ᵢᵢ: one pass
+tells it all. Kept are the eigenvectors e of R − Rn with −eᵀR e + 2 eᵀRn e < 0 [bioucas2008]_.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from levkas.calibration.templates import CalibrationRefused
+from levkas.problems import Problem
+
+CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
+MOST_KEPT = 0.45  # of the dimensions: beyond it noise has been taken for signal
+MORE_PIXELS = 10  # than bands, times: with fewer, chance alone makes directions of noise stand out
+
+
+@dataclass(frozen=True)
+class Subspace:
+    """What is signal in a cube.
+
+    Parameters
+    ----------
+    basis : ndarray, (b, k), float64
+        Orthonormal columns, strongest first.
+    noise : ndarray, (b,), float64
+        Standard deviation of the noise of each band, in the unit of the values.
+    correlation : float
+        Mean correlation of what neighbouring bands leave unexplained, beyond that of white noise
+        seen through the same subspace; near 0 where HySime holds.
+    pixels : int
+        Spectra behind it.
+    """
+
+    basis: np.ndarray
+    noise: np.ndarray
+    correlation: float
+    pixels: int
+
+    @property
+    def k(self) -> int:
+        """Dimension of the subspace."""
+        return self.basis.shape[1]
+
+
+@dataclass(frozen=True)
+class Denoised:
+    """A cube's projection and what it took away.
+
+    Parameters
+    ----------
+    values : ndarray like the input, float32
+    subspace : Subspace
+    removed : ndarray, (b,), float64
+        Rms of what was taken away, band by band; of the order of `subspace.noise` where nothing
+        but noise went.
+    removed_most : float
+        99.9 % quantile over pixels of the rms over bands of (removed/noise); about 1 for noise,
+        far above where rare spectra (gold, glare) were lost.
+    """
+
+    values: np.ndarray
+    subspace: Subspace
+    removed: np.ndarray
+    removed_most: float
+
+
+def find_subspace(blocks: Iterable[np.ndarray], *, correlated: float = CORRELATED) -> Subspace:
+    """Find the signal subspace by HySime in one pass.
+
+    Parameters
+    ----------
+    blocks : iterable of ndarray, (…, b)
+        Spectra in blocks of any shape; those with NaN are left out.
+    correlated : float
+        Refuse where the noise of neighbouring bands correlates by more.
+
+    Returns
+    -------
+    subspace : Subspace
+
+    Raises
+    ------
+    CalibrationRefused
+        E_SIZE with fewer than 3 bands or 10 spectra a band; E_CORRELATED where the noise is
+        correlated from band to band (binning, smoothing in the camera's software): HySime would
+        take it for signal.
+
+    Notes
+    -----
+    Noise is taken as independent of the signal; where shot noise rules, stabilise first. The
+    covariance of what bands leave each other unexplained is D P D with P = R⁻¹, D = 1/diag(P):
+    its correlation of bands i and j is Pᵢⱼ/√(PᵢᵢPⱼⱼ), and for white noise that of I − EEᵀ.
+    """
+    from levkas.calibration.projecting import add_products
+
+    products, pixels = None, 0
+    for block in blocks:
+        spectra = _spectra(block)
+        spectra = spectra[np.isfinite(spectra).all(1)]
+        if products is None:
+            products = np.zeros((spectra.shape[1],) * 2)
+        add_products(spectra, products)
+        pixels += len(spectra)
+    bands = 0 if products is None else len(products)
+    if products is None or bands < 3 or pixels < MORE_PIXELS * bands:
+        raise CalibrationRefused(
+            Problem(
+                "E_SIZE",
+                "too little for a signal subspace",
+                field="denoise",
+                found=f"{pixels} spectra of {bands} bands",
+                expected=f"3 bands or more, {MORE_PIXELS} spectra a band",
+                fix="Leave `denoise` out for this camera.",
+            )
+        )
+    return _hysime(np.triu(products) + np.triu(products, 1).T, pixels, correlated)
+
+
+def _hysime(products: np.ndarray, pixels: int, correlated: float) -> Subspace:
+    # Equilibrated: bands of a dark and of a bright wavelength differ by orders of magnitude.
+    size = np.sqrt(np.maximum(np.diag(products), 1e-300))
+    inverse = np.linalg.inv(products / np.outer(size, size) + 1e-12 * np.eye(len(size)))
+    bands = len(size)
+    freedom = pixels - bands + 1  # each band is regressed on all others
+    power = size**2 / np.diag(inverse) / freedom
+    second = products / pixels
+    signal = second - np.diag(power)
+    ridge = 1e-5 * np.trace(signal) / bands
+    _, vectors = np.linalg.eigh(signal)
+    vectors = vectors[:, ::-1]
+    gain = np.einsum("ik,ij,jk->k", vectors, 2 * (np.diag(power + ridge)) - second, vectors)
+    basis = np.ascontiguousarray(vectors[:, gain < 0])
+    excess = _neighbours(inverse) - _neighbours(np.eye(bands) - basis @ basis.T)
+    most = int(MOST_KEPT * bands)
+    if abs(excess) > correlated or basis.shape[1] > most:
+        raise CalibrationRefused(
+            Problem(
+                "E_CORRELATED",
+                "noise and signal cannot be told apart: the noise of neighbouring bands goes "
+                "together, or there are too few bands",
+                field="denoise",
+                found=f"excess correlation {excess:.2f}, {basis.shape[1]} of {bands} dimensions",
+                expected=f"within ±{correlated:g}, at most {most} dimensions",
+                fix="Leave `denoise` out for this camera.",
+            )
+        )
+    return Subspace(basis, np.sqrt(power), excess, pixels)
+
+
+def _neighbours(covariance: np.ndarray) -> float:
+    """Return the mean correlation of bands i and i + 1."""
+    root = np.sqrt(np.maximum(np.diag(covariance), 1e-12))
+    return float(np.mean(np.diag(covariance, 1) / (root[1:] * root[:-1])))
+
+
+def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int = 256) -> Denoised:
+    """Project a cube on its signal subspace.
+
+    Parameters
+    ----------
+    values : ndarray, (h, w, b), float32
+        Kept as it is by the caller: rare real spectra are what projection deletes.
+    subspace : Subspace, optional
+        Known one, of a larger scan; default: found here.
+    lines : int
+        Rows that are held at a time beside the result.
+
+    Returns
+    -------
+    denoised : Denoised
+        Spectra with NaN come back as they were.
+
+    Raises
+    ------
+    CalibrationRefused
+        As `find_subspace`.
+    """
+    from levkas.calibration.projecting import project
+
+    starts = range(0, len(values), lines)
+    if subspace is None:
+        subspace = find_subspace(values[y : y + lines] for y in starts)
+    result = np.array(values, np.float32)
+    squares, count, worst = np.zeros(values.shape[2]), 0, []
+    for y in starts:
+        spectra = _spectra(result[y : y + lines])
+        good = np.isfinite(spectra).all(1)
+        kept, removed = project(np.ascontiguousarray(spectra[good]), subspace.basis)
+        spectra[good] = kept
+        result[y : y + lines] = spectra.reshape(result[y : y + lines].shape)
+        away = removed.astype(np.float64)
+        squares += np.sum(away**2, axis=0)
+        count += len(away)
+        worst.append(np.sqrt(np.mean((away / subspace.noise) ** 2, axis=1)))
+    most = float(np.quantile(np.concatenate(worst), 0.999)) if count else float("nan")
+    return Denoised(result, subspace, np.sqrt(squares / max(count, 1)), most)
+
+
+def _spectra(block: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(block, np.float32).reshape(-1, block.shape[-1])

@@ -1,0 +1,213 @@
+"""Flat field: raw counts to reflectance, on the mosaic, before anything mixes sensels.
+
+r = (S − D)/(W − D′) · tW/tS · Rw, with the dark D of the object's exposure and D′ of the white's.
+Variance, first order, with shares 1/n of the averages (Eq. in brackets for one shared dark):
+u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′)]/(W − D′)²   ([vS/nS + r² vW/nW + (1 − r)² vD/nD]/…).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from levkas.calibration.darks import MatchedDark, match_dark
+from levkas.calibration.layout import as_marks, as_rows
+from levkas.calibration.noise_fit import NoiseModel
+from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.whites import check_white, reflectance_table
+from levkas.problems import Problem
+
+WORKED_OUT = 1e9  # degrees of freedom of a variance that was derived, not sampled
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Corrected values of one sensor in native pixels.
+
+    Parameters
+    ----------
+    values : ndarray, (h, w) or (h, w, b), float32
+        NaN where nothing could be said; DEFECT is set there.
+    flags : ndarray like `values`, uint8
+        Bits of `cube.Flag`.
+    variance : ndarray like `values`, float32, or None
+        Of `values`; None where the camera's noise is not known.
+    quantity : str
+        ``"reflectance"``, or ``"counts"`` where there is no white.
+    notes : tuple of str
+        What a report has to say: darks that were scaled, exposures that were not known.
+    """
+
+    values: np.ndarray
+    flags: np.ndarray
+    variance: np.ndarray | None
+    quantity: str
+    notes: tuple[str, ...] = ()
+
+
+def flat_field(
+    shot: Template,
+    dark: Template | Sequence[Template] | None = None,
+    white: Template | None = None,
+    *,
+    white_reflectance: float | Sequence[float] | np.ndarray = 1.0,
+    black: float | None = None,
+    noise: NoiseModel | None = None,
+    defects: np.ndarray | None = None,
+    pattern: str | Sequence[Sequence[str]] | None = None,
+    labels: Sequence[str] | None = None,
+) -> Calibrated:
+    """Turn an object's raw counts into reflectance, or into counts above dark.
+
+    Parameters
+    ----------
+    shot : Template, (h, w) or (h, w, b)
+        The object.
+    dark : Template or sequence of Template, optional
+        Of one or several exposures, see `darks.match_dark`. May be one line high (push-broom).
+    white : Template, optional
+        May be one line high. None: the result is in counts above dark.
+    white_reflectance : float or sequence
+        Of the white target; one number, or one a band (a channel of `pattern`).
+    black : float, optional
+        Black level in counts; subtracted where there is no dark. None: not known.
+    noise : NoiseModel, optional
+        Variance of one shot over its signal. Without it stacks speak for themselves.
+    defects : ndarray of bool like `shot.mean`, optional
+        Pixels to flag as DEFECT.
+    pattern : str or rows of names, optional
+        Of a mosaic: `white_reflectance` and the checks of the white go channel by channel.
+    labels : sequence of str, optional
+        Names of the bands for messages.
+
+    Returns
+    -------
+    calibrated : Calibrated
+        SATURATED where a shot of the object or of the white was, BLACK where one of the object
+        was clipped, DEFECT where white is not above dark. Values are not clipped to 0–1.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_SIZE, E_VALUE; E_WHITE_DARK where white is darker than dark, E_WHITE_SATURATED where it
+        is saturated, over more than half of any channel.
+
+    Notes
+    -----
+    Where both a stack and `noise` are there, the variance of n shots weighs n − 1 against 60 of
+    the model: two shots alone give a sigma that is of no use.
+
+    Examples
+    --------
+    >>> from levkas.calibration.templates import average
+    >>> S, D, W = (average([np.full((1, 2), v)]) for v in (30.0, 10.0, 50.0))
+    >>> flat_field(S, D, W, white_reflectance=0.98).values.tolist()
+    [[0.49..., 0.49...]]
+    """
+    from levkas.calibration import flattening
+
+    _check_shapes(shot, dark, white, defects)
+    under, white_under, ratio, notes = _pair_darks(shot, dark, white, black)
+    scale = reflectance_table(white_reflectance, shot, pattern) * ratio
+    bad = under.saturated if defects is None else defects | under.saturated
+    if white is None:
+        scale, lit, lit_saturated = np.ones((1, 1)), _constant(1.0), np.zeros((1, 1), np.uint8)
+    else:
+        check_white(white, white_under, pattern, labels)
+        lit, lit_saturated = _Side.of_shots(white), as_marks(white.saturated)
+    sides = _Side.of_shots(shot), _Side.of_dark(under), lit, _Side.of_dark(white_under)
+    marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
+    frames: list[Any] = [*(side.mean for side in sides), scale, *marks]
+    values, flags = flattening.flatten(*frames)
+    variance = None
+    if noise is not None or all(side.known for side in sides):
+        shared = under.mean is white_under.mean
+        gain, read = (-1.0, 0.0) if noise is None else (noise.gain, noise.read_variance)
+        parts: list[Any] = [*(p for side in sides for p in side), shared, scale, gain, read]
+        variance = flattening.propagate(*parts).reshape(shot.mean.shape)
+    quantity = "counts" if white is None else "reflectance"
+    shape = shot.mean.shape
+    return Calibrated(values.reshape(shape), flags.reshape(shape), variance, quantity, notes)
+
+
+class _Side(NamedTuple):
+    """A mean, the variance of one shot, its degrees of freedom, and the mean's share of it."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+    freedom: float
+    share: float
+
+    @classmethod
+    def of_shots(cls, shots: Template) -> _Side:
+        if shots.variance is None:
+            return cls(as_rows(shots.mean), np.zeros((1, 1), np.float32), 0.0, 1.0 / shots.count)
+        # A merged exposure series is one "shot" whose variance was worked out, not sampled.
+        freedom = shots.count - 1.0 if shots.count > 1 else WORKED_OUT
+        return cls(as_rows(shots.mean), as_rows(shots.variance), freedom, 1.0 / shots.count)
+
+    @classmethod
+    def of_dark(cls, dark: MatchedDark) -> _Side:
+        if dark.variance is None:
+            return cls(as_rows(dark.mean), np.zeros((1, 1), np.float32), 0.0, dark.share)
+        return cls(
+            as_rows(dark.mean), as_rows(dark.variance), max(dark.count - 1.0, 0.0), dark.share
+        )
+
+    @property
+    def known(self) -> bool:
+        return self.freedom > 0 or self.share == 0
+
+
+def _constant(value: float) -> _Side:
+    return _Side(np.full((1, 1), value, np.float32), np.zeros((1, 1), np.float32), 0.0, 0.0)
+
+
+def _pair_darks(
+    shot: Template,
+    dark: Template | Sequence[Template] | None,
+    white: Template | None,
+    black: float | None,
+) -> tuple[MatchedDark, MatchedDark, float, tuple[str, ...]]:
+    """Return the darks of object and white, the white's time over the object's, and notes."""
+    under = match_dark(dark, shot.exposure_s, black=black)
+    if white is None:
+        return under, match_dark(None, None), 1.0, (under.note,) if under.note else ()
+    same_time = shot.exposure_s == white.exposure_s
+    white_under = under if same_time else match_dark(dark, white.exposure_s, black=black)
+    notes = [d.note for d in (under, white_under) if d.note]
+    ratio = 1.0
+    if shot.exposure_s and white.exposure_s:
+        ratio = white.exposure_s / shot.exposure_s
+    elif not same_time:
+        notes.append("the exposure of object or white is not known: taken as equal")
+    return under, white_under, ratio, tuple(dict.fromkeys(notes))
+
+
+def _check_shapes(
+    shot: Template,
+    dark: Template | Sequence[Template] | None,
+    white: Template | None,
+    defects: np.ndarray | None,
+) -> None:
+    darks = [dark] if isinstance(dark, Template) else list(dark or ())
+    offered = [("dark", d.mean) for d in darks]
+    offered += [("white", white.mean)] if white is not None else []
+    offered += [("defects", defects)] if defects is not None else []
+    height, *rest = shot.mean.shape
+    problems = [
+        Problem(
+            "E_SIZE",
+            f"{name} and object are of different sizes",
+            found=str(array.shape),
+            expected=str(shot.mean.shape),
+            fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+        )
+        for name, array in offered
+        if list(array.shape[1:]) != rest or array.shape[0] not in (1, height)
+    ]
+    if problems:
+        raise CalibrationRefused(*problems)

@@ -1,0 +1,104 @@
+"""Mosaic patterns: which channel each sensel records, and the phases they make.
+
+A pattern is rows of channel names; it repeats from the sensor's top left sensel. A phase is the
+set of sensels at one place of the pattern; a channel may own several (the green of a Bayer one).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from levkas.calibration.templates import CalibrationRefused
+from levkas.problems import Problem
+
+Pattern = tuple[tuple[str, ...], ...]
+
+
+def as_pattern(pattern: str | Sequence[Sequence[str]]) -> Pattern:
+    """Return rows of channel names; four letters are a 2x2 pattern.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_VALUE where rows differ in length or nothing is named.
+
+    Examples
+    --------
+    >>> as_pattern("GBRG")
+    (('G', 'B'), ('R', 'G'))
+    """
+    if isinstance(pattern, str):
+        rows: Pattern = ((*pattern[:2],), (*pattern[2:],))
+    else:
+        rows = tuple(tuple(str(name) for name in row) for row in pattern)
+    if not rows or not rows[0] or len({len(row) for row in rows}) != 1:
+        raise CalibrationRefused(
+            Problem(
+                "E_VALUE",
+                "a pattern is four letters or rows of equally many channel names",
+                field="pattern",
+                found=repr(pattern),
+                expected='"RGGB" or [["B1", "B2", "B3"], …]',
+            )
+        )
+    return rows
+
+
+def channel_names(pattern: str | Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Return the channels in the order in which they first appear, row by row.
+
+    >>> channel_names("GBRG")
+    ('G', 'B', 'R')
+    """
+    return tuple(dict.fromkeys(name for row in as_pattern(pattern) for name in row))
+
+
+def channel_table(
+    pattern: str | Sequence[Sequence[str]], channels: Sequence[str] | None = None
+) -> np.ndarray:
+    """Return the index of the channel at each place of the pattern, (rows, columns), int64.
+
+    Parameters
+    ----------
+    pattern : str or rows of names
+    channels : sequence of str, optional
+        Order to count in; default `channel_names`.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_BAND_MISSING where `channels` and the pattern do not name the same.
+    """
+    rows, order = as_pattern(pattern), tuple(channels or channel_names(pattern))
+    if sorted(order) != sorted(channel_names(rows)):
+        raise CalibrationRefused(
+            Problem(
+                "E_BAND_MISSING",
+                "the channels are not those of the pattern",
+                field="bands",
+                found=", ".join(order),
+                expected=", ".join(channel_names(rows)),
+            )
+        )
+    return np.array([[order.index(name) for name in row] for row in rows])
+
+
+def split(frame: np.ndarray, rows: int, columns: int) -> list[np.ndarray]:
+    """Return the phases of a mosaic as views, row by row of the pattern; `merge` undoes it.
+
+    >>> [p.tolist() for p in split(np.arange(6).reshape(2, 3), 2, 2)]
+    [[[0, 2]], [[1]], [[3, 5]], [[4]]]
+    """
+    return [frame[y::rows, x::columns] for y in range(rows) for x in range(columns)]
+
+
+def merge(phases: Sequence[np.ndarray], rows: int, columns: int) -> np.ndarray:
+    """Return the mosaic whose `split` gives `phases`; a new array."""
+    height = sum(phases[y * columns].shape[0] for y in range(rows))
+    width = sum(phases[x].shape[1] for x in range(columns))
+    frame = np.empty((height, width, *phases[0].shape[2:]), phases[0].dtype)
+    for part, phase in zip(split(frame, rows, columns), phases, strict=True):
+        part[...] = phase
+    return frame

@@ -1,0 +1,174 @@
+"""Templates: many shots of one scene averaged into one, a shot at a time.
+
+mean = Σx / n,  variance of one shot = (Σx² − (Σx)²/n) / (n − 1). For 8- and 16-bit codes both
+sums are whole numbers, so the result does not depend on the order of the shots or on threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.calibration.layout import as_marks, as_rows
+from levkas.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+MOST_SHOTS = 65536  # beyond this n² · 65535² no longer fits 64 bits
+
+
+class CalibrationRefused(Refused):
+    """Frames from which no trustworthy values can be had."""
+
+
+@dataclass(frozen=True)
+class Template:
+    """The average of some shots, with what each of them did.
+
+    Parameters
+    ----------
+    mean : ndarray, (h, w) or (h, w, b), float32
+        Counts.
+    variance : ndarray like `mean`, float32, or None
+        Variance of *one* shot over time, counts²; None where there is only one.
+    count : int
+        Number of shots.
+    saturated, black : ndarray like `mean`, bool
+        Whether any single shot was saturated, or clipped at black, there.
+    exposure_s : float, optional
+
+    Examples
+    --------
+    >>> t = average([np.full((1, 1), 10), np.full((1, 1), 14)])
+    >>> float(t.mean[0, 0]), float(t.variance[0, 0]), t.count
+    (12.0, 8.0, 2)
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray | None
+    count: int
+    saturated: np.ndarray
+    black: np.ndarray
+    exposure_s: float | None = None
+
+    def __post_init__(self) -> None:
+        arrays = [self.mean, self.saturated, self.black]
+        arrays += [] if self.variance is None else [self.variance]
+        if len({a.shape for a in arrays}) != 1:
+            raise ValueError(f"template has arrays of shapes {[a.shape for a in arrays]}")
+
+
+def average(
+    frames: Iterable[np.ndarray],
+    *,
+    saturation: float | None = None,
+    black_clip: float | None = 0.0,
+    exposure_s: float | None = None,
+) -> Template:
+    """Average shots of one scene; only one of them is held at a time.
+
+    Parameters
+    ----------
+    frames : iterable of ndarray, all (h, w) or all (h, w, b), of one real dtype
+        Raw codes. Read once, in order; never changed.
+    saturation : float, optional
+        A code at or above it is saturated. None: nothing is.
+    black_clip : float, optional
+        A code at or below it is clipped at black. None: nothing is.
+    exposure_s : float, optional
+        Of every shot; kept with the template.
+
+    Returns
+    -------
+    template : Template
+        Saturation is judged shot by shot in raw codes: the mean of five shots of which one is
+        clipped lies below saturation and is wrong all the same.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_NO_FRAMES without a frame; E_SIZE, E_VALUE where shapes or dtypes differ (by index).
+    """
+    high = np.inf if saturation is None else float(saturation)
+    low = -np.inf if black_clip is None else float(black_clip)
+    sums: _Sums | None = None
+    for index, frame in enumerate(frames):
+        frame = np.asarray(frame)
+        frame = frame.astype(frame.dtype.newbyteorder("="), copy=False)
+        if sums is None:
+            sums = _Sums(frame, high, low)
+        else:
+            sums.check(frame, index)
+            sums.add(frame)
+    if sums is None:
+        raise CalibrationRefused(
+            Problem("E_NO_FRAMES", "there is nothing to average", found=0, expected="1 or more")
+        )
+    return sums.template(exposure_s)
+
+
+class _Sums:
+    """Running sums over shots, begun by the second, so that a single shot costs no more."""
+
+    def __init__(self, first: np.ndarray, high: float, low: float) -> None:
+        if first.dtype.kind not in "uif" or first.ndim not in (2, 3) or first.size == 0:
+            raise CalibrationRefused(
+                Problem(
+                    "E_VALUE",
+                    "a frame is not a real array (h, w) or (h, w, b)",
+                    found=f"{first.dtype} {first.shape}",
+                )
+            )
+        # A copy: a reader may hand out the same buffer again for the next shot.
+        self.first, self.high, self.low, self.count = first.copy(), high, low, 1
+        self.saturated, self.black = self.first >= high, self.first <= low
+        self.whole = first.dtype in (np.uint8, np.uint16)
+        self.totals: tuple[np.ndarray, np.ndarray] | None = None
+
+    def check(self, frame: np.ndarray, index: int) -> None:
+        if frame.shape != self.first.shape or frame.dtype != self.first.dtype:
+            raise CalibrationRefused(
+                Problem(
+                    "E_SIZE" if frame.shape != self.first.shape else "E_VALUE",
+                    f"shot {index} does not fit shot 0",
+                    found=f"{frame.shape} {frame.dtype}",
+                    expected=f"{self.first.shape} {self.first.dtype}",
+                    fix="Average shots of one sensor and one mode only.",
+                )
+            )
+        if self.whole and index >= MOST_SHOTS:
+            raise CalibrationRefused(
+                Problem("E_VALUE", "too many shots", found=index + 1, expected=f"≤ {MOST_SHOTS}")
+            )
+
+    def add(self, frame: np.ndarray) -> None:
+        if self.totals is None:
+            shape = as_rows(self.first, None).shape
+            kinds = (np.uint32, np.uint64) if self.whole else (np.float64, np.float64)
+            self.totals = (np.zeros(shape, kinds[0]), np.zeros(shape, kinds[1]))
+            self._sum(self.first, 0, self.totals)
+        self._sum(frame, self.count, self.totals)
+        self.count += 1
+
+    def _sum(self, frame: np.ndarray, before: int, totals: tuple[np.ndarray, np.ndarray]) -> None:
+        from levkas.calibration import averaging
+
+        marks = (as_marks(self.saturated), as_marks(self.black))
+        if self.whole:
+            averaging.add_codes(as_rows(frame, None), *totals, *marks, self.high, self.low)
+        else:
+            reals = frame if frame.dtype in (np.float32, np.float64) else frame.astype(np.float64)
+            averaging.add_reals(as_rows(reals, None), before, *totals, *marks, self.high, self.low)
+
+    def template(self, exposure_s: float | None) -> Template:
+        from levkas.calibration import averaging
+
+        if self.totals is None:
+            mean = self.first.astype(np.float32)
+            return Template(mean, None, 1, self.saturated, self.black, exposure_s)
+        finish = averaging.finish_codes if self.whole else averaging.finish_reals
+        mean, variance = (a.reshape(self.first.shape) for a in finish(*self.totals, self.count))
+        return Template(mean, variance, self.count, self.saturated, self.black, exposure_s)

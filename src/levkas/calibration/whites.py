@@ -1,0 +1,128 @@
+"""The white target: its reflectance laid out over a frame, and whether its frames can serve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from levkas.calibration.darks import MatchedDark
+from levkas.calibration.patterns import channel_names, channel_table
+from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.problems import Problem
+
+MOST = 0.5  # share of a channel's white that must be usable
+SAMPLE = 100_000  # pixels looked at to judge a white
+
+
+def reflectance_table(
+    reflectance: float | Sequence[float] | np.ndarray,
+    shot: Template,
+    pattern: str | Sequence[Sequence[str]] | None,
+) -> np.ndarray:
+    """Lay the white's reflectance out as it repeats over the (h, w·b) view of a frame.
+
+    Parameters
+    ----------
+    reflectance : float or sequence
+        One number, or one for each band of `shot`, or for each channel of `pattern`; > 0.
+    shot : Template
+    pattern : str or rows of names, optional
+        Of a mosaic.
+
+    Returns
+    -------
+    table : ndarray, (1, b) or the pattern's shape, float64
+
+    Raises
+    ------
+    CalibrationRefused
+        E_VALUE where the numbers do not fit.
+    """
+    known = np.atleast_1d(np.asarray(reflectance, float))
+    if pattern is not None:
+        places = channel_table(pattern)
+    else:
+        places = np.arange(1 if shot.mean.ndim == 2 else shot.mean.shape[2])[None]
+    wanted = int(places.max()) + 1
+    if known.size not in (1, wanted) or not np.all(np.isfinite(known) & (known > 0)):
+        raise CalibrationRefused(
+            Problem(
+                "E_VALUE",
+                "the reflectance of the white does not fit the bands",
+                field="white.reflectance",
+                found=f"{known.size} numbers, {np.nanmin(known):g} to {np.nanmax(known):g}",
+                expected=f"one positive number, or {wanted}",
+            )
+        )
+    return np.ascontiguousarray(np.broadcast_to(known.ravel(), wanted)[places])
+
+
+def check_white(
+    white: Template,
+    dark: MatchedDark,
+    pattern: str | Sequence[Sequence[str]] | None,
+    labels: Sequence[str] | None,
+) -> None:
+    """Refuse a white that is darker than dark, or saturated, over more than half of a channel.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_WHITE_DARK, E_WHITE_SATURATED; one problem for each channel, `labels` naming the bands.
+    """
+    level = np.broadcast_to(dark.mean, white.mean.shape)
+    problems = []
+    for name, part in _channels(white, pattern, labels):
+        lit, under, clipped = white.mean[part], level[part], white.saturated[part]
+        if np.mean(lit > under) < MOST:
+            problems.append(_too_dark(name, lit, under))
+        elif np.mean(clipped) > MOST:
+            problems.append(
+                Problem(
+                    "E_WHITE_SATURATED",
+                    f"the white{name} is saturated",
+                    found=f"{np.mean(clipped):.0%} of its pixels",
+                    expected=f"less than {MOST:.0%}",
+                    fix="Capture the white with a shorter exposure.",
+                )
+            )
+    if problems:
+        raise CalibrationRefused(*problems)
+
+
+def _too_dark(name: str, lit: np.ndarray, under: np.ndarray) -> Problem:
+    return Problem(
+        "E_WHITE_DARK",
+        f"white is darker than dark{name}",
+        found=f"median white {np.median(lit):g}, median dark {np.median(under):g} counts, "
+        f"white not above dark at {np.mean(lit <= under):.0%} of the pixels",
+        expected="white above dark",
+        fix="Look whether dark and white are swapped, or the lamp was off.",
+    )
+
+
+def _channels(
+    white: Template, pattern: str | Sequence[Sequence[str]] | None, labels: Sequence[str] | None
+) -> list[tuple[str, tuple]]:
+    """Return (how to name it, index) of each channel, thinned to about `SAMPLE` pixels."""
+    height, width = white.mean.shape[:2]
+    step = max(1, int(np.sqrt(height * width / SAMPLE)))
+    if white.mean.ndim == 3:
+        names = labels or [str(band) for band in range(white.mean.shape[2])]
+        thin = (slice(None, None, step), slice(None, None, step))
+        return [(f" in {name}", (*thin, band)) for band, name in enumerate(names)]
+    if pattern is None:
+        return [
+            (
+                f" in {labels[0]}" if labels else "",
+                (slice(None, None, step), slice(None, None, step)),
+            )
+        ]
+    table, names = channel_table(pattern), channel_names(pattern)
+    rows, columns = (-(-step // size) * size for size in table.shape)
+    places = {name: np.argwhere(table == i)[0] for i, name in enumerate(names)}
+    return [
+        (f" in {name}", (slice(y, None, rows), slice(x, None, columns)))
+        for name, (y, x) in places.items()
+    ]
