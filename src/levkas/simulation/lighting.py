@@ -1,0 +1,266 @@
+"""Lamps on a painting: shading of the relief, and glare of varnish and gold.
+
+A reflectance factor is the light that a camera gets over what it would get from a flat white
+diffuser in the panel's plane. Paint gives its reflectance times the shading; varnish and gold leaf
+add a lobe of facets, GGX of Walter et al. 2007.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit, prange
+
+from levkas.simulation.rendering import Texture
+
+if TYPE_CHECKING:
+    from levkas.simulation.optics import View
+    from levkas.simulation.painting import Painting
+    from levkas.simulation.panel import Panel
+
+VARNISH_MIRROR = 0.04
+VARNISH_ROUGHNESS = 0.16
+GOLD_ROUGHNESS = 0.55
+PAINT_TRANSPARENT_NM, PAINT_EDGE_NM, PAINT_TRANSPARENCY = 820.0, 55.0, 0.85
+MACRO_STEP_MM = 0.5
+PENUMBRA_MM = 0.35
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A small lamp: degrees from the panel's normal, degrees from X towards Y, mm, relative power."""
+
+    elevation: float
+    azimuth: float
+    distance_mm: float = 2100.0
+    power: float = 1.0
+
+    def place(self) -> np.ndarray:
+        """Return where it stands in the world, mm, (3,)."""
+        e, a = np.radians(self.elevation), np.radians(self.azimuth)
+        return self.distance_mm * np.array(
+            [np.sin(e) * np.cos(a), np.sin(e) * np.sin(a), -np.cos(e)]
+        )
+
+
+SETUPS: dict[str, tuple[Lamp, ...]] = {
+    "proposed": (Lamp(70.0, 0.0), Lamp(70.0, 180.0)),
+    "45-degree": (Lamp(45.0, 195.0, 1500.0),),
+    "scan": (Lamp(45.0, 90.0, 500.0),),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What a setup does to a painting, seen by one camera; arrays (rows, columns), float32.
+
+    Parameters
+    ----------
+    shade : ndarray
+        Factor on the reflectance of paint.
+    gold, varnish : ndarray
+        Reflectance factor of a perfect mirror with the roughness of gold leaf, of varnish.
+    """
+
+    shade: np.ndarray
+    gold: np.ndarray
+    varnish: np.ndarray
+
+
+def transmitted(angle_deg: float, index: float = 1.5) -> float:
+    """Return the share of unpolarised light that enters varnish at an angle, by Fresnel.
+
+    >>> round(transmitted(70.0) / transmitted(45.0), 3)
+    0.873
+    """
+    c = np.cos(np.radians(angle_deg))
+    t = np.sqrt(1 - (1 - c * c) / index**2)
+    across, along = (c - index * t) / (c + index * t), (t - index * c) / (t + index * c)
+    return float(1 - 0.5 * (across**2 + along**2))
+
+
+def light(painting: Painting, panel: Panel, view: View, lamps: tuple[Lamp, ...]) -> Light:
+    """Light a painting with `lamps` for one camera.
+
+    The lamps of a line scanner travel with it.
+    """
+    s = np.arange(-panel.width_mm / 2, panel.width_mm / 2 + 2 * MACRO_STEP_MM, MACRO_STEP_MM)
+    t = np.arange(-panel.height_mm / 2, panel.height_mm / 2 + 2 * MACRO_STEP_MM, MACRO_STEP_MM)
+    height = panel.heights(np.stack(np.meshgrid(s, t), -1).reshape(-1, 2)).reshape(len(t), len(s))
+    across, along = np.gradient(height, MACRO_STEP_MM)
+    lit = [_reached(height, lamp) for lamp in lamps]
+    macro = np.stack([along, across, *lit], -1).astype(np.float32)
+    eye = -np.reshape(view.rotation, (3, 3)).T @ np.array(view.translation)
+    power = sum(lamp.power for lamp in lamps)
+    entered = sum(lamp.power * transmitted(lamp.elevation) for lamp in lamps) / power
+    numbers = np.array(
+        [
+            painting.px_per_mm,
+            panel.width_mm / 2,
+            panel.height_mm / 2,
+            panel.radius_mm,
+            *eye,
+            *(view.motion or (0.0, 0.0, 0.0)),
+            GOLD_ROUGHNESS**2,
+            VARNISH_ROUGHNESS**2,
+            1 - painting.gloss * (1 - entered / transmitted(45.0)),
+            MACRO_STEP_MM,
+        ]
+    )
+    places = np.array([[*lamp.place(), lamp.power * lamp.distance_mm**2] for lamp in lamps])
+    out = np.empty((3, *painting.relief.shape), np.float32)
+    _light(painting.relief, macro, numbers, places, out)
+    return Light(*out)
+
+
+def _reached(height: np.ndarray, lamp: Lamp) -> np.ndarray:
+    """Return how far a lamp reaches each node past the ledge, 0 to 1, with a soft edge."""
+    place = lamp.place()
+    low = np.array([place[0], place[1]]) / -place[2]
+    reach = (height.max() - height.min()) * np.hypot(*low)
+    hidden = np.full(height.shape, -np.inf)
+    for step in range(1, int(np.ceil(reach / MACRO_STEP_MM)) + 1):
+        rise = step * MACRO_STEP_MM / max(np.hypot(*low), 1e-9)
+        dx, dy = np.round(step * low / max(np.hypot(*low), 1e-9)).astype(int)
+        rows = np.clip(np.arange(height.shape[0]) + dy, 0, height.shape[0] - 1)
+        columns = np.clip(np.arange(height.shape[1]) + dx, 0, height.shape[1] - 1)
+        hidden = np.maximum(hidden, height[np.ix_(rows, columns)] - height - rise)
+    return np.clip(0.5 - hidden / PENUMBRA_MM, 0, 1)
+
+
+def transparency(wavelengths: np.ndarray) -> np.ndarray:
+    """Return how far paint lets the drawing below be seen: nothing in the visible, most at 1 µm.
+
+    >>> transparency(np.array([500.0, 1000.0])).round(2)
+    array([0.  , 0.82])
+    """
+    x = (np.asarray(wavelengths, float) - PAINT_TRANSPARENT_NM) / PAINT_EDGE_NM
+    return PAINT_TRANSPARENCY / (1 + np.exp(-x))
+
+
+def compose(
+    painting: Painting, lit: Light, response: np.ndarray, wavelengths: np.ndarray
+) -> Texture:
+    """Return the reflectance factor of a lit painting in one band.
+
+    Parameters
+    ----------
+    painting : Painting
+    lit : Light
+    response : ndarray, (n,)
+        Light times sensitivity at `wavelengths`, of sum 1.
+    wavelengths : ndarray, (n,), nm
+        Those of the painting's spectra.
+    """
+    paints = painting.spectra @ response / 255
+    metal = np.where(painting.metal, paints, 0).astype(np.float32)
+    paint = np.where(painting.metal, 0, paints).astype(np.float32)
+    gilt = painting.metal.astype(np.float32) / np.float32(255)
+    mirror = np.float32(VARNISH_MIRROR * painting.gloss)
+    seen = np.float32(transparency(wavelengths) @ response / 255)
+    out = np.empty(lit.shade.shape, np.float32)
+    _compose(
+        painting.amounts, painting.underdrawing, lit.shade, lit.gold, lit.varnish,
+        paint, metal, gilt, seen, mirror, out,
+    )  # fmt: skip
+    return Texture(out, painting.px_per_mm)
+
+
+@njit(cache=True, parallel=True)
+def _compose(
+    amounts: np.ndarray,
+    under: np.ndarray,
+    shade: np.ndarray,
+    gold: np.ndarray,
+    varnish: np.ndarray,
+    paint: np.ndarray,
+    metal: np.ndarray,
+    gilt: np.ndarray,
+    seen: np.float32,
+    mirror: np.float32,
+    out: np.ndarray,
+) -> None:
+    one = np.float32(1.0)
+    for i in prange(out.shape[0]):
+        for j in range(out.shape[1]):
+            diffuse, lobe, leaf = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for k in range(amounts.shape[2]):
+                a = np.float32(amounts[i, j, k])
+                diffuse += a * paint[k]
+                lobe += a * metal[k]
+                leaf += a * gilt[k]
+            value = diffuse * shade[i, j] * (one - seen * np.float32(under[i, j]))
+            out[i, j] = value + lobe * gold[i, j] + (one - leaf) * mirror * varnish[i, j]
+
+
+@njit(cache=True)
+def _lobe(cosine: float, alpha: float, toward_light: float, toward_eye: float) -> float:
+    """Return π·D·G / (4 n·v) of GGX with Smith's shadowing, to be weighted by n-free irradiance."""
+    spread = cosine * cosine * (alpha * alpha - 1.0) + 1.0
+    facets = alpha * alpha / (np.pi * spread * spread)
+    shadow = 1.0
+    for c in (toward_light, toward_eye):
+        shadow *= 2.0 * c / (c + np.sqrt(alpha * alpha + (1.0 - alpha * alpha) * c * c))
+    return np.pi * facets * shadow / (4.0 * toward_eye)
+
+
+@njit(cache=True, parallel=True)
+def _light(
+    relief: np.ndarray,
+    macro: np.ndarray,
+    c: np.ndarray,
+    lamps: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    rows, columns = relief.shape
+    for i in prange(rows):
+        up, down = max(i - 1, 0), min(i + 1, rows - 1)
+        for j in range(columns):
+            left, right = max(j - 1, 0), min(j + 1, columns - 1)
+            s, t = (j + 0.5) / c[0] - c[1], (i + 0.5) / c[0] - c[2]
+            u = min((s + c[1]) / c[13], macro.shape[1] - 1.001)
+            v = min((t + c[2]) / c[13], macro.shape[0] - 1.001)
+            k, m = int(v), int(u)
+            fv, fu = v - k, u - m
+            a, b, d, e = (1 - fv) * (1 - fu), (1 - fv) * fu, fv * (1 - fu), fv * fu
+            p0, p1, p2, p3 = macro[k, m], macro[k, m + 1], macro[k + 1, m], macro[k + 1, m + 1]
+            p = a * p0[0] + b * p1[0] + d * p2[0] + e * p3[0]
+            q = a * p0[1] + b * p1[1] + d * p2[1] + e * p3[1]
+            # Micrometres over millimetres.
+            p += 1e-3 * c[0] * (relief[i, right] - relief[i, left]) / (right - left)
+            q += 1e-3 * c[0] * (relief[down, j] - relief[up, j]) / (down - up)
+            sine, cosine = np.sin(t / c[3]), np.cos(t / c[3])
+            size = np.sqrt(1.0 + p * p + q * q)
+            nx, ny, nz = -p / size, (sine - q * cosine) / size, (-cosine - q * sine) / size
+            x, y, z = s, c[3] * sine, c[3] * (1.0 - cosine)
+            travel = x * c[7] + y * c[8] + z * c[9]
+            ahead = travel - (c[4] * c[7] + c[5] * c[8] + c[6] * c[9])
+            vx, vy, vz = c[4] + ahead * c[7] - x, c[5] + ahead * c[8] - y, c[6] + ahead * c[9] - z
+            far = np.sqrt(vx * vx + vy * vy + vz * vz)
+            vx, vy, vz = vx / far, vy / far, vz / far
+            facing = max(nx * vx + ny * vy + nz * vz, 1e-3)
+            got, flat, gold, varnish = 0.0, 0.0, 0.0, 0.0
+            for n in range(lamps.shape[0]):
+                lx = lamps[n, 0] + travel * c[7] - x
+                ly = lamps[n, 1] + travel * c[8] - y
+                lz = lamps[n, 2] + travel * c[9] - z
+                d2 = lx * lx + ly * ly + lz * lz
+                away = np.sqrt(d2)
+                lx, ly, lz, strength = lx / away, ly / away, lz / away, lamps[n, 3] / d2
+                flat += strength * max(-lz, 0.0)
+                incident = nx * lx + ny * ly + nz * lz
+                open_ = a * p0[2 + n] + b * p1[2 + n] + d * p2[2 + n] + e * p3[2 + n]
+                strength *= open_
+                if incident <= 1e-3:
+                    continue
+                got += strength * incident
+                hx, hy, hz = lx + vx, ly + vy, lz + vz
+                half = np.sqrt(hx * hx + hy * hy + hz * hz)
+                tilt = (nx * hx + ny * hy + nz * hz) / half
+                gold += strength * _lobe(tilt, c[10], incident, facing)
+                varnish += strength * _lobe(tilt, c[11], incident, facing)
+            out[0, i, j] = got / flat * c[12]
+            out[1, i, j] = gold / flat
+            out[2, i, j] = varnish / flat

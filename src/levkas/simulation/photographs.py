@@ -1,0 +1,111 @@
+"""A photograph as a painting: each colour becomes a mixture of paints that matches it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.problems import Problem, Refused
+from levkas.simulation.ageing import age
+from levkas.simulation.painting import Canvas, Painting
+from levkas.simulation.pigments import WAVELENGTHS, paint_spectra
+
+if TYPE_CHECKING:
+    from levkas.simulation.panel import Panel
+
+LEVELS = 32
+
+
+class PhotographRefused(Refused):
+    """A photograph that cannot be read."""
+
+
+def paint_photograph(
+    panel: Panel,
+    px_per_mm: float,
+    rng: np.random.Generator,
+    *,
+    photograph: Path | str,
+    library: Path | str | None = None,
+) -> Painting:
+    """Paint a photograph on a panel: its colours in paints, its age and underdrawing its own.
+
+    Parameters
+    ----------
+    panel : Panel
+    px_per_mm : float
+    rng : Generator
+    photograph : path
+        An RGB image, sRGB; cropped to the panel, turned if it lies.
+    library : path, optional
+        Spectral library for the pigments.
+
+    Raises
+    ------
+    PhotographRefused
+        Where the file cannot be read.
+    """
+    canvas = Canvas(panel.height_mm, panel.width_mm, px_per_mm, rng)
+    image = _fitted(_read(Path(photograph)), canvas.shape)
+    # Below the photograph's own sampling the brush goes on: colours waver by a step or so.
+    image += 0.02 * canvas.grain((0.8, 2.5), octaves=3)[..., None]
+    codes = np.clip(image * LEVELS, 0, LEVELS - 1).astype(np.uint16)
+    index = (codes[..., 0] * LEVELS + codes[..., 1]) * LEVELS + codes[..., 2]
+    used, inverse = np.unique(index, return_inverse=True)
+    spectra = paint_spectra(canvas.paints, WAVELENGTHS, library=library)
+    canvas.amounts[:] = _mixtures(used, spectra)[inverse.reshape(index.shape)]
+    edges = np.abs(np.diff(image.mean(2), axis=0, prepend=0.0))
+    canvas.underdrawing[:] = np.clip(edges * 1500, 0, 160).astype(np.uint8)
+    canvas.relief += canvas.grain((0.8, 2.5), octaves=4) * np.float32(5)
+    b = panel.border_mm
+    w, h = canvas.width - b, canvas.height - b
+    age(canvas, field=np.array([(b, b), (w, b), (w, h), (b, h)]))
+    return canvas.finish(panel, library=library)
+
+
+def _read(path: Path) -> np.ndarray:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as opened:
+            return np.asarray(opened.convert("RGB"), np.float32) / 255
+    except (OSError, UnidentifiedImageError) as error:
+        raise PhotographRefused(
+            Problem("E_UNREADABLE", f"the photograph cannot be read: {error}", file=str(path))
+        ) from error
+
+
+def _fitted(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    import cv2
+
+    if (image.shape[0] < image.shape[1]) != (shape[0] < shape[1]):
+        image = np.rot90(image)
+    scale = max(shape[0] / image.shape[0], shape[1] / image.shape[1])
+    rows, columns = (
+        min(n, int(np.ceil(s / scale))) for n, s in zip(image.shape, shape, strict=False)
+    )
+    top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
+    part = np.ascontiguousarray(image[top : top + rows, left : left + columns])
+    return cv2.resize(part, shape[::-1], interpolation=cv2.INTER_CUBIC)
+
+
+def _mixtures(codes: np.ndarray, spectra: np.ndarray) -> np.ndarray:
+    """Return the amounts, uint8 (codes, paints), whose colour is nearest to each code's."""
+    from scipy.optimize import nnls
+
+    from levkas.simulation.cameras import camera_models
+
+    responses = np.stack([band.response for band in camera_models()["d80"].bands])
+    paints = responses @ spectra.T
+    system = np.vstack([paints, np.full(paints.shape[1], 0.5)])
+    amounts = np.zeros((len(codes), paints.shape[1]), np.uint8)
+    for row, code in zip(amounts, codes.tolist(), strict=True):
+        rgb = np.array([code // LEVELS**2, code // LEVELS % LEVELS, code % LEVELS])
+        linear = ((rgb + 0.5) / LEVELS) ** 2.2
+        share = nnls(system, np.append(linear, 0.5))[0]
+        whole = np.floor(share / max(share.sum(), 1e-9) * 255).astype(np.uint8)
+        row[:] = whole
+        row[share.argmax()] += 255 - int(whole.sum())
+    return amounts
