@@ -1,0 +1,389 @@
+"""Simulated campaigns: which icons, which cameras, how hard; frame by frame on to the disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from levkas.files import publishing
+from levkas.problems import Problem, Refused
+from levkas.simulation.cameras import CameraModel, camera_models
+from levkas.simulation.campaign_files import FrameWriter, write_campaign_toml, write_tables
+from levkas.simulation.capture import Camera, Sight, look
+from levkas.simulation.charts import chart_panel, paint_chart
+from levkas.simulation.icon import paint_icon
+from levkas.simulation.optics import View, turn
+from levkas.simulation.painting import Painting
+from levkas.simulation.panel import Panel
+from levkas.simulation.photographs import paint_photograph
+from levkas.simulation.rendering import tabulate
+from levkas.simulation.sensing import key
+from levkas.simulation.truth import Truth
+
+REFERENCE = ("lctf-vis", "550 nm")
+CHART = "macbeth"
+SETUP = ("45-degree", "d80")
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How a campaign is made.
+
+    Parameters
+    ----------
+    scale : float
+        Pixels a side over those of the real cameras.
+    thin : bool
+        Fewer bands, shots and templates, as `cameras.camera_models` says.
+    charts : bool
+        A colour chart before every camera.
+    supersampling : int
+        Sub-pixels a pixel and axis.
+    fineness : float
+        Least samples of the painting per mm.
+    tilt_deg, roll_deg, shift_mm : float
+        Spread of how cameras stand and paintings lie.
+    depth_mm, radius_mm : (least, most)
+        Of the panel.
+    bevel_mm, twist_mm : float
+    full_well : float, optional
+        Electrons of all sensors; few for much noise.
+    scanner_turn_deg : float
+        The line scanner turned about its axis: 90 scans along the other side.
+    """
+
+    scale: float = 0.32
+    thin: bool = False
+    charts: bool = True
+    supersampling: int = 3
+    fineness: float = 6.0
+    tilt_deg: float = 0.6
+    roll_deg: float = 0.5
+    shift_mm: float = 3.0
+    depth_mm: tuple[float, float] = (2.5, 4.0)
+    radius_mm: tuple[float, float] = (2500.0, 5000.0)
+    bevel_mm: float = 7.0
+    twist_mm: float = 0.6
+    full_well: float | None = None
+    scanner_turn_deg: float = 0.0
+
+
+PRESETS: dict[str, Preset] = {
+    "default": Preset(),
+    "small": Preset(scale=0.3, thin=True, charts=False, fineness=5.0),
+    "full": Preset(scale=1.0, charts=False),
+    # A linear SNR of 15 where the panel reflects a fifth.
+    "hard": Preset(
+        tilt_deg=3.0, roll_deg=4.0, shift_mm=8.0, depth_mm=(4.5, 6.0), radius_mm=(1800.0, 3000.0),
+        bevel_mm=0.5, twist_mm=1.5, full_well=1600.0, scanner_turn_deg=90.0,
+    ),
+}  # fmt: skip
+
+
+class SimulationRefused(Refused):
+    """A campaign that cannot be simulated as it was asked for."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Progress: `done` of `total` units; `finished` where a painting or a target is done."""
+
+    done: int
+    total: int
+    label: str
+    finished: bool = False
+
+    @property
+    def line(self) -> str:
+        """The step as a line of a log."""
+        return f"{self.done}/{self.total} {self.label}"
+
+
+@dataclass(frozen=True)
+class Simulated(Step):
+    """The last item: what was written."""
+
+    campaign: Path = Path()
+    truth: Truth | None = None
+    files: int = 0
+    megabytes: float = 0.0
+
+
+def simulate_campaign(
+    folder: Path | str,
+    *,
+    seed: int | np.random.Generator = 1,
+    preset: str | Preset = "default",
+    scale: float | None = None,
+    objects: int = 1,
+    cameras: Sequence[str] | None = None,
+    setups: bool = False,
+    grid: bool = True,
+    library: Path | str | None = None,
+    photographs: Sequence[Path | str] = (),
+) -> Iterator[Step]:
+    """Simulate a campaign into `folder`: `raw/`, `truth/` and a campaign.toml that builds.
+
+    Parameters
+    ----------
+    folder : path
+        A new or empty one; it takes its name when it is whole.
+    seed : int or Generator
+        The same one gives the same bytes, also of any subset of cameras and objects.
+    preset : str or Preset
+        ``"default"``, ``"small"`` for a demonstration, ``"hard"``, ``"full"`` for the size of the
+        real cameras, about 2.6 GB.
+    scale : float, optional
+        Instead of the preset's.
+    objects : int
+    cameras : sequence of str, optional
+        All five if left out; the reference, lctf-vis, is always among them.
+    setups : bool
+        Also d80 under one lamp at 45 degrees, with glare.
+    grid : bool
+        Publish upright and cropped: icons lie on their side before the cameras.
+    library : path, optional
+        Measured spectra of pigments, as in `pigments.paint_spectra`.
+    photographs : sequence of path
+        Textures of the first objects, instead of painted icons.
+
+    Yields
+    ------
+    Step
+        The last one is `Simulated`.
+
+    Raises
+    ------
+    SimulationRefused
+        On an unknown preset or camera, a scale that is not in (0, 1], no object, or a folder that
+        holds something.
+    levkas.files.WriteRefused
+        Where the folder cannot be written or the disk is full.
+    """
+    folder = Path(folder)
+    chosen = _preset(preset, scale, objects)
+    models = _models(chosen, cameras)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise _refusal("the folder is not empty", "folder", str(folder), "a new folder")
+    root = int(np.random.default_rng(seed).integers(2**62))
+    session = _Session(chosen, models, root, objects)
+    under_lamp = setups and SETUP[1] in models
+    need = _bytes_needed(models, objects + int(chosen.charts))
+    with publishing(folder, bytes_needed=need) as aside:
+        writer = FrameWriter(aside)
+        yield from session.run(writer, under_lamp, library, [Path(p) for p in photographs])
+        truth = session.truth()
+        truth.save(aside.path / "truth")
+        write_tables(aside, models)
+        write_campaign_toml(
+            aside, models, session.panels,
+            reference=REFERENCE, chart=CHART if chosen.charts else None,
+            setup=SETUP if under_lamp else None, upright=grid,
+        )  # fmt: skip
+    yield Simulated(
+        session.total, session.total, f"{writer.files} files", True,
+        folder / "campaign.toml", truth, writer.files, writer.bytes / 1e6,
+    )  # fmt: skip
+
+
+def _refusal(message: str, field: str, found: object, expected: str) -> SimulationRefused:
+    return SimulationRefused(
+        Problem("E_VALUE", message, field=field, found=found, expected=expected)
+    )
+
+
+def _preset(preset: str | Preset, scale: float | None, objects: int) -> Preset:
+    if isinstance(preset, str):
+        if preset not in PRESETS:
+            raise _refusal("there is no such preset", "preset", preset, ", ".join(PRESETS))
+        preset = PRESETS[preset]
+    if scale is not None:
+        preset = replace(preset, scale=scale)
+    if not 0 < preset.scale <= 1:
+        raise _refusal("the scale is out of range", "scale", preset.scale, "0 < scale <= 1")
+    if objects < 1:
+        raise _refusal("a campaign needs an object", "objects", objects, "1 or more")
+    # At full size sub-pixels are as fine as the painting's samples with two a side already.
+    return replace(preset, supersampling=2) if preset.scale > 0.6 else preset
+
+
+def _bytes_needed(models: dict[str, CameraModel], targets: int) -> int:
+    total = 0
+    for m in models.values():
+        planes = len(m.bands) if m.kind in ("bands", "cube") else len(m.sensors)
+        frame = 2 * m.width * m.height * planes
+        total += frame * targets * m.shots
+        total += frame * (m.whites + m.darks) // (m.height if m.scan else 1)
+    return total
+
+
+def _models(preset: Preset, cameras: Sequence[str] | None) -> dict[str, CameraModel]:
+    models = camera_models(thin=preset.thin)
+    wanted = list(models) if cameras is None else list(cameras)
+    unknown = [c for c in wanted if c not in models]
+    if unknown:
+        raise _refusal("there is no such camera", "cameras", unknown[0], ", ".join(models))
+    result = {}
+    for name, model in models.items():
+        if name not in wanted and name != REFERENCE[0]:
+            continue
+        if model.scan and abs(preset.scanner_turn_deg % 180 - 90) < 45:
+            model = replace(model, width=model.height, height=model.width)
+        if preset.full_well is not None:
+            sensors = tuple(
+                replace(s, noise=replace(s.noise, dark=8.0, gain=4035 / preset.full_well,
+                                         full_well=1.02 * preset.full_well))
+                for s in model.sensors
+            )  # fmt: skip
+            model = replace(model, sensors=sensors)
+        result[name] = model.scaled(preset.scale)
+    return result
+
+
+class _Session:
+    """The state of one simulation: cameras at work, panels, views."""
+
+    def __init__(
+        self, preset: Preset, models: dict[str, CameraModel], root: int, objects: int
+    ) -> None:
+        self.preset, self.models, self.root = preset, models, root
+        self.names = [f"icon{i + 1}" for i in range(objects)]
+        self.cameras = {
+            name: Camera(model, root, supersampling=preset.supersampling)
+            for name, model in models.items()
+        }
+        self.panels = {name: self._panel(name) for name in self.names}
+        self.views = {
+            name: {c: self._view(name, m) for c, m in models.items()}
+            for name in [*self.names, CHART]
+        }
+        self.done = self.total = 0
+
+    def _rng(self, *names: str) -> np.random.Generator:
+        return np.random.default_rng(key(self.root, *names))
+
+    def _panel(self, name: str) -> Panel:
+        rng, p = self._rng("panel", name), self.preset
+        size = 1.0 if name == self.names[0] else float(rng.uniform(0.82, 1.0))
+        return Panel(
+            width_mm=round(421.0 * size, 1),
+            height_mm=round(316.0 * size, 1),
+            radius_mm=float(rng.uniform(*p.radius_mm)),
+            depth_mm=float(rng.uniform(*p.depth_mm)),
+            border_mm=round(34.0 * size, 1),
+            bevel_mm=p.bevel_mm,
+            twist_mm=float(rng.uniform(-1, 1) * p.twist_mm),
+        )
+
+    def _view(self, name: str, model: CameraModel) -> View:
+        """Place a camera once, and each object anew before it."""
+        p, rng = self.preset, self._rng("place", model.name)
+        turned = p.scanner_turn_deg if model.scan else 0.0
+        tilt = rng.normal(0, p.tilt_deg, 2).clip(-1.6 * p.tilt_deg, 1.6 * p.tilt_deg)
+        roll = float(np.clip(rng.normal(0, p.roll_deg), -1.6 * p.roll_deg, 1.6 * p.roll_deg))
+        shift = rng.uniform(-p.shift_mm, p.shift_mm, 2)
+        off = rng.uniform(-0.008, 0.008, 2) * model.width
+        view = model.view(
+            tilt_deg=(float(tilt[0]), float(tilt[1]), roll + turned),
+            shift_mm=(float(shift[0]), float(shift[1])),
+            centre_off=(float(off[0]), float(off[1])),
+        )
+        again = self._rng("lay", name, model.name)
+        lay = turn(0.0, 0.0, float(again.normal(0, 0.3 * p.roll_deg)))
+        moved = again.uniform(-0.4, 0.4, 2) * p.shift_mm
+        return view.moved(lay, np.array([*moved, 0.0]))
+
+    def run(
+        self,
+        writer: FrameWriter,
+        setups: bool,
+        library: Path | str | None,
+        photographs: list[Path],
+    ) -> Iterator[Step]:
+        """Capture everything."""
+        p = self.preset
+        targets = len(self.names) + int(p.charts)
+        self.total = sum(len(m.bands) for m in self.models.values()) * (targets + 2)
+        self.total += len(self.names)
+        under_lamp = None
+        if setups:
+            model = self.models[SETUP[1]]
+            under_lamp = Camera(model, self.root, SETUP[0], p.supersampling)
+            self.total += len(model.bands) * (len(self.names) + 1)
+        for camera in self.cameras.values():
+            for target in ("dark", "white"):
+                yield from self._take(writer, camera, target, None)
+        if under_lamp is not None:
+            yield from self._take(writer, under_lamp, "white", None)
+        for i, name in enumerate(self.names):
+            photograph = photographs[i] if i < len(photographs) else None
+            painting = self._paint(name, i, library, photograph)
+            self.done += 1
+            yield Step(self.done, self.total, f"{name} painted", True)
+            yield from self._capture(writer, name, self.panels[name], painting, under_lamp)
+        if p.charts:
+            chart = paint_chart(self._fineness())
+            yield from self._capture(writer, CHART, chart_panel(), chart, None)
+
+    def _fineness(self) -> float:
+        """Samples of a painting per mm: 1.75 for a pixel of the finest camera, taking part or not."""
+        finest = max(m.sampling for m in camera_models().values()) * self.preset.scale
+        return max(self.preset.fineness, 1.75 * finest)
+
+    def _paint(
+        self, name: str, index: int, library: Path | str | None, photograph: Path | None
+    ) -> Painting:
+        panel, rng = self.panels[name], self._rng("painting", name)
+        if photograph is not None:
+            return paint_photograph(
+                panel, self._fineness(), rng, photograph=photograph, library=library
+            )
+        return paint_icon(panel, self._fineness(), rng, saints=index % 3 + 1, library=library)
+
+    def _capture(
+        self,
+        writer: FrameWriter,
+        name: str,
+        panel: Panel,
+        painting: Painting,
+        under_lamp: Camera | None,
+    ) -> Iterator[Step]:
+        # Finest first: each camera looks at the painting averaged to its own sampling.
+        by_factor = {1: painting}
+        for camera in self.cameras.values():
+            factor = max(1, int(painting.px_per_mm / (2.2 * camera.model.sampling)))
+            if factor not in by_factor:
+                by_factor[factor] = painting.reduced(factor)
+            seen, view = by_factor[factor], self.views[name][camera.model.name]
+            lattice = tabulate(view, panel)
+            sight = look(camera.model, view, panel, seen, lattice=lattice)
+            yield from self._take(writer, camera, name, sight)
+            if under_lamp is not None and camera.model.name == under_lamp.model.name:
+                glared = look(camera.model, view, panel, seen, setup=SETUP[0], lattice=lattice)
+                yield from self._take(writer, under_lamp, name, glared)
+
+    def _take(
+        self, writer: FrameWriter, camera: Camera, target: str, sight: Sight | None
+    ) -> Iterator[Step]:
+        name, first = camera.model.name, self.done
+        one_file_a_band = camera.model.kind in ("bands", "cube")
+        for frame in camera.shoot(target, sight, white=target == "white"):
+            writer.add(camera, target, frame)
+            if one_file_a_band and frame.shot == 0:
+                self.done += 1
+            yield Step(self.done, self.total, f"{target} {name} {frame.band}".rstrip())
+        writer.finish(camera, target)
+        self.done = first + len(camera.model.bands)
+        yield Step(self.done, self.total, f"{target} {name}", True)
+
+    def truth(self) -> Truth:
+        """Return the exact geometry of the campaign."""
+        return Truth(
+            REFERENCE,
+            self.panels,
+            {name: model.geometry() for name, model in self.models.items()},
+            {name: self.views[name] for name in self.names},
+        )
