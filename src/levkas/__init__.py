@@ -38,7 +38,7 @@ _HOMES = {
     "structural_similarity": "evaluation",
     "position_errors": "evaluation",
 }
-__all__ = sorted([*_HOMES, "__version__"])  # noqa: PLE0605
+__all__ = sorted([*_HOMES, "__version__"])
 
 
 def __getattr__(name: str) -> Any:

@@ -121,7 +121,7 @@ def build(
     from levkas.building import summarise
 
     steps = _drawn(build_campaign(campaign, output=output, objects=objects), as_json)
-    report = summarise(steps)
+    report = summarise(steps, output)
     _report("build", as_json, report.ok, report.problems, **report.to_dict())
     if not as_json:
         typer.echo(report.text)

@@ -19,7 +19,7 @@ CALIBRATION_KEYS = (
 CODE = {
     "calibrate": ("calibration", "readers", "building/developing.py", "building/whiteboard.py"),
     "register": ("registration", "building/registering.py", "transforms.py"),
-    "resample": ("warping.py", "gridding.py", "colour.py", "database", "transforms.py"),
+    "resample": ("gridding.py", "colour.py", "database", "transforms.py"),
     "report": ("reporting", "evaluation.py", "building/pages.py"),
 }
 

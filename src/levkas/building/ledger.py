@@ -134,7 +134,8 @@ class Ledger:
 
     def forget(self, key: Key) -> None:
         """Drop the record of a stage that is about to be done anew."""
-        remove(self._path(key))
+        if self._path(key).is_file():
+            remove(self._path(key))
 
     def _path(self, key: Key) -> Path:
         parts = [part for part in (key.object, key.layer, key.stage) if part]

@@ -282,7 +282,8 @@ class ObjectBuild:
 
         key = self.keys(capture)["resample"]
         for name in self.ledger.products(key):
-            remove(self.places.output / name)
+            if (self.places.output / name).is_file():
+                remove(self.places.output / name)
         shutil.rmtree(self.places.store(self.name) / capture.layer, ignore_errors=True)
         self.ledger.forget(key)
 

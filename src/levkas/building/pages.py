@@ -118,7 +118,7 @@ def _band_rows(record: dict[str, Any]) -> list[list[str]]:
     from levkas.transforms import from_dict
 
     bands = record.get("bands", {})
-    channel = record.get("target", {}).get("reference_band")
+    channel = record.get("target", {}).get("band")
     if channel not in bands:
         return []
     size = np.array(record["reference"]["size"], float)

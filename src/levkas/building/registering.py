@@ -69,7 +69,7 @@ def record_of(
         "setup": capture.setup,
         "method": method,
         "reference": reference,
-        "target": {"camera": capture.camera, "setup": capture.setup, "reference_band": channel},
+        "target": {"camera": capture.camera, "setup": capture.setup, "band": channel},
         "grid": {
             "size": list(grid.size),
             "transform": grid.transform.to_dict(),

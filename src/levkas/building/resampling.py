@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.cube import Flag
+from levkas.cube import Cube, Flag
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,3 +47,24 @@ def describe_flags(flags: np.ndarray) -> dict[str, float]:
         for flag in Flag
         if flag.name
     }
+
+
+def resample(native: Native, transforms: dict[str, Transform], grid: Grid) -> Cube:
+    from scipy.ndimage import map_coordinates
+
+    w, h = grid.size
+    yy, xx = np.mgrid[0:h, 0:w]
+    points = grid.transform(np.stack([xx.ravel(), yy.ravel()], 1).astype(float))
+    n = len(native.bands)
+    values, flags, sigma = np.empty((h, w, n), np.float32), np.empty((h, w, n), np.uint8), np.empty((h, w, n), np.float32)
+    i = 0
+    for cube in native.cubes.values():
+        for b, band in enumerate(cube.bands):
+            p = transforms[band.label](points)
+            c = [p[:, 1], p[:, 0]]
+            values[..., i] = map_coordinates(cube.values[..., b], c, order=1, mode="nearest").reshape(h, w)
+            flags[..., i] = map_coordinates(cube.flags[..., b], c, order=0, mode="constant", cval=1).reshape(h, w)
+            if cube.sigma is not None:
+                sigma[..., i] = map_coordinates(cube.sigma[..., b], c, order=1, mode="nearest").reshape(h, w)
+            i += 1
+    return Cube(values, flags, sigma, native.bands, native.quantity)

@@ -73,7 +73,8 @@ class BuildReport:
         told = [f"{states.count(s)} {s}" for s in FINISHED if s in states]
         lines = [f"warning: {warning}" for warning in self.warnings]
         lines += [step.line for step in self.stages if step.state in ("refused", "failed", "stale")]
-        lines.append(f"{', '.join(told) or 'nothing to do'}: {self.output}")
+        where = f": {self.output}" if self.output else ""
+        lines.append(f"{', '.join(told) or 'nothing to do'}{where}")
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:

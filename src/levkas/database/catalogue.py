@@ -97,7 +97,7 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     entries, problems = [], []
     for number, row in enumerate(rows[1:], start=2):
         try:
-            entries.append(_entry(row))
+            entries.append(entry_of(row))
         except ValueError as error:
             field = f"line {number}"
             problems.append(Problem("E_VALUE", f"a row is damaged: {error}", str(path), field))
@@ -106,7 +106,7 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def _entry(row: list[str]) -> Entry:
+def entry_of(row: list[str]) -> Entry:
     if len(row) != len(COLUMNS):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
     cells = dict(zip(COLUMNS, row, strict=True))
