@@ -57,7 +57,7 @@ def find_defects(
     Notes
     -----
     The spread of a dark is taken over a phase from the median absolute deviation, or where zeros
-    hide it (a dark clipped at 0 has a MAD of 0) from its 99th percentile, at least one half count
+    hide it (a dark clipped at 0 has a MAD of 0) from its 90th percentile, at least one half count
     over the root of the shots.
 
     Examples
@@ -112,7 +112,7 @@ def _hot(phase: np.ndarray, hot: float, least: float, floor: float) -> np.ndarra
     above = phase - _local_median(phase)
     thin = above.ravel()[:: max(1, above.size // 200_000)]
     spread = 1.4826 * float(np.median(np.abs(thin)))
-    spread = spread or float(np.quantile(np.abs(thin), 0.99)) / 2.576
+    spread = spread or float(np.quantile(np.abs(thin), 0.9)) / 1.645
     return above > max(hot * max(spread, floor), least)
 
 

@@ -59,7 +59,7 @@ class Denoised:
         Rms of what was taken away, band by band; of the order of `subspace.noise` where nothing
         but noise went.
     removed_most : float
-        99.9 % quantile over pixels of the rms over bands of (removed/noise); about 1 for noise,
+        Of the pixel that lost most: rms over bands of (removed/noise). Little above 1 for noise,
         far above where rare spectra (gold, glare) were lost.
     """
 
@@ -186,7 +186,7 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
     if subspace is None:
         subspace = find_subspace(values[y : y + lines] for y in starts)
     result = np.array(values, np.float32)
-    squares, count, worst = np.zeros(values.shape[2]), 0, []
+    squares, count, most = np.zeros(values.shape[2]), 0, 0.0
     for y in starts:
         spectra = _spectra(result[y : y + lines])
         good = np.isfinite(spectra).all(1)
@@ -196,8 +196,8 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
         away = removed.astype(np.float64)
         squares += np.sum(away**2, axis=0)
         count += len(away)
-        worst.append(np.sqrt(np.mean((away / subspace.noise) ** 2, axis=1)))
-    most = float(np.quantile(np.concatenate(worst), 0.999)) if count else float("nan")
+        lost = np.sqrt(np.mean((away / subspace.noise) ** 2, axis=1))
+        most = max(most, float(lost.max(initial=0.0)))
     return Denoised(result, subspace, np.sqrt(squares / max(count, 1)), most)
 
 

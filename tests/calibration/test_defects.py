@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.calibration.defects import find_defects, replace_defects
+from levkas.calibration.templates import CalibrationRefused, average
+from levkas.cube import Flag
+
+
+def planted(shape, places, values, level, rng):
+    frame = rng.normal(level, 2, shape)
+    for place, value in zip(places, values, strict=True):
+        frame[place] = value
+    return np.rint(frame).clip(0).astype(np.uint16)
+
+
+PLACES = [(0, 0), (10, 11), (30, 39), (17, 20)]
+
+
+def test_hot_sensels_are_found_and_no_others():
+    dark = planted((40, 40), PLACES, [300, 140, 900, 3000], 64, np.random.default_rng(0))
+    found = find_defects(average([dark]), None, "RGGB")
+    assert sorted(map(tuple, np.argwhere(found).tolist())) == sorted(PLACES)
+
+
+def test_hot_sensels_are_found_in_darks_clipped_at_zero():
+    rng = np.random.default_rng(1)
+    frame = np.clip(np.rint(rng.normal(-1, 0.6, (200, 200))), 0, 255).astype(np.uint8)
+    frame[50, 60], frame[51, 60] = 90, 40
+    found = find_defects(average([frame]), None, "GBRG")
+    assert np.argwhere(found).tolist() == [[50, 60], [51, 60]]
+
+
+def test_dead_and_stuck_sensels_are_found_in_a_shaded_coloured_white():
+    y, x = np.mgrid[:60, :60]
+    shade = (1 - 0.3 * (x / 60) ** 2) * np.array([[2000, 3500], [3400, 900]])[y % 2, x % 2]
+    for place, value in zip(PLACES, [0, 100, 4095, 4095], strict=True):
+        shade[place] = value
+    found = find_defects(None, average([shade.astype(np.float32)]), "RGGB")
+    marked = set(map(tuple, np.argwhere(found).tolist()))
+    # 4095 on a green of 3400 is within the half: what a flat field can mend is no defect.
+    assert {(0, 0), (10, 11)} <= marked <= set(PLACES)
+
+
+def test_defects_that_others_planted_are_found(two_paintings):
+    folder = two_paintings / "raw" / "lctf-vis"
+    dark = average([tifffile.imread(folder / "dark" / "550nm_00.tif")])
+    found = find_defects(dark)
+    # Seen by eye: two sensels at about 870 counts, all others within 54–80.
+    assert np.count_nonzero(found) == 2
+    assert dark.mean[found].min() > 800
+    assert dark.mean[~found].max() < 100
+
+
+def test_a_frame_full_of_defects_is_refused():
+    rng = np.random.default_rng(2)
+    frame = rng.choice([64.0, 500.0], (50, 50), p=[0.9, 0.1]) + rng.normal(0, 1, (50, 50))
+    with pytest.raises(CalibrationRefused, match="too many sensels"):
+        find_defects(average([frame]))
+
+
+def test_replacement_is_the_median_of_the_same_phase():
+    frame = np.tile(np.array([[10, 20], [20, 40]], np.float32), (5, 5))
+    flags = np.zeros(frame.shape, np.uint8)
+    frame[4, 4], flags[4, 4] = 999, Flag.DEFECT
+    flags[4, 6] = Flag.SATURATED
+    values, noted, variance = replace_defects(frame, flags, frame, "RGGB")
+    assert values[4, 4] == 10
+    assert noted[4, 4] == Flag.DEFECT | Flag.NEAR
+    assert variance[4, 4] == 0
+    assert np.array_equal(np.delete(values, 44), np.delete(frame, 44))
+
+
+def test_defects_do_not_mend_each_other():
+    frame, flags = np.ones((12, 12), np.float32), np.zeros((12, 12), np.uint8)
+    frame[4:7, 4:7], flags[4:7, 4:7] = np.nan, Flag.DEFECT
+    values, _, _ = replace_defects(frame, flags, None)
+    np.testing.assert_array_equal(values, 1)
+
+
+def test_a_whole_dead_region_stays_unknown():
+    frame, flags = np.ones((12, 12), np.float32), np.full((12, 12), Flag.DEFECT, np.uint8)
+    assert np.isnan(replace_defects(frame, flags, None)[0]).all()
+
+
+def test_the_stated_variance_covers_the_error_of_replacement():
+    rng = np.random.default_rng(3)
+    truth = rng.normal(100, 3, (300, 300)).astype(np.float32)
+    flags = np.zeros(truth.shape, np.uint8)
+    flags[5::10, 5::10] = Flag.DEFECT
+    values, _, variance = replace_defects(np.where(flags, 0, truth), flags, truth * 0)
+    z = ((values - truth) / np.sqrt(np.where(flags, variance, 1)))[flags > 0]
+    # Student's t of 7 degrees of freedom: a spread of 1.18.
+    assert 1.0 < z.std() < 1.35
+
+
+def test_cubes_are_mended_band_by_band():
+    cube = np.ones((1, 9, 2), np.float32) * [1, 2]
+    flags = np.zeros(cube.shape, np.uint8)
+    flags[0, 4, 1] = Flag.DEFECT
+    assert replace_defects(cube, flags, None)[0][0, 4].tolist() == [1, 2]

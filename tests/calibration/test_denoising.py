@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from levkas.calibration.denoising import denoise, find_subspace
+from levkas.calibration.templates import CalibrationRefused
+
+BANDS, PARTS = 60, 5
+
+
+def cubes(level=0.01, seed=0):
+    """Return mixtures of five smooth spectra, without and with white noise."""
+    rng = np.random.default_rng(seed)
+    at = np.linspace(0, 1, BANDS)
+    spectra = [np.exp(-(((at - c) / 0.15) ** 2)) + 0.1 for c in np.linspace(0, 1, PARTS)]
+    clean = (rng.dirichlet(np.full(PARTS, 0.5), (40, 50)) @ np.array(spectra)).astype(np.float32)
+    return clean, (clean + level * rng.standard_normal(clean.shape)).astype(np.float32)
+
+
+def test_dimension_and_noise_come_back():
+    _, noisy = cubes()
+    found = find_subspace([noisy])
+    assert found.k == PARTS
+    # A band is predicted from others that are noisy too: a few percent too much.
+    assert found.noise.mean() == pytest.approx(0.01, rel=0.1)
+    np.testing.assert_allclose(found.basis.T @ found.basis, np.eye(PARTS), atol=1e-10)
+
+
+def test_denoising_brings_the_truth_nearer_and_takes_no_more_than_noise():
+    clean, noisy = cubes()
+    made = denoise(noisy)
+    # Of 60 dimensions of noise 5 stay: √(60/5) = 3.46 at best.
+    assert (noisy - clean).std() / (made.values - clean).std() > 3.2
+    np.testing.assert_allclose(made.removed, made.subspace.noise, rtol=0.2)
+    assert 0.9 < made.removed_most < 1.5
+
+
+def test_rare_spectra_that_are_lost_are_reported():
+    _, noisy = cubes()
+    # A saw of ±5 sigma in one spectrum of 2,000: too little power for a direction of its own.
+    noisy[3, 4, ::2] += 0.05
+    noisy[3, 4, 1::2] -= 0.05
+    assert 4 < denoise(noisy).removed_most < 6
+
+
+def test_blocks_do_not_matter():
+    _, noisy = cubes()
+    whole, parts = denoise(noisy, lines=1000), denoise(noisy, lines=7)
+    assert whole.values.tobytes() == parts.values.tobytes()
+
+
+def test_binned_bands_are_refused():
+    clean, noisy = cubes()
+    noise = noisy - clean
+    binned = clean + (noise + np.roll(noise, 1, 2)) / np.sqrt(2)
+    with pytest.raises(CalibrationRefused) as refused:
+        denoise(binned.astype(np.float32))
+    assert refused.value.problems[0].code == "E_CORRELATED"
+
+
+def test_too_few_spectra_are_refused():
+    with pytest.raises(CalibrationRefused, match="too little for a signal subspace"):
+        find_subspace([cubes()[1][:3]])
+
+
+def test_unknown_spectra_come_back_unknown():
+    _, noisy = cubes()
+    noisy[5, 6, 7] = np.nan
+    made = denoise(noisy)
+    np.testing.assert_array_equal(made.values[5, 6], noisy[5, 6])
+    assert np.isfinite(np.delete(made.values.reshape(-1, BANDS), 5 * 50 + 6, 0)).all()

@@ -1,0 +1,113 @@
+import re
+
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.calibration.equalising import equalise_phases, phase_gains
+from levkas.calibration.exposures import best_exposure
+from levkas.calibration.flatfield import flat_field
+from levkas.calibration.templates import CalibrationRefused, average
+from levkas.cube import Flag
+
+SEES = np.array([[0.6, 1.0], [0.02, 0.55]])
+
+
+def seen(scene, sees=SEES):
+    rows, columns = sees.shape
+    y, x = np.indices(scene.shape)
+    return (scene * sees[y % rows, x % columns]).astype(np.float32)
+
+
+def blobs(shape, centres, width):
+    y, x = np.indices(shape)
+    depth = [np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * width**2)) for cx, cy in centres]
+    return 1000 * (1 - 0.8 * np.max(depth, axis=0))
+
+
+def centroid(picture, start, reach=12):
+    left, top = (max(0, round(float(c)) - reach) for c in start)
+    right, bottom = (round(float(c)) + reach + 1 for c in start)
+    part = picture[top:bottom, left:right].astype(float)
+    low, high = np.percentile(part, 5), np.percentile(part, 90)
+    dark = np.clip((high - part) / (high - low), 0, 1)
+    dark[dark < 0.15] = 0
+    y, x = np.indices(part.shape)
+    return np.array([np.sum(x * dark), np.sum(y * dark)]) / dark.sum() + (left, top)
+
+
+def test_a_plane_comes_back_whole_and_unmoved():
+    y, x = np.mgrid[:60, :70]
+    plane = 2000 + 3.0 * x - 2.0 * y
+    made, flags, _ = equalise_phases(seen(plane), np.zeros(plane.shape, np.uint8), None, "GBRG")
+    np.testing.assert_allclose(made, plane, rtol=2e-4)
+    assert not flags.any()
+
+
+def test_gains_come_back_and_the_weak_phase_is_dropped():
+    rng = np.random.default_rng(0)
+    scene = blobs((120, 140), [(40, 50), (90, 60)], 9)
+    raw = seen(scene) + rng.normal(0, 4, scene.shape).astype(np.float32)
+    found = phase_gains(raw, np.zeros(raw.shape, np.uint8), None, "GBRG")
+    np.testing.assert_allclose(found.gains, SEES, atol=0.005)
+    assert (found.weights > 0).tolist() == [[True, True], [False, True]]
+    assert found.weights[0, 1] == 1
+
+
+def test_a_saturated_phase_is_dropped():
+    raw = np.minimum(seen(np.full((60, 60), 300.0)), 255)
+    flags = np.where(raw >= 255, Flag.SATURATED, 0).astype(np.uint8)
+    made, noted, _ = equalise_phases(raw, flags, None, "GBRG")
+    # The green of gain 0.6 is now the strongest: the scale is its.
+    np.testing.assert_allclose(made, 180, rtol=1e-5)
+    assert not noted.any()
+
+
+@pytest.mark.parametrize("sees", [SEES, np.array([[0.05, 1], [0.01, 0.05]]), np.ones((2, 2))])
+def test_blobs_stay_where_they_are(sees):
+    centres = [(30.3, 40.6), (80.75, 41.2), (55.5, 90.9)]
+    raw = seen(blobs((130, 120), centres, 4.0), sees)
+    made, _, _ = equalise_phases(raw, np.zeros(raw.shape, np.uint8), None, "GBRG")
+    for centre in centres:
+        assert centroid(made, centre) == pytest.approx(centre, abs=0.03)
+
+
+def test_flags_and_variance_travel():
+    raw, flags = seen(np.full((40, 40), 500.0)), np.zeros((40, 40), np.uint8)
+    flags[20, 21] = Flag.DEFECT
+    noise = np.full(raw.shape, 9, np.float32)
+    _, noted, variance = equalise_phases(raw, flags, noise, "GBRG")
+    assert noted[20, 21] == Flag.DEFECT
+    assert noted[20, 22] == Flag.DEFECT | Flag.NEAR
+    # Never worse than what the strongest phase alone interpolates to: 1 at its own place.
+    assert np.all(variance[2:-2, 2:-2] < 9)
+
+
+def test_darkness_is_refused():
+    with pytest.raises(CalibrationRefused, match="no phase of the mosaic has a signal"):
+        equalise_phases(np.zeros((40, 40), np.float32), np.zeros((40, 40), np.uint8), None, "GBRG")
+
+
+@pytest.mark.parametrize("band", range(7))
+def test_disks_behind_real_filters_stay_where_they_are(real_data, band):
+    folder = real_data / "filterwheel-disks"
+    known = np.loadtxt(folder / "disk_centroids_per_band.csv", delimiter=",").reshape(30, 7, 2)
+
+    def time_s(path):
+        return int(re.search(r"_(\d+)ms", path.name)[1]) / 1000
+
+    shots = [
+        average([tifffile.imread(f)], saturation=255, exposure_s=time_s(f))
+        for f in sorted(folder.glob(f"frames/*_{400 + 50 * band}nm_*.tif"))
+    ]
+    darks = [
+        average([tifffile.imread(f)], exposure_s=time_s(f))
+        for f in sorted(folder.glob("dark/d1_*0004.tif"))
+    ]
+    signal = flat_field(best_exposure(shots), darks)
+    made, _, _ = equalise_phases(signal.values, signal.flags, None, "GBRG")
+    found = np.array([centroid(made, start, reach=20) for start in known[:, band]])
+    # The centres in the file are themselves known to about 0.1 px.
+    error = np.hypot(*(found - known[:, band]).T)
+    assert error.mean() < 0.11
+    assert error.max() < 0.2

@@ -1,0 +1,128 @@
+import re
+
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.calibration.exposures import best_exposure, merge_exposures
+from levkas.calibration.linearity import check_linearity
+from levkas.calibration.noise_fit import NoiseModel
+from levkas.calibration.templates import CalibrationRefused, average
+
+TIMES = (0.1, 0.4, 1.6, 6.4)
+
+
+def rates():
+    return np.geomspace(20, 200_000, 200) * np.ones((300, 1))  # electrons a second
+
+
+def series(sensor, rng, *, black=None, times=TIMES, stated=TIMES):
+    return [
+        average(
+            sensor.shots(rates() * t, 1, rng, black=black),
+            saturation=sensor.saturation,
+            exposure_s=s,
+        )
+        for t, s in zip(times, stated, strict=True)
+    ]
+
+
+def darks(sensor, rng, *, black=None):
+    return [average(sensor.shots(0 * rates(), 12, rng, black=black), exposure_s=t) for t in TIMES]
+
+
+def test_the_longest_unsaturated_exposure_is_the_best():
+    frames = [np.full((100, 100), 60 * n, np.uint8) for n in (1, 2, 4)]
+    frames[2][0, 0] = 255
+    shots = [
+        average([f], saturation=255, exposure_s=t)
+        for f, t in zip(frames, (1.0, 2.0, 4.0), strict=True)
+    ]
+    assert best_exposure(shots[::-1]).exposure_s == 4.0  # one of 10,000 is tolerated
+    assert best_exposure(shots, tolerated=0.0).exposure_s == 2.0
+
+
+def test_where_all_are_saturated_the_least_is_taken():
+    shots = [average([np.full((2, 2), 255)], saturation=255, exposure_s=t) for t in (2.0, 1.0)]
+    assert best_exposure(shots).exposure_s == 1.0
+
+
+def test_unknown_exposures_are_refused():
+    with pytest.raises(CalibrationRefused) as refused:
+        best_exposure([average([np.ones((2, 2))])])
+    assert refused.value.problems[0].code == "E_EXPOSURES"
+
+
+def test_a_merge_is_unbiased_honest_and_near_the_bound(sensor):
+    rng = np.random.default_rng(3)
+    noise = NoiseModel(sensor.gain, sensor.read**2 + 1 / 12)
+    dark = darks(sensor, rng)
+    shots = series(sensor, rng)
+    merged = merge_exposures(shots, dark, saturation=4095, noise=noise).template
+    response = 1 + sensor.prnu * np.random.default_rng(99).standard_normal(rates().shape)
+    truth = sensor.gain * rates() * response
+    usable = ~merged.saturated.any(0)
+    z = ((merged.mean - truth) / np.sqrt(merged.variance))[:, usable]
+    assert 0.98 < z.std() < 1.02
+    bright = usable & (truth[0] > 100)
+    assert np.abs(merged.mean.mean(0) / truth.mean(0) - 1)[bright].max() < 0.003
+    clear = [sensor.gain * rates()[0] * t + sensor.black < 0.9 * 4095 for t in TIMES]
+    bound = 1 / sum(
+        c * t**2 / (noise.variance(sensor.gain * rates()[0] * t))
+        for c, t in zip(clear, TIMES, strict=True)
+    )
+    # Columns where an exposure is partly usable lie between two bounds: leave them out.
+    apart = [sensor.gain * rates()[0] * t * 1.1 + sensor.black > 4095 for t in TIMES]
+    sharp = usable & ~np.any([~c & ~a for c, a in zip(clear, apart, strict=True)], axis=0)
+    assert ((merged.mean - truth).var(0) / bound)[sharp].mean() < 1.02
+
+
+def test_where_every_exposure_is_saturated_the_shortest_stands_flagged(sensor):
+    frame = np.full((4, 4), 4095, np.uint16)
+    shots = [average([frame], saturation=4095, exposure_s=t) for t in (0.1, 0.2)]
+    merged = merge_exposures(shots, saturation=4095).template
+    assert merged.saturated.all()
+    np.testing.assert_allclose(merged.mean, 40950)
+
+
+def test_exposures_that_do_not_scale_are_refused_with_where(sensor):
+    rng = np.random.default_rng(4)
+    shots = series(sensor, rng, stated=(0.1, 0.4, 1.6, 8.0))
+    with pytest.raises(CalibrationRefused, match="do not scale") as refused:
+        merge_exposures(shots, darks(sensor, rng)[0], saturation=4095, black=64.0)
+    assert refused.value.problems[0].code == "E_EXPOSURES"
+    assert "rms deviation" in refused.value.problems[0].found
+
+
+def test_equal_exposures_are_no_series():
+    shots = [average([np.ones((2, 2))], exposure_s=1.0)] * 2
+    with pytest.raises(CalibrationRefused, match="no series"):
+        merge_exposures(shots, saturation=255)
+
+
+def test_an_offset_that_clipped_darks_hide_is_found(sensor):
+    rng = np.random.default_rng(5)
+    shots = series(sensor, rng, black=-6.0)
+    plain = check_linearity(shots, saturation=4095)
+    fitted = check_linearity(shots, saturation=4095, fit_offset=True)
+    assert fitted.offset == pytest.approx(-6.0, abs=0.5)
+    assert fitted.rms < 0.002 < plain.rms
+    hidden = darks(sensor, rng, black=-6.0)
+    merged = merge_exposures(shots, hidden, saturation=4095)
+    assert merged.linearity.offset == pytest.approx(-6.0, abs=0.5)
+
+
+def test_a_real_exposure_series_scales(real_data):
+    folder = real_data / "filterwheel-disks"
+
+    def time_s(path):
+        return int(re.search(r"_(\d+)ms", path.name)[1]) / 1000
+
+    shots = [
+        average([tifffile.imread(f)], saturation=255, exposure_s=time_s(f))
+        for f in sorted(folder.glob("frames/*_450nm_*.tif"))
+    ]
+    found = check_linearity(shots, saturation=255, fit_offset=True)
+    # Black lies 0.2–0.6 counts below zero, as seen in all bands but 550 nm.
+    assert -0.8 < found.offset < -0.2
+    assert found.rms < 0.015

@@ -1,0 +1,150 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from levkas.calibration.flatfield import flat_field
+from levkas.calibration.noise_fit import NoiseModel, fit_noise
+from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.cube import Flag
+
+
+def flat(value, *, shape=(4, 6), exposure_s=None):
+    return average([np.full(shape, value, np.float32)], exposure_s=exposure_s)
+
+
+def test_flat_field_by_hand():
+    # (300 − 100)/(900 − 100) · 0.98 = 0.245
+    made = flat_field(flat(300), flat(100), flat(900), white_reflectance=0.98)
+    np.testing.assert_allclose(made.values, 0.245, rtol=1e-6)
+    assert made.quantity == "reflectance"
+    assert not made.flags.any()
+
+
+def test_exposures_are_normalised():
+    # (300 − 100)/(900 − 100) with the white four times as long: four times the reflectance.
+    dark = flat(100)
+    made = flat_field(flat(300, exposure_s=0.1), dark, flat(900, exposure_s=0.4))
+    np.testing.assert_allclose(made.values, 1.0, rtol=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.05, 1.5), st.floats(0.0, 200.0), st.integers(0, 2**31))
+def test_flat_field_of_the_white_is_its_reflectance(reflectance, level, seed):
+    lit = np.random.default_rng(seed).uniform(300, 4000, (5, 7)).astype(np.float32)
+    white, dark = average([lit]), average([np.full((5, 7), level, np.float32)])
+    made = flat_field(white, dark, white, white_reflectance=reflectance)
+    np.testing.assert_allclose(made.values, reflectance, rtol=1e-6)
+
+
+def test_bands_and_channels_have_their_own_white_reflectance():
+    cube = flat_field(
+        flat(50, shape=(2, 3, 2)), None, flat(100, shape=(1, 3, 2)), white_reflectance=[0.9, 0.8]
+    )
+    np.testing.assert_allclose(cube.values[1, 2], [0.45, 0.4], rtol=1e-6)
+    mosaic = flat_field(
+        flat(50), None, flat(100), white_reflectance=[0.9, 0.8, 0.6], pattern="GBRG"
+    )
+    np.testing.assert_allclose(mosaic.values[:2, :2], [[0.45, 0.4], [0.3, 0.45]], rtol=1e-6)
+
+
+def test_a_push_broom_template_serves_all_lines():
+    shot = average([np.arange(24, dtype=np.float32).reshape(4, 3, 2)])
+    white = average([np.array([[[1, 2], [4, 5], [8, 10]]], np.float32)])
+    np.testing.assert_allclose(flat_field(shot, None, white).values, shot.mean / white.mean)
+
+
+def test_without_a_white_it_is_counts_above_dark():
+    made = flat_field(flat(300), flat(100), noise=NoiseModel(0.5, 4.0))
+    assert made.quantity == "counts"
+    np.testing.assert_allclose(made.values, 200)
+    # read² + gain · 200 of the shot, read² of the one dark
+    np.testing.assert_allclose(made.variance, 4 + 0.5 * 200 + 4)
+
+
+def test_without_a_dark_the_black_level_goes():
+    assert flat_field(flat(300), None, flat(900), black=100.0).values[0, 0] == pytest.approx(0.25)
+
+
+def test_variance_by_hand_with_a_shared_dark():
+    # r = 0.25; [vS + r² vW/2 + (1 − r)² vD/4]/800², vS = 2 + 0.1·200, vW = 2 + 0.1·800, vD = 2.
+    # The counts of 4 and 2 shots that agree weigh 3 and 1 against 60 of the model.
+    white, dark = average([np.full((2, 2), 900)] * 2), average([np.full((2, 2), 100)] * 4)
+    made = flat_field(flat(300, shape=(2, 2)), dark, white, noise=NoiseModel(0.1, 2.0))
+    v_white, v_dark = 82 * 60 / 61 / 2, 2 * 60 / 63 / 4
+    expected = (22 + 0.25**2 * v_white + 0.75**2 * v_dark) / 800**2
+    np.testing.assert_allclose(made.variance, expected, rtol=1e-6)
+
+
+def test_noise_that_is_not_known_is_not_invented():
+    assert flat_field(flat(300), flat(100), flat(900)).variance is None
+
+
+def test_sigma_is_honest(sensor):
+    # A ramp of reflectance 0.02–0.95, averages of 2, 3 and 5: (r − truth)/u must be normal.
+    rng = np.random.default_rng(7)
+    truth = np.linspace(0.02, 0.95, 400) * np.ones((150, 1))
+    shot, white, dark = (
+        average(sensor.shots(level, n, rng))
+        for level, n in ((truth * sensor.white, 2), (0 * truth + sensor.white, 3), (0 * truth, 5))
+    )
+    noise = fit_noise([shot, white, dark], dark)
+    made = flat_field(shot, dark, white, noise=noise)
+    z = (made.values - truth) / np.sqrt(made.variance)
+    assert 0.98 < z.std() < 1.02
+    assert 0.94 < np.mean(np.abs(z) < 1.96) < 0.96
+    assert abs(z.mean()) < 0.02
+
+
+def test_flags_follow_object_and_white():
+    clear = np.zeros((1, 4), bool)
+    mark = [np.arange(4)[None] == i for i in range(4)]
+    shot = Template(np.full((1, 4), 50, np.float32), None, 1, mark[0], mark[1], None)
+    white = Template(np.array([[90, 90, 90, 5]], np.float32), None, 1, mark[2], clear, None)
+    made = flat_field(shot, average([np.full((1, 4), 5.0)]), white)
+    assert made.flags.tolist() == [[Flag.SATURATED, Flag.BLACK, Flag.SATURATED, Flag.DEFECT]]
+    assert np.isnan(made.values[0, 3])
+    assert np.isfinite(made.values[0, :3]).all()
+
+
+def test_given_defects_are_flagged():
+    defects = np.zeros((4, 6), bool)
+    defects[2, 3] = True
+    made = flat_field(flat(3), None, flat(9), defects=defects)
+    assert np.argwhere(made.flags == Flag.DEFECT).tolist() == [[2, 3]]
+
+
+def test_white_darker_than_dark_is_refused_with_its_numbers():
+    with pytest.raises(CalibrationRefused, match="median white 60, median dark 64") as refused:
+        flat_field(flat(90), flat(64), flat(60))
+    assert refused.value.problems[0].code == "E_WHITE_DARK"
+
+
+def test_the_channel_that_has_no_white_is_named():
+    lit = np.full((40, 40), 900, np.float32)
+    lit[1::2, ::2] = 60
+    with pytest.raises(CalibrationRefused, match="white is darker than dark in R"):
+        flat_field(
+            flat(90, shape=(40, 40)), flat(64, shape=(40, 40)), average([lit]), pattern="GBRG"
+        )
+
+
+def test_a_saturated_white_is_refused():
+    white = average([np.full((4, 6), 4095, np.uint16)], saturation=4095)
+    with pytest.raises(CalibrationRefused) as refused:
+        flat_field(flat(90), flat(64), white, labels=["550 nm"])
+    assert refused.value.problems[0].code == "E_WHITE_SATURATED"
+    assert "550 nm" in str(refused.value)
+
+
+def test_templates_of_other_sizes_are_refused_together():
+    with pytest.raises(CalibrationRefused) as refused:
+        flat_field(flat(90), flat(64, shape=(4, 5)), flat(900, shape=(5, 6)))
+    assert [p.code for p in refused.value.problems] == ["E_SIZE", "E_SIZE"]
+
+
+def test_a_white_spectrum_of_the_wrong_length_is_refused():
+    with pytest.raises(CalibrationRefused, match="expected: one positive number, or 2"):
+        flat_field(
+            flat(1, shape=(2, 3, 2)), None, flat(2, shape=(2, 3, 2)), white_reflectance=[1] * 3
+        )

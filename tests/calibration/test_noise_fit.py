@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.calibration.noise_fit import fit_noise, fit_noise_single
+from levkas.calibration.templates import average
+
+
+def ramp():
+    return np.linspace(500, 30_000, 300) * np.ones((200, 1))
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_gain_and_read_noise_come_back_from_stacks(sensor, count):
+    rng = np.random.default_rng(1)
+    dark, white, icon = (average(sensor.shots(ramp() * scale, count, rng)) for scale in (0, 1, 0.3))
+    noise = fit_noise([dark, white, icon], dark)
+    # 60,000 pixels: the slope is known to about 0.5 %; read² holds the 1/12 of rounding.
+    assert noise.gain == pytest.approx(sensor.gain, rel=0.02)
+    assert noise.read_variance == pytest.approx(sensor.read**2 + 1 / 12, rel=0.03)
+
+
+def test_darks_clipped_at_zero_do_not_pull_the_read_noise_down(sensor):
+    rng = np.random.default_rng(2)
+    dark, icon = (average(sensor.shots(ramp() * s, 5, rng, black=0)) for s in (0, 0.2))
+    assert dark.black.mean() > 0.5
+    noise = fit_noise([dark, icon], dark)
+    assert noise.read_variance == pytest.approx(sensor.read**2, rel=0.15)
+
+
+def test_something_that_moved_does_not_count(sensor):
+    frames = sensor.shots(ramp(), 4, np.random.default_rng(3))
+    frames[2] = frames[2].copy()
+    frames[2][:4] += 500
+    noise = fit_noise([average(frames)], black=sensor.black)
+    assert noise.gain == pytest.approx(sensor.gain, rel=0.05)
+
+
+def test_single_shots_tell_nothing_of_time(sensor):
+    shot = average(sensor.shots(ramp(), 1, np.random.default_rng(4)))
+    assert fit_noise([shot], black=sensor.black) is None
+
+
+def test_single_shots_give_an_estimate_free_of_prnu(sensor):
+    # PRNU of 1.9 % alone would be 57² counts² at the white; shot noise is 300.
+    rng = np.random.default_rng(5)
+    white, icon = (average(sensor.shots(ramp() * s + 3000 * (1 - s), 1, rng)) for s in (1, 0.5))
+    noise = fit_noise_single([icon], [white], black=sensor.black)
+    assert noise.source == "spatial"
+    assert noise.gain == pytest.approx(sensor.gain, rel=0.15)
+
+
+def test_the_gain_of_a_real_simulated_camera_is_the_same_from_whites_and_icons(two_paintings):
+    def stack(target):
+        return average([tifffile.imread(f) for f in sorted((folder / target).glob("ccd1*"))])
+
+    folder = two_paintings / "raw" / "msbs"
+    dark, white, icon = stack("dark"), stack("white"), stack("icon1")
+    gains = [fit_noise([s, dark], dark).gain for s in (white, icon)]
+    # Hand-checked on this data: 0.80 counts per electron from either.
+    assert gains == pytest.approx([0.80, 0.80], rel=0.02)

@@ -1,0 +1,106 @@
+"""What holds for all of calibration: inputs stay as they are, threads do not matter."""
+
+import numba
+import numpy as np
+import pytest
+
+from levkas.calibration.defects import find_defects, replace_defects
+from levkas.calibration.denoising import denoise
+from levkas.calibration.equalising import equalise_phases
+from levkas.calibration.exposures import merge_exposures
+from levkas.calibration.flatfield import Calibrated, flat_field
+from levkas.calibration.mosaic import demosaic
+from levkas.calibration.noise_fit import NoiseModel, fit_noise
+from levkas.calibration.scanning import average_lines, join_strips
+from levkas.calibration.templates import Template, average
+
+NOISE = NoiseModel(0.1, 4.0)
+
+
+def frozen(array):
+    array.flags.writeable = False
+    return array
+
+
+def template(level, *, exposure_s=None, count=3, shape=(50, 60)):
+    rng = np.random.default_rng(int(level))
+    made = average(
+        [rng.integers(level, level + 90, shape).astype(np.uint16) for _ in range(count)],
+        saturation=level + 89,
+        exposure_s=exposure_s,
+    )
+    arrays = (made.mean, made.variance, made.saturated, made.black)
+    return Template(*map(frozen, arrays[:2]), made.count, *map(frozen, arrays[2:]), made.exposure_s)
+
+
+def frames(kind):
+    rng = np.random.default_rng(1)
+    return [frozen(rng.integers(0, 200, (50, 60)).astype(kind)) for _ in range(4)]
+
+
+def mosaic():
+    rng = np.random.default_rng(2)
+    values = rng.uniform(1, 2, (50, 60)).astype(np.float32)
+    flags = (rng.random(values.shape) < 0.01).astype(np.uint8) * 8
+    return frozen(values), frozen(flags), frozen(values * 0.01)
+
+
+def spectra():
+    rng = np.random.default_rng(3)
+    smooth = rng.random((40, 50, 2)) @ np.stack([np.ones(20), np.linspace(0, 1, 20)])
+    return frozen((smooth + 0.01 * rng.standard_normal(smooth.shape)).astype(np.float32))
+
+
+def strips():
+    rng = np.random.default_rng(4)
+    scene = rng.random((60, 80, 2)).astype(np.float32)
+    parts = (frozen(scene[:, :50].copy()), frozen(scene[:, 35:].copy()))
+    return [Calibrated(p, frozen(np.zeros(p.shape, np.uint8)), p, "reflectance") for p in parts]
+
+
+STEPS = {
+    "average codes": lambda: average(frames(np.uint16), saturation=199),
+    "average reals": lambda: average(frames(np.float32), saturation=199),
+    "average lines": lambda: average_lines([frozen(np.ones((5, 4, 3), np.uint16))]),
+    "flat field": lambda: flat_field(template(200), template(20), template(900), noise=NOISE),
+    "flat field of stacks": lambda: flat_field(template(200), template(20), template(900)),
+    "counts": lambda: flat_field(template(200), template(20), noise=NOISE, pattern="RGGB"),
+    "fit noise": lambda: fit_noise([template(200), template(900)], template(20)),
+    "find defects": lambda: find_defects(template(20), template(900), "RGGB"),
+    "replace defects": lambda: replace_defects(*mosaic(), "RGGB"),
+    "malvar": lambda: demosaic(*mosaic(), "RGGB"),
+    "normalised": lambda: demosaic(*mosaic(), ["ABC", "DEF", "GHI"]),
+    "equalise": lambda: equalise_phases(*mosaic(), "GBRG"),
+    "merge": lambda: merge_exposures(
+        [template(100, exposure_s=1.0), template(200, exposure_s=2.0)],
+        saturation=4095,
+        noise=NOISE,
+        limit=1.0,
+    ),
+    "join strips": lambda: join_strips(strips(), blend=True),
+    "denoise": lambda: denoise(spectra()),
+}
+
+
+def contents(value):
+    """Return the bytes of every array in a result, however it is nested."""
+    if isinstance(value, np.ndarray):
+        return [value.tobytes()]
+    if isinstance(value, (tuple, list)):
+        return [part for item in value for part in contents(item)]
+    if hasattr(value, "__dataclass_fields__"):
+        return contents([getattr(value, name) for name in value.__dataclass_fields__])
+    return [repr(value)]
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_read_only_input_serves_and_threads_do_not_matter(step):
+    threads = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        alone = contents(STEPS[step]())
+        numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
+        together = contents(STEPS[step]())
+    finally:
+        numba.set_num_threads(threads)
+    assert alone == together
