@@ -66,7 +66,7 @@ def test_the_grey_picture_lies_in_the_frame_of_the_first_sensor(camera):
 def test_every_band_gets_the_map_of_its_sensor(studio, camera):
     reference = [band("r", studio.photograph(studio.paint(11), Affine.identity(), seed=5), "")]
     found = register(
-        reference, camera, reference_band="r", method="mirhashemi2019", alignments={"ccd2": TURN}
+        reference, camera, reference_band="r", method="mirhashemi2019", align={"ccd2": TURN}
     )
     points = np.array([[60.0, 50.0], [220.0, 160.0]])
     np.testing.assert_allclose(found.transforms["a"](points), points, atol=0.3)

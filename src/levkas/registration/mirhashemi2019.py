@@ -76,7 +76,7 @@ def register_mirhashemi2019(
     region: Sequence[float] | None = None,
     rng: np.random.Generator | None = None,
     target_region: Sequence[float] | None = None,
-    alignments: Mapping[str, Any] | None = None,
+    align: Mapping[str, Any] | None = None,
     order: int = 3,
     detector: str = "sift",
     matching: str = "mutual-ratio",
@@ -93,7 +93,7 @@ def register_mirhashemi2019(
     region, target_region : (x, y, width, height), optional
         Where the object lies in reference px, and in native px of the target's first sensor; the
         paper crops both. Scale alone maps one to the other where both are given, else the frames.
-    alignments : mapping of sensor name to (2, 3) matrix or Transform, optional
+    align : mapping of sensor name to (2, 3) matrix or Transform, optional
         Of a target with several sensors: first sensor's px → this sensor's; measured without it.
     order : int
         Of the polynomial.
@@ -116,9 +116,9 @@ def register_mirhashemi2019(
         raise RegistrationRefused(*problems)
     sensor = next(image.sensor for image in reference if image.label == reference_band)
     if target is reference:
-        return _own(reference, sensor, alignments)
+        return _own(reference, sensor, align)
     ours = Camera.of(reference, sensor, None)
-    theirs = Camera.of(target, target[0].sensor, alignments)
+    theirs = Camera.of(target, target[0].sensor, align)
     reject = float(np.hypot(*ours.size)) * REJECT_SHARE if reject is None else float(reject)
     scale = scale_only(ours.size, theirs.size, region, target_region)
     found = find_matches(
@@ -268,11 +268,9 @@ def _spread(camera: Camera, transform: Transform) -> dict[str, Transform]:
     return transforms
 
 
-def _own(
-    images: Sequence[BandImage], sensor: str, alignments: Mapping[str, Any] | None
-) -> Registration:
+def _own(images: Sequence[BandImage], sensor: str, align: Mapping[str, Any] | None) -> Registration:
     """Return the reference camera itself: its bands stay, its other sensors are aligned."""
-    aligned = align_sensors(images, given=alignments, first=sensor)
+    aligned = align_sensors(images, given=align, first=sensor)
     empty = np.empty((0, 2))
     reason = "The paper's method leaves the reference camera's own bands where they are."
     return Registration(

@@ -229,12 +229,18 @@ def _windows_agree(n: dict[str, Any]) -> Finding | None:
 
 
 def _no_rival(n: dict[str, Any]) -> Finding | None:
+    if n["rival"] > 1:
+        return Finding(
+            "refuse",
+            "Shifted elsewhere, the pictures agree better than here: this is not the place.",
+            f"{OTHER}; if they do, try the method `levkas`, or give control points.",
+        )
     for decision in ("refuse", "warn"):
         if n["rival"] > RIVAL[decision]:
             return Finding(
                 decision,
                 f"Shifted elsewhere, the pictures agree {100 * n['rival']:.0f} % as well as here: "
-                "the picture repeats itself, or this is not the place.",
+                "the picture repeats itself.",
                 "Give `region` so that something that does not repeat is in it, or control points.",
             )
     return None
