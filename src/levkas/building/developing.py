@@ -170,7 +170,7 @@ def _cube(
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)
-        flags = np.where(lost, flags | Flag.DEFECT, flags).astype(np.uint8)
+        flags = np.where(lost, flags | (Flag.DEFECT | Flag.OUTSIDE), flags).astype(np.uint8)
     return Cube(values, flags, sigma, bench.sensor.bands, quantity)
 
 

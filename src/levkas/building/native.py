@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from levkas.database.credits import Credits
     from levkas.discovery import Capture
 
-UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED | Flag.DEFECT
-"""Pixels that registration must not lean on."""
+UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
+"""Pixels that registration must not lean on; single defects were replaced well enough for it."""
 
 
 @dataclass(frozen=True)

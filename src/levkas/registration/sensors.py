@@ -28,6 +28,7 @@ LEAST_CELLS = 5
 #: The price of small components falls as they come to mean paint.
 RIDGES = (1e-2, 1e-3, 3e-4, 1e-4)
 LEAST_WINDOWS = 12
+LARGE_HOLE = 7
 HALVES_FROM = 6
 
 
@@ -71,8 +72,32 @@ def images_of(bands: Sequence[BandImage], region: Sequence[float] | None) -> dic
             inside = np.zeros(image.shape, bool)
             inside[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = True
             image[~inside] = np.nan
-        result[band.label] = rooted(image)
+        result[band.label] = rooted(_mended(image))
     return result
+
+
+def _mended(image: np.ndarray) -> np.ndarray:
+    """Fill holes that are too small to hide a place: sparks of gold, single defects.
+
+    A window counts only where all of it is valid, so that a few scattered pixels would blind
+    whole regions. What contains a block of `LARGE_HOLE` px stays NaN.
+    """
+    import cv2
+
+    hole = np.isnan(image)
+    if not hole.any() or hole.all():
+        return image
+    kernel = np.ones((LARGE_HOLE, LARGE_HOLE), np.uint8)
+    framed = cv2.copyMakeBorder(hole.astype(np.uint8), *[LARGE_HOLE] * 4, cv2.BORDER_CONSTANT, value=1)
+    large = cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel)
+    large = large[LARGE_HOLE:-LARGE_HOLE, LARGE_HOLE:-LARGE_HOLE].astype(bool)
+    small = hole & ~large
+    if not small.any():
+        return image
+    known = np.where(hole, 0, image).astype(np.float32)
+    weight = cv2.GaussianBlur((~hole).astype(np.float32), (0, 0), LARGE_HOLE / 2)
+    filling = cv2.GaussianBlur(known, (0, 0), LARGE_HOLE / 2) / np.maximum(weight, 1e-6)
+    return np.where(small & (weight > 1e-3), filling, image).astype(np.float32)
 
 
 def ordered(bands: Sequence[BandImage]) -> list[BandImage]:
