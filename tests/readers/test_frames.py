@@ -125,7 +125,10 @@ def test_a_file_that_is_no_image_says_what_was_expected(tmp_path):
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.sampled_from(["tif", "png", "jpg"]), st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6))
+@given(
+    st.sampled_from(["tif", "png", "jpg"]),
+    st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6),
+)
 def test_a_mutated_file_gives_an_image_or_our_refusal(tmp_path_factory, kind, changes):
     path = tmp_path_factory.mktemp("mutated") / f"frame.{kind}"
     image = np.arange(20 * 24, dtype=np.uint8).reshape(20, 24)
@@ -148,6 +151,14 @@ def test_real_captures_read(real_data):
     disks = next((real_data / "filterwheel-disks/frames").glob("*550nm_500ms*"))
     assert read_frame(disks).shape == (344, 408)
     lens = read_facts(real_data / "rededge-5lens/IMG_0000_4.tif")
-    assert lens.wavelengths == (840.0,) and lens.black == 4800 and lens.exposure_s == pytest.approx(0.0018)
-    assert read_frame(real_data / "silios-kinect/board/2020511_kinect_hd_rgb.png").shape == (1080, 1920, 3)
+    assert (
+        lens.wavelengths == (840.0,)
+        and lens.black == 4800
+        and lens.exposure_s == pytest.approx(0.0018)
+    )
+    assert read_frame(real_data / "silios-kinect/board/2020511_kinect_hd_rgb.png").shape == (
+        1080,
+        1920,
+        3,
+    )
     assert read_frame(real_data / "paintings/the_scream.jpg").shape == (1528, 1200, 3)

@@ -2,109 +2,104 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import json
+import os
+import struct
+import subprocess
+import sys
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from levkas.readers.facts import Facts, check_size, unreadable
-from levkas.readers.tiff import iso_date
+from levkas.readers.exif import iso_date, read_exif
+from levkas.readers.facts import COPY_AGAIN, Facts, check_size, decoding, unreadable
 
-SUFFIXES = frozenset(
-    [".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".fff", ".iiq", ".kdc", ".mef", ".mos", ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f"]
-)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    import rawpy
-
-    try:
-        with rawpy.imread(str(path)) as raw:
-            yield raw
-    except (rawpy.LibRawError, OSError, ValueError, RuntimeError) as error:
-        raise unreadable(
-            path,
-            "the camera raw cannot be read",
-            found=f"{type(error).__name__}: {error}",
-            fix="Copy the file again from the camera; `levkas doctor` says the version of LibRaw.",
-        ) from error
+EXTENSIONS = """
+    3fr ari arq arw bay cap cr2 cr3 crw cs1 dc2 dcr dcs dng drf erf fff gpr iiq k25 kdc mdc mef mos
+    mrw nef nrw orf ori pef ptx pxn qtk raf raw rdc rw2 rwl rwz sr2 srf srw sti stx x3f
+"""
+SUFFIXES = frozenset(f".{name}" for name in EXTENSIONS.split())
+PROGRAM = Path(__file__).with_name("libraw.py")
+PATIENCE_S = 600
 
 
 def read_raw_facts(path: Path) -> Facts:
-    """Return size, levels and pattern of the visible area, and EXIF's exposure and date."""
-    with _opened(path) as raw:
-        height, width = raw.raw_image_visible.shape[:2]
-        check_size(path, (height, width))
-        pattern, blacks = _mosaic(path, raw)
-        white = raw.white_level
-        saturation = float(white) if white else None
-    exif = read_exif(path)
+    """Return size, levels and pattern of the visible area, and the shot's exposure and date.
+
+    LibRaw knows the levels of some cameras only when it has unpacked the pixels, so this takes
+    nearly as long as `read_raw_mosaic`.
+    """
+    found, _ = _ask(path, "facts")
+    with decoding(path, "camera raw"), path.open("rb") as handle:
+        exif = read_exif(handle)
+    blacks = tuple(float(b) for b in found["blacks"])
+    white = found["white"]
     return Facts(
         path=path,
         kind="raw",
-        shape=(height, width),
+        shape=tuple(found["shape"]),
         dtype="uint16",
-        bits=int(saturation).bit_length() if saturation else None,
-        black=float(np.mean(blacks)),
-        blacks=blacks if len(set(blacks)) > 1 else None,
-        saturation=saturation,
-        pattern=pattern,
-        **exif,
+        bits=int(white).bit_length() if white else None,
+        black=sum(blacks) / len(blacks),
+        blacks=blacks if found["pattern"] and len(set(blacks)) > 1 else None,
+        saturation=float(white) if white else None,
+        pattern=found["pattern"],
+        exposure_s=exif["exposure_s"] or found["exposure_s"] or None,
+        iso=exif["iso"] or found["iso"] or None,
+        captured=exif["captured"] or iso_date(found["captured"]),
+        model=exif["model"],
     )
 
 
 def read_raw_mosaic(path: Path) -> np.ndarray:
-    """Return the visible mosaic, (h, w), uint16."""
-    with _opened(path) as raw:
-        check_size(path, raw.raw_image_visible.shape[:2])
-        values = np.array(raw.raw_image_visible, dtype=np.uint16)
-    if values.ndim != 2:
-        raise unreadable(path, "the raw holds no mosaic", found=f"shape {values.shape}")
-    return values
-
-
-def _mosaic(path: Path, raw: Any) -> tuple[str, tuple[float, ...]]:
-    """Return the colour letters of the visible 2x2 tile and the black of each of its phases."""
-    if raw.raw_pattern is None or raw.raw_pattern.shape != (2, 2):
+    """Return the visible mosaic, (h, w), uint16, curves of the camera's compression undone."""
+    found, data = _ask(path, "mosaic")
+    shape = tuple(int(s) for s in found["shape"])
+    if len(data) != 2 * prod(shape):
         raise unreadable(
             path,
-            "the sensor has no 2x2 mosaic",
-            field="pattern",
-            found="none" if raw.raw_pattern is None else f"{raw.raw_pattern.shape}",
-            expected="a Bayer pattern",
-            fix="Convert the file to a TIFF and declare its `pattern`.",
+            "the camera raw cannot be read",
+            code="E_TRUNCATED",
+            found=f"{len(data)} bytes",
+            expected=f"{2 * prod(shape)} bytes",
+            fix=COPY_AGAIN,
         )
-    letters = raw.color_desc.decode("ascii", "replace")
-    indices = np.array(raw.raw_colors_visible[:2, :2]).ravel()
-    levels = raw.black_level_per_channel
-    return "".join(letters[i] for i in indices), tuple(float(levels[i]) for i in indices)
+    return np.frombuffer(data, np.uint16).reshape(shape).copy()
 
 
-def read_exif(path: Path) -> dict[str, Any]:
-    """Return exposure_s, iso, captured and model as EXIF has them; None where it does not."""
-    import exifread
-
+def _ask(path: Path, what: str) -> tuple[dict[str, Any], memoryview]:
+    """Run the decoder in a process of its own; its death is a refusal of this file."""
+    command = [sys.executable, "-P", str(PROGRAM), str(path.absolute()), what]
+    # numpy's thread pools would count against the limits and are of no use there.
+    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
-        with path.open("rb") as handle:
-            tags = exifread.process_file(handle, details=False)
-    except Exception:  # exifread raises whatever a damaged header leads it to
-        tags = {}
+        done = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=PATIENCE_S,
+            env=env,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise _refused(path, f"no end after {PATIENCE_S} s") from error
+    if done.returncode or len(done.stdout) < 4:
+        raise _refused(path, f"the decoder ended with status {done.returncode}")
+    (length,) = struct.unpack(">I", done.stdout[:4])
+    found = json.loads(done.stdout[4 : 4 + length])
+    if "error" in found:
+        raise _refused(path, found["error"])
+    check_size(path, tuple(found["shape"]))
+    return found, memoryview(done.stdout)[4 + length :]
 
-    def number(name: str) -> float | None:
-        values = getattr(tags.get(name), "values", None)
-        try:
-            return float(values[0]) if values else None
-        except (TypeError, ValueError, ZeroDivisionError):
-            return None
 
-    date = tags.get("EXIF DateTimeOriginal") or tags.get("Image DateTime")
-    model = tags.get("Image Model")
-    return {
-        "exposure_s": number("EXIF ExposureTime"),
-        "iso": number("EXIF ISOSpeedRatings"),
-        "captured": iso_date(date),
-        "model": str(model).strip() if model else None,
-    }
+def _refused(path: Path, found: str) -> Exception:
+    expected = "a camera raw"
+    if path.suffix.lower() == ".raw":
+        expected = f"{path.stem}.hdr beside it (an ENVI cube), or a camera raw"
+    return unreadable(
+        path, "the camera raw cannot be read", found=found, expected=expected, fix=COPY_AGAIN
+    )
