@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 export PYTHONUTF8 := 1
 
-.PHONY: demo test lint bench docs lock clean
+.PHONY: demo test lint bench docs reference lock clean
 
 demo: $(READY)
 	$(BIN)/levkas demo demo
@@ -35,6 +35,9 @@ $(READY): requirements.lock pyproject.toml
 	fi
 	$(BIN)/python -m pip install --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $(READY)
+
+reference: $(READY)
+	$(BIN)/python docs/write_commands.py
 
 lock:
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
