@@ -34,7 +34,7 @@ KINDS = [name for name, _ in _FIELDS]
 SHARES: dict[str, float | None] = {
     "shift": None,
     "similarity": None,
-    "affine": 0.05,
+    "affine": 0.1,
     "radial": 0.2,
     "quadratic": 0.03,
     "cubic": 0.03,
@@ -238,7 +238,7 @@ def _posterior(
 ) -> np.ndarray:
     bands = seen.shape[1]
     plain = np.linalg.lstsq(seen, y, rcond=1e-3)[0]
-    size = max(float(np.var(plain)), 1e-10)
+    size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
     common = 100 * size * np.ones((bands, bands))
     bends = [np.zeros((bands, bands))]
     if places is not None:

@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.transforms import Affine, Composed, Homography, Polynomial, Transform
+from levkas.transforms import Homography, Polynomial, Transform
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LONG_SIDE_PX = 1000
-KEY_POINTS = 5000
+KEY_POINTS = 4000
 RATIO = 0.92
+MOST_PAIRS = 8
+SURE_SHARE = 0.3
+LEAST_LIKENESS = 0.8
 REACH_PX = 3.0
 LEAST_INLIERS = 12
 SCALES = (0.14, 7.0)
@@ -61,8 +64,10 @@ def start(reference: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> Star
         first of each is tried first, then all pairs of them.
     """
     for side in (LONG_SIDE_PX, 2 * LONG_SIDE_PX):
-        for ours, theirs in ((reference[:1], target[:1]), (reference, target)):
-            found = _attempt(ours, theirs, side)
+        ours = _Detector(reference, side)
+        theirs = _Detector(target, side)
+        for pairs in ([(0, 0)], _other_pairs(len(reference), len(target))):
+            found = _attempt(ours, theirs, pairs)
             if found is not None:
                 return found
         if max(max(i[0].shape) for i in (reference, target)) <= side:
@@ -70,21 +75,46 @@ def start(reference: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> Star
     return None
 
 
-def _attempt(
-    reference: Sequence[np.ndarray], target: Sequence[np.ndarray], side: int
-) -> Start | None:
-    ours, theirs = ([_detect(grey, side) for grey in greys] for greys in (reference, target))
-    best: tuple[int, Start] | None = None
-    for mirrored in (False, True):
-        pairs = [_pair(a, b, mirrored) for a in ours for b in theirs]
-        p, q = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
-        p, q = _unique(p, q)
-        fitted = _consensus(p, q, mirrored, reference[0].shape, target[0].shape)
-        if fitted is not None and (best is None or fitted[1].sum() > 1.2 * best[0]):
-            best = int(fitted[1].sum()), Start(fitted[0], p, q, fitted[1], mirrored)
+class _Detector:
+    """Key points of greys, found when they are first asked for."""
+
+    def __init__(self, greys: Sequence[np.ndarray], side: int) -> None:
+        self.greys, self.side = greys, side
+        self._found: dict[int, _Points] = {}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.greys[0].shape
+
+    def __getitem__(self, i: int) -> _Points:
+        if i not in self._found:
+            self._found[i] = _detect(self.greys[i], self.side)
+        return self._found[i]
+
+
+def _other_pairs(ours: int, theirs: int) -> list[tuple[int, int]]:
+    """All pairs but the first, those of alike place in the spectrum before, at most nine."""
+    pairs = [(i, j) for i in range(ours) for j in range(theirs) if i or j]
+    return sorted(pairs, key=lambda ij: abs(ij[0] / ours - ij[1] / theirs))[:MOST_PAIRS]
+
+
+def _attempt(ours: _Detector, theirs: _Detector, pairs: Sequence[tuple[int, int]]) -> Start | None:
+    best: tuple[int, Start, tuple[int, int]] | None = None
+    for mirrored in (False, True) if pairs else ():
+        found = [_pair(ours[i], theirs[j], mirrored) for i, j in pairs]
+        p, q = _unique(*(np.concatenate([pair[k] for pair in found]) for k in (0, 1)))
+        fitted = _consensus(p, q, mirrored, ours.shape, theirs.shape)
+        if fitted is None:
+            continue
+        count = int(fitted[1].sum())
+        if best is None or count > 1.2 * best[0]:
+            most = max(range(len(pairs)), key=lambda k: len(found[k][0]))
+            best = count, Start(fitted[0], p, q, fitted[1], mirrored), pairs[most]
+        if count > SURE_SHARE * len(p):
+            break
     if best is None:
         return None
-    return _rematch(best[1], ours, theirs, reference[0].shape)
+    return _rematch(best[1], ours[best[2][0]], theirs[best[2][1]], ours.shape)
 
 
 def _detect(image: np.ndarray, side: int) -> _Points:
@@ -203,40 +233,26 @@ def plausible(transform: Transform, shape: tuple[int, ...], mirrored: bool) -> b
     return bool(in_range and steady and determinant.min() > 0)
 
 
-def _rematch(
-    first: Start, ours: Sequence[_Points], theirs: Sequence[_Points], shape: tuple[int, ...]
-) -> Start:
+def _rematch(first: Start, ours: _Points, theirs: _Points, shape: tuple[int, ...]) -> Start:
     """Match again, each point only against those where the first map expects its partner."""
     from scipy.spatial import cKDTree
 
     scale = float(np.sqrt(abs(np.linalg.det(first.transform.jacobian(first.reference[:1])[0]))))
-    reach = max(6.0, 0.015 * max(shape))
-    found_p, found_q = [], []
-    for a in ours:
-        for b in theirs:
-            if not len(a.positions) or not len(b.positions):
-                continue
-            near = (
-                cKDTree(b.positions)
-                .query(
-                    np.nan_to_num(first.transform(a.positions), nan=-1e9),
-                    k=min(12, len(b.positions)),
-                    distance_upper_bound=reach * scale,
-                )[1]
-                .reshape(len(a.positions), -1)
-            )
-            candidates = np.minimum(near, len(b.positions) - 1)
-            flipped = _mirrored(b.descriptors) if first.mirrored else b.descriptors
-            alike = np.maximum(
-                np.einsum("nd,nkd->nk", a.descriptors, flipped[candidates]),
-                np.einsum("nd,nkd->nk", a.descriptors, _inverted(flipped)[candidates]),
-            )
-            alike[near >= len(b.positions)] = -1
-            best = alike.argmax(1)
-            good = alike[np.arange(len(best)), best] > 0.8
-            found_p.append(a.positions[good])
-            found_q.append(b.positions[candidates[np.arange(len(best)), best][good]])
-    p, q = _unique(np.concatenate(found_p), np.concatenate(found_q))
+    reach = max(6.0, 0.015 * max(shape)) * scale
+    expected = np.nan_to_num(first.transform(ours.positions), nan=-1e9)
+    count = min(12, len(theirs.positions))
+    near = cKDTree(theirs.positions).query(expected, k=count, distance_upper_bound=reach)[1]
+    near = near.reshape(len(expected), -1)
+    candidates = np.minimum(near, len(theirs.positions) - 1)
+    flipped = _mirrored(theirs.descriptors) if first.mirrored else theirs.descriptors
+    alike = np.maximum(
+        np.einsum("nd,nkd->nk", ours.descriptors, flipped[candidates]),
+        np.einsum("nd,nkd->nk", ours.descriptors, _inverted(flipped)[candidates]),
+    )
+    alike[near >= len(theirs.positions)] = -1
+    rows, best = np.arange(len(alike)), alike.argmax(1)
+    good = alike[rows, best] > LEAST_LIKENESS
+    p, q = _unique(ours.positions[good], theirs.positions[candidates[rows, best][good]])
     return _polish(first, p, q)
 
 
@@ -259,8 +275,3 @@ def _polish(first: Start, p: np.ndarray, q: np.ndarray) -> Start:
     if kept.sum() < LEAST_INLIERS:
         return first
     return Start(model, p, q, kept, first.mirrored)
-
-
-def turned(transform: Transform, factor: int) -> Transform:
-    """Return `transform` with its target shrunk by blocks of `factor` px."""
-    return transform if factor == 1 else Composed(transform, Affine.scaling(1 / factor))

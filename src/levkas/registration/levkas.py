@@ -58,7 +58,8 @@ def register_levkas(
     """
     from levkas.registration.assessment import assess
     from levkas.registration.prediction import Scene, registered
-    from levkas.registration.sensors import align_own, align_sensor, images_of
+    from levkas.registration.sensors import align_sensor, images_of
+    from levkas.registration.siblings import align_own
     from levkas.registration.silhouette import find_object
 
     images = images_of(reference, region)

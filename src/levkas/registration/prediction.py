@@ -20,6 +20,7 @@ from levkas.transforms import Affine, Composed, Transform
 
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
 LEAST_SHARE = 1e-6
+TOE = 0.02
 
 
 @dataclass(frozen=True)
@@ -100,17 +101,17 @@ def _principal(stack: np.ndarray, count: int) -> np.ndarray:
 
 
 def rooted(image: np.ndarray) -> np.ndarray:
-    """Return square roots of an image in units of its 99th percentile; shot noise becomes even."""
+    """Return square roots of an image in units of its 99th percentile; shot noise becomes even.
+
+    Counts below zero are the noise of the dark; an image that is negative for good is shifted.
+    """
     known = image[np.isfinite(image)]
-    level = (
-        max(float(np.percentile(known[:: max(len(known) // 100000, 1)], 99)), 1e-12)
-        if len(known)
-        else 1.0
-    )
-    return np.sqrt(np.maximum(image / level, -0.5 * TOE) + TOE).astype(np.float32)
-
-
-TOE = 0.02
+    if not len(known):
+        return image.astype(np.float32)
+    low, high = np.percentile(known[:: max(len(known) // 100000, 1)], (2, 99))
+    low = min(float(low), 0.0)
+    scaled = (image - low) / max(float(high) - low, 1e-12)
+    return np.sqrt(np.maximum(scaled, -0.5 * TOE) + TOE).astype(np.float32)
 
 
 def registered(

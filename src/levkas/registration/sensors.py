@@ -13,10 +13,10 @@ from levkas.registration.chromatic import Chromatic, fit_chromatic, still
 from levkas.registration.initial import Start, plausible, start
 from levkas.registration.ladder import Rung, climb
 from levkas.registration.models import Observations
-from levkas.registration.prediction import Scene, cell_px, compared, condense, rooted, sampled
+from levkas.registration.prediction import Scene, cell_px, compared, rooted, sampled
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.refinement import Predictor, Windows
-from levkas.transforms import Affine, Composed, Transform
+from levkas.transforms import Composed, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage
@@ -24,12 +24,8 @@ if TYPE_CHECKING:
 COARSE_BANDS = 4
 ROUNDS = 2
 LEAST_CELLS = 5
-#: Bands that are not yet aligned differ by gradients, and a combination of them passes for a shift.
-#: The price of small components falls as they come to mean paint.
-RIDGES = (1e-2, 1e-3, 3e-4, 1e-4)
 LEAST_WINDOWS = 12
 LARGE_HOLE = 7
-HALVES_FROM = 6
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,9 @@ def _mended(image: np.ndarray) -> np.ndarray:
     if not hole.any() or hole.all():
         return image
     kernel = np.ones((LARGE_HOLE, LARGE_HOLE), np.uint8)
-    framed = cv2.copyMakeBorder(hole.astype(np.uint8), *[LARGE_HOLE] * 4, cv2.BORDER_CONSTANT, value=1)
+    framed = cv2.copyMakeBorder(
+        hole.astype(np.uint8), *[LARGE_HOLE] * 4, cv2.BORDER_CONSTANT, value=1
+    )
     large = cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel)
     large = large[LARGE_HOLE:-LARGE_HOLE, LARGE_HOLE:-LARGE_HOLE].astype(bool)
     small = hole & ~large
@@ -106,67 +104,17 @@ def ordered(bands: Sequence[BandImage]) -> list[BandImage]:
     return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
 
 
-def _frame(shape: tuple[int, int]) -> tuple[np.ndarray, float]:
+def frame_of(shape: tuple[int, int]) -> tuple[np.ndarray, float]:
+    """Return centre and half the longer side of a frame: coordinates of the chromatic fields."""
     return np.array([shape[1] - 1, shape[0] - 1]) / 2, max(shape) / 2
 
 
-def _steps(shape: tuple[int, int], finest: int) -> list[int]:
+def steps_of(shape: tuple[int, int], finest: int) -> list[int]:
+    """Return the steps of the pyramid from coarse to `finest`; at least five cells across."""
     steps = [finest]
     while min(shape) // (steps[-1] * 2) >= LEAST_CELLS * cell_px((0, 0)) and len(steps) < 4:
         steps.append(steps[-1] * 2)
     return steps[::-1]
-
-
-def align_own(
-    bands: Sequence[BandImage], images: Mapping[str, np.ndarray], anchor: BandImage
-) -> Sensor:
-    """Register the bands of the reference's sensor to `anchor`.
-
-    The bands of either half, every other one in the order of wavelength, are predicted from those
-    of the other half. Where a prediction lies depends on where its bands lie: all positions are
-    solved for together, the anchor's being given.
-    """
-    bands = ordered(bands)
-    shape = anchor.values.shape
-    labels = [band.label for band in bands]
-    fixed = labels.index(anchor.label)
-    model = still(len(bands), *_frame(shape))
-    identity = Affine.identity()
-    seen: dict[str, Windows] = {}
-    steps = _steps(shape, 1)[:-1] if len(bands) > 1 else []
-    rounds = [(step, RIDGES[0]) for step in steps]
-    for step, ridge in [*rounds, *([(1, r) for r in RIDGES] if len(bands) > 1 else [])]:
-        size = (shape[0] // step, shape[1] // step)
-        warped = [
-            sampled(images[label], model.transform(i), size, step) for i, label in enumerate(labels)
-        ]
-        seen = {}
-        leaning = np.zeros((len(bands), len(bands)))
-        for group in _groups(len(bands), fixed):
-            others = [i for i in range(len(bands)) if i not in group]
-            palette = condense(np.stack([warped[i] for i in others])).ready()
-            predictor = Predictor(palette.images, step=step, cell=cell_px(size))
-            for i in group:
-                seen[labels[i]] = compared(predictor, warped[i], ridge=ridge)
-                leaning[i, others] = palette.leaning(seen[labels[i]])
-        model = fit_chromatic(
-            [seen[label] for label in labels],
-            model,
-            [band.wavelength for band in bands],
-            highest="cubic" if step == 1 else "affine",
-            fixed=fixed,
-            leaning=leaning,
-        )
-    transforms: dict[str, Transform] = {
-        label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
-    }
-    return Sensor(anchor.sensor, transforms, identity, model, None, seen)
-
-
-def _groups(count: int, fixed: int) -> list[list[int]]:
-    if count < HALVES_FROM:
-        return [[i] for i in range(count)]
-    return [list(range(k, count, 2)) for k in ((fixed + 1) % 2, fixed % 2)]
 
 
 def align_sensor(
@@ -193,20 +141,20 @@ def align_sensor(
     scale = _scale(base, scene.shape)
     block = max(1, round(scale / 1.2))
     finest = max(1, round(0.9 / scale))
-    model = still(len(bands), *_frame(scene.shape))
+    model = still(len(bands), *frame_of(scene.shape))
     rung, seen = None, {}
-    steps = _steps(scene.shape, finest)
+    steps = steps_of(scene.shape, finest)
     for turn, step in enumerate([*steps, *[finest] * (ROUNDS - 1)]):
         last = turn >= len(steps) - 1
         chosen = bands if last else _spread(bands, COARSE_BANDS)
         places = [bands.index(band) for band in chosen]
         size = (scene.shape[0] // step, scene.shape[1] // step)
         predictor = scene.predictor(step)
-        here = {}
+        here, shown = {}, {}
         for i, band in zip(places, chosen, strict=True):
             full = Composed(model.transform(i), base)
             image = sampled(images[band.label], full, size, step, block=block if scale > 1 else 1)
-            here[band.label] = compared(predictor, image)
+            here[band.label], shown[band.label] = compared(predictor, image), image
         common, information = combine(list(here.values()))
         rung = _base(base, here[chosen[0].label].centres, common, information, step, last)
         if last:
@@ -228,7 +176,8 @@ def align_sensor(
                     field=bands[0].sensor or None,
                 )
             )
-    evidence = _evidence(predictor, image, here[band.label])
+    best = max(here, key=lambda label: float(here[label].r2.mean()))
+    evidence = _evidence(predictor, shown[best], here[best])
     transforms: dict[str, Transform] = {
         band.label: Composed(model.transform(i), base) for i, band in enumerate(bands)
     }
