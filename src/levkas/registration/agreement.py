@@ -98,11 +98,11 @@ def compare(
     places = _places(ours_valid & seen, a, b)
     peak, second, shift = _search(a, b, places)
     chance = _chance(a, b, places)
+    # Where some pigments invert, detail cancels itself out, its strength does not.
+    rival = min(_rival(a, b), _rival(_strength(a), _strength(b)))
     centres = back(places + (WINDOW_PX - 1) / 2)
     scale = float(back.matrix[0, 0])
-    return Agreement(
-        centres, shift * scale, peak, second, chance, _rival(a, b), REACH_PX * scale, scale
-    )
+    return Agreement(centres, shift * scale, peak, second, chance, rival, REACH_PX * scale, scale)
 
 
 def _inside(shape: tuple[int, ...], region: tuple[float, ...]) -> np.ndarray:
@@ -260,6 +260,16 @@ def _chance(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
             if np.abs(other - places[i]).max() > WINDOW_PX + REACH_PX:
                 peaks.append(float(_correlations(a, b, places[i], other).max()))
     return float(np.percentile(peaks, CHANCE_PERCENT)) if len(peaks) >= 8 else 1.0
+
+
+def _strength(detail: np.ndarray) -> np.ndarray:
+    """Return how strong detail is, whatever its sign, about its mean; 0 where invalid."""
+    import cv2
+
+    known = detail != 0
+    strength = cv2.GaussianBlur(np.abs(detail), (0, 0), BAND_PX[0])
+    mean = float(strength[known].mean()) if known.any() else 0.0
+    return np.where(known, strength - mean, 0).astype(np.float32)
 
 
 def _rival(a: np.ndarray, b: np.ndarray) -> float:
