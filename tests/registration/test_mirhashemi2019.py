@@ -200,6 +200,15 @@ def test_scale_alone_lays_centre_upon_centre():
     assert scale.matrix[0, 0] == pytest.approx(np.sqrt(0.5 * 0.4))
 
 
+def test_a_large_reference_is_matched_in_a_smaller_picture(reference, pair, monkeypatch):
+    from levkas.registration import mirhashemi2019
+
+    monkeypatch.setattr(mirhashemi2019, "MOST_PX", 40_000)
+    found = register(reference, pair[0], reference_band="b0", method="mirhashemi2019")
+    assert found.verdict.decision != "refuse"
+    assert error(found.transforms["b0"], pair[1]).mean() < 0.3  # 0.76 of the sampling
+
+
 def test_inputs_are_not_changed(studio, painting):
     values = studio.photograph(painting, STILL, SIZE, seed=7)
     target = bands(values.copy())

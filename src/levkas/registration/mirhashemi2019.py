@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 REJECT_SHARE = 1 / 16
+#: SIFT takes some 250 bytes a pixel: larger pictures are reduced first.
+MOST_PX = 4_000_000
 REASONS = {-1: "", 0: "farther than `reject` under scale alone"}
 
 
@@ -202,10 +204,11 @@ def find_matches(
     matching: str,
     ratio: float,
 ) -> Matches:
-    """Match key points of the grey pictures, the finer one brought to the other's sampling."""
-    enlargement = float(scale.matrix[0, 0])
-    a, back_a = _key_points(ours, region, 1.0, detector)
-    b, back_b = _key_points(theirs, target_region, min(1.0, enlargement), detector)
+    """Match key points of the grey pictures, a finer target brought to the reference's sampling."""
+    most = [min(1.0, float(np.sqrt(MOST_PX / c.values.size))) for c in (ours, theirs)]
+    a, back_a = _key_points(ours, region, most[0], detector)
+    matched = float(scale.matrix[0, 0]) * most[0]
+    b, back_b = _key_points(theirs, target_region, min(matched, most[1]), detector)
     rows, columns, _ = match(a, b, matching=matching, ratio=ratio)
     if not len(rows):
         raise _no_matches(a, b)
