@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import spectral.io.envi as spy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -9,11 +10,11 @@ from levkas.readers.facts import UnreadableCapture
 from levkas.readers.frames import read_facts, read_frame
 
 ORDER = {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}
+CUBE = np.arange(60, dtype=np.uint16).reshape(4, 5, 3)
 
 
-def write_envi(
-    folder, cube, *, interleave="bil", big=False, suffix=".raw", extra="", name="scan", offset=0
-):
+def write_envi(folder, cube, *, interleave="bil", big=False, suffix=".raw", extra="", offset=0):
+    """Write ``scan.hdr`` as a vendor might, and its data; returns the header."""
     code = next(k for k, v in DATA_TYPES.items() if v == cube.dtype.str[1:])
     lines, samples, bands = cube.shape
     header = [
@@ -26,22 +27,19 @@ def write_envi(
         f"interleave = {interleave}",
         extra,
     ]
-    if big:
-        header.append("byte order = 1")
-    if offset:
-        header.append(f"header offset = {offset}")
-    (folder / f"{name}.hdr").write_text("\n".join(header) + "\n")
+    header += ["byte order = 1"] * big + [f"header offset = {offset}"] * bool(offset)
+    (folder / "scan.hdr").write_text("\n".join(header) + "\n", encoding="utf-8")
     data = cube.transpose(ORDER[interleave]).astype(cube.dtype.newbyteorder(">" if big else "<"))
-    (folder / f"{name}{suffix}").write_bytes(b"\7" * offset + data.tobytes())
-    return folder / f"{name}.hdr"
+    (folder / f"scan{suffix}").write_bytes(b"\7" * offset + data.tobytes())
+    return folder / "scan.hdr"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=60)
 @given(
     st.sampled_from(sorted(ORDER)),
-    st.sampled_from(["u1", "i2", "u2", "i4", "f4", "f8"]),
+    st.sampled_from(sorted(DATA_TYPES.values())),
     st.booleans(),
-    st.sampled_from([".raw", ".dat", ".img", ""]),
+    st.sampled_from([".raw", ".dat", ".img", ".bil", ".BSQ", ""]),
     st.tuples(st.integers(1, 5), st.integers(1, 5), st.integers(1, 5)),
     st.integers(0, 9),
 )
@@ -49,77 +47,237 @@ def test_what_a_vendor_wrote_is_what_is_read(
     tmp_path_factory, interleave, dtype, big, suffix, shape, offset
 ):
     folder = tmp_path_factory.mktemp("envi")
+    limits = np.iinfo(dtype) if dtype[0] in "ui" else np.finfo(dtype)
     cube = np.arange(np.prod(shape)).reshape(shape).astype(dtype)
+    cube.flat[-1] = limits.max  # a swapped byte would show
     path = write_envi(folder, cube, interleave=interleave, big=big, suffix=suffix, offset=offset)
-    assert np.array_equal(read_frame(path), cube)
+    values = read_frame(path)
+    assert np.array_equal(values, cube) and values.dtype == dtype and values.dtype.isnative
     assert np.array_equal(read_frame(folder / f"scan{suffix}"), cube)
-    opened = open_envi(path)
-    assert np.array_equal(opened.read_lines(shape[0] - 1, shape[0]), cube[-1:])
 
 
-def test_lists_over_many_lines_comments_and_units_are_understood(tmp_path):
-    extra = "wavelength units = Micrometers\nwavelength = {\n 0.4,\n;a comment\n 0.5 ,0.6}\nFWHM = {0.01,0.01,0.01}\nband names = {a, b, c}"
-    facts = read_facts(write_envi(tmp_path, np.zeros((2, 2, 3), np.uint16), extra=extra))
-    assert facts.wavelengths == (400.0, 500.0, 600.0) and facts.fwhm == (10.0, 10.0, 10.0)
-    assert facts.band_names == ("a", "b", "c")
+@settings(deadline=None, max_examples=30)
+@given(st.sampled_from(sorted(ORDER)), st.booleans(), st.data())
+def test_blocks_of_lines_are_parts_of_the_whole(tmp_path_factory, interleave, big, data):
+    cube = np.arange(7 * 3 * 4, dtype=np.uint16).reshape(7, 3, 4)
+    opened = open_envi(
+        write_envi(tmp_path_factory.mktemp("envi"), cube, interleave=interleave, big=big)
+    )
+    start = data.draw(st.integers(0, 7))
+    stop = data.draw(st.integers(start, 7))
+    block = opened.read_lines(start, stop)
+    assert block.shape == (stop - start, 3, 4) and np.array_equal(block, cube[start:stop])
+    with pytest.raises(ValueError, match="lines 3 to 8 of 7"):
+        opened.read_lines(3, 8)
 
 
-def test_data_cut_short_say_expected_found_and_the_likely_field(tmp_path):
-    path = write_envi(tmp_path, np.zeros((4, 5, 3), np.uint16))
+@pytest.mark.parametrize("interleave", sorted(ORDER))
+@pytest.mark.parametrize("dtype", ["u1", "i2", "u2", "f4"])
+def test_spectral_python_reads_the_same(tmp_path, interleave, dtype):
+    cube = np.random.default_rng(1).integers(0, 100, (6, 5, 4)).astype(dtype)
+    path = tmp_path / "spy.hdr"
+    spy.save_image(str(path), cube, interleave=interleave, ext=".img", dtype=dtype)
+    assert np.array_equal(read_frame(path), np.asarray(spy.open(str(path)).load(dtype=dtype)))
+
+
+def test_comments_quotes_spaces_and_case_are_read_as_meant(tmp_path):
+    extra = """  Wavelength   UNITS = "Nanometers" ; said by the camera
+    ;samples = 99
+    Description = { one; two, three }
+    sensor type = 'Specim V10E'
+    wavelength = { 400.0, ; blue
+      500.0 ,
+    ; a comment, with a } in it
+      600.0 }
+    band names = {"B 1", B2; B3,
+    B4}
+    reflectance scale factor = 10000
+    data ignore value = -1
+    tint = 20.0
+    acquisition date = DATE(yyyy-mm-dd): 2019-05-03"""
+    opened = open_envi(write_envi(tmp_path, CUBE, extra=extra))
+    facts = opened.facts
+    assert facts.wavelengths == (400.0, 500.0, 600.0) and facts.band_names == (
+        "B 1",
+        "B2; B3",
+        "B4",
+    )
+    assert (facts.model, facts.exposure_s, facts.captured) == ("Specim V10E", 0.02, "2019-05-03")
+    assert (opened.scale, opened.ignore) == (10000.0, -1.0)
+    assert opened.header["description"] == ["one; two", "three"]
+
+
+@pytest.mark.parametrize(
+    ("units", "written", "read"),
+    [
+        ("nm", "400, 500, 600", (400, 500, 600)),
+        ("{ nm }", "400, 500, 600", (400, 500, 600)),
+        ("Micrometers", "0.4, .5, 6e-1", (400, 500, 600)),
+        ("Unknown", "0.4, 0.5, 0.6", (400, 500, 600)),
+        ("Unknown", "400, 500, 600", (400, 500, 600)),
+        ("Angstroms", "4000, 5000, 6000", (400, 500, 600)),
+        ("Wavenumber", "25000, 20000, 16666", None),
+    ],
+)
+def test_wavelengths_come_out_in_nanometres(tmp_path, units, written, read):
+    extra = f"wavelength units = {units}\nwavelength = {{{written}}}\nfwhm = {{{written}}}"
+    facts = read_facts(write_envi(tmp_path, CUBE, extra=extra))
+    assert facts.wavelengths == read == facts.fwhm
+
+
+def test_widths_without_a_unit_follow_the_wavelengths(tmp_path):
+    extra = "wavelength = {400, 500, 600}\nfwhm = {10, 10, 12}"
+    assert read_facts(write_envi(tmp_path, CUBE, extra=extra)).fwhm == (10, 10, 12)
+
+
+def test_a_key_said_twice_is_the_last_but_a_layout_must_agree(tmp_path):
+    path = write_envi(tmp_path, CUBE, extra="sensor type = A\nsensor type = B\nsamples = 5")
+    assert read_facts(path).model == "B"
+    path = write_envi(tmp_path, CUBE, extra="samples = 6")
+    with pytest.raises(UnreadableCapture, match="its samples twice") as refused:
+        read_facts(path)
+    assert refused.value.problems[0].found == "5 and 6"
+
+
+@pytest.mark.parametrize(
+    ("keep", "likely", "fix"),
+    [
+        (90, "lines", "`lines = 3` would fit"),
+        (150, "lines", "`lines = 5` would fit"),
+        (240, "data type", "3 or 4 or 13 would fit"),
+        (60, "data type", "Data type 1 would fit"),
+        (80, "bands", "`bands = 2` would fit"),
+        (127, "header offset", "`header offset = 7`"),
+        (91, "lines, samples, bands or data type", "copy the scan again"),
+    ],
+)
+def test_a_misfit_says_expected_found_and_the_likely_field(tmp_path, keep, likely, fix):
+    path = write_envi(tmp_path, CUBE, interleave="bsq" if likely == "bands" else "bil")
     data = tmp_path / "scan.raw"
-    data.write_bytes(data.read_bytes()[:-30])
+    whole = data.read_bytes()
+    data.write_bytes((whole * 3)[:keep])
     with pytest.raises(UnreadableCapture) as refused:
         read_frame(path)
     problem = refused.value.problems[0]
-    assert problem.code == "E_TRUNCATED" and "lines" in problem.field
-    assert problem.found == "90 bytes" and problem.expected.startswith("120 bytes")
-    assert "lines = 3" in problem.fix
+    assert problem.code == ("E_TRUNCATED" if keep < len(whole) else "E_SIZE")
+    assert problem.field == f"scan.hdr: {likely}" and fix in problem.fix
+    assert problem.found == f"{keep} bytes"
+    assert problem.expected.startswith(f"{len(whole)} bytes")
+
+
+def test_data_that_shrink_while_they_are_read_are_refused(tmp_path):
+    opened = open_envi(write_envi(tmp_path, CUBE))
+    data = tmp_path / "scan.raw"
+    data.write_bytes(data.read_bytes()[:-1])
+    with pytest.raises(UnreadableCapture) as refused:
+        opened.read()
+    problem = refused.value.problems[0]
+    assert (problem.code, problem.found, problem.expected) == (
+        "E_TRUNCATED",
+        "119 bytes",
+        "120 bytes",
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (("bands   = 3", ""), "does not say its bands"),
-        (("data type = 12", "data type = 6"), "samples of this type"),
-        (("interleave = bil", "interleave = bix"), "unknown interleave"),
+        (("bands   = 3", "bands = 3.5"), "does not say its bands"),
+        (("bands   = 3", "bands = -3"), "does not say its bands"),
         (("bands   = 3", "bands   = 99999999999"), "cannot be right"),
+        (("data type = 12", "data type = 6"), "complex numbers"),
+        (("data type = 12", "data type = 7"), "samples of this type"),
+        (("interleave = bil", "interleave = bix"), "unknown interleave"),
+        (("interleave = bil", ""), "unknown interleave"),
+        (("interleave", "byte order = 2\ninterleave"), "unknown byte order"),
+        (("interleave", "header offset = -4\ninterleave"), "does not say its header offset"),
+        (("interleave", "file compression = 1\ninterleave"), "compressed"),
+        (("interleave", "minor frame offsets = {0, 8}\ninterleave"), "gaps between"),
         (("ENVI\n", "NVI\n"), "no ENVI header"),
         (("; written by a vendor", "wavelength = {1, 2"), "has no end"),
         (("; written by a vendor", "wavelength = {1, 2}"), "does not fit the bands"),
+        (("; written by a vendor", "wavelength = {1, 2, x}"), "does not fit the bands"),
     ],
 )
 def test_a_header_that_cannot_be_right_is_refused(tmp_path, change, message):
-    path = write_envi(tmp_path, np.zeros((4, 5, 3), np.uint16))
+    path = write_envi(tmp_path, CUBE)
     path.write_text(path.read_text().replace(*change))
     with pytest.raises(UnreadableCapture, match=message):
         read_frame(path)
 
 
-def test_a_header_without_data_says_what_it_looked_for(tmp_path):
-    path = write_envi(tmp_path, np.zeros((1, 1, 1), np.uint8))
-    (tmp_path / "scan.raw").unlink()
+def test_header_and_data_find_each_other(tmp_path):
+    path = write_envi(tmp_path, CUBE)
+    path.rename(tmp_path / "scan.raw.hdr")
+    for name in ("scan.raw", "scan.raw.hdr"):
+        assert np.array_equal(read_frame(tmp_path / name), CUBE)
+    (tmp_path / "scan.raw").rename(tmp_path / "other.bin")
     with pytest.raises(UnreadableCapture, match=r"\.raw, \.dat"):
-        read_facts(path)
+        read_facts(tmp_path / "scan.raw.hdr")
+    with pytest.raises(UnreadableCapture, match=r"other\.hdr beside it|no known kind"):
+        read_facts(tmp_path / "other.bin")
+    path = write_envi(tmp_path, CUBE, extra="data file = other.bin")
+    assert open_envi(path).data.name == "other.bin"
 
 
-@settings(deadline=None, max_examples=80)
-@given(st.lists(st.tuples(st.integers(0, 200), st.integers(0, 255)), min_size=1, max_size=5))
-def test_a_mutated_header_gives_a_cube_or_our_refusal(tmp_path_factory, changes):
+def test_of_several_data_files_the_one_that_fits_is_taken_or_none(tmp_path):
+    path = write_envi(tmp_path, CUBE, suffix=".dat")
+    (tmp_path / "scan.raw").write_bytes(b"something else")
+    assert open_envi(path).data.name == "scan.dat"
+    write_envi(tmp_path, CUBE + 1, suffix=".raw")
+    with pytest.raises(UnreadableCapture, match="several files") as refused:
+        open_envi(path)
+    assert refused.value.problems[0].found == "scan.raw, scan.dat"
+    assert np.array_equal(read_frame(tmp_path / "scan.dat"), CUBE)
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    st.lists(st.tuples(st.integers(0, 200), st.integers(0, 255)), max_size=5),
+    st.integers(0, 48),
+)
+def test_mutated_headers_and_cut_data_give_a_cube_or_our_refusal(tmp_path_factory, changes, cut):
     folder = tmp_path_factory.mktemp("mutated")
     path = write_envi(folder, np.zeros((3, 4, 2), np.uint16), extra="wavelength = {400, 500}")
-    data = bytearray(path.read_bytes())
+    header = bytearray(path.read_bytes())
     for place, value in changes:
-        data[place % len(data)] = value
-    path.write_bytes(data)
+        header[place % len(header)] = value
+    path.write_bytes(header)
+    if cut:
+        (folder / "scan.raw").write_bytes(bytes(48 - cut))
     try:
-        read_frame(path)
-    except Refused:
-        pass
+        values = read_frame(path)
+    except Refused as refused:
+        assert "scan" in str(refused)
+    else:
+        assert values.size > 0
 
 
-def test_the_real_line_scan_reads_as_it_is_stored(real_data):
-    path = real_data / "envi-linescan/white_reference_crop.hdr"
-    ours = read_frame(path)
-    assert ours.shape == (31, 43, 580)
+@settings(deadline=None, max_examples=100)
+@given(st.text(max_size=200))
+def test_any_text_after_the_first_line_gives_a_cube_or_our_refusal(tmp_path_factory, text):
+    folder = tmp_path_factory.mktemp("text")
+    path = write_envi(folder, CUBE, extra=text)
+    try:
+        assert read_frame(path).size > 0
+    except Refused as refused:
+        assert "scan" in str(refused)
+
+
+def test_a_library_of_spectra_has_its_wavelengths_along_the_samples(real_data):
+    facts = read_facts(real_data / "spectra/pigments/__speclib_averages.hdr")
+    assert facts.shape == (1592, 186, 1) and len(facts.wavelengths) == 186
+    assert facts.wavelengths[0] == pytest.approx(405.369888)
+
+
+@pytest.mark.parametrize("name", ["4-22-22_right_same_B73_top_00", "white_reference_crop"])
+def test_the_real_line_scan_reads_as_it_is_stored(real_data, name):
+    path = real_data / f"envi-linescan/{name}.hdr"
+    opened = open_envi(path)
+    facts = opened.facts
+    assert facts.shape == (31, 43, 580) and facts.interleave == "bil"
+    assert (facts.wavelengths[0], facts.wavelengths[1]) == (366.551, 367.656)
     raw = np.fromfile(path.with_suffix(".raw"), "<u2").reshape(31, 580, 43)
-    assert np.array_equal(ours, raw.transpose(0, 2, 1))
+    assert np.array_equal(opened.read(), raw.transpose(0, 2, 1))
+    assert np.array_equal(opened.read_lines(30, 31)[0, 42], raw[30, :, 42])

@@ -135,7 +135,9 @@ def open_envi(path: str | Path) -> EnviFile:
         check_length(header, data, layout)
     except OSError as error:
         raise unreadable(path, "the data cannot be opened", found=str(error)) from error
-    bands = layout.shape[2]
+    _, samples, bands = layout.shape
+    # A spectral library holds a spectrum a line: its samples are the wavelengths.
+    centres = samples if "library" in text_of(fields, "file type").lower() else bands
     facts = Facts(
         path=header,
         kind="envi",
@@ -146,8 +148,8 @@ def open_envi(path: str | Path) -> EnviFile:
         exposure_s=_exposure(fields),
         captured=_date(fields),
         model=text_of(fields, "sensor type") or None,
-        wavelengths=_wavelengths(header, fields, "wavelength", bands),
-        fwhm=_wavelengths(header, fields, "fwhm", bands),
+        wavelengths=_wavelengths(header, fields, "wavelength", centres),
+        fwhm=_wavelengths(header, fields, "fwhm", centres),
         band_names=_names(fields, bands),
         interleave=layout.interleave,
     )

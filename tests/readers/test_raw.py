@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+import tifffile
+
+from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
+
+RNG = np.random.default_rng(5)
+MOSAIC = RNG.integers(64, 4096, (64, 96)).astype(np.uint16)
+
+
+def write_dng(path, mosaic, *, pattern=(0, 1, 1, 2), black=(64,), white=4095, extra=()):
+    tags = [
+        (50706, "B", 4, (1, 4, 0, 0), True),
+        (50708, "s", 0, "Levkas test", True),
+        (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, pattern, True),
+        (50714, "H", len(black), black, True),
+        (50717, "I", 1, white, True),
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+        (50778, "H", 1, 21, True),
+        (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
+        *extra,
+    ]
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None)
+    return path
+
+
+@pytest.mark.parametrize(("codes", "letters"), [((0, 1, 1, 2), "RGGB"), ((1, 2, 0, 1), "GBRG")])
+def test_the_mosaic_comes_bit_exact_with_the_black_of_each_of_its_phases(tmp_path, codes, letters):
+    extra = [(50713, "H", 2, (2, 2), True), (274, "H", 1, 6, True)]
+    blacks = (60, 61, 62, 63)
+    path = write_dng(tmp_path / "a.dng", MOSAIC, pattern=codes, black=blacks, extra=extra)
+    assert np.array_equal(read_frame(path), MOSAIC)  # turned by no orientation
+    facts = read_facts(path)
+    assert (facts.kind, facts.pattern, facts.bits) == ("raw", letters, 12)
+    assert (facts.blacks, facts.black, facts.saturation) == ((60, 61, 62, 63), 61.5, 4095)
+
+
+def test_exposure_sensitivity_date_and_model_are_read(tmp_path):
+    extra = [
+        (33434, "2I", 1, (1, 4), True),
+        (34855, "H", 1, 100, True),
+        (272, "s", 0, "D80", True),
+        (306, "s", 20, "2019:02:08 17:43:35", True),
+    ]
+    facts = read_facts(write_dng(tmp_path / "a.dng", MOSAIC, extra=extra))
+    assert (facts.exposure_s, facts.iso, facts.model) == (0.25, 100, "D80")
+    assert facts.captured == "2019-02-08T17:43:35"
+
+
+def test_the_compression_curve_of_a_camera_is_undone(tmp_path):
+    table = np.round(np.linspace(0, 1, 683) ** 2 * 4095).astype(int)
+    codes = RNG.integers(0, 683, (64, 96)).astype(np.uint16)
+    extra = [(50712, "H", len(table), tuple(int(t) for t in table), True)]
+    path = write_dng(tmp_path / "lossy.dng", codes, black=(0,), extra=extra)
+    assert np.array_equal(read_frame(path), table[codes].astype(np.uint16))
+
+
+def test_only_the_visible_area_is_read(tmp_path):
+    extra = [(50829, "I", 4, (2, 4, 62, 94), True)]
+    path = write_dng(tmp_path / "a.dng", MOSAIC, extra=extra)
+    assert np.array_equal(read_frame(path), MOSAIC[2:62, 4:94])
+    assert read_facts(path).shape == (60, 90)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.99])
+def test_a_truncated_raw_is_refused_by_name(tmp_path, share):
+    path = write_dng(tmp_path / "cut.dng", MOSAIC)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(UnreadableCapture, match=r"cut\.dng"):
+        read_frame(path)
+
+
+def test_a_rendered_dng_is_no_mosaic(tmp_path):
+    path = tmp_path / "linear.dng"
+    tags = [(50706, "B", 4, (1, 4, 0, 0), True), (50708, "s", 0, "Levkas test", True)]
+    colours = np.repeat(MOSAIC[..., None], 3, axis=2)
+    tifffile.imwrite(path, colours, photometric=34892, extratags=tags, metadata=None)
+    with pytest.raises(UnreadableCapture, match="no mosaic"):
+        read_frame(path)
+
+
+def test_a_raw_without_a_header_beside_it_says_what_was_looked_for(tmp_path):
+    path = tmp_path / "scan.raw"
+    path.write_bytes(bytes(range(256)) * 40)
+    with pytest.raises(UnreadableCapture, match=r"scan\.hdr beside it"):
+        read_facts(path)
