@@ -58,16 +58,11 @@ class Sensor:
     evidence: dict[str, float] = field(default_factory=dict)
 
 
-def images_of(bands: Sequence[BandImage], region: Sequence[float] | None) -> dict[str, np.ndarray]:
-    """Return label → square root of the image, NaN where invalid or outside `region`."""
+def images_of(bands: Sequence[BandImage]) -> dict[str, np.ndarray]:
+    """Return label → square root of the image, NaN where invalid."""
     result = {}
     for band in bands:
         image = np.where(band.valid, band.values, np.nan).astype(np.float32)
-        if region is not None:
-            x, y, w, h = (round(float(v)) for v in region)
-            inside = np.zeros(image.shape, bool)
-            inside[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = True
-            image[~inside] = np.nan
         result[band.label] = rooted(_mended(image))
     return result
 
@@ -123,9 +118,29 @@ def align_sensor(
     scene: Scene,
     greys: Sequence[np.ndarray],
     theirs: Sequence[np.ndarray],
+    *,
+    within: np.ndarray | None = None,
 ) -> Sensor:
-    """Register the bands of one sensor of another camera to the scene."""
-    found = start(greys, theirs)
+    """Register the bands of one sensor of another camera to the scene.
+
+    Parameters
+    ----------
+    bands : sequence of BandImage
+        Of the sensor.
+    images : mapping of label to ndarray
+        As `images_of` gives them.
+    scene : Scene
+    greys, theirs : sequence of ndarray
+        Grey pictures of the reference and of the sensor, for key points.
+    within : ndarray, bool, optional
+        Where key points of the reference count.
+
+    Raises
+    ------
+    RegistrationRefused
+        ``E_MATCHES``, ``E_WINDOWS`` or ``E_FOLD``.
+    """
+    found = start(greys, theirs, within=within)
     if found is None:
         raise RegistrationRefused(
             Problem(
@@ -156,6 +171,8 @@ def align_sensor(
             image = sampled(images[band.label], full, size, step, block=block if scale > 1 else 1)
             here[band.label], shown[band.label] = compared(predictor, image), image
         common, information = combine(list(here.values()))
+        if not last and _usable(information).sum() < LEAST_WINDOWS:
+            continue  # too little to see at this size; the key points' map stands
         rung = _base(base, here[chosen[0].label].centres, common, information, step, last)
         if last:
             seen = here
@@ -234,6 +251,10 @@ def combine(seen: Sequence[Windows]) -> tuple[np.ndarray, np.ndarray]:
     return common, total
 
 
+def _usable(information: np.ndarray) -> np.ndarray:
+    return np.asarray(np.trace(information, axis1=1, axis2=2) > 0)
+
+
 def _base(
     base: Transform,
     centres: np.ndarray,
@@ -242,7 +263,7 @@ def _base(
     step: int,
     last: bool,
 ) -> Rung:
-    used = np.trace(information, axis1=1, axis2=2) > 0
+    used = _usable(information)
     if used.sum() < LEAST_WINDOWS:
         raise RegistrationRefused(
             Problem(
@@ -259,7 +280,7 @@ def _base(
     finite = np.isfinite(target).all(1)
     observations = Observations(points, target, jacobian, information[used]).part(finite)
     spacing = 4.0 * step * cell_px((0, 0))
-    return climb(observations, spacing=spacing, highest=None if last else "cubic")
+    return climb(observations, spacing=spacing, coarse=not last)
 
 
 def _correction(before: Transform, after: Transform, centres: np.ndarray) -> np.ndarray:
