@@ -9,7 +9,9 @@ import pytest
 
 from levkas.evaluation import read_truth
 from levkas.noise import noise_variance
-from levkas.simulation.campaigns import PRESETS, Simulated, SimulationRefused, simulate_campaign
+from levkas.simulation.campaigns import Session, Simulated, simulate_campaign
+from levkas.simulation.capture import WHITE_REFLECTANCE, look
+from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras
 from levkas.simulation.truth import Truth
 
 tifffile = pytest.importorskip("tifffile")
@@ -84,17 +86,13 @@ def test_the_same_seed_gives_the_same_bytes_and_of_any_subset(tiny, tmp_path):
 
 
 def test_flat_fielding_recovers_the_reflectance_within_its_noise():
-    from levkas.simulation.campaigns import _models, _Session
-
     preset = replace(TINY, scale=0.12)
-    models = _models(preset, ["lctf-vis"])
-    session = _Session(preset, models, 3, 1)
+    models = choose_cameras(preset, ["lctf-vis"])
+    session = Session(preset, models, 3, 1)
     camera = session.cameras["lctf-vis"]
     model = camera.model
     band, sensor = model.bands[7], model.sensors[0]
-    painting = session._paint("icon1", 0, None, None)
-    from levkas.simulation.capture import WHITE_REFLECTANCE, look
-
+    painting = session.paint("icon1", 0, None, None)
     sight = look(model, session.views["icon1"]["lctf-vis"], session.panels["icon1"], painting)
     truth = sight.reflectance(band, sensor, supersampling=preset.supersampling)
     frames = {

@@ -7,10 +7,10 @@ from typing import Any
 
 _HOMES = {
     "simulate_campaign": "campaigns",
-    "PRESETS": "campaigns",
-    "Preset": "campaigns",
+    "PRESETS": "presets",
+    "Preset": "presets",
     "Simulated": "campaigns",
-    "SimulationRefused": "campaigns",
+    "SimulationRefused": "presets",
     "Truth": "truth",
 }
 __all__ = sorted(_HOMES)

@@ -25,13 +25,15 @@ def age(canvas: Canvas, *, field: np.ndarray) -> None:
     """
     every = np.full(canvas.shape, 255, np.uint8)
     border = every - canvas.area(field)
-    canvas.vary(every, "umber", canvas.grain(60.0, octaves=3), above=0.6, most=0.16)
+    # Soot and dirt are dark, losses bright, in every band: what all the bands have in common.
+    canvas.vary(every, "umber", canvas.grain(60.0, octaves=3), above=0.4, most=0.25)
+    canvas.vary(every, "black", canvas.grain((9.0, 13.0), octaves=6), above=0.9, most=0.45)
+    canvas.vary(every, "black", canvas.grain(2.4, octaves=3), above=1.5, most=0.5)
     canvas.vary(border, "gesso", canvas.grain((7.0, 12.0), octaves=6), above=2.0, most=0.95)
-    canvas.vary(every, "gesso", canvas.grain((5.0, 8.0), octaves=6), above=2.75, most=0.9)
+    canvas.vary(every, "gesso", canvas.grain((5.0, 8.0), octaves=6), above=2.5, most=0.9)
     canvas.vary(border, "wood", canvas.grain((5.0, 9.0), octaves=5), above=2.6, most=0.9)
-    canvas.vary(every, "umber", canvas.grain(2.2, octaves=4), above=2.2, most=0.35)
     cracks = crack_lines(canvas.width, canvas.height, canvas.rng.spawn(1)[0])
-    canvas.stroke(cracks, "umber", 0.6, relief=-30)
+    canvas.stroke(cracks, "black", 0.75, relief=-30)
     canvas.relief += canvas.grain((1.0, 3.0), octaves=3) * np.float32(4)
 
 
@@ -41,7 +43,7 @@ def crack_lines(width: float, height: float, rng: np.random.Generator) -> list[n
     Returns
     -------
     strokes : list of ndarray, (5, 3)
-        x, y and half the width, mm: a tenth to a fifth of a millimetre wide.
+        x, y and half the width, mm: a tenth to a third of a millimetre wide.
     """
     from scipy.spatial import Voronoi
 
@@ -58,7 +60,7 @@ def crack_lines(width: float, height: float, rng: np.random.Generator) -> list[n
     across = np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], 1) / long[:, None]
     ragged = rng.normal(0, 0.07, (len(a), 5)) * long[:, None]
     ragged[:, [0, 4]] = 0
-    wide = rng.uniform(0.08, 0.22, len(a))
+    wide = rng.uniform(0.10, 0.32, len(a))
     t = np.linspace(0, 1, 5)
     lines = a[:, None] + (b - a)[:, None] * t[:, None] + across[:, None] * ragged[..., None]
     return [brush(line, w, taper=0.3) for line, w in zip(lines, wide, strict=True)]

@@ -10,38 +10,10 @@ from levkas.noise import Sensor
 from levkas.simulation.optics import Chromatic, View, turn
 from levkas.simulation.panel import Panel
 from levkas.simulation.pigments import WAVELENGTHS
+from levkas.simulation.sensitivities import BandModel, bell, broad, narrow, silicon
 from levkas.simulation.truth import BandGeometry, CameraGeometry
 
-PEAK = 0.85
 LARGEST_PANEL = Panel()
-
-
-@dataclass(frozen=True, eq=False)
-class BandModel:
-    """One channel.
-
-    Parameters
-    ----------
-    label : str
-    response : ndarray, (n,)
-        Light times sensitivity at `pigments.WAVELENGTHS`, of sum 1.
-    level : float
-        Where the brightest white lies, as a share of the sensor's range.
-    wavelength : float
-        Nominal, nm; the centroid of the response if left out.
-    """
-
-    label: str
-    response: np.ndarray
-    level: float
-    wavelength: float = float("nan")
-
-    @property
-    def centre(self) -> float:
-        """Wavelength at which the lens acts, nm."""
-        if np.isfinite(self.wavelength):
-            return self.wavelength
-        return float(WAVELENGTHS @ self.response)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,58 +173,11 @@ class CameraModel:
         )
 
 
-def _bell(centre: float, width: float) -> np.ndarray:
-    return np.exp(-0.5 * ((WAVELENGTHS - centre) / width) ** 2)
-
-
-def _lamp_light() -> np.ndarray:
-    """Halogen behind a D50 simulator: flat, falling into the near infrared."""
-    return (0.35 + 0.65 / (1 + np.exp(-(WAVELENGTHS - 430) / 22))) * (
-        0.30 + 0.70 / (1 + np.exp((WAVELENGTHS - 780) / 55))
-    )
-
-
-def _silicon() -> np.ndarray:
-    """Quantum efficiency of a CCD."""
-    return (0.25 + 0.75 * _bell(560, 130)) / (1 + np.exp((WAVELENGTHS - 935) / 40))
-
-
-def _responses(sensitivities: list[np.ndarray], light: np.ndarray) -> list[np.ndarray]:
-    return [s * light / (s * light).sum() for s in sensitivities]
-
-
-def _broad(labels: str, shapes: list[np.ndarray], groups: tuple[int, ...]) -> tuple[BandModel, ...]:
-    """Return broad bands, the brightest of each sensor exposed to the peak."""
-    light = _lamp_light()
-    totals = np.array([(s * light).sum() for s in shapes])
-    levels = np.concatenate(
-        [PEAK * part / part.max() for part in np.split(totals, np.cumsum(groups)[:-1])]
-    )
-    return tuple(
-        BandModel(*b) for b in zip(labels.split(), _responses(shapes, light), levels, strict=True)
-    )
-
-
-def _narrow(
-    wavelengths: np.ndarray, fwhm: float, transmission: np.ndarray, *, one_exposure: bool
-) -> tuple[BandModel, ...]:
-    """Return bands of a filter or a spectrograph; an own exposure each, up to six-fold, or one."""
-    power = _lamp_light() * _silicon() * transmission
-    shapes = [_bell(w, fwhm / 2.355) for w in wavelengths]
-    totals = np.array([(s * power).sum() for s in shapes])
-    share = totals / totals.max()
-    levels = PEAK * (share if one_exposure else np.minimum(1.0, 6 * share))
-    return tuple(
-        BandModel(f"{w:g} nm", r, float(v), float(w))
-        for w, r, v in zip(wavelengths, _responses(shapes, power), levels, strict=True)
-    )
-
-
 def _tuned(name: str, wavelengths: np.ndarray, chromatic: Chromatic, radial: float) -> CameraModel:
     low, high = wavelengths[0], wavelengths[-1]
     passed = 1 / (1 + np.exp(-(WAVELENGTHS - low - 25) / 25))
     passed = passed / (1 + np.exp((WAVELENGTHS - high - 60) / 40))
-    bands = _narrow(wavelengths, 12.0, passed, one_exposure=False)
+    bands = narrow(wavelengths, 12.0, passed, one_exposure=False)
     sensor = SensorModel("", tuple(range(len(bands))), None, noise=_ccd(0.33, dark=22.0))
     return CameraModel(
         name, "bands", 1392, 1040, 1850.0, bands, (sensor,), (radial, 0.0008), (1.5e-4, -1e-4),
@@ -279,21 +204,21 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
     >>> {name: len(c.bands) for name, c in camera_models().items()}
     {'d80': 3, 'msbs': 7, 'lctf-vis': 33, 'lctf-nir': 51, 'v10': 121}
     """
-    rgb = [_bell(600, 34) + 0.12 * _bell(540, 30), _bell(532, 38), 0.85 * _bell(462, 30)]
+    rgb = [bell(600, 34) + 0.12 * bell(540, 30), bell(532, 38), 0.85 * bell(462, 30)]
     d80 = CameraModel(
-        "d80", "mosaic", 3900, 2611, 1900.0, _broad("R G B", rgb, (3,)),
+        "d80", "mosaic", 3900, 2611, 1900.0, broad("R G B", rgb, (3,)),
         (SensorModel("", (0, 1, 2), ((0, 1), (1, 2)), noise=_ccd(0.16, dark=32.0)),),
         (-0.011, 0.0025), (2.5e-4, -2e-4), Chromatic((1.3e-3, 1.8e-3), (0.25,), (-0.2,)),
         blur=0.55, vignetting=0.30, shots=5, whites=10, darks=10,
     )  # fmt: skip
     seven = [
-        1.6 * _bell(622, 20), 2.4 * _bell(548, 17), 1.2 * _bell(482, 15),
-        2.6 * _bell(588, 16), 1.3 * _bell(512, 16), 1.0 * _bell(440, 17),
-        1.5 * _silicon() / (1 + np.exp(-(WAVELENGTHS - 745) / 8)),
+        1.6 * bell(622, 20), 2.4 * bell(548, 17), 1.2 * bell(482, 15),
+        2.6 * bell(588, 16), 1.3 * bell(512, 16), 1.0 * bell(440, 17),
+        1.5 * silicon() / (1 + np.exp(-(WAVELENGTHS - 745) / 8)),
     ]  # fmt: skip
     bayer = ((0, 1), (1, 2))
     msbs = CameraModel(
-        "msbs", "sensors", 1392, 1040, 2200.0, _broad("R1 G1 B1 R2 G2 B2 IR", seven, (3, 3, 1)),
+        "msbs", "sensors", 1392, 1040, 2200.0, broad("R1 G1 B1 R2 G2 B2 IR", seven, (3, 3, 1)),
         (
             SensorModel("ccd1", (0, 1, 2), bayer, noise=_ccd(0.30, dark=18.0)),
             SensorModel("ccd2", (3, 4, 5), bayer, 0.012, (7.6, -5.2), _ccd(0.30, dark=20.0)),
@@ -303,7 +228,7 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
         shots=5, whites=10, darks=10,
     )  # fmt: skip
     v10_bands = np.arange(400.0, 1001.0, 5.0)
-    spectrograph = _narrow(v10_bands, 7.0, 0.25 + 0.75 * _bell(620, 170), one_exposure=True)
+    spectrograph = narrow(v10_bands, 7.0, 0.25 + 0.75 * bell(620, 170), one_exposure=True)
     v10 = CameraModel(
         "v10", "cube", 1100, 850, 1200.0, spectrograph,
         (SensorModel("", tuple(range(121)), None, noise=_ccd(0.25, dark=25.0)),),
@@ -333,12 +258,3 @@ def _thinned(camera: CameraModel) -> CameraModel:
             darks=32 if many else 1,
         )
     return replace(camera, shots=2, whites=3, darks=3)
-
-
-def response_table(camera: CameraModel) -> tuple[list[str], np.ndarray]:
-    """Return the labels and sensitivities, (wavelengths, bands), each with a peak of 1.
-
-    The light is divided out of what `BandModel.response` holds.
-    """
-    shapes = np.stack([b.response / _lamp_light() for b in camera.bands], 1)
-    return [b.label for b in camera.bands], shapes / shapes.max(0)

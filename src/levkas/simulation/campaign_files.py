@@ -8,10 +8,11 @@ from io import BytesIO
 import numpy as np
 
 from levkas.files import Folder
-from levkas.simulation.cameras import BandModel, CameraModel, response_table
+from levkas.simulation.cameras import CameraModel
 from levkas.simulation.capture import WHITE_REFLECTANCE, Camera, Frame
 from levkas.simulation.panel import Panel
 from levkas.simulation.pigments import WAVELENGTHS
+from levkas.simulation.sensitivities import BandModel, response_table
 
 WHITE_TABLE = "white_reflectance.csv"
 FIRST_SHOT = {"dark": 0, "white": 100}
@@ -86,7 +87,7 @@ def write_tables(folder: Folder, models: Mapping[str, CameraModel]) -> None:
     _write_lines(folder, WHITE_TABLE, ["wavelength,white", *rows])
     for name, model in models.items():
         if model.kind in ("mosaic", "sensors"):
-            labels, table = response_table(model)
+            labels, table = response_table(model.bands)
             lines = [",".join(["wavelength", *labels])]
             for w, row in zip(WAVELENGTHS, table, strict=True):
                 lines.append(",".join([f"{w:g}", *(f"{v:.5f}" for v in row)]))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from levkas.files import publishing
-from levkas.problems import Problem, Refused
 from levkas.simulation.cameras import CameraModel, camera_models
 from levkas.simulation.campaign_files import FrameWriter, write_campaign_toml, write_tables
 from levkas.simulation.capture import Camera, Sight, look
@@ -19,72 +18,19 @@ from levkas.simulation.optics import View, turn
 from levkas.simulation.painting import Painting
 from levkas.simulation.panel import Panel
 from levkas.simulation.photographs import paint_photograph
+from levkas.simulation.presets import (
+    REFERENCE,
+    Preset,
+    choose_cameras,
+    choose_preset,
+    refusal,
+)
 from levkas.simulation.rendering import tabulate
 from levkas.simulation.sensing import key
 from levkas.simulation.truth import Truth
 
-REFERENCE = ("lctf-vis", "550 nm")
 CHART = "macbeth"
 SETUP = ("45-degree", "d80")
-
-
-@dataclass(frozen=True)
-class Preset:
-    """How a campaign is made.
-
-    Parameters
-    ----------
-    scale : float
-        Pixels a side over those of the real cameras.
-    thin : bool
-        Fewer bands, shots and templates, as `cameras.camera_models` says.
-    charts : bool
-        A colour chart before every camera.
-    supersampling : int
-        Sub-pixels a pixel and axis.
-    fineness : float
-        Least samples of the painting per mm.
-    tilt_deg, roll_deg, shift_mm : float
-        Spread of how cameras stand and paintings lie.
-    depth_mm, radius_mm : (least, most)
-        Of the panel.
-    bevel_mm, twist_mm : float
-    full_well : float, optional
-        Electrons of all sensors; few for much noise.
-    scanner_turn_deg : float
-        The line scanner turned about its axis: 90 scans along the other side.
-    """
-
-    scale: float = 0.32
-    thin: bool = False
-    charts: bool = True
-    supersampling: int = 3
-    fineness: float = 6.0
-    tilt_deg: float = 0.6
-    roll_deg: float = 0.5
-    shift_mm: float = 3.0
-    depth_mm: tuple[float, float] = (2.5, 4.0)
-    radius_mm: tuple[float, float] = (2500.0, 5000.0)
-    bevel_mm: float = 7.0
-    twist_mm: float = 0.6
-    full_well: float | None = None
-    scanner_turn_deg: float = 0.0
-
-
-PRESETS: dict[str, Preset] = {
-    "default": Preset(),
-    "small": Preset(scale=0.3, thin=True, charts=False, fineness=5.0),
-    "full": Preset(scale=1.0, charts=False),
-    # A linear SNR of 15 where the panel reflects a fifth.
-    "hard": Preset(
-        tilt_deg=3.0, roll_deg=4.0, shift_mm=8.0, depth_mm=(4.5, 6.0), radius_mm=(1800.0, 3000.0),
-        bevel_mm=0.5, twist_mm=1.5, full_well=1600.0, scanner_turn_deg=90.0,
-    ),
-}  # fmt: skip
-
-
-class SimulationRefused(Refused):
-    """A campaign that cannot be simulated as it was asked for."""
 
 
 @dataclass(frozen=True)
@@ -164,12 +110,12 @@ def simulate_campaign(
         Where the folder cannot be written or the disk is full.
     """
     folder = Path(folder)
-    chosen = _preset(preset, scale, objects)
-    models = _models(chosen, cameras)
+    chosen = choose_preset(preset, scale=scale, objects=objects)
+    models = choose_cameras(chosen, cameras)
     if folder.is_dir() and any(folder.iterdir()):
-        raise _refusal("the folder is not empty", "folder", str(folder), "a new folder")
+        raise refusal("the folder is not empty", "folder", str(folder), "a new folder")
     root = int(np.random.default_rng(seed).integers(2**62))
-    session = _Session(chosen, models, root, objects)
+    session = Session(chosen, models, root, objects)
     under_lamp = setups and SETUP[1] in models
     need = _bytes_needed(models, objects + int(chosen.charts))
     with publishing(folder, bytes_needed=need) as aside:
@@ -189,27 +135,6 @@ def simulate_campaign(
     )  # fmt: skip
 
 
-def _refusal(message: str, field: str, found: object, expected: str) -> SimulationRefused:
-    return SimulationRefused(
-        Problem("E_VALUE", message, field=field, found=found, expected=expected)
-    )
-
-
-def _preset(preset: str | Preset, scale: float | None, objects: int) -> Preset:
-    if isinstance(preset, str):
-        if preset not in PRESETS:
-            raise _refusal("there is no such preset", "preset", preset, ", ".join(PRESETS))
-        preset = PRESETS[preset]
-    if scale is not None:
-        preset = replace(preset, scale=scale)
-    if not 0 < preset.scale <= 1:
-        raise _refusal("the scale is out of range", "scale", preset.scale, "0 < scale <= 1")
-    if objects < 1:
-        raise _refusal("a campaign needs an object", "objects", objects, "1 or more")
-    # At full size sub-pixels are as fine as the painting's samples with two a side already.
-    return replace(preset, supersampling=2) if preset.scale > 0.6 else preset
-
-
 def _bytes_needed(models: dict[str, CameraModel], targets: int) -> int:
     total = 0
     for m in models.values():
@@ -220,30 +145,7 @@ def _bytes_needed(models: dict[str, CameraModel], targets: int) -> int:
     return total
 
 
-def _models(preset: Preset, cameras: Sequence[str] | None) -> dict[str, CameraModel]:
-    models = camera_models(thin=preset.thin)
-    wanted = list(models) if cameras is None else list(cameras)
-    unknown = [c for c in wanted if c not in models]
-    if unknown:
-        raise _refusal("there is no such camera", "cameras", unknown[0], ", ".join(models))
-    result = {}
-    for name, model in models.items():
-        if name not in wanted and name != REFERENCE[0]:
-            continue
-        if model.scan and abs(preset.scanner_turn_deg % 180 - 90) < 45:
-            model = replace(model, width=model.height, height=model.width)
-        if preset.full_well is not None:
-            sensors = tuple(
-                replace(s, noise=replace(s.noise, dark=8.0, gain=4035 / preset.full_well,
-                                         full_well=1.02 * preset.full_well))
-                for s in model.sensors
-            )  # fmt: skip
-            model = replace(model, sensors=sensors)
-        result[name] = model.scaled(preset.scale)
-    return result
-
-
-class _Session:
+class Session:
     """The state of one simulation: cameras at work, panels, views."""
 
     def __init__(
@@ -320,7 +222,7 @@ class _Session:
             yield from self._take(writer, under_lamp, "white", None)
         for i, name in enumerate(self.names):
             photograph = photographs[i] if i < len(photographs) else None
-            painting = self._paint(name, i, library, photograph)
+            painting = self.paint(name, i, library, photograph)
             self.done += 1
             yield Step(self.done, self.total, f"{name} painted", True)
             yield from self._capture(writer, name, self.panels[name], painting, under_lamp)
@@ -333,9 +235,10 @@ class _Session:
         finest = max(m.sampling for m in camera_models().values()) * self.preset.scale
         return max(self.preset.fineness, 1.75 * finest)
 
-    def _paint(
+    def paint(
         self, name: str, index: int, library: Path | str | None, photograph: Path | None
     ) -> Painting:
+        """Paint one object: from a photograph where there is one, else an icon."""
         panel, rng = self.panels[name], self._rng("painting", name)
         if photograph is not None:
             return paint_photograph(

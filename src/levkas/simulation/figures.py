@@ -72,8 +72,9 @@ def paint_halo(canvas: Canvas, saint: Saint) -> None:
         for a in angles[::3] + angles[1] / 2
     ]
     canvas.stroke(dots, "umber", 0.7, relief=-25)
-    canvas.stroke([brush(ellipse(centre, radius), 1.5, taper=0)], "vermilion")
-    canvas.stroke([brush(ellipse(centre, radius - 1.3), 0.45, taper=0)], "white", 0.9)
+    rim = brush(ellipse(centre, radius), 2.2, taper=0)
+    canvas.stroke([rim], "white", 0.9)
+    canvas.stroke([rim * (1, 1, 0.6)], "vermilion")
 
 
 def paint_head(canvas: Canvas, saint: Saint) -> None:

@@ -25,7 +25,8 @@ def lay_garment(
     canvas.vary(mask, light, canvas.grain((3.0, 16.0), octaves=6), above=0.7, most=0.45)
     canvas.vary(mask, light, canvas.grain((0.7, 4.0), octaves=3), above=0.8, most=0.4)
     canvas.vary(mask, dark, canvas.grain((0.9, 3.0), octaves=3), above=1.0, most=0.4)
-    canvas.stroke([brush(outline, 1.3, taper=0.2)], dark, within=within)
+    canvas.stroke([brush(outline, 1.5, taper=0.2)], "umber", within=within)
+    canvas.stroke([brush(outline, 0.7, taper=0.2)], "black", 0.8, within=within)
     return mask
 
 

@@ -70,7 +70,7 @@ def paint_icon(
     """
     canvas = Canvas(panel.height_mm, panel.width_mm, px_per_mm, rng)
     inset = panel.border_mm
-    _paint_ground(canvas, inset, panel.bevel_mm)
+    _paint_ground(canvas, inset)
     pairs = [PAIRS[i] for i in rng.permutation(len(PAIRS))]
     if saints == 1:
         _paint_half_length(canvas, inset, pairs[0])
@@ -81,7 +81,7 @@ def paint_icon(
     return canvas.finish(panel, library=library)
 
 
-def _paint_ground(canvas: Canvas, inset: float, bevel: float) -> None:
+def _paint_ground(canvas: Canvas, inset: float) -> None:
     """Lay gesso, ochre on the border, gold on bole in the field, with marks of the leaves."""
     every = np.full(canvas.shape, 255, np.uint8)
     canvas.lay(every, "ochre")
@@ -114,8 +114,6 @@ def _paint_ground(canvas: Canvas, inset: float, bevel: float) -> None:
         for y in np.arange(inset + 0.6 * leaf, canvas.height - inset, leaf)
     ]
     canvas.stroke(seams, "ochre", 0.5, within=field, relief=2)
-    slope = [brush(rectangle(canvas, inset - k), 0.35, taper=0) for k in (0.4, bevel + 0.4)]
-    canvas.stroke(slope, "umber", 0.4)
 
 
 def _paint_half_length(canvas: Canvas, inset: float, pair: Pair) -> None:

@@ -1,0 +1,117 @@
+"""Presets: how large, how rich and how hard a simulated campaign is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from levkas.problems import Problem, Refused
+from levkas.simulation.cameras import CameraModel, camera_models
+
+REFERENCE = ("lctf-vis", "550 nm")
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How a campaign is made.
+
+    Parameters
+    ----------
+    scale : float
+        Pixels a side over those of the real cameras.
+    thin : bool
+        Fewer bands, shots and templates, as `cameras.camera_models` says.
+    charts : bool
+        A colour chart before every camera.
+    supersampling : int
+        Sub-pixels a pixel and axis.
+    fineness : float
+        Least samples of the painting per mm.
+    tilt_deg, roll_deg, shift_mm : float
+        Spread of how cameras stand and paintings lie.
+    depth_mm, radius_mm : (least, most)
+        Of the panel.
+    bevel_mm, twist_mm : float
+    full_well : float, optional
+        Electrons of all sensors; few for much noise.
+    scanner_turn_deg : float
+        The line scanner turned about its axis: 90 scans along the other side.
+    """
+
+    scale: float = 0.32
+    thin: bool = False
+    charts: bool = True
+    supersampling: int = 3
+    fineness: float = 6.0
+    tilt_deg: float = 0.6
+    roll_deg: float = 0.5
+    shift_mm: float = 3.0
+    depth_mm: tuple[float, float] = (2.5, 4.0)
+    radius_mm: tuple[float, float] = (2500.0, 5000.0)
+    bevel_mm: float = 7.0
+    twist_mm: float = 0.6
+    full_well: float | None = None
+    scanner_turn_deg: float = 0.0
+
+
+PRESETS: dict[str, Preset] = {
+    "default": Preset(),
+    "small": Preset(scale=0.3, thin=True, charts=False, fineness=5.0),
+    "full": Preset(scale=1.0, charts=False),
+    # A linear SNR of 15 where the panel reflects a fifth.
+    "hard": Preset(
+        tilt_deg=3.0, roll_deg=4.0, shift_mm=8.0, depth_mm=(4.5, 6.0), radius_mm=(1800.0, 3000.0),
+        bevel_mm=0.5, twist_mm=1.5, full_well=1600.0, scanner_turn_deg=90.0,
+    ),
+}  # fmt: skip
+
+
+class SimulationRefused(Refused):
+    """A campaign that cannot be simulated as it was asked for."""
+
+
+def refusal(message: str, field: str, found: object, expected: str) -> SimulationRefused:
+    """Return a refusal of one option."""
+    return SimulationRefused(
+        Problem("E_VALUE", message, field=field, found=found, expected=expected)
+    )
+
+
+def choose_preset(preset: str | Preset, *, scale: float | None, objects: int) -> Preset:
+    """Return a preset by name, at another scale where one is given; raises `SimulationRefused`."""
+    if isinstance(preset, str):
+        if preset not in PRESETS:
+            raise refusal("there is no such preset", "preset", preset, ", ".join(PRESETS))
+        preset = PRESETS[preset]
+    if scale is not None:
+        preset = replace(preset, scale=scale)
+    if not 0 < preset.scale <= 1:
+        raise refusal("the scale is out of range", "scale", preset.scale, "0 < scale <= 1")
+    if objects < 1:
+        raise refusal("a campaign needs an object", "objects", objects, "1 or more")
+    # At full size sub-pixels are as fine as the painting's samples with two a side already.
+    return replace(preset, supersampling=2) if preset.scale > 0.6 else preset
+
+
+def choose_cameras(preset: Preset, cameras: Sequence[str] | None) -> dict[str, CameraModel]:
+    """Return the cameras of a preset at its scale; raises `SimulationRefused` on unknown ones."""
+    models = camera_models(thin=preset.thin)
+    wanted = list(models) if cameras is None else list(cameras)
+    unknown = [c for c in wanted if c not in models]
+    if unknown:
+        raise refusal("there is no such camera", "cameras", unknown[0], ", ".join(models))
+    result = {}
+    for name, model in models.items():
+        if name not in wanted and name != REFERENCE[0]:
+            continue
+        if model.scan and abs(preset.scanner_turn_deg % 180 - 90) < 45:
+            model = replace(model, width=model.height, height=model.width)
+        if preset.full_well is not None:
+            sensors = tuple(
+                replace(s, noise=replace(s.noise, dark=8.0, gain=4035 / preset.full_well,
+                                         full_well=1.02 * preset.full_well))
+                for s in model.sensors
+            )  # fmt: skip
+            model = replace(model, sensors=sensors)
+        result[name] = model.scaled(preset.scale)
+    return result
