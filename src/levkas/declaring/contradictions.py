@@ -1,0 +1,196 @@
+"""What the tables of campaign.toml say against one another, and against the files they name."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from levkas.declaring.cameras import check_camera, check_pattern, wrong
+from levkas.declaring.tables import ONLY_OF_THE_PAPER, Document, RegistrationKeys
+from levkas.problems import Problem
+
+LONGEST_NAME = 80
+_UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
+
+
+def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
+    """Yield everything that does not fit together; `file` is left for the caller to say."""
+    yield from _names(document)
+    yield from _targets(document)
+    for name, camera in document.cameras.items():
+        yield from check_camera(f"cameras.{name}", camera)
+    yield from _setups(document)
+    yield from _registration(document)
+    yield from _files(document, root)
+
+
+def is_safe_name(name: str) -> bool:
+    """Whether a name can be part of file names and frame names on every system.
+
+    >>> is_safe_name("lctf-vis"), is_safe_name("d80@soft")
+    (True, False)
+    """
+    return 0 < len(name) <= LONGEST_NAME and not _UNSAFE.search(name)
+
+
+def meant(text: str, known: Iterable[str]) -> str | None:
+    """Return ``Did you mean 'files'?`` where a known name is near.
+
+    >>> meant("fles", ["files", "kind"])
+    "Did you mean 'files'?"
+    """
+    near = difflib.get_close_matches(text, list(known), 1, 0.6)
+    return f"Did you mean {near[0]!r}?" if near else None
+
+
+# --- names ------------------------------------------------------------------------------------
+
+
+def _names(document: Document) -> Iterator[Problem]:
+    cameras, reference = document.cameras, document.campaign.reference.camera
+    if reference not in cameras:
+        yield wrong(
+            "campaign.reference.camera",
+            "the reference camera is not declared",
+            reference,
+            f"one of {', '.join(cameras)}",
+            meant(reference, cameras),
+        )
+    tables = {"cameras": list(cameras), "setups": list(document.setups)}
+    tables |= {
+        f"cameras.{n}.sensors": [s.name for s in camera.sensors] for n, camera in cameras.items()
+    }
+    tables["objects"] = [*document.objects, *(document.targets.objects or ())]
+    for table, names in tables.items():
+        for name in dict.fromkeys(names):
+            if not is_safe_name(name):
+                yield wrong(
+                    f"{table}.{name}",
+                    "this name cannot be part of a file name",
+                    name,
+                    f"at most {LONGEST_NAME} letters, digits, - and _",
+                )
+    if "grid" in cameras:
+        yield wrong(
+            "cameras.grid", "grid is the name of the published frame", "grid", "another name"
+        )
+    layers = [(name, f"cameras.{name}") for name in cameras]
+    for setup, keys in document.setups.items():
+        layers += [(f"{c}_{setup}", f"setups.{setup}.cameras.{c}") for c in keys.cameras]
+    yield from _twice(layers, "two layers would have one file name")
+    yield from _twice(
+        [(n, f"objects.{n}") for n in set(tables["objects"])], "names differ in case only"
+    )
+
+
+def _twice(named: Iterable[tuple[str, str]], message: str) -> Iterator[Problem]:
+    first: dict[str, str] = {}
+    for name, field in named:
+        other = first.setdefault(name.casefold(), field)
+        if other != field:
+            yield wrong(field, message, name, f"a name that differs from {other}")
+
+
+# --- targets ----------------------------------------------------------------------------------
+
+
+def _targets(document: Document) -> Iterator[Problem]:
+    targets = document.targets
+    roles = {
+        "dark": targets.dark,
+        "white": targets.white.names if targets.white else (),
+        "charts": tuple(targets.charts),
+        "objects": targets.objects or (),
+    }
+    seen: dict[str, str] = {}
+    for role, names in roles.items():
+        for name in names:
+            other = seen.setdefault(name, role)
+            if other != role:
+                yield wrong(
+                    f"targets.{role}", f"{name!r} is declared twice", name, f"{other} or {role}"
+                )
+    for name in document.objects:
+        near = meant(name, targets.objects or ())
+        if near and name not in (targets.objects or ()):  # else its facts wait for another build
+            yield wrong(
+                f"objects.{name}",
+                "facts of an object that is not among targets.objects",
+                name,
+                ", ".join(targets.objects or ()),
+                near,
+            )
+
+
+# --- setups, registration, files ---------------------------------------------------------------
+
+
+def _setups(document: Document) -> Iterator[Problem]:
+    for setup, keys in document.setups.items():
+        for name, own in keys.cameras.items():
+            field = f"setups.{setup}.cameras.{name}"
+            camera = document.cameras.get(name)
+            if camera is None:
+                yield wrong(
+                    field,
+                    "a setup names a camera that is not declared",
+                    name,
+                    f"one of {', '.join(document.cameras)}",
+                    meant(name, document.cameras),
+                )
+                continue
+            for text in own.files:
+                yield from check_pattern(f"{field}.files", text, camera.kind)
+            if own.files and camera.kind == "sensors" and "{sensor}" not in "".join(own.files):
+                yield wrong(f"{field}.files", "the pattern has no {sensor}", " ".join(own.files))
+            if not own.files and not any("{setup}" in text for text in camera.patterns):
+                yield Problem(
+                    "E_KEY",
+                    "files is required",
+                    field=f"{field}.files",
+                    fix=f"Write it here, or {{setup}} in cameras.{name}.files.",
+                )
+
+
+def _registration(document: Document) -> Iterator[Problem]:
+    common = document.registration
+    own = {name: camera.registration for name, camera in document.cameras.items()}
+    methods = {name: keys.method or common.method or "levkas" for name, keys in own.items()}
+    if "mirhashemi2019" not in methods.values():
+        yield from _of_the_paper("registration", common)
+    for name, keys in own.items():
+        if methods[name] != "mirhashemi2019":
+            yield from _of_the_paper(f"cameras.{name}.registration", keys)
+        reject, stop = keys.reject or common.reject, keys.stop or common.stop or 1.0
+        if reject is not None and reject <= stop:
+            where = f"cameras.{name}.registration" if keys.given() else "registration"
+            yield wrong(f"{where}.reject", "reject is not above stop", reject, f"> {stop:g} px")
+
+
+def _of_the_paper(where: str, keys: RegistrationKeys) -> Iterator[Problem]:
+    for key in ONLY_OF_THE_PAPER:
+        if getattr(keys, key) is not None:
+            yield wrong(
+                f"{where}.{key}",
+                f"the method 'levkas' has no `{key}`",
+                getattr(keys, key),
+                fix='Take it out, or write method = "mirhashemi2019".',
+            )
+
+
+def _files(document: Document, root: Path) -> Iterator[Problem]:
+    white = document.targets.white
+    named = {f"cameras.{n}.sensitivity": c.sensitivity for n, c in document.cameras.items()}
+    if white and isinstance(white.reflectance, str):
+        named["targets.white.reflectance"] = white.reflectance
+    for field, name in named.items():
+        if name is not None and not (root / name).is_file():
+            yield Problem(
+                "E_UNREADABLE",
+                "the table that is named is not there",
+                field=field,
+                found=name,
+                expected="a CSV file, named relative to campaign.toml",
+            )

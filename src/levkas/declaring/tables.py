@@ -1,0 +1,213 @@
+"""The tables of campaign.toml: which keys there are, and which values each of them takes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
+
+from levkas.declaring.values import (
+    Align,
+    Date,
+    MuseumDate,
+    Names,
+    Number,
+    Pattern,
+    Reflectance,
+    Region,
+    Size,
+    SizeMm,
+    Switch,
+    Text,
+    Whole,
+)
+
+MOST_WAVELENGTHS = 100_000
+
+
+class Table(BaseModel):
+    """A table of which every key is known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Range(Table):
+    """Wavelengths at equal steps, both ends included, nm."""
+
+    start: Annotated[Number, Field(gt=0)]
+    stop: Annotated[Number, Field(gt=0)]
+    step: Annotated[Number, Field(gt=0)]
+
+    def values(self) -> tuple[float, ...]:
+        """Return the wavelengths, nm; empty where the steps do not lead from start to stop.
+
+        >>> Range(start=400, stop=420, step=10).values()
+        (400.0, 410.0, 420.0)
+        """
+        count = (self.stop - self.start) / self.step
+        if not -1e-6 < count < MOST_WAVELENGTHS or abs(count - round(count)) > 1e-6:
+            return ()
+        return tuple(round(self.start + i * self.step, 6) for i in range(round(count) + 1))
+
+
+Wavelengths = Annotated[
+    Annotated[Range, Tag("<table>")]
+    | Annotated[tuple[Annotated[Number, Field(gt=0)], ...], Tag("<list>")],
+    Discriminator(lambda value: "<table>" if isinstance(value, dict | Range) else "<list>"),
+]
+
+
+def _reference(value: Any) -> Any:
+    if isinstance(value, str):
+        camera, _, band = value.partition(":")
+        return {"camera": camera, "band": band} if band else {"camera": camera}
+    return value
+
+
+def _white(value: Any) -> Any:
+    return {"names": value} if isinstance(value, str | list) else value
+
+
+class Reference(Table):
+    """What all else is registered to."""
+
+    camera: Text
+    band: Text | None = None
+
+
+class Description(Table):
+    """The campaign as a whole."""
+
+    title: Text = ""
+    creator: Text = ""
+    date: Date | None = None
+    licence: Text = ""
+    reference: Annotated[Reference, BeforeValidator(_reference)]
+    output: Annotated[Text, Field(min_length=1)] = "database"
+
+
+class GridKeys(Table):
+    """The published frame."""
+
+    mirror: Switch = False
+    rotate: Number = 0.0
+    region: Region | None = None
+    size: Size | None = None
+
+
+class RegistrationKeys(Table):
+    """How cameras are registered; errors in reference pixels."""
+
+    method: Literal["levkas", "mirhashemi2019"] | None = None
+    reject: Annotated[Number, Field(gt=0)] | None = None
+    stop: Annotated[Number, Field(gt=0)] | None = None
+    ratio: Annotated[Number, Field(gt=0, le=1)] | None = None
+    order: Annotated[Whole, Field(ge=1, le=5)] | None = None
+    detector: Literal["sift", "kaze", "akaze"] | None = None
+    matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what was said, by key."""
+        return {key: value for key, value in self if value is not None}
+
+
+ONLY_OF_THE_PAPER = ("ratio", "order", "detector", "matching")
+"""Keys of [registration] that only the method "mirhashemi2019" has."""
+
+
+class Sensor(Table):
+    """One sensor of a multi-sensor camera."""
+
+    name: Text
+    files: Names = ()
+    pattern: Pattern | None = None
+    bands: Names = ()
+    align: Align = "measure"
+
+
+class CameraKeys(Table):
+    """One camera and how its files are named."""
+
+    kind: Literal["mosaic", "bands", "sensors", "cube", "image"]
+    files: Names = ()
+    pattern: Pattern | None = None
+    bands: Names | None = None
+    wavelengths: Wavelengths | None = None
+    sensitivity: Text | None = None
+    reference_band: Text | None = None
+    bits: Annotated[Whole, Field(ge=1, le=32)] | None = None
+    black: Number | None = None
+    saturation: Annotated[Number, Field(gt=0)] | None = None
+    exposures: Literal["one", "best", "merge"] = "one"
+    sensors: tuple[Sensor, ...] = ()
+    scan: Literal["push-broom", "mirror"] | None = None
+    denoise: Literal["hysime"] | None = None
+    demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
+    dark: Names | None = None
+    white: Names | None = None
+    registration: RegistrationKeys = RegistrationKeys()
+
+    @property
+    def centres(self) -> tuple[float, ...] | None:
+        """Declared wavelengths, nm."""
+        return (
+            self.wavelengths.values() if isinstance(self.wavelengths, Range) else self.wavelengths
+        )
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Every pattern of files, the sensors' own included."""
+        return (*self.files, *(text for sensor in self.sensors for text in sensor.files))
+
+
+class White(Table):
+    """The white board."""
+
+    names: Names
+    reflectance: Reflectance | None = None
+
+
+class TargetKeys(Table):
+    """What the values of {target} mean."""
+
+    dark: Names = ()
+    white: Annotated[White, BeforeValidator(_white)] | None = None
+    charts: dict[str, Text] = {}
+    objects: Names | None = None
+
+
+class SetupCamera(Table):
+    """A camera under another lighting."""
+
+    files: Names = ()
+
+
+class Setup(Table):
+    """Another lighting."""
+
+    cameras: dict[str, SetupCamera] = {}
+
+
+class ObjectFacts(Table):
+    """What a museum says of a painting."""
+
+    title: Text = ""
+    creator: Text = ""
+    date: MuseumDate | None = None
+    medium: Text = ""
+    size_mm: SizeMm | None = None
+    owner: Text = ""
+    rights: Text = ""
+    inventory: Text = ""
+
+
+class Document(Table):
+    """The whole of campaign.toml."""
+
+    campaign: Description
+    grid: GridKeys | None = None
+    cameras: dict[str, CameraKeys] = Field(min_length=1)
+    targets: TargetKeys = TargetKeys()
+    setups: dict[str, Setup] = {}
+    objects: dict[str, ObjectFacts] = {}
+    registration: RegistrationKeys = RegistrationKeys()

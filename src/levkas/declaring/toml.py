@@ -1,0 +1,116 @@
+"""TOML files of a campaign, bounded before a parser sees them."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from levkas.problems import Problem, Refused
+
+LARGEST_FILE = 1 << 20
+LONGEST_KEY = 1024
+"""Characters of a key, and of anything else that stands without quotes."""
+DEEPEST = 16
+"""Parts of a dotted key, and brackets within brackets: a key of 20,000 parts costs tomllib 1.5 GB."""
+
+_TOKEN = re.compile(
+    r'(?P<string>"""(?:\\.|[^\\])*?"{3,5}'
+    r"|'''.*?'{3,5}"
+    r'|"(?!"")(?:\\.|[^"\\\n])*"'
+    r"|'(?!'')[^'\n]*')"
+    r"|(?P<comment>\#[^\n]*)"
+    r"|(?P<open>[\[{])|(?P<close>[\]}])|(?P<end>[,\n])|(?P<equals>=)|(?P<dot>\.)"
+    r"""|(?P<bare>[^\[\]{}=,.\n"'\#]+)""",
+    re.DOTALL,
+)
+
+
+class TomlRefused(Refused):
+    """A file that is not TOML, or is built to exhaust its parser."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file of at most 1 MiB.
+
+    Returns
+    -------
+    record : dict
+        As `tomllib` gives it.
+
+    Raises
+    ------
+    TomlRefused
+        Where the file cannot be read, is too large, nested too deeply or no TOML.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
+            raise _too_much(path, "the file is too large", "over 1 MiB", "at most 1 MiB")
+        text = data.decode("utf-8-sig").replace("\r\n", "\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TomlRefused(
+            Problem(
+                "E_UNREADABLE",
+                f"{path.name} cannot be read",
+                str(path),
+                found=getattr(error, "strerror", None) or str(error),
+                expected="a TOML file in UTF-8",
+            )
+        ) from error
+    _bound(path, text)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise TomlRefused(
+            Problem(
+                "E_VALUE",
+                f"{path.name} is not valid TOML",
+                str(path),
+                found=str(error)[:200],
+                fix="Mend that line: text in quotes, lists in brackets, one key a line.",
+            )
+        ) from error
+
+
+def _bound(path: Path, text: str) -> None:
+    """Refuse what would cost the parser more than the file is worth.
+
+    Where a string has no end the scan ends too: the parser fails at the same place.
+    """
+    depth = parts = length = at = 0
+    while at < len(text) and (token := _TOKEN.match(text, at)):
+        kind, at = str(token.lastgroup), token.end()
+        if kind == "comment":
+            continue
+        depth += {"open": 1, "close": -1}.get(kind, 0)
+        if kind in ("open", "close", "end"):
+            parts = length = 0
+        elif kind == "equals":
+            too_long, parts, length = length > LONGEST_KEY, 0, 0
+            if too_long:
+                raise _too_much(
+                    path, "a key is too long", _line(text, at), f"{LONGEST_KEY} characters"
+                )
+        else:
+            parts += kind == "dot"
+            length += at - token.start()
+        bare = kind == "bare" and max(map(len, token.group().split()), default=0)
+        if max(depth, parts) > DEEPEST:
+            raise _too_much(path, "it is nested too deeply", _line(text, at), f"{DEEPEST} levels")
+        if bare > LONGEST_KEY:
+            raise _too_much(
+                path, "a word is too long", _line(text, at), f"{LONGEST_KEY} characters"
+            )
+
+
+def _line(text: str, at: int) -> str:
+    return f"line {text.count(chr(10), 0, at) + 1}"
+
+
+def _too_much(path: Path, message: str, found: str, expected: str) -> TomlRefused:
+    return TomlRefused(
+        Problem("E_SIZE", f"{path.name}: {message}", str(path), found=found, expected=expected)
+    )

@@ -1,0 +1,122 @@
+"""Kinds of values in campaign.toml, each with one sentence for what it must be."""
+
+from __future__ import annotations
+
+import datetime
+import re
+import unicodedata
+from math import isqrt
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, PlainValidator, Strict
+
+FILTER_LETTERS = "RGBCMYWEIN"
+"""Of a pattern in letters: primary and complementary colours, white, emerald, infrared."""
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    names = (value,) if isinstance(value, str) else value
+    if not isinstance(names, list | tuple) or not all(isinstance(n, str) and n for n in names):
+        raise ValueError("must be a name or a list of names")
+    return tuple(unicodedata.normalize("NFC", n) for n in names)
+
+
+def _date(value: Any) -> str:
+    text = value.isoformat() if isinstance(value, datetime.date | datetime.datetime) else value
+    if not isinstance(text, str) or not re.match(r"\d{4}(-\d\d(-\d\d([T ].+)?)?)?$", text):
+        raise ValueError("must be a date as ISO 8601: 2024, 2024-05, 2024-05-31")
+    return text
+
+
+def _museum_date(value: Any) -> str:
+    """Paintings are dated "about 1650" as often as 1650."""
+    if isinstance(value, bool) or not isinstance(value, str | int | datetime.date):
+        raise ValueError("must be a year or text")
+    return value.isoformat() if isinstance(value, datetime.date) else str(value)
+
+
+def _pattern(value: Any) -> tuple[tuple[str, ...], ...]:
+    """Bring ``"RGGB"``, or rows of names, into rows of names."""
+    message = 'must be letters such as "RGGB", or rows of equally many channel names'
+    if isinstance(value, str):
+        side = isqrt(len(value))
+        letters = value.upper()
+        if side < 2 or side * side != len(value) or set(letters) - set(FILTER_LETTERS):
+            raise ValueError(message)
+        return tuple(tuple(letters[i : i + side]) for i in range(0, side * side, side))
+    if not isinstance(value, list | tuple) or not all(isinstance(r, list | tuple) for r in value):
+        raise ValueError(message)
+    rows = tuple(tuple(row) for row in value)
+    if not all(isinstance(n, str) and n for row in rows for n in row):
+        raise ValueError(message)
+    if not rows or not rows[0] or len({len(row) for row in rows}) != 1:
+        raise ValueError(message)
+    return rows
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e12
+
+
+def _reflectance(value: Any) -> float | str:
+    if isinstance(value, str) and value:
+        return value
+    if not _is_number(value) or not 0 < value <= 1.5:
+        raise ValueError("must be a share such as 0.98, or a CSV over wavelength")
+    return float(value)
+
+
+def _region(value: Any) -> Any:
+    if value == "auto":
+        return value
+    fits = isinstance(value, list | tuple) and len(value) == 4 and all(map(_is_number, value))
+    if not fits or value[2] <= 0 or value[3] <= 0:
+        raise ValueError('must be [x, y, width, height] with width and height > 0, or "auto"')
+    return tuple(float(v) for v in value)
+
+
+def _pair(value: Any) -> Any:
+    fits = isinstance(value, list | tuple) and len(value) == 2 and all(map(_is_number, value))
+    if not fits or min(value) <= 0:
+        raise ValueError("must be [width, height], two numbers > 0")
+    return tuple(float(v) for v in value)
+
+
+def _size(value: Any) -> Any:
+    width, height = _pair(value)
+    if width % 1 or height % 1:
+        raise ValueError("must be [width, height] in whole pixels")
+    return int(width), int(height)
+
+
+def _align(value: Any) -> Any:
+    if value == "measure":
+        return value
+    rows = value if isinstance(value, list | tuple) and len(value) == 2 else ()
+    if not rows or not all(
+        isinstance(r, list | tuple) and len(r) == 3 and all(map(_is_number, r)) for r in rows
+    ):
+        raise ValueError('must be "measure", or a 2x3 matrix [[a, b, c], [d, e, f]]')
+    (a, b, _), (d, e, _) = rows
+    if abs(a * e - b * d) < 1e-6:
+        raise ValueError("must be a matrix that has an inverse")
+    return tuple(tuple(float(v) for v in row) for row in rows)
+
+
+Text = Annotated[str, Strict()]
+Number = Annotated[float, Strict()]
+Whole = Annotated[int, Strict()]
+Switch = Annotated[bool, Strict()]
+
+
+Names = Annotated[tuple[str, ...], BeforeValidator(_names)]
+Pattern = Annotated[tuple[tuple[str, ...], ...], PlainValidator(_pattern)]
+Align = Annotated[
+    Literal["measure"] | tuple[tuple[float, float, float], ...], PlainValidator(_align)
+]
+Region = Annotated[Literal["auto"] | tuple[float, float, float, float], PlainValidator(_region)]
+Date = Annotated[str, BeforeValidator(_date)]
+MuseumDate = Annotated[str, BeforeValidator(_museum_date)]
+Reflectance = Annotated[float | str, PlainValidator(_reflectance)]
+Size = Annotated[tuple[int, int], PlainValidator(_size)]
+SizeMm = Annotated[tuple[float, float], PlainValidator(_pair)]
