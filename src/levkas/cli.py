@@ -172,6 +172,24 @@ def evaluate(
         typer.echo(report.text)
 
 
+@app.command()
+@_refusing("validate")
+def validate(
+    database: Annotated[Path, typer.Argument(help="Database folder, or one of the same kind by others.")],
+    threads: Annotated[int, typer.Option(help="Files hashed at a time.", min=1)] = 2,
+    as_json: Json = False,
+) -> None:
+    """Find every damage of a database and name the file."""
+    from levkas.validation import validate as validate_database
+
+    quiet = as_json or not sys.stderr.isatty()
+    report = validate_database(database, threads=threads, draw=lambda steps: _drawn(steps, quiet))
+    _report("validate", as_json, report.ok, list(report.problems), **report.to_dict())
+    if not as_json:
+        typer.echo(report.text)
+    raise typer.Exit(0 if report.ok else 1)
+
+
 @app.command(name="map")
 @_refusing("map")
 def map_points(

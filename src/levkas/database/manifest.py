@@ -1,0 +1,218 @@
+"""manifest-sha256.txt: the hash and the size of every published file, in lines that others read too.
+
+A line is ``HASH  relative/path``, as in BagIt and as ``sha256sum -c`` and ``shasum -a 256 -c`` take
+it; what only Levkas reads (sizes, and a hash of the manifest itself) stands in comment lines.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import unicodedata
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from levkas.files import PARTIAL, hash_file, write_bytes
+from levkas.problems import Problem
+
+NAME = "manifest-sha256.txt"
+LARGEST = 256 << 20
+"""Bytes of a manifest that is still read: two million files."""
+DROPPINGS = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
+"""Left by file browsers in every folder they show; neither published nor a damage."""
+
+_HEAD = re.compile(r"# levkas manifest 1: (\d+) files, (\d+) bytes, sha256 ([0-9a-f]{64}) below")
+_SIZE = re.compile(r"# (\d+) bytes")
+_LINE = re.compile(r"([0-9a-fA-F]{64}) [ *](.+)")
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One file as the manifest has it; `size` in bytes, None where a foreign one does not say."""
+
+    name: str
+    sha256: str
+    size: int | None = None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a database should consist of.
+
+    Parameters
+    ----------
+    path : Path
+    files : dict
+        Relative path with ``/`` → `Listed`.
+    bytes : int
+        Of all files together; those of unknown size count nothing.
+    problems : tuple of Problem
+        What is wrong with the manifest itself; empty where it is whole.
+    """
+
+    path: Path
+    files: dict[str, Listed]
+    bytes: int = 0
+    problems: tuple[Problem, ...] = ()
+
+
+def write_manifest(
+    database: str | Path, known: Mapping[str, str] | None = None, *, threads: int = 2
+) -> Manifest:
+    """Write the manifest of a database that is otherwise finished.
+
+    Parameters
+    ----------
+    database : path
+    known : mapping, optional
+        Relative path with ``/`` → SHA-256, of files that were hashed when they were written: they
+        are not read again, and damage since then will be found.
+    threads : int
+        For hashing; the manifest is the same for any number.
+
+    Returns
+    -------
+    manifest : Manifest
+        With the number and the size of the files. An unchanged one is not written anew.
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses.
+    """
+    root, known = Path(database), known or {}
+    names = [name for name in list_files(root) if name != NAME and not is_partial(name)]
+
+    def listed(name: str) -> Listed:
+        path = root / name
+        return Listed(name, known.get(name) or hash_file(path), path.stat().st_size)
+
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        files = {entry.name: entry for entry in pool.map(listed, names)}
+    total = sum(entry.size or 0 for entry in files.values())
+    data = _to_bytes(files, total)
+    path = root / NAME
+    if not path.is_file() or path.read_bytes() != data:
+        write_bytes(path, data)
+    return Manifest(path, files, total)
+
+
+def read_manifest(path: str | Path) -> Manifest:
+    """Read a manifest, ours or any in BagIt's format; what is damaged in it is told, never raised."""
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        data = b"" if size > LARGEST else path.read_bytes()
+    except OSError as error:
+        return _damaged(path, f"it cannot be read: {error}")
+    if not data:
+        return _damaged(path, "it is empty" if size == 0 else f"it has {size} bytes")
+    head, _, body = data.partition(b"\n")
+    told = _HEAD.fullmatch(head.decode("ascii", "replace"))
+    manifest = _parse(path, body if told else data)
+    if told is None:
+        if any(line.startswith(b"#") for line in data.splitlines()):
+            return _damaged(path, "its first line is not what was written", manifest)
+        return manifest
+    if hashlib.sha256(body).hexdigest() != told.group(3):
+        return _damaged(path, "its lines are not those that were written", manifest)
+    if (len(manifest.files), manifest.bytes) != (int(told.group(1)), int(told.group(2))):
+        return _damaged(path, "its numbers of files and bytes are not those of its lines", manifest)
+    return manifest
+
+
+def list_files(folder: str | Path) -> list[str]:
+    """Return the files below `folder`, relative with ``/``, sorted by code point; links to folders too.
+
+    What file browsers leave behind is left out.
+    """
+    return sorted(_walk(Path(folder)))
+
+
+def is_partial(name: str) -> bool:
+    """Whether a file, or a folder above it, bears a name that only unfinished ones bear."""
+    return any(PARTIAL.fullmatch(part) for part in name.split("/"))
+
+
+def unfinished(path: Path) -> Problem:
+    """Return the problem of a file that an interrupted build left behind."""
+    fix = "An interrupted build left it; the next build takes it away."
+    return Problem("E_EXTRA", "a file that was never finished", str(path), fix=fix)
+
+
+def plain(name: str) -> str:
+    """Return a name as it is compared: some file systems hand accents back in another spelling."""
+    return unicodedata.normalize("NFC", name)
+
+
+def _walk(root: Path) -> Iterator[str]:
+    for place, folders, names in os.walk(root):
+        links = [name for name in folders if Path(place, name).is_symlink()]
+        for name in (*names, *links):
+            if name not in DROPPINGS:
+                yield Path(place, name).relative_to(root).as_posix()
+
+
+def _to_bytes(files: Mapping[str, Listed], total: int) -> bytes:
+    lines = []
+    for name in sorted(files):
+        lines.append(f"# {files[name].size} bytes\n{files[name].sha256}  {_encode(name)}\n")
+    body = "".join(lines).encode("utf-8", "surrogateescape")
+    digest = hashlib.sha256(body).hexdigest()
+    head = f"# levkas manifest 1: {len(files)} files, {total} bytes, sha256 {digest} below\n"
+    return head.encode("ascii") + body
+
+
+def _parse(path: Path, body: bytes) -> Manifest:
+    """Read the lines; those that cannot be are counted as one problem."""
+    files: dict[str, Listed] = {}
+    size: int | None = None
+    wrong: list[int] = []
+    for number, line in enumerate(body.decode("utf-8", "surrogateescape").split("\n"), 1):
+        text = line.rstrip("\r")
+        if told := _SIZE.fullmatch(text):
+            size = int(told.group(1))
+            continue
+        found = _LINE.fullmatch(text)
+        name = _decode(found.group(2)) if found else ""
+        if found and name not in files and _stays_inside(name):
+            files[name] = Listed(name, found.group(1).lower(), size)
+        elif text.strip():
+            wrong.append(number)
+        size = None
+    total = sum(entry.size or 0 for entry in files.values())
+    manifest = Manifest(path, files, total)
+    if wrong:
+        return _damaged(
+            path, f"{len(wrong)} lines cannot be read, the first is {wrong[0]}", manifest
+        )
+    return manifest
+
+
+def _stays_inside(name: str) -> bool:
+    return (
+        bool(name) and not name.startswith("/") and ".." not in name.split("/") and "\0" not in name
+    )
+
+
+def _encode(name: str) -> str:
+    return name.replace("%", "%25").replace("\n", "%0A").replace("\r", "%0D")
+
+
+def _decode(name: str) -> str:
+    name = re.sub("%0a", "\n", re.sub("%0d", "\r", name, flags=re.I), flags=re.I)
+    return name.removeprefix("./").replace("%25", "%")
+
+
+def _damaged(path: Path, why: str, manifest: Manifest | None = None) -> Manifest:
+    problem = Problem(
+        "E_DAMAGED",
+        f"the manifest is damaged: {why}",
+        file=str(path),
+        fix="Copy it anew, or build the database again, which writes it.",
+    )
+    files = manifest.files if manifest else {}
+    return Manifest(path, files, manifest.bytes if manifest else 0, (problem,))

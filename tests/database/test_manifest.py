@@ -1,0 +1,83 @@
+import subprocess
+
+import pytest
+
+from levkas.database.manifest import NAME, list_files, read_manifest, write_manifest
+from levkas.files import hash_file
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name, text in (("b.txt", "two"), ("a/ü 50%.txt", "one"), ("a/b/c.csv", "x,y\n")):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def test_what_is_written_is_what_is_read(folder):
+    written = write_manifest(folder)
+    read = read_manifest(folder / NAME)
+    assert read.files == written.files
+    assert (read.bytes, read.problems) == (10, ())
+    assert list(read.files) == ["a/b/c.csv", "a/ü 50%.txt", "b.txt"]
+    assert read.files["b.txt"].sha256 == hash_file(folder / "b.txt")
+    assert read.files["b.txt"].size == 3
+
+
+def test_the_same_folder_gives_the_same_bytes_and_is_not_written_twice(folder):
+    write_manifest(folder, threads=1)
+    first, stamp = (folder / NAME).read_bytes(), (folder / NAME).stat().st_mtime_ns
+    write_manifest(folder, threads=3)
+    assert (folder / NAME).read_bytes() == first
+    assert (folder / NAME).stat().st_mtime_ns == stamp
+
+
+def test_known_hashes_are_taken_as_they_are(folder):
+    manifest = write_manifest(folder, {"b.txt": "0" * 64})
+    assert manifest.files["b.txt"].sha256 == "0" * 64
+
+
+def test_unfinished_files_and_what_browsers_leave_are_not_published(folder):
+    (folder / "a/.DS_Store").write_bytes(b"x")
+    (folder / "c.tif.partial-0123abcd").write_bytes(b"x")
+    assert "a/.DS_Store" not in list_files(folder)
+    assert len(write_manifest(folder).files) == 3
+
+
+def test_sha256sum_reads_the_manifest(tmp_path):
+    (tmp_path / "a.txt").write_text("one")
+    write_manifest(tmp_path)
+    command = ["sha256sum", "--check", "--strict", NAME]
+    try:
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
+    except FileNotFoundError:
+        pytest.skip("sha256sum is not installed")
+    assert done.returncode == 0
+
+
+def test_a_manifest_of_others_has_neither_sizes_nor_a_hash_of_itself(tmp_path):
+    (tmp_path / NAME).write_text(f"{'AB' * 32} *data/a.txt\r\n{'cd' * 32}  ./b%0Ac\n")
+    manifest = read_manifest(tmp_path / NAME)
+    assert manifest.problems == ()
+    assert [(e.name, e.sha256, e.size) for e in manifest.files.values()] == [
+        ("data/a.txt", "ab" * 32, None),
+        ("b\nc", "cd" * 32, None),
+    ]
+
+
+@pytest.mark.parametrize("line", ["../x", "/etc/passwd", "a/../../x"])
+def test_a_line_that_leaves_the_folder_is_a_damage(tmp_path, line):
+    (tmp_path / NAME).write_text(f"{'ab' * 32}  {line}\n")
+    manifest = read_manifest(tmp_path / NAME)
+    assert manifest.files == {}
+    assert manifest.problems[0].code == "E_DAMAGED"
+
+
+def test_any_flipped_bit_of_a_manifest_is_seen(folder):
+    write_manifest(folder)
+    data = (folder / NAME).read_bytes()
+    for bit in range(0, 8 * len(data), 29):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        (folder / NAME).write_bytes(changed)
+        assert read_manifest(folder / NAME).problems, f"bit {bit}"
