@@ -19,6 +19,7 @@ from levkas.readers.frames import Facts, read_facts, read_frame
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
     from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.scanning import Seam
     from levkas.campaign import Camera, Campaign
     from levkas.discovery import Capture, FrameRef, SensorFrames
 
@@ -118,6 +119,16 @@ def exposure_of(frame: FrameRef) -> float | None:
 def _read(frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
     for frame in frames:
         yield read_frame(frame.path, page=frame.page)
+
+
+def _read_cube(frame: FrameRef) -> np.ndarray:
+    """Read (lines, samples, bands): ENVI, or a TIFF whose pages are the bands."""
+    pages = read_facts(frame.path).pages
+    if pages > 1:
+        planes = [read_frame(frame.path, page=page) for page in range(pages)]
+        return np.ascontiguousarray(np.stack(planes, axis=-1))
+    values = read_frame(frame.path)
+    return values if values.ndim == 3 else values[..., None]
 
 
 def _placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
@@ -376,27 +387,22 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     def template(frames: Sequence[FrameRef]) -> Template | None:
         if not frames:
             return None
-        if mirror:
-            return bench.average(frames, kept=True)
-        return average_lines(
-            (read_frame(f.path, page=f.page) for f in frames), saturation=bench.saturation
-        )
+        blocks = (_read_cube(frame) for frame in frames)
+        join = average if mirror else average_lines
+        return join(blocks, saturation=bench.saturation)
 
     dark, white = template(sensor.dark), template(sensor.white)
+    darks = [dark] if dark else []
     reflectance = white_reflectance(bench.campaign, sensor.bands)
     noise, strips = None, []
     for frame in sensor.object:
-        shot = bench.average([frame])
-        noise = noise or _noise(
-            [shot] if mirror else [],
-            [white] if white and not mirror else [],
-            [dark] if dark else [],
-            bench,
-        )
+        shot = average(iter([_read_cube(frame)]), saturation=bench.saturation)
+        stacks = [white] if white and not mirror else []
+        noise = noise or _noise([shot] if mirror else [], stacks, darks, bench)
         flat = _flat(
             bench,
             shot,
-            [dark] if dark else [],
+            darks,
             white,
             white_reflectance=reflectance,
             noise=noise,
@@ -404,22 +410,33 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
         )
         notes.extend(flat.notes)
         strips.append(flat)
-    values, flags, variance, quantity = (
-        strips[0].values,
-        strips[0].flags,
-        strips[0].variance,
-        strips[0].quantity,
-    )
+    whole = strips[0]
     if len(strips) > 1:
-        joined, seams = join_strips(strips)
-        values, flags, variance = joined.values, joined.flags, joined.variance
-        for i, seam in enumerate(seams, 1):
-            worst = float(np.nanmax(np.abs(seam.difference)))
-            notes.append(
-                f"strips {i} and {i + 1} share {seam.overlap} samples (shift {seam.shift} lines); the seam "
-                f"differs by {100 * seam.rms:.1f} % rms, by {100 * worst:.1f} % in its worst band"
-            )
-    return _cube(bench, values, flags, variance, quantity)
+        whole, seams = join_strips(strips)
+        notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
+    values = _denoised(bench, whole.values, notes) if bench.camera.denoise else whole.values
+    return _cube(bench, values, whole.flags, whole.variance, whole.quantity)
+
+
+def _describe_seam(number: int, seam: Seam) -> str:
+    worst = float(np.nanmax(np.abs(seam.difference)))
+    return (
+        f"strips {number} and {number + 1} share {seam.overlap} samples (shift {seam.shift} lines); "
+        f"the seam differs by {100 * seam.rms:.1f} % rms, by {100 * worst:.1f} % in its worst band"
+    )
+
+
+def _denoised(bench: Bench, values: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Project a cube on its signal subspace (HySime), and say what that took away."""
+    from levkas.calibration.denoising import denoise
+
+    made = denoise(values)
+    share = float(np.median(made.removed / np.maximum(made.subspace.noise, 1e-12)))
+    notes.append(
+        f"hysime kept {made.subspace.k} of {values.shape[2]} dimensions and removed {share:.2f} times "
+        f"the noise in the median band, up to {made.removed_most:.1f} times at single pixels"
+    )
+    return made.values
 
 
 def develop_image(bench: Bench, notes: list[str]) -> Cube:

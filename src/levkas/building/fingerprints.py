@@ -19,7 +19,14 @@ CALIBRATION_KEYS = (
 CODE = {
     "calibrate": ("calibration", "readers", "building/developing.py", "building/whiteboard.py"),
     "register": ("registration", "building/registering.py", "transforms.py"),
-    "resample": ("gridding.py", "colour.py", "database", "transforms.py"),
+    "resample": (
+        "warping.py",
+        "plane_kernels.py",
+        "gridding.py",
+        "colour.py",
+        "database",
+        "transforms.py",
+    ),
     "report": ("reporting", "evaluation.py", "building/pages.py"),
 }
 
@@ -50,7 +57,7 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
         prints[f"{where}.pattern"] = (
             [list(row) for row in sensor.pattern] if sensor.pattern else None
         )
-        prints[f"{where}.bands"] = [band.label for band in sensor.bands]
+        prints[f"{where}.bands"] = [[band.label, str(band.wavelength)] for band in sensor.bands]
         for frame in (*sensor.object, *sensor.dark, *sensor.white):
             name = _relative(campaign, frame.path)
             prints[f"file {name}"] = hashes(frame.path)

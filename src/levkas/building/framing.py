@@ -96,14 +96,14 @@ def frame_object(
 
     width, height = image.size
     mirror, rotate = (keys.mirror, keys.rotate) if keys else (False, 0.0)
-    turned = Grid(size=(width, height), mirror=mirror, rotate=rotate)
+    turned = Grid((width, height), mirror=mirror, rotate=rotate)
     region = keys.region if keys else None
     box = None
     if region == "auto" or size_mm is not None:
         box = _box_in(turned, image)
     chosen = box if region == "auto" else region
     grid = Grid(
-        size=(width, height),
+        (width, height),
         mirror=mirror,
         rotate=rotate,
         region=chosen,

@@ -9,6 +9,7 @@ import numpy as np
 from levkas.cube import Cube, Flag
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 
@@ -50,21 +51,28 @@ def describe_flags(flags: np.ndarray) -> dict[str, float]:
 
 
 def resample(native: Native, transforms: dict[str, Transform], grid: Grid) -> Cube:
-    from scipy.ndimage import map_coordinates
+    """Return the capture on the grid; orientation, crop, scale and registration are one map."""
+    from levkas.transforms import Composed
+    from levkas.warping import warp
 
-    w, h = grid.size
-    yy, xx = np.mgrid[0:h, 0:w]
-    points = grid.transform(np.stack([xx.ravel(), yy.ravel()], 1).astype(float))
-    n = len(native.bands)
-    values, flags, sigma = np.empty((h, w, n), np.float32), np.empty((h, w, n), np.uint8), np.empty((h, w, n), np.float32)
-    i = 0
+    shape = (grid.size[1], grid.size[0])
+    parts = []
     for cube in native.cubes.values():
-        for b, band in enumerate(cube.bands):
-            p = transforms[band.label](points)
-            c = [p[:, 1], p[:, 0]]
-            values[..., i] = map_coordinates(cube.values[..., b], c, order=1, mode="nearest").reshape(h, w)
-            flags[..., i] = map_coordinates(cube.flags[..., b], c, order=0, mode="constant", cval=1).reshape(h, w)
-            if cube.sigma is not None:
-                sigma[..., i] = map_coordinates(cube.sigma[..., b], c, order=1, mode="nearest").reshape(h, w)
-            i += 1
-    return Cube(values, flags, sigma, native.bands, native.quantity)
+        maps = [Composed(grid.transform, transforms[band.label]) for band in cube.bands]
+        variance = None if cube.sigma is None else cube.sigma * cube.sigma
+        warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
+        sigma = None if warped.variance is None else np.sqrt(warped.variance, out=warped.variance)
+        parts.append((warped.values, warped.flags, sigma))
+    values, flags, sigmas = zip(*parts, strict=True)
+    known = [s for s in sigmas if s is not None]
+    return Cube(
+        _joined(values),
+        _joined(flags),
+        _joined(known) if len(known) == len(parts) else None,
+        native.bands,
+        native.quantity,
+    )
+
+
+def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
