@@ -100,6 +100,30 @@ def test_pages_are_read_one_by_one_and_previews_are_not_counted(tmp_path):
         read_frame(path, page=-1)
 
 
+@pytest.mark.parametrize("big", [False, True])
+def test_pages_that_go_round_in_a_circle_are_refused(tmp_path, big):
+    path = tmp_path / "circle.tif"
+    tifffile.imwrite(path, np.zeros((2, 9, 9), np.uint8), photometric="minisblack", bigtiff=big)
+    with tifffile.TiffFile(path) as tiff:
+        first, second = (page.offset for page in tiff.pages)
+        last = second + 8 * big + (2 - 2 * big) + len(tiff.pages[1].tags) * (20 if big else 12)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q" if big else "<I", data, last, first)
+    path.write_bytes(data)
+    for read in (read_facts, read_frame):
+        with pytest.raises(UnreadableCapture, match="circle"):
+            read(path)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("big", [False, True])
+def test_a_file_of_previews_only_holds_no_image(tmp_path, order, big):
+    path = tmp_path / "preview.tif"
+    tifffile.imwrite(path, CODES, subfiletype=1, byteorder=order, bigtiff=big)
+    with pytest.raises(UnreadableCapture, match="holds no image"):
+        read_frame(path)
+
+
 @pytest.mark.parametrize("options", [{"imagej": True}, {"truncate": True}], ids=str)
 def test_a_stack_behind_one_page_is_not_taken_for_one_frame(tmp_path, options):
     path = tmp_path / "stack.tif"

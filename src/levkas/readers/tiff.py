@@ -11,19 +11,18 @@ from typing import Any
 import numpy as np
 
 from levkas.readers.facts import COPY_AGAIN, Facts, check_ratio, check_size, decoding, unreadable
+from levkas.readers.tiff_pages import full_pages
 from levkas.readers.tiff_tags import colours_of, describe
 
 LARGEST_RATIO = 2000
 PLAIN = 1  # tag Compression
 JPEG = (6, 7, 33007)
-REDUCED, MASK = 1, 4  # bits of tag NewSubfileType
 
 
 def read_tiff_facts(path: Path) -> Facts:
     """Return the facts of a TIFF from its tags, EXIF and XMP; no pixel is decoded."""
-    with _opened(path) as tiff:
-        pages = list(_full_pages(tiff))
-        page = _page(path, pages, 0)
+    with _opened(path) as (tiff, pages):
+        page = tiff.pages[pages[0]]
         shape = _checked(path, tiff, page, 0)
         return Facts(
             path=path,
@@ -44,8 +43,17 @@ def read_tiff_page(path: Path, page: int | None = None) -> np.ndarray:
     if page is not None and page < 0:
         raise ValueError(f"page {page}; pages count from 0")
     index = page or 0
-    with _opened(path) as tiff:
-        wanted = _page(path, _first(_full_pages(tiff), index + 1), index)
+    with _opened(path) as (tiff, pages):
+        if index >= len(pages):
+            raise unreadable(
+                path,
+                f"there is no page {index}",
+                code="E_BAND_MISSING",
+                field="page",
+                found=f"{len(pages)} pages",
+                expected=f"at least {index + 1}",
+            )
+        wanted = tiff.pages[pages[index]]
         shape = _checked(path, tiff, wanted, index)
         if wanted.compression in JPEG:
             _check_endings(path, tiff, wanted)
@@ -62,35 +70,14 @@ def read_tiff_page(path: Path, page: int | None = None) -> np.ndarray:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path) -> Iterator[tuple[Any, list[int]]]:
+    """Yield the opened TIFF and which of its pages are images."""
     import tifffile
 
-    with decoding(path, "TIFF"), tifffile.TiffFile(path) as tiff:
-        yield tiff
-
-
-def _full_pages(tiff: Any) -> Iterator[Any]:
-    """Yield the pages that are images: no previews, pyramid levels or masks."""
-    for page in tiff.pages:
-        if not int(page.subfiletype) & (REDUCED | MASK):
-            yield page
-
-
-def _first(pages: Iterator[Any], count: int) -> list[Any]:
-    return [page for page, _ in zip(pages, range(count), strict=False)]
-
-
-def _page(path: Path, pages: list[Any], index: int) -> Any:
-    if index < len(pages):
-        return pages[index]
-    raise unreadable(
-        path,
-        f"there is no page {index}",
-        code="E_BAND_MISSING",
-        field="page",
-        found=f"{len(pages)} pages",
-        expected=f"at least {index + 1}",
-    )
+    with decoding(path, "TIFF"):
+        pages = full_pages(path)
+        with tifffile.TiffFile(path) as tiff:
+            yield tiff, pages
 
 
 def _checked(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, ...]:

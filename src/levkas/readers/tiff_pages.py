@@ -1,0 +1,95 @@
+"""The chain of directories of a TIFF, walked before any library follows it."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+from levkas.readers.facts import COPY_AGAIN, unreadable
+
+MOST_PAGES = 65_536
+MOST_TAGS = 4096
+SUBFILE_TYPE = 254  # its value says whether a page is a preview or a mask
+REDUCED, MASK = 1, 4
+
+
+def full_pages(path: Path) -> list[int]:
+    """Return which pages of a TIFF are images, as indices into its chain of directories.
+
+    Previews, pyramid levels and masks are left out. The walk reads a few bytes a page.
+
+    Raises
+    ------
+    UnreadableCapture
+        Where the chain leaves the file, turns back on itself (a decoder would follow it for ever)
+        or has no image.
+    """
+    with path.open("rb") as handle:
+        size = handle.seek(0, 2)
+        handle.seek(0)
+        order = "<" if handle.read(2) == b"II" else ">"
+        (version,) = struct.unpack(order + "H", handle.read(2))
+        big = version == 43
+        handle.seek(8 if big else 4)
+        offset = _number(handle, order + ("Q" if big else "I"))
+        kinds: list[int] = []
+        seen: set[int] = set()
+        while offset:
+            if offset in seen or offset >= size or len(kinds) >= MOST_PAGES:
+                raise _broken(path, offset, size)
+            seen.add(offset)
+            kind, offset = _directory(path, handle, offset, order, big)
+            kinds.append(kind)
+    pages = [i for i, kind in enumerate(kinds) if not kind & (REDUCED | MASK)]
+    if not pages:
+        raise unreadable(
+            path,
+            "the TIFF holds no image",
+            field="NewSubfileType",
+            found=f"{len(kinds)} previews or masks" if kinds else "no pages",
+            expected="at least one full-size page",
+        )
+    return pages
+
+
+def _directory(path: Path, handle: BinaryIO, offset: int, order: str, big: bool) -> tuple[int, int]:
+    """Return NewSubfileType of the directory at `offset`, and where the next one is (0: none)."""
+    handle.seek(offset)
+    count = _number(handle, order + ("Q" if big else "H"))
+    if not 0 < count <= MOST_TAGS:
+        raise unreadable(
+            path,
+            "a directory of the TIFF is damaged",
+            field="number of tags",
+            found=count,
+            expected=f"1 to {MOST_TAGS}",
+            fix=COPY_AGAIN,
+        )
+    entry = struct.Struct(order + ("HHQI4x" if big else "HHII"))
+    tags = entry.iter_unpack(handle.read(count * entry.size))
+    # The value stands left in its field: a SHORT there has to be read as one.
+    kind = next(
+        (v >> (16 * (order == ">" and t == 3)) for c, t, _, v in tags if c == SUBFILE_TYPE), 0
+    )
+    return kind, _number(handle, order + ("Q" if big else "I"))
+
+
+def _number(handle: BinaryIO, form: str) -> int:
+    number: int = struct.unpack(form, handle.read(struct.calcsize(form)))[0]
+    return number
+
+
+def _broken(path: Path, offset: int, size: int) -> Exception:
+    past = offset >= size
+    return unreadable(
+        path,
+        "the file ends before its pages do"
+        if past
+        else "the pages of the TIFF go round in a circle",
+        code="E_TRUNCATED" if past else "E_UNREADABLE",
+        field="next directory",
+        found=f"byte {offset}",
+        expected=f"below {size}" if past else "a byte not yet visited",
+        fix=COPY_AGAIN,
+    )
