@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -90,7 +90,7 @@ def _refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., Non
     return decorate
 
 
-def _drawn(steps: Iterator[Any], quiet: bool) -> list[Any]:
+def _drawn(steps: Iterable[Any], quiet: bool) -> list[Any]:
     """Consume the steps of long work; draw them on a terminal, tell them in lines elsewhere."""
     if quiet or not sys.stderr.isatty():
         done = []
@@ -109,7 +109,8 @@ def _drawn(steps: Iterator[Any], quiet: bool) -> list[Any]:
 def build(
     campaign: CampaignPath,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Database folder, instead of the campaign's own.")
+        Path | None,
+        typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
     ] = None,
     objects: Annotated[
         list[str] | None, typer.Option("--object", help="Build only this object; may be repeated.")
@@ -133,7 +134,8 @@ def build(
 def status(
     campaign: CampaignPath,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Database folder, instead of the campaign's own.")
+        Path | None,
+        typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -150,13 +152,18 @@ def status(
 @app.command()
 @_refusing("evaluate")
 def evaluate(
-    database: Annotated[Path, typer.Argument(help="Database folder, or the campaign it was built from.")],
+    database: Annotated[
+        Path, typer.Argument(help="Database folder, or the campaign it was built from.")
+    ],
     truth: Annotated[
-        Path | None, typer.Option(help="Folder `truth` of a simulated campaign; found beside a campaign.")
+        Path | None,
+        typer.Option(help="Folder `truth` of a simulated campaign; found beside a campaign."),
     ] = None,
     points: Annotated[
         Path | None,
-        typer.Option(help="CSV of check points: object, camera, band, reference_x, reference_y, x, y."),
+        typer.Option(
+            help="CSV of check points: object, camera, band, reference_x, reference_y, x, y."
+        ),
     ] = None,
     maps: Annotated[
         Path | None, typer.Option(help="Folder for SSIM maps as PNG, one a layer.")
@@ -175,7 +182,9 @@ def evaluate(
 @app.command()
 @_refusing("validate")
 def validate(
-    database: Annotated[Path, typer.Argument(help="Database folder, or one of the same kind by others.")],
+    database: Annotated[
+        Path, typer.Argument(help="Database folder, or one of the same kind by others.")
+    ],
     threads: Annotated[int, typer.Option(help="Files hashed at a time.", min=1)] = 2,
     as_json: Json = False,
 ) -> None:
@@ -198,7 +207,9 @@ def map_points(
     points: Annotated[
         Path | None, typer.Argument(help="CSV with header x,y; standard input without it.")
     ] = None,
-    source: Annotated[str, typer.Option("--from", help="Frame: grid, CAMERA, CAMERA@SETUP:BAND …")] = "grid",
+    source: Annotated[
+        str, typer.Option("--from", help="Frame: grid, CAMERA, CAMERA@SETUP:BAND …")
+    ] = "grid",
     target: Annotated[str, typer.Option("--to", help="Frame the points are wanted in.")] = "grid",
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
 ) -> None:
@@ -220,7 +231,9 @@ def map_points(
 def simulate(
     folder: Annotated[Path, typer.Argument(help="New folder for the simulated campaign.")],
     preset: Annotated[str, typer.Option(help="small, default, hard or full.")] = "default",
-    scale: Annotated[float | None, typer.Option(help="1 is the paper's size; less shrinks it.")] = None,
+    scale: Annotated[
+        float | None, typer.Option(help="1 is the paper's size; less shrinks it.")
+    ] = None,
     objects: Annotated[int, typer.Option(help="Number of painted panels.", min=1)] = 1,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
     setups: Annotated[bool, typer.Option(help="Also the 45-degree lighting.")] = False,
@@ -250,6 +263,24 @@ def demo(
 
     report = demonstrate(folder, seed=seed, draw=lambda steps: _drawn(steps, as_json))
     _report("demo", as_json, report.ok, report.problems, results=report.results)
+    if not as_json:
+        typer.echo(report.text)
+    raise typer.Exit(0 if report.ok else 1)
+
+
+@app.command()
+@_refusing("doctor")
+def doctor(
+    folder: Annotated[
+        Path, typer.Argument(help="Where databases will stand: its disk is looked at.")
+    ] = Path(),
+    as_json: Json = False,
+) -> None:
+    """Say what this machine has and lacks: versions, libraries, memory, disk, threads."""
+    from levkas.doctor import examine
+
+    report = examine(folder)
+    _report("doctor", as_json, report.ok, list(report.problems), **report.to_dict())
     if not as_json:
         typer.echo(report.text)
     raise typer.Exit(0 if report.ok else 1)

@@ -1,0 +1,135 @@
+"""The machine that Levkas runs on: memory, disk, threads, and where compiled kernels are kept."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+LEAST_MEMORY, LEAST_DISK = 4e9, 10e9
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Parameters
+    ----------
+    name : str
+    state : str
+        ``"ok"``; ``"missing"``, of something required; ``"absent"``, of something that only one
+        feature needs; ``"low"``, which is slow or tight but works.
+    found : str
+    expected : str
+    needed_for : str
+    fix : str
+    """
+
+    name: str
+    state: Literal["ok", "missing", "absent", "low"]
+    found: str = ""
+    expected: str = ""
+    needed_for: str = ""
+    fix: str = ""
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the fields."""
+        return asdict(self)
+
+
+def find_memory() -> Finding:
+    """Say how much memory there is and is free, of a container where one limits it."""
+    total, free = _memory_bytes()
+    purpose = "large cubes are streamed; less memory means smaller blocks"
+    if total is None:
+        return Finding("memory", "ok", "unknown", "", purpose)
+    told = f"{total / 1e9:.1f} GB" + (f", {free / 1e9:.1f} GB free" if free is not None else "")
+    return Finding("memory", "low" if total < LEAST_MEMORY else "ok", told, "4 GB or more", purpose)
+
+
+def _memory_bytes() -> tuple[float | None, float | None]:
+    """Total and free bytes, those of a container where one limits them."""
+    total = free = None
+    try:
+        total = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return None, None
+    if found := re.search(r"MemAvailable:\s+(\d+) kB", _text("/proc/meminfo")):
+        free = float(found.group(1)) * 1024
+    limit = _text("/sys/fs/cgroup/memory.max").strip()
+    if limit.isdigit() and float(limit) < total:
+        total = float(limit)
+        used = _text("/sys/fs/cgroup/memory.current").strip()
+        rest = total - float(used) if used.isdigit() else total
+        free = rest if free is None else min(free, rest)
+    return total, free
+
+
+def find_disk(folder: Path) -> Finding:
+    """Say how much space is free where `folder` stands."""
+    purpose = f"databases below {folder}"
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        return Finding("disk", "low", str(error.strerror), "a folder that exists", purpose)
+    fix = "" if free >= LEAST_DISK else "Free some space, or build with --output on another disk."
+    state: Literal["ok", "low"] = "ok" if free >= LEAST_DISK else "low"
+    return Finding("disk", state, f"{free / 1e9:.1f} GB free", "10 GB or more", purpose, fix)
+
+
+def find_threads() -> Finding:
+    """Say how many threads can run at a time, and which variables limit the libraries."""
+    count = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        count = len(os.sched_getaffinity(0))
+    quota = _text("/sys/fs/cgroup/cpu.max").split()
+    if len(quota) == 2 and quota[0].isdigit():
+        count = max(1, min(count, round(int(quota[0]) / int(quota[1]))))
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
+    return Finding(
+        "threads", "ok", ", ".join([str(count), *told]), "", "speed; the bytes are the same"
+    )
+
+
+def find_kernel_cache() -> Finding:
+    """Say whether compiled kernels can be kept: beside the package, or where the user's caches are."""
+    purpose = "compiled kernels are kept; otherwise every start takes seconds longer"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(chosen)] if chosen else [Path(__file__).parent, _user_cache()]
+    writable = [place for place in places if _is_writable(place)]
+    if writable:
+        return Finding("kernel cache", "ok", "writable", "", purpose)
+    fix = "Set NUMBA_CACHE_DIR to a folder that can be written to."
+    return Finding("kernel cache", "low", "not writable", "a writable folder", purpose, fix)
+
+
+def _user_cache() -> Path:
+    home = Path.home()
+    if sys.platform == "darwin":
+        return home / "Library/Caches/numba"
+    if os.name == "nt":
+        return Path(os.environ.get("LOCALAPPDATA", home)) / "numba"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "numba"
+
+
+def _is_writable(folder: Path) -> bool:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
