@@ -7,6 +7,7 @@ from typer._click import Context  # typer carries its own click
 
 
 def reference() -> str:
+    """Return the page."""
     from levkas.cli import app
 
     group = typer.main.get_command(app)
@@ -18,8 +19,17 @@ def reference() -> str:
         "",
     ]
     for name, command in sorted(group.commands.items()):
-        context = Context(command, info_name=f"levkas {name}", terminal_width=96, max_content_width=96)
-        parts += [f"## `levkas {name}`", "", "```text", command.get_help(context).rstrip(), "```", ""]
+        context = Context(
+            command, info_name=f"levkas {name}", terminal_width=96, max_content_width=96
+        )
+        parts += [
+            f"## `levkas {name}`",
+            "",
+            "```text",
+            command.get_help(context).rstrip(),
+            "```",
+            "",
+        ]
     return "\n".join(line.rstrip() for line in parts)
 
 

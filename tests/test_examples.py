@@ -35,7 +35,9 @@ def test_disks_through_seven_filters_come_together(real_data, tmp_path):
     before, after = [], []
     for i, wavelength in enumerate((400, 450, 500, 550, 600, 650, 700)):
         source = f"flea3:{wavelength} nm"
-        mapped = levkas.map_points(database, "disks32cmV2", points[:, i], source=source, target="flea3:550 nm")
+        mapped = levkas.map_points(
+            database, "disks32cmV2", points[:, i], source=source, target="flea3:550 nm"
+        )
         before.append(np.linalg.norm(points[:, i] - reference, axis=1).max())
         after.append(np.linalg.norm(mapped - reference, axis=1).mean())
     assert max(before) > 3.5
@@ -48,7 +50,9 @@ def test_the_board_of_two_cameras_comes_together(real_data, tmp_path):
     assert report.ok, report.text
     rows = table(real_data / "silios-kinect/sim3_chessboard_corners.csv")
     points = np.array([[float(c) for c in row[:4]] for row in rows[1:]])
-    mapped = levkas.map_points(database, "board", points[:, 2:], source="kinect", target="silios:B5")
+    mapped = levkas.map_points(
+        database, "board", points[:, 2:], source="kinect", target="silios:B5"
+    )
     # Corners found by hand; a homography fits them to 0.29 px.
     assert np.linalg.norm(mapped - points[:, :2], axis=1).mean() <= 1.0
 
@@ -58,7 +62,10 @@ def test_five_lenses_of_a_panel_come_together(real_data, tmp_path):
     assert report.ok, report.text
     middle = np.array([[640.0, 480.0]])
     shifts = [
-        np.linalg.norm(levkas.map_points(database, "0000", middle, source="rededge:Red", target=f"rededge:{b}") - middle)
+        np.linalg.norm(
+            levkas.map_points(database, "0000", middle, source="rededge:Red", target=f"rededge:{b}")
+            - middle
+        )
         for b in ("Blue", "Green", "NIR", "Red edge")
     ]
     # The lenses stand a few centimetres apart: 12 to 52 px on the ground in front of the camera.
@@ -74,7 +81,9 @@ def test_a_line_scan_becomes_reflectance(real_data, tmp_path):
     assert 0.0 < leaf.min() and leaf.max() < 1.2
 
 
-@pytest.mark.parametrize(("method", "mean", "worst"), [("levkas", 0.06, 0.4), ("mirhashemi2019", 0.2, 1.0)])
+@pytest.mark.parametrize(
+    ("method", "mean", "worst"), [("levkas", 0.06, 0.4), ("mirhashemi2019", 0.2, 1.0)]
+)
 def test_a_campaign_made_by_other_hands_is_registered(two_paintings, tmp_path, method, mean, worst):
     from levkas.assessment import assess
 
@@ -87,6 +96,9 @@ def test_a_campaign_made_by_other_hands_is_registered(two_paintings, tmp_path, m
     assert {r["layer"].split("/")[1] for r in accepted} >= {"lctf-vis", "lctf-nir", "msbs", "d80"}
     for result in accepted:
         errors = [b["error_mean"] for b in result["bands"]]
-        assert len(errors) == len(result["bands"]) and max(errors) <= 2 * mean, (result["layer"], errors)
+        assert len(errors) == len(result["bands"]) and max(errors) <= 2 * mean, (
+            result["layer"],
+            errors,
+        )
         assert np.mean(errors) <= mean and max(b["error_max"] for b in result["bands"]) <= 3 * worst
     assert report.stages

@@ -186,7 +186,9 @@ def _band_error(
         reference, target = check[:, :2], check[:, 2:]
     else:
         return summarise_errors(label, np.array([]))
-    on_grid = _inside(from_dict(record["grid"]["transform"]).inverse(reference), record["grid"]["size"])
+    on_grid = _inside(
+        from_dict(record["grid"]["transform"]).inverse(reference), record["grid"]["size"]
+    )
     keep = on_grid & np.isfinite(target).all(1) & _inside(target, band["size"])
     return summarise_errors(label, position_errors(transform, reference[keep], target[keep]))
 
@@ -210,7 +212,9 @@ def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float
         from levkas.files import make_folder, write_bytes
 
         make_folder(maps)
-        layer = "_".join(p for p in (record["object"], record["camera"], record.get("setup", "")) if p)
+        layer = "_".join(
+            p for p in (record["object"], record["camera"], record.get("setup", "")) if p
+        )
         shown = np.nan_to_num(np.clip(full, 0, 1) * 255).astype(np.uint8)
         write_bytes(maps / f"{layer}_ssim.png", encode_png(shown))
     return None if np.isnan(score) else score
@@ -218,21 +222,16 @@ def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float
 
 def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
     """Mean of the registered bands, and the pixels that every band saw."""
-    from levkas.cube import Flag
-    from levkas.database.spectral_tiff import read_stiff, read_tiff_pages
+    from levkas.building.places import Places
+    from levkas.building.resampling import read_grey
 
-    parts = [p for p in (name, record["camera"], record.get("setup", "")) if p]
-    path = output / "objects" / name / ("_".join(parts) + ".tif")
-    if not path.is_file():
-        return None
-    values = read_stiff(path, silent=True)[0]
-    flags = read_tiff_pages(path.with_name(path.stem + ".flags.tif"))
-    return values.mean(axis=2, dtype=np.float64), ~np.any(flags & Flag.OUTSIDE, axis=2)
+    path = Places(output).layer(name, record["camera"], record.get("setup", ""))
+    return read_grey(path) if path.is_file() else None
 
 
 def _seconds(output: Path, name: str, layer: str) -> float | None:
     path = output.with_name(output.name + ".kept") / name / layer / "register.json"
     try:
-        return float(json.loads(path.read_text(encoding="utf-8"))["seconds"])
+        return float(json.loads(path.read_text(encoding="utf-8"))["notes"]["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -33,7 +33,9 @@ def draw(steps: Iterable[Any]) -> list[Any]:
         task = progress.add_task("starting", total=None)
         for step in steps:
             seen.append(step)
-            progress.update(task, description=step.label, completed=step.done, total=step.total or None)
+            progress.update(
+                task, description=step.label, completed=step.done, total=step.total or None
+            )
             if step.finished and getattr(step, "state", "") in ("refused", "failed"):
                 console.print(step.line, style="red", markup=False)
     return seen

@@ -313,7 +313,7 @@ class Composed:
         flat: list[Transform] = []
         for step in steps:
             flat.extend(step.steps if isinstance(step, Composed) else (step,))
-        self.steps = tuple(flat)
+        self.steps: tuple[Transform, ...] = tuple(flat)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         result = np.asarray(points, float)

@@ -51,7 +51,9 @@ def views(seed, matrix):
     big = painting(seed)
     photo = cv2.resize(big, (300, 260), interpolation=cv2.INTER_AREA)
     soft = cv2.GaussianBlur(big, (0, 0), 0.8)
-    irr = cv2.warpAffine(soft, matrix, (320, 280), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderValue=5)
+    irr = cv2.warpAffine(
+        soft, matrix, (320, 280), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderValue=5
+    )
     return photo.astype(np.uint8), (255 - irr).clip(0, 255).astype(np.uint8)
 
 
@@ -96,7 +98,9 @@ def states(report):
 
 def test_an_inverted_infrared_picture_is_registered_to_a_twentieth_of_a_pixel(finished):
     database = levkas.open(finished / "database")
-    grid = np.stack(np.meshgrid(np.linspace(20, 280, 14), np.linspace(20, 240, 12)), -1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(np.linspace(20, 280, 14), np.linspace(20, 240, 12)), -1).reshape(
+        -1, 2
+    )
     mapped = levkas.map_points(finished / "database", "panel", grid, source="grid", target="irr")
     assert np.linalg.norm(mapped - truth(grid), axis=1).mean() < 0.05
     layer = database["panel"]["irr"]
@@ -107,11 +111,28 @@ def test_the_database_has_the_files_of_the_contract(finished):
     folder = finished / "database" / "objects" / "panel"
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert {
-        "panel_photo.tif", "panel_photo.flags.tif", "panel_photo.png", "panel_irr.tif", "panel_irr.png",
-        "native/panel_irr.tif", "registration/irr.json", "registration/irr.matches.csv", "report.html", "object.toml",
+        "panel_photo.tif",
+        "panel_photo.flags.tif",
+        "panel_photo.png",
+        "panel_irr.tif",
+        "panel_irr.png",
+        "native/panel_irr.tif",
+        "registration/irr.json",
+        "registration/irr.matches.csv",
+        "report.html",
+        "object.toml",
     } <= names
     record = json.loads((folder / "registration/irr.json").read_text())
-    assert {"method", "reference", "target", "verdict", "model", "bands", "errors", "trace"} <= record.keys()
+    assert {
+        "method",
+        "reference",
+        "target",
+        "verdict",
+        "model",
+        "bands",
+        "errors",
+        "trace",
+    } <= record.keys()
     assert record["verdict"]["decision"] in ("accept", "warn")
     header = (finished / "database" / "catalogue.csv").read_text().splitlines()[0]
     assert header == "object,camera,setup,bands,width,height,px_per_mm,quantity,verdict,sha256"
@@ -132,9 +153,13 @@ def test_a_second_build_writes_nothing(campaign):
 def test_a_changed_parameter_redoes_only_what_depends_on_it_and_status_says_why(campaign):
     text = (campaign / "campaign.toml").read_text()
     (campaign / "campaign.toml").write_text(text + "[cameras.irr.registration]\nstop = 0.5\n")
-    stale = {f"{s.key.layer} {s.key.stage}": s.why for s in status(campaign).stages if s.state == "stale"}
+    stale = {
+        f"{s.key.layer} {s.key.stage}": s.why for s in status(campaign).stages if s.state == "stale"
+    }
     assert stale["irr register"] == "registration.stop is new"
-    assert "irr resample" in stale and "irr calibrate" not in stale and "photo register" not in stale
+    assert (
+        "irr resample" in stale and "irr calibrate" not in stale and "photo register" not in stale
+    )
     done = states(summarise(build(campaign)))
     assert done["irr register"] == "done" and done["photo resample"] == "fresh"
 

@@ -13,7 +13,7 @@ from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.cube import Cube, Flag
-from levkas.problems import Problem, Refused
+from levkas.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 
 if TYPE_CHECKING:
@@ -70,6 +70,15 @@ class Bench:
         return [self.average([f for f in frames if exposure_of(f) == t], kept=True) for t in times]
 
 
+@dataclass(frozen=True)
+class Exposed:
+    """An object's frames as one; merged exposures are above dark already."""
+
+    shot: Template
+    shots: list[Template]
+    above_dark: bool = False
+
+
 def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
     """Calibrate every sensor of a capture.
 
@@ -94,7 +103,8 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
 
 def _doubts(bench: Bench) -> list[str]:
     """What a person should know before believing the values."""
-    doubts, camera = [], bench.camera
+    doubts: list[str] = []
+    camera = bench.camera
     targets = bench.campaign.targets
     if camera.kind == "image":
         return doubts
@@ -146,10 +156,6 @@ def _flat(
     except CalibrationRefused as refused:
         frames = bench.sensor.white or bench.sensor.object
         raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
-
-
-def _white(bench: Bench, frames: Sequence[FrameRef]) -> Template | None:
-    return bench.average(frames, kept=True) if frames else None
 
 
 def _noise(
@@ -205,20 +211,51 @@ def _expose(bench: Bench, frames: Sequence[FrameRef]) -> list[Template]:
     return [bench.average([f for f in frames if exposure_of(f) == t]) for t in times]
 
 
-def _choose(bench: Bench, shots: list[Template], darks: list[Template]) -> Template:
-    from levkas.calibration.exposures import best_exposure, merge_exposures
+def _exposed(bench: Bench, frames: Sequence[FrameRef], darks: list[Template]) -> Exposed:
+    """The object's frames as one: averaged, the best exposure, or all merged above dark."""
+    from levkas.calibration.exposures import best_exposure
 
+    shots = _expose(bench, frames)
     if len(shots) == 1:
-        return shots[0]
+        return Exposed(shots[0], shots)
     if bench.camera.exposures == "merge":
-        saturation = bench.saturation or float("inf")
-        return merge_exposures(shots, darks, saturation=saturation, black=bench.black).template
-    return best_exposure(shots)
+        return Exposed(_merged(bench, shots, darks), shots, above_dark=True)
+    return Exposed(best_exposure(shots), shots)
 
 
-def _without_dark(bench: Bench, shots: list[Template], darks: list[Template]) -> list[Template]:
-    """A merged series is above dark already."""
-    return [] if len(shots) > 1 and bench.camera.exposures == "merge" else darks
+def _merged(bench: Bench, shots: list[Template], darks: list[Template]) -> Template:
+    """An exposure series in counts a second above dark."""
+    from levkas.calibration.exposures import merge_exposures
+
+    if bench.saturation is None:
+        raise CalibrationRefused(
+            Problem(
+                "E_VALUE",
+                f"{bench.camera.name}: exposures cannot be merged without a saturation level",
+                field=f"cameras.{bench.camera.name}.saturation",
+                fix="Declare `bits` or `saturation`.",
+            )
+        )
+    return merge_exposures(shots, darks, saturation=bench.saturation, black=bench.black).template
+
+
+def _white(
+    bench: Bench, frames: Sequence[FrameRef], darks: list[Template], above_dark: bool
+) -> Template | None:
+    """The white of one exposure; above dark where the object is."""
+    from levkas.calibration.darks import match_dark
+    from levkas.calibration.exposures import best_exposure
+
+    if not frames:
+        return None
+    whites = bench.templates(frames)
+    if not above_dark:
+        return whites[0] if len(whites) == 1 else best_exposure(whites)
+    if len(whites) > 1:
+        return _merged(bench, whites, darks)
+    white = whites[0]
+    under = match_dark(darks or None, white.exposure_s, black=bench.black)
+    return replace(white, mean=(white.mean - under.mean).astype(np.float32))
 
 
 def _defects(darks: list[Template], white: Template | None, pattern: Any) -> np.ndarray | None:
@@ -237,17 +274,16 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
 
     sensor, camera = bench.sensor, bench.camera
     darks = bench.templates(sensor.dark)
-    white = _white(bench, sensor.white)
-    shots = _expose(bench, sensor.object)
-    shot = _choose(bench, shots, darks)
-    noise = _noise(shots, [white] * len(shots), darks, bench)
+    exposed = _exposed(bench, sensor.object, darks)
+    white = _white(bench, sensor.white, darks, exposed.above_dark)
+    noise = _noise(exposed.shots, [white] * len(exposed.shots), darks, bench)
     pattern = sensor.pattern
     defects = _defects(darks, white, pattern)
     reflectance = white_reflectance(bench.campaign, sensor.bands)
     flat = _flat(
         bench,
-        shot,
-        darks,
+        exposed.shot,
+        [] if exposed.above_dark else darks,
         white,
         white_reflectance=reflectance,
         noise=noise,
@@ -260,11 +296,9 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
         flat.values, flat.flags, flat.variance, pattern=pattern
     )
     if pattern is None:
-        planes = [
-            None if a is None else a[..., None] if a.ndim == 2 else a
-            for a in (values, flags, variance)
-        ]
-        return _cube(bench, *planes, flat.quantity)  # type: ignore[arg-type]
+        deep = values.shape if values.ndim == 3 else (*values.shape, 1)
+        variance = None if variance is None else variance.reshape(deep)
+        return _cube(bench, values.reshape(deep), flags.reshape(deep), variance, flat.quantity)
     method = camera.demosaic or (
         "bilinear" if camera.kind == "sensors" and len(pattern) == 2 else None
     )
@@ -276,53 +310,50 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
 
 def develop_bands(bench: Bench, notes: list[str]) -> Cube:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
-    from levkas.calibration.defects import replace_defects
-
-    sensor = bench.sensor
-    reflectance = white_reflectance(bench.campaign, sensor.bands)
+    bands = bench.sensor.bands
+    reflectances = np.broadcast_to(white_reflectance(bench.campaign, bands), len(bands))
     noise = _noise_of_bands(bench)
-    values = flags = variance = None
+    shape = (*bench.facts.shape[:2], len(bands))
+    values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    variance: np.ndarray | None = np.empty(shape, np.float32)
     quantity = "reflectance"
-    for i, band in enumerate(sensor.bands):
-        darks = bench.templates(_of_band(sensor.dark, band.label))
-        white = _white(bench, _require(_of_band(sensor.white, band.label), bench, band.label))
-        shot = _choose(
-            bench, _expose(bench, [f for f in sensor.object if f.band == band.label]), darks
-        )
-        defects = _defects(darks, white, sensor.pattern)
-        flat = _flat(
-            bench,
-            shot,
-            darks,
-            white,
-            white_reflectance=float(np.atleast_1d(reflectance)[min(i, np.size(reflectance) - 1)]),
-            noise=noise,
-            defects=defects,
-            labels=[band.label],
-        )
+    for i, band in enumerate(bands):
+        flat = _band(bench, band.label, float(reflectances[i]), noise)
         notes.extend(flat.notes)
         quantity = flat.quantity
-        plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
-        if sensor.pattern is not None:
-            from levkas.calibration.equalising import equalise_phases
-
-            plane = equalise_phases(*plane, sensor.pattern)
-        if values is None:
-            shape = (*plane[0].shape, len(sensor.bands))
-            values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
-            variance = None if plane[2] is None else np.empty(shape, np.float32)
-        _check_shape(bench, band.label, plane[0].shape, values.shape[:2])
-        values[..., i], flags[..., i] = plane[0], plane[1]
-        if variance is not None:
-            variance[..., i] = np.nan if plane[2] is None else plane[2]
-    assert_some(values, bench)
-    return _cube(bench, values, flags, variance, quantity)  # type: ignore[arg-type]
+        _check_shape(bench, band.label, flat.values.shape, shape[:2])
+        values[..., i], flags[..., i] = flat.values, flat.flags
+        if variance is not None and flat.variance is not None:
+            variance[..., i] = flat.variance
+        else:
+            variance = None
+    return _cube(bench, values, flags, variance, quantity)
 
 
-def assert_some(values: np.ndarray | None, bench: Bench) -> None:
-    """Refuse a camera without a band."""
-    if values is None:
-        raise Refused(Problem("E_BAND_COUNT", f"{bench.camera.name} has no band"))
+def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None) -> Calibrated:
+    """One band of one file, or of one file an exposure."""
+    from levkas.calibration.defects import replace_defects
+    from levkas.calibration.equalising import equalise_phases
+
+    sensor = bench.sensor
+    darks = bench.templates(_of_band(sensor.dark, label))
+    exposed = _exposed(bench, [f for f in sensor.object if f.band == label], darks)
+    frames = _require(_of_band(sensor.white, label), bench, label)
+    white = _white(bench, frames, darks, exposed.above_dark)
+    flat = _flat(
+        bench,
+        exposed.shot,
+        [] if exposed.above_dark else darks,
+        white,
+        white_reflectance=reflectance,
+        noise=noise,
+        defects=_defects(darks, white, sensor.pattern),
+        labels=[label],
+    )
+    plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
+    if sensor.pattern is not None:
+        plane = equalise_phases(*plane, sensor.pattern)
+    return replace(flat, values=plane[0], flags=plane[1], variance=plane[2])
 
 
 def _require(frames: list[FrameRef], bench: Bench, label: str) -> list[FrameRef]:
@@ -373,8 +404,8 @@ def _noise_of_bands(bench: Bench) -> NoiseModel | None:
     for i in chosen:
         label = bands[i].label
         shots.append(bench.average([f for f in bench.sensor.object if f.band == label][:1]))
-        whites.append(_white(bench, _of_band(bench.sensor.white, label)))
         darks = bench.templates(_of_band(bench.sensor.dark, label))
+        whites.append(_white(bench, _of_band(bench.sensor.white, label), darks, False))
     return _noise(shots, whites, darks, bench)
 
 
@@ -397,7 +428,7 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     noise, strips = None, []
     for frame in sensor.object:
         shot = average(iter([_read_cube(frame)]), saturation=bench.saturation)
-        stacks = [white] if white and not mirror else []
+        stacks: list[Template | None] = [white] if white and not mirror else []
         noise = noise or _noise([shot] if mirror else [], stacks, darks, bench)
         flat = _flat(
             bench,

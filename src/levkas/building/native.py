@@ -11,6 +11,7 @@ from levkas.cube import Band, Cube, Flag
 from levkas.registration.images import BandImage
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from levkas.building.places import Places
@@ -37,7 +38,7 @@ class Native:
     """
 
     cubes: dict[str, Cube]
-    aligns: dict[str, object] = field(default_factory=dict)
+    aligns: Mapping[str, object] = field(default_factory=dict)
     captured: str | None = None
     warnings: tuple[str, ...] = ()
 

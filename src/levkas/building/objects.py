@@ -48,7 +48,7 @@ class ObjectBuild:
     digests: dict[Key, str] = field(default_factory=dict)
     _images: list[BandImage] | None = None
     _own: Registration | None = None
-    _grid: tuple[Grid, float, tuple[float, float, float, float] | None] | None = None
+    _grid: tuple[Grid, float | None, tuple[float, float, float, float] | None] | None = None
     _grey: tuple[np.ndarray, np.ndarray] | None = None
 
     @property

@@ -104,11 +104,11 @@ def _layer(
 
 
 def _error(errors: dict[str, Any]) -> str:
-    for key in ("held_out_mean", "held_out", "mean", "kept_mean"):
-        value = errors.get(key)
-        if isinstance(value, int | float):
-            return f"{value:.3f}"
-    return "–"
+    """Error on what was not fitted, the worst sensor's."""
+    found = [errors.get(key) for key in ("held_out_px", "held_out_mean", "held_out")]
+    found += [sensor.get("held_out_px") for sensor in (errors.get("sensors") or {}).values()]
+    numbers = [value for value in found if isinstance(value, int | float)]
+    return f"{max(numbers):.3f}" if numbers else "–"
 
 
 def _band_rows(record: dict[str, Any]) -> list[list[str]]:

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from levkas.building.native import Native
+    from levkas.gridding import Grid
+    from levkas.transforms import Transform
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
@@ -25,9 +28,9 @@ def grey_of(values: np.ndarray, flags: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return `grey_of` of a published layer."""
-    from levkas.database.spectral_tiff import read_stiff, read_tiff_pages
+    from levkas.database.spectral_tiff import read_tiff_pages
 
-    values = read_stiff(path, silent=True)[0]
+    values = read_tiff_pages(path)
     return grey_of(values, read_tiff_pages(path.with_name(path.stem + ".flags.tif")))
 
 

@@ -107,6 +107,7 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
 
 
 def entry_of(row: list[str]) -> Entry:
+    """Return the entry of one row of the catalogue; raises ValueError where it is none."""
     if len(row) != len(COLUMNS):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
     cells = dict(zip(COLUMNS, row, strict=True))

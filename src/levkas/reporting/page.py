@@ -99,7 +99,14 @@ def describe_flags(shares: dict[str, float]) -> str:
 
 
 def describe_model(model: dict[str, Any]) -> str:
-    """Say the model of a registration in words."""
-    kind = str(model.get("kind", "")).replace("_", " ")
-    terms = model.get("coefficients_count") or model.get("parameters")
-    return f"{kind} ({terms} parameters)" if isinstance(terms, int) else kind
+    """Say the model of a registration in words.
+
+    >>> describe_model({"kind": "levkas", "sensors": [{"base": "cubic", "chromatic": "affine"}]})
+    'cubic, bands apart by affine'
+    """
+    told = []
+    for sensor in model.get("sensors", []):
+        base, apart = sensor.get("base"), sensor.get("chromatic")
+        name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
+        told.append(name + (f"{base}, " if base else "") + f"bands apart by {apart}")
+    return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")
