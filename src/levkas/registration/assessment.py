@@ -18,6 +18,7 @@ BELIEVED, DOUBTED = 0.5, 0.2
 #: Held-out error, px of the grid that was compared.
 GOOD_PX, BAD_PX = 0.25, 1.0
 LEAST_COVER = 0.5
+LATTICE = (9, 7)
 
 
 def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
@@ -42,11 +43,27 @@ def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
                     "chromatic": s.chromatic.kind,
                     "mirrored": bool(s.start.mirrored) if s.start else False,
                     "step": s.step,
+                    "sigma": _sigma(s),
                 }
                 for s in sensors
             ],
         },
     )
+
+
+def _sigma(sensor: Sensor) -> dict[str, Any]:
+    """Standard deviation of the base map's position on a lattice of the reference, px."""
+    if sensor.rung is None:
+        return {}
+    low, high = (f(sensor.rung.observations.points, 0) for f in (np.min, np.max))
+    x, y = np.linspace(low[0], high[0], LATTICE[0]), np.linspace(low[1], high[1], LATTICE[1])
+    points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    values = sensor.rung.sigma(points).reshape(LATTICE[::-1])
+    return {
+        "x": x.round(1).tolist(),
+        "y": y.round(1).tolist(),
+        "sigma_px": values.round(5).tolist(),
+    }
 
 
 def judge(sensors: Sequence[Sensor]) -> Verdict:
@@ -71,7 +88,8 @@ def judge(sensors: Sequence[Sensor]) -> Verdict:
 
 
 def _weigh(found: dict[str, Any]) -> tuple[Literal["accept", "warn", "refuse"], list[str]]:
-    refuse, warn = [], []
+    refuse: list[str] = []
+    warn: list[str] = []
     share, error, cover = found["share_above_chance"], found["held_out_px"], found["cover"]
     if share is not None and share < BELIEVED:
         text = f"{share:.0%} of the windows are predicted better than windows that cannot match"

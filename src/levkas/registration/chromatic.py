@@ -18,10 +18,10 @@ from levkas.transforms import Polynomial, design_matrix
 
 BLOCKS = 8
 LEAST_WINDOWS = 12
-LENGTHS_NM = (60.0, 120.0, 240.0, 480.0)
+LENGTHS_NM = (80.0, 200.0, 500.0)
 
 # Columns of a cubic polynomial: 1 u v uu uv vv uuu uuv uvv vvv; rows below are (x′, y′) of each.
-_FIELDS: list[tuple[str, list[dict[tuple[int, int], float]]]] = [
+_FIELDS: list[tuple[str, list[dict[tuple[int, int], int]]]] = [
     ("shift", [{(0, 0): 1}, {(0, 1): 1}]),
     ("similarity", [{(1, 0): 1, (2, 1): 1}, {(2, 0): -1, (1, 1): 1}]),
     ("affine", [{(1, 0): 1, (2, 1): -1}, {(2, 0): 1, (1, 1): 1}]),
@@ -150,16 +150,16 @@ def _system(
     shift = windows.shift if common is None else windows.shift - common
     goal = np.einsum("naf,f->na", design, earlier) - shift[used]
     information, residual = _reweighted(design, goal, windows.information[used])
-    pulled = np.einsum("naf,nab->nfb", design, information)
-    matrix = np.einsum("nfb,nbg->fg", pulled, design)
-    gradients = np.einsum("nfb,nb->nf", pulled, residual)
+    pulled = np.swapaxes(design, 1, 2) @ information
+    matrix = np.swapaxes(pulled, 1, 2).reshape(-1, count).T @ design.reshape(-1, count)
+    gradients = (pulled @ residual[..., None])[..., 0]
     blocks = _blocks(windows.centres[used])
     summed = np.zeros((blocks.max() + 1, count))
     np.add.at(summed, blocks, gradients)
     size = min(count, _size("similarity"))
     scatter = np.trace(np.linalg.pinv(matrix[:size, :size]) @ (summed.T @ summed)[:size, :size])
     deflate = max(float(scatter) / size, 1.0)
-    return matrix / deflate, np.einsum("nfb,nb->f", pulled, goal) / deflate
+    return matrix / deflate, (pulled @ goal[..., None])[..., 0].sum(0) / deflate
 
 
 def _reweighted(
@@ -168,8 +168,8 @@ def _reweighted(
     size = min(design.shape[2], _size("similarity"))
     lean, current, residual = design[..., :size], information, goal
     for _ in range(6):
-        matrix = np.einsum("naf,nab,nbg->fg", lean, current, lean)
-        right = np.einsum("naf,nab,nb->f", lean, current, goal)
+        pulled = (current @ lean).reshape(-1, size).T
+        matrix, right = pulled @ lean.reshape(-1, size), pulled @ goal.reshape(-1)
         residual = goal - lean @ _solve(matrix, right)
         floored, weights = temper(residual, information)
         current = floored * weights[:, None, None]
@@ -245,8 +245,8 @@ def _posterior(
         bends = [np.exp(-0.5 * ((places[:, None] - places) / nm) ** 2) for nm in LENGTHS_NM]
     best, answer = -np.inf, plain
     for bend in bends:
-        for smooth in (0.0, 0.3, 1.0, 3.0, 10.0) if places is not None else (0.0,):
-            for rough in (0.0, 0.003, 0.03, 0.3, 1.0):
+        for smooth in (0.0, 1.0, 10.0) if places is not None else (0.0,):
+            for rough in (0.0, 0.01, 0.1, 1.0):
                 prior = common + size * (smooth * bend + rough * np.eye(bands))
                 total = seen @ prior @ seen.T + np.diag(noise)
                 try:

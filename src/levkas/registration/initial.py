@@ -54,7 +54,12 @@ class _Points:
     descriptors: NDArray[np.float32]
 
 
-def start(reference: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> Start | None:
+def start(
+    reference: Sequence[np.ndarray],
+    target: Sequence[np.ndarray],
+    *,
+    within: np.ndarray | None = None,
+) -> Start | None:
     """Return the map that key points agree on, or None where they do not.
 
     Parameters
@@ -62,10 +67,11 @@ def start(reference: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> Star
     reference, target : sequences of ndarray, (h, w), float32
         Grey images of either camera (all of one size within a camera), NaN where invalid. The
         first of each is tried first, then all pairs of them.
+    within : ndarray, (h, w), bool, optional
+        Where key points of the reference count; they are found in the whole picture all the same.
     """
     for side in (LONG_SIDE_PX, 2 * LONG_SIDE_PX):
-        ours = _Detector(reference, side)
-        theirs = _Detector(target, side)
+        ours, theirs = _Detector(reference, side, within), _Detector(target, side, None)
         for pairs in ([(0, 0)], _other_pairs(len(reference), len(target))):
             found = _attempt(ours, theirs, pairs)
             if found is not None:
@@ -78,8 +84,8 @@ def start(reference: Sequence[np.ndarray], target: Sequence[np.ndarray]) -> Star
 class _Detector:
     """Key points of greys, found when they are first asked for."""
 
-    def __init__(self, greys: Sequence[np.ndarray], side: int) -> None:
-        self.greys, self.side = greys, side
+    def __init__(self, greys: Sequence[np.ndarray], side: int, within: np.ndarray | None) -> None:
+        self.greys, self.side, self.within = greys, side, within
         self._found: dict[int, _Points] = {}
 
     @property
@@ -88,8 +94,17 @@ class _Detector:
 
     def __getitem__(self, i: int) -> _Points:
         if i not in self._found:
-            self._found[i] = _detect(self.greys[i], self.side)
+            self._found[i] = _inside(_detect(self.greys[i], self.side), self.within)
         return self._found[i]
+
+
+def _inside(points: _Points, within: np.ndarray | None) -> _Points:
+    if within is None or not len(points.positions):
+        return points
+    column, row = np.round(points.positions).astype(int).T
+    height, width = within.shape
+    kept = within[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return _Points(points.positions[kept], points.descriptors[kept])
 
 
 def _other_pairs(ours: int, theirs: int) -> list[tuple[int, int]]:
@@ -103,7 +118,7 @@ def _attempt(ours: _Detector, theirs: _Detector, pairs: Sequence[tuple[int, int]
     for mirrored in (False, True) if pairs else ():
         found = [_pair(ours[i], theirs[j], mirrored) for i, j in pairs]
         p, q = _unique(*(np.concatenate([pair[k] for pair in found]) for k in (0, 1)))
-        fitted = _consensus(p, q, mirrored, ours.shape, theirs.shape)
+        fitted = _consensus(p, q, mirrored, ours.shape)
         if fitted is None:
             continue
         count = int(fitted[1].sum())
@@ -195,7 +210,7 @@ def _unique(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _consensus(
-    p: np.ndarray, q: np.ndarray, mirrored: bool, ours: tuple[int, ...], theirs: tuple[int, ...]
+    p: np.ndarray, q: np.ndarray, mirrored: bool, ours: tuple[int, ...]
 ) -> tuple[Homography, np.ndarray] | None:
     import cv2
 
@@ -215,14 +230,20 @@ def _consensus(
     found = Homography(forward / forward[2, 2])
     inside = mask.reshape(-1).astype(bool)
     # Matches that agree must be more than chance gives: the spread of random pairs over the frame.
+    low, high = np.percentile(p[inside], (2, 98), axis=0) if inside.any() else (p[0], p[0])
+    box = (*low, *high)
     chance = len(p) * np.pi * REACH_PX**2 * 4 / (ours[0] * ours[1])
     enough = inside.sum() >= max(LEAST_INLIERS, 8 + 6 * np.sqrt(chance) + chance)
-    return (found, inside) if enough and plausible(found, ours, mirrored) else None
+    return (found, inside) if enough and plausible(found, box, mirrored) else None
 
 
-def plausible(transform: Transform, shape: tuple[int, ...], mirrored: bool) -> bool:
-    """Whether the Jacobian keeps its sign, and scales stay in 0.14 to 7, all over the frame."""
-    x, y = np.meshgrid(np.linspace(0.05, 0.95, 7) * shape[1], np.linspace(0.05, 0.95, 7) * shape[0])
+def plausible(transform: Transform, box: Sequence[float], mirrored: bool) -> bool:
+    """Whether the Jacobian keeps its sign and scales stay in 0.14 to 7 all over a box.
+
+    `box` is (x0, y0, x1, y1) in reference px.
+    """
+    at = np.linspace(0.05, 0.95, 7)
+    x, y = np.meshgrid(box[0] + at * (box[2] - box[0]), box[1] + at * (box[3] - box[1]))
     jacobian = transform.jacobian(np.stack([x, y], -1).reshape(-1, 2))
     if not np.isfinite(jacobian).all():
         return False

@@ -42,7 +42,8 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
 SPLINE_LEAST = 150
-STIFF = (1e-3, 1e-2, 1e-1)
+COARSE = ["similarity", "affine", "quadratic", "cubic"]
+STIFF = (1e-3, 1e-2)
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class Rung:
         As fitted: with the common variance floor and robust weights in their information.
     weights : ndarray, (n,)
         Robust weight of each observation, 0..1.
+    parts : tuple of Transform
+        The same model fitted without each fold of blocks.
     """
 
     name: str
@@ -66,9 +69,24 @@ class Rung:
     scores: dict[str, float]
     observations: Observations
     weights: np.ndarray
+    parts: tuple[Transform, ...] = ()
+
+    def sigma(self, points: np.ndarray) -> np.ndarray:
+        """Return one standard deviation of the position at `points`, (n,), reference px.
+
+        Delete-a-group jackknife over the folds: it sees errors that whole blocks share, which
+        residuals of single windows do not.
+        """
+        if not self.parts:
+            return np.full(len(points), np.nan)
+        jacobian = self.transform.jacobian(points)
+        places = np.stack([part(points) for part in self.parts])
+        apart = np.linalg.solve(jacobian, (places - places.mean(0))[..., None])[..., 0]
+        share = (len(self.parts) - 1) / len(self.parts)
+        return np.sqrt(share * (apart**2).sum((0, 2)))
 
 
-def climb(observations: Observations, *, spacing: float, highest: str | None = None) -> Rung:
+def climb(observations: Observations, *, spacing: float, coarse: bool = False) -> Rung:
     """Return the model that predicts held-out blocks best.
 
     Parameters
@@ -77,16 +95,15 @@ def climb(observations: Observations, *, spacing: float, highest: str | None = N
         At least 6 of them.
     spacing : float, reference px
         Of the spline's knots; windows closer than this share a block.
-    highest : str, optional
-        Go no further than this rung.
+    coarse : bool
+        Polynomials up to cubic only: what is left is for a finer grid.
 
     Raises
     ------
     ValueError
         With fewer observations than the lowest rung needs.
     """
-    names = list(RUNGS)
-    names = names[: names.index(highest) + 1] if highest else names
+    names = COARSE if coarse else list(RUNGS)
     names = [name for name in names if len(observations) >= RUNGS[name][0]]
     if not names:
         raise ValueError(f"a similarity needs at least 6 windows, got {len(observations)}")
@@ -98,16 +115,22 @@ def climb(observations: Observations, *, spacing: float, highest: str | None = N
         scores[name] = _held_out(tempered, folds, RUNGS[name][1])
         if scores[name] < best * (1 - GAIN):
             taken, best = name, scores[name]
-    transform = model if taken == names[-1] else RUNGS[taken][1](tempered)
-    if highest is None and len(observations) >= SPLINE_LEAST:
+    fit, transform = RUNGS[taken][1], model if taken == names[-1] else None
+    if not coarse and len(observations) >= SPLINE_LEAST:
+        under = fit
         for stiff in STIFF[::-1]:
-            name = f"{taken}+spline({stiff:g})"
-            fit = partial(_on_top, under=RUNGS[taken][1], spacing=spacing, stiff=stiff)
-            scores[name] = _held_out(tempered, folds, fit)
+            name = f"{taken.partition('+spline')[0]}+spline({stiff:g})"
+            tried = partial(_on_top, under=under, spacing=spacing, stiff=stiff)
+            scores[name] = _held_out(tempered, folds, tried)
             if scores[name] < best * (1 - GAIN):
-                best, transform = scores[name], fit(tempered)
-        taken = next((n for n in scores if scores[n] == best), taken)
-    return Rung(taken, transform, scores, tempered, weights)
+                taken, best, fit, transform = name, scores[name], tried, None
+    parts = () if coarse else _parts(tempered, folds, fit)
+    return Rung(taken, transform or fit(tempered), scores, tempered, weights, parts)
+
+
+def _parts(observations: Observations, folds: np.ndarray, fit: Fit) -> tuple[Transform, ...]:
+    groups = [folds != fold for fold in range(FOLDS)]
+    return tuple(fit(observations.part(group)) for group in groups if 6 <= group.sum() < len(folds))
 
 
 def _on_top(observations: Observations, *, under: Fit, spacing: float, stiff: float) -> Transform:

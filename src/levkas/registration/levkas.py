@@ -62,29 +62,37 @@ def register_levkas(
     from levkas.registration.siblings import align_own
     from levkas.registration.silhouette import find_object
 
-    images = images_of(reference, region)
     anchor = next(image for image in reference if image.label == reference_band)
     siblings = [image for image in reference if image.sensor == anchor.sensor]
-    outline = find_object(_greys([images[i.label] for i in siblings])[0])
-    images |= {i.label: np.where(outline, images[i.label], np.nan) for i in siblings}
-    own = target is reference
-    first = None
+    own, images = target is reference, images_of(reference)
+    greys = _greys([images[image.label] for image in siblings])
+    within = _inside(region, anchor.values.shape) & find_object(greys[0])
+    masked = {i.label: np.where(within, images[i.label], np.nan) for i in siblings}
+    first, predicting = None, siblings if own else _spread(siblings, anchor)
     if reference_transforms is None or own:
-        first = align_own(siblings if own else _spread(siblings, anchor), images, anchor)
+        first = align_own(predicting, masked, anchor)
         known: Mapping[str, Transform] = first.transforms
     else:
-        known = {i.label: reference_transforms[i.label] for i in siblings}
+        known = {image.label: reference_transforms[image.label] for image in predicting}
     sensors = [first] if own and first is not None else []
     names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
     if names:
-        scene = Scene(registered(images, known, anchor.values.shape))
-        theirs = images if own else images_of(target, None)
-        ours = _greys([images[label] for label in known])
+        scene = Scene(registered(masked, known, anchor.values.shape))
+        pictures = images if own else images_of(target)
         for name in names:
             bands = [image for image in target if image.sensor == name]
-            greys = _greys([theirs[band.label] for band in bands])
-            sensors.append(align_sensor(bands, theirs, scene, ours, greys))
+            theirs = _greys([pictures[band.label] for band in bands])
+            sensors.append(align_sensor(bands, pictures, scene, greys, theirs, within=within))
     return assess(sensors, [image.label for image in target])
+
+
+def _inside(region: Sequence[float] | None, shape: tuple[int, int]) -> np.ndarray:
+    inside = np.ones(shape, bool)
+    if region is not None:
+        x, y, width, height = (round(float(v)) for v in region)
+        inside[:] = False
+        inside[max(y, 0) : max(y + height, 0), max(x, 0) : max(x + width, 0)] = True
+    return inside
 
 
 def _spread(bands: Sequence[BandImage], anchor: BandImage) -> list[BandImage]:

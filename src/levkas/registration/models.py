@@ -19,6 +19,8 @@ from levkas.transforms import (
     frame_of,
 )
 
+MOST_SPANS = 12
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -63,23 +65,34 @@ def temper(residuals: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, 
     Windows err by more than their own noise: what the prediction cannot explain pulls. A variance
     that is common to all is added so that the median normalised residual is as it should be.
     """
-    variance = np.linalg.inv(information + 1e-9 * np.eye(2))
+    variance = _inverse(information[:, 0, 0], information[:, 0, 1], information[:, 1, 1], 1e-9)
+    x, y = residuals.T
     expected = 2 * np.log(2)
-    low, high = 0.0, float(np.median((residuals**2).sum(1))) + 1e-12
 
-    def median(extra: float) -> float:
-        inverse = np.linalg.inv(variance + extra * np.eye(2))
-        return float(np.median(np.einsum("na,nab,nb->n", residuals, inverse, residuals)))
+    def distances(extra: float) -> np.ndarray:
+        a, b, c = _inverse(*variance, extra)
+        return a * x * x + 2 * b * x * y + c * y * y
 
-    if median(0.0) > expected:
+    low, high = 0.0, float(np.median(x * x + y * y)) + 1e-12
+    if np.median(distances(0.0)) > expected:
         for _ in range(12):
             middle = (low + high) / 2
-            low, high = (middle, high) if median(middle) > expected else (low, middle)
+            above = np.median(distances(middle)) > expected
+            low, high = (middle, high) if above else (low, middle)
     else:
         high = 0.0
-    floored = np.linalg.inv(variance + high * np.eye(2))
-    distance = np.einsum("na,nab,nb->n", residuals, floored, residuals)
-    return floored, 1 / (1 + distance / 8) ** 2
+    a, b, c = _inverse(*variance, high)
+    floored = np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], 1)
+    return floored, 1 / (1 + distances(high) / 8) ** 2
+
+
+def _inverse(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, extra: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Invert symmetric 2 x 2 matrices (a b; b c) with `extra` on the diagonal."""
+    a, c = a + extra, c + extra
+    determinant = a * c - b * b
+    return c / determinant, -b / determinant, a / determinant
 
 
 def fit_linear(
@@ -87,20 +100,31 @@ def fit_linear(
 ) -> np.ndarray:
     """Return coefficients (terms, 2) of target ≈ design @ coefficients under full 2 x 2 weights."""
     terms = design.shape[1]
-    inverse = np.linalg.inv(observations.jacobian)
-    weight = np.swapaxes(inverse, 1, 2) @ observations.information @ inverse
+    weight = _native(observations)
     normal = np.zeros((2, terms, 2, terms))
+    right = np.zeros((2, terms))
     for a in range(2):
         for b in range(2):
-            normal[a, :, b] = design.T @ (design * weight[:, a, b][:, None])
-    right = np.einsum("nt,nab,nb->at", design, weight, observations.target).reshape(-1)
+            if b >= a:
+                normal[a, :, b] = design.T @ (design * weight[:, a, b][:, None])
+                normal[b, :, a] = normal[a, :, b]
+            right[a] += design.T @ (weight[:, a, b] * observations.target[:, b])
     matrix = normal.reshape(2 * terms, 2 * terms)
     if ridge is not None:
         matrix = matrix + np.kron(np.eye(2), ridge)
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * scale[:, None] * scale
-    solved = np.linalg.lstsq(scaled, right * scale, rcond=1e-13)[0] * scale
+    try:
+        solved = np.linalg.solve(scaled, right.reshape(-1) * scale) * scale
+    except np.linalg.LinAlgError:
+        solved = np.linalg.lstsq(scaled, right.reshape(-1) * scale, rcond=1e-13)[0] * scale
     return solved.reshape(2, terms).T
+
+
+def _native(observations: Observations) -> np.ndarray:
+    """Information in native px: J⁻ᵀ Λ J⁻¹, (n, 2, 2)."""
+    inverse = np.linalg.inv(observations.jacobian)
+    return np.swapaxes(inverse, 1, 2) @ observations.information @ inverse
 
 
 def fit_polynomial(observations: Observations, order: int) -> Polynomial:
@@ -123,8 +147,7 @@ def fit_similarity(observations: Observations) -> Affine:
     rows = np.stack(
         [np.stack([u, -v * sign, one, nil], 1), np.stack([v * sign, u, nil, one], 1)], 1
     )
-    inverse = np.linalg.inv(observations.jacobian)
-    weight = np.swapaxes(inverse, 1, 2) @ observations.information @ inverse
+    weight = _native(observations)
     normal = np.einsum("nat,nab,nbs->ts", rows, weight, rows)
     right = np.einsum("nat,nab,nb->t", rows, weight, observations.target)
     a, b, x, y = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
@@ -163,7 +186,7 @@ def _gauss_newton(
         return np.einsum("nab,nb->na", root, observations.residuals(build(p))).reshape(-1)
 
     best, residual = start, whitened(start)
-    for _ in range(8):
+    for _ in range(5):
         step = 1e-6
         slopes = np.stack(
             [(whitened(best + step * unit) - residual) / step for unit in np.eye(len(best))], 1
@@ -184,6 +207,7 @@ def fit_spline(
 ) -> Transform:
     """Fit a smooth displacement of the reference before `under`, bending priced by `stiff`."""
     low, high = observations.points.min(0), observations.points.max(0)
+    spacing = max(spacing, float((high - low).max()) / MOST_SPANS)
     columns, rows = np.maximum(np.ceil((high - low) / spacing), 1).astype(int) + 3
     origin = (low + high) / 2 - (np.array([columns, rows]) - 3) * spacing / 2
     place = (observations.points - origin) / spacing

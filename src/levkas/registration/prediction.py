@@ -151,7 +151,10 @@ def _convolved(images: np.ndarray, taps: Sequence[int]) -> np.ndarray:
         cuts = [
             padded[:, k : k + n] if axis == 1 else padded[:, :, k : k + n] for k in range(len(taps))
         ]
-        images = sum(np.float32(t / sum(taps)) * cut for t, cut in zip(taps, cuts, strict=True))
+        total = np.zeros_like(images)
+        for tap, cut in zip(taps, cuts, strict=True):
+            total += np.float32(tap / sum(taps)) * cut
+        images = total
     return images
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 LATTICE_PX = 8
 HIGHPASS_PX = 3.0
 MOST_THREADS = 4
+WORTH_THREADS = 200_000
 
 
 def warp(
@@ -61,7 +62,8 @@ def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any) -> None:
     four times as long to compile, and the first run on a fresh machine is one that people wait for.
     """
     workers = min(os.cpu_count() or 1, MOST_THREADS)
-    if rows < 4 * workers or workers == 1:
+    largest = max(a.size for a in arguments if isinstance(a, np.ndarray))
+    if rows < 4 * workers or workers == 1 or largest < WORTH_THREADS:
         kernel(0, rows, *arguments)
         return
     edges = np.linspace(0, rows, 2 * workers + 1).astype(int).tolist()

@@ -78,12 +78,11 @@ def _mended(image: np.ndarray) -> np.ndarray:
     hole = np.isnan(image)
     if not hole.any() or hole.all():
         return image
-    kernel = np.ones((LARGE_HOLE, LARGE_HOLE), np.uint8)
-    framed = cv2.copyMakeBorder(
-        hole.astype(np.uint8), *[LARGE_HOLE] * 4, cv2.BORDER_CONSTANT, value=1
-    )
-    large = cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel)
-    large = large[LARGE_HOLE:-LARGE_HOLE, LARGE_HOLE:-LARGE_HOLE].astype(bool)
+    side = LARGE_HOLE
+    kernel = np.ones((side, side), np.uint8)
+    framed = np.pad(hole.astype(np.uint8), side, constant_values=1)
+    opened = np.asarray(cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel))
+    large = opened[side:-side, side:-side] > 0
     small = hole & ~large
     if not small.any():
         return image
@@ -185,7 +184,8 @@ def align_sensor(
                 else model
             )
         base = rung.transform
-        if not plausible(base, scene.shape, found.mirrored):
+        points = rung.observations.points
+        if not plausible(base, (*points.min(0), *points.max(0)), found.mirrored):
             raise RegistrationRefused(
                 Problem(
                     "E_FOLD",

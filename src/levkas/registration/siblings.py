@@ -37,7 +37,8 @@ def align_own(
     fixed = labels.index(anchor.label)
     pictures = [images[label] for label in labels]
     places = [band.wavelength for band in bands]
-    model, seen = still(len(bands), *frame_of(anchor.values.shape)), []
+    model = still(len(bands), *frame_of(anchor.values.shape))
+    seen: list[Windows] = []
     if len(bands) > 1:
         model = _approach(pictures, places, fixed, model)
         for ridge in RIDGES:
