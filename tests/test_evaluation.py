@@ -22,7 +22,7 @@ def textured(rng, shape=(64, 80)):
 def test_an_error_of_one_native_pixel_is_half_a_reference_pixel_at_scale_two():
     points = np.array([[3.0, 4.0], [5.0, 1.0]])
     twice = Affine.scaling(2.0)
-    assert np.allclose(position_errors(twice, points, twice(points) + [1.0, 0.0]), 0.5)
+    assert np.allclose(position_errors(twice, points, twice(points) + np.array([1.0, 0.0])), 0.5)
 
 
 def test_points_without_an_inverse_count_as_infinitely_wrong():

@@ -151,7 +151,7 @@ def test_a_turn_of_ten_degrees_is_clockwise_and_keeps_the_middle():
     w, h = grid.size
     middle = np.array([[(w - 1) / 2, (h - 1) / 2]])
     assert np.allclose(grid.transform(middle), [[20, 15]], atol=0.51)
-    right = grid.transform(middle + [10, 0]) - grid.transform(middle)
+    right = grid.transform(middle + np.array([10, 0])) - grid.transform(middle)
     assert right[0, 1] < 0
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -123,7 +125,13 @@ def exposure_of(frame: FrameRef) -> float | None:
     """Exposure from the file's name, else from its EXIF, s."""
     if frame.exposure_s is not None or frame.path.suffix.lower() in (".hdr", ".png"):
         return frame.exposure_s
-    return read_facts(frame.path).exposure_s
+    return _exposure_told(frame.path, frame.path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4096)
+def _exposure_told(path: Path, _stamp: int) -> float | None:
+    """EXIF of one file, asked for once: a camera raw costs half a second."""
+    return read_facts(path).exposure_s
 
 
 def _read(frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:

@@ -106,6 +106,8 @@ def describe_model(model: dict[str, Any]) -> str:
     """
     told = []
     for sensor in model.get("sensors", []):
+        if not isinstance(sensor, dict):
+            continue
         base, apart = sensor.get("base"), sensor.get("chromatic")
         name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
         told.append(name + (f"{base}, " if base else "") + f"bands apart by {apart}")
