@@ -139,7 +139,9 @@ def _detect(image: np.ndarray, side: int) -> _Points:
     h, w = (image.shape[0] // n) * n, (image.shape[1] // n) * n
     small = image[:h, :w].reshape(h // n, n, w // n, n).mean((1, 3)) if n > 1 else image
     # Precise upscaling mends OpenCV's bias of a quarter pixel.
-    sift = cv2.SIFT_create(KEY_POINTS, 3, 0.01, 12, 1.6, enable_precise_upscale=True)
+    sift = cv2.SIFT_create(  # type: ignore[attr-defined]
+        KEY_POINTS, 3, 0.01, 12, 1.6, enable_precise_upscale=True
+    )
     mask = np.isfinite(small).astype(np.uint8) * 255
     keys, descriptors = sift.detectAndCompute(_equalised(small), mask)
     if not keys:

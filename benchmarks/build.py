@@ -1,0 +1,50 @@
+"""A full-size campaign: simulated once, built, with the time of each stage and the peak of memory.
+
+    python benchmarks/build.py [FOLDER]
+
+FOLDER keeps the simulated campaign (2.4 GB) for the next run; the database beside it is built anew.
+"""
+
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+from levkas.assessment import assess
+from levkas.building import build
+from levkas.simulation import simulate_campaign
+
+
+def main(folder: Path) -> None:
+    if not (folder / "campaign.toml").is_file():
+        for _ in simulate_campaign(folder, preset="full"):
+            pass
+    output = folder.with_name(folder.name + ".database")
+    for path in (output, output.with_name(output.name + ".kept")):
+        shutil.rmtree(path, ignore_errors=True)
+    raw = sum(p.stat().st_size for p in (folder / "raw").rglob("*") if p.is_file())
+    spent: dict[str, float] = defaultdict(float)
+    start = last = time.perf_counter()
+    for step in build(folder, output=output):
+        now = time.perf_counter()
+        spent[step.key.stage] += now - last
+        last = now
+        if step.state in ("refused", "failed"):
+            print(step.line)
+    total = time.perf_counter() - start
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    print(
+        f"raw {raw / 1e9:.2f} GB, total {total:.0f} s, {usage.ru_utime + usage.ru_stime:.0f} s of CPU, ",
+        end="",
+    )
+    print(f"peak {usage.ru_maxrss / 1e6:.2f} GB")
+    for stage, seconds in spent.items():
+        print(f"  {stage:10} {seconds:7.1f} s")
+    print(assess(output, truth=folder / "truth").text)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp()) / "full")
