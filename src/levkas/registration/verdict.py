@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from levkas.transforms import Transform
 
 SEED = 20190817
-MATCHES_PER_TERM = 3
+MATCHES_PER_TERM = 4
 SURE_MATCHES_PER_TERM = 10
 CHANCE_FACTOR = 2
 SCALES = (0.2, 5.0)
 ANISOTROPY = {"warn": 1.5, "refuse": 2.0}
 AREA_RATIO = {"warn": 1.8, "refuse": 3.0}
 OVERLAP = {"warn": 0.8, "refuse": 0.1}
-COVERAGE = {"warn": 0.9, "refuse": 0.5}
+COVERAGE = {"warn": 0.9, "refuse": 0.6}
 OFF_SHARE = 0.2
 RIVAL = {"warn": 0.85, "refuse": 0.95}
 LEAST_FOUND = 6
