@@ -9,6 +9,7 @@ from numba import njit, prange
 MOST_TAPS = 64
 SHARE = 0.02  # of a weight that makes a flagged pixel count
 OUTSIDE, NEAR = 1, 64
+WIDENED_FROM = 1.15  # source px per grid px
 
 
 @njit(cache=True)
@@ -93,62 +94,134 @@ def weigh(position, scale, size, weights):
     return first, n
 
 
+@njit(cache=True)
+def row_of(nodes, step, y, along):
+    """Interpolate the nodes of a lattice on one grid row, (columns, 2)."""
+    j = min(int(y // step), nodes.shape[0] - 4)
+    a, b, c, d = lagrange(y / step - j)
+    for i in range(nodes.shape[1]):
+        for k in range(2):
+            along[i, k] = (
+                a * nodes[j, i, k]
+                + b * nodes[j + 1, i, k]
+                + c * nodes[j + 2, i, k]
+                + d * nodes[j + 3, i, k]
+            )
+
+
+@njit(cache=True)
+def blended(source, first_x, n, first_y, m, wx, wy):
+    """Return the weighted sum of a block of taps, in float64."""
+    total = 0.0
+    for r in range(m):
+        row = 0.0
+        for c in range(n):
+            row += wx[c] * source[first_y + r, first_x + c]
+        total += wy[r] * row
+    return total
+
+
+@njit(cache=True)
+def cubic_four(t, weights):
+    """Fill Keys' four weights around a fraction `t`, exact on a ramp as they are."""
+    weights[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
+    weights[1] = (1.5 * t - 2.5) * t * t + 1.0
+    weights[2] = ((-1.5 * t + 2.0) * t + 0.5) * t
+    weights[3] = (0.5 * t - 0.5) * t * t
+
+
+@njit(cache=True)
+def flag_bits(flags, first_x, n, first_y, m, wx, wy, share, near_x, near_y):
+    """Bits of the nearest pixel, and of every flagged one with a share in the value, with NEAR."""
+    bits = 0
+    for r in range(m):
+        for c in range(n):
+            flag = flags[first_y + r, first_x + c]
+            if flag != 0 and abs(wx[c] * wy[r]) > share:
+                bits |= flag | NEAR
+    nearest = flags[near_y, near_x]
+    if bits == (nearest | NEAR) and nearest != 0 and abs(wx.max() * wy.max()) > 1 - 1e-9:
+        return nearest
+    return (bits & ~OUTSIDE) | nearest
+
+
 @njit(cache=True, parallel=True)
-def resample_plane(source, flags, variance, nodes, step, height, width):
-    """Resample one band; flags and variance are (1, 1) where there are none."""
+def resample_plane(source, flags, variance, nodes, step, height, width, wide):
+    """Resample one band; flags and variance are (1, 1) where there are none.
+
+    `wide` says that somewhere the grid is coarser than the source.
+    """
     h, w = source.shape
     values = np.empty((height, width), np.float32)
     out_flags = np.zeros((height, width), np.uint8)
     with_flags, with_variance = flags.shape == source.shape, variance.shape == source.shape
     spread = np.empty((height, width) if with_variance else (1, 1), np.float32)
+    table = np.empty((step, 4))
+    for k in range(step):
+        table[k] = lagrange(k / step)
     for y in prange(height):
         wx, wy = np.empty(MOST_TAPS), np.empty(MOST_TAPS)
+        here, below = np.empty((nodes.shape[1], 2)), np.empty((nodes.shape[1], 2))
+        row_of(nodes, step, float(y), here)
+        if wide:
+            row_of(nodes, step, float(y) + 1, below)
         for x in range(width):
-            u, v = map_at(nodes, step, float(x), float(y))
+            i = x // step
+            t = table[x - i * step]
+            u = (
+                t[0] * here[i, 0]
+                + t[1] * here[i + 1, 0]
+                + t[2] * here[i + 2, 0]
+                + t[3] * here[i + 3, 0]
+            )
+            v = (
+                t[0] * here[i, 1]
+                + t[1] * here[i + 1, 1]
+                + t[2] * here[i + 2, 1]
+                + t[3] * here[i + 3, 1]
+            )
             if not (u >= -0.5 and v >= -0.5 and u <= w - 0.5 and v <= h - 0.5):
                 values[y, x] = np.nan
                 out_flags[y, x] = OUTSIDE
                 if with_variance:
                     spread[y, x] = np.nan
                 continue
-            u2, v2 = map_at(nodes, step, float(x) + 1, float(y))
-            u3, v3 = map_at(nodes, step, float(x), float(y) + 1)
-            sx = max(1.0, np.sqrt((u2 - u) ** 2 + (u3 - u) ** 2))
-            sy = max(1.0, np.sqrt((v2 - v) ** 2 + (v3 - v) ** 2))
-            if sx < 1.15:
-                sx = 1.0
-            if sy < 1.15:
-                sy = 1.0
-            i, n = weigh(u, sx, w, wx)
-            j, m = weigh(v, sy, h, wy)
-            total = other = 0.0
+            sx = sy = 1.0
+            if wide:
+                du = (here[i + 2, 0] - here[i + 1, 0]) / step
+                dv = (here[i + 2, 1] - here[i + 1, 1]) / step
+                eu, ev = below[i + 1, 0] - here[i + 1, 0], below[i + 1, 1] - here[i + 1, 1]
+                sx, sy = np.sqrt(du * du + eu * eu), np.sqrt(dv * dv + ev * ev)
+                sx = 1.0 if sx < WIDENED_FROM else sx
+                sy = 1.0 if sy < WIDENED_FROM else sy
+            fx, fy = int(np.floor(u)), int(np.floor(v))
+            if sx == 1.0 and 1 <= fx < w - 2:
+                first_x, n = fx - 1, 4
+                cubic_four(u - fx, wx)
+            else:
+                first_x, n = weigh(u, sx, w, wx)
+            if sy == 1.0 and 1 <= fy < h - 2:
+                first_y, m = fy - 1, 4
+                cubic_four(v - fy, wy)
+            else:
+                first_y, m = weigh(v, sy, h, wy)
+            total = blended(source, first_x, n, first_y, m, wx, wy)
             bits = 0
-            for r in range(m):
-                row = 0.0
-                row2 = 0.0
-                for c in range(n):
-                    row += wx[c] * source[j + r, i + c]
-                    if with_variance:
-                        row2 += wx[c] * wx[c] * variance[j + r, i + c]
-                    if (
-                        with_flags
-                        and flags[j + r, i + c] != 0
-                        and abs(wx[c] * wy[r]) > SHARE / (sx * sy)
-                    ):
-                        bits |= flags[j + r, i + c] | NEAR
-                total += wy[r] * row
-                other += wy[r] * wy[r] * row2
             if with_flags:
-                nearest = flags[
-                    min(max(int(np.floor(v + 0.5)), 0), h - 1),
-                    min(max(int(np.floor(u + 0.5)), 0), w - 1),
-                ]
-                bits = (bits & ~OUTSIDE) | nearest
-            values[y, x] = total
-            out_flags[y, x] = bits
+                near_x = min(max(int(np.floor(u + 0.5)), 0), w - 1)
+                near_y = min(max(int(np.floor(v + 0.5)), 0), h - 1)
+                bits = flag_bits(
+                    flags, first_x, n, first_y, m, wx[:n], wy[:m], SHARE / (sx * sy), near_x, near_y
+                )
             if with_variance:
-                spread[y, x] = other
+                for k in range(n):
+                    wx[k] *= wx[k]
+                for k in range(m):
+                    wy[k] *= wy[k]
+                spread[y, x] = blended(variance, first_x, n, first_y, m, wx, wy)
+            values[y, x] = total
             if bits & OUTSIDE or not np.isfinite(total):
                 values[y, x] = np.nan
-                out_flags[y, x] |= OUTSIDE
+                bits |= OUTSIDE
+            out_flags[y, x] = bits
     return values, out_flags, spread

@@ -18,6 +18,7 @@ from levkas.transforms import Transform
 LATTICE_PX = 16
 LARGEST_MAP_ERROR_PX = 1e-4
 PROBES = 257
+WIDE_FROM = 1.05
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,14 @@ class Lattice:
             if step == 1 or lattice.error(transform, shape) < LARGEST_MAP_ERROR_PX:
                 return lattice
             step //= 2
+
+    @property
+    def wide(self) -> bool:
+        """Whether the grid is coarser than the source somewhere."""
+        along = np.diff(self.nodes, axis=1)[:-1] / self.step
+        down = np.diff(self.nodes, axis=0)[:, :-1] / self.step
+        scale = np.hypot(along, down)
+        return bool(scale[np.isfinite(scale)].max(initial=0.0) >= WIDE_FROM)
 
     def error(self, transform: Transform, shape: tuple[int, int]) -> float:
         """Largest distance, source px, of the interpolated map from the exact one on probes."""
@@ -135,6 +144,7 @@ def warp(
             lattice.step,
             height,
             width,
+            lattice.wide,
         )
         values[..., b], out_flags[..., b] = plane[0], plane[1]
         if spread is not None:
