@@ -105,6 +105,29 @@ def _drawn(steps: Iterable[Any], quiet: bool) -> list[Any]:
 
 
 @app.command()
+@_refusing("look")
+def look(
+    folder: Annotated[Path, typer.Argument(help="Folder of raw frames.")],
+    write: Annotated[
+        bool, typer.Option("--write", help="Write campaign.toml into the folder, unless there is one.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Guess a commented campaign.toml from a folder of captures; show it before anything is written."""
+    from levkas.looking import look as look_at
+    from levkas.looking import write_campaign
+
+    proposal = look_at(folder)
+    if not as_json:
+        typer.echo(proposal.text, nl=False)
+    written = str(write_campaign(proposal)) if write else None
+    _report("look", as_json, True, [], written=written, **proposal.to_report())
+    if not as_json:
+        more = f"Written: {written}" if written else "Nothing was written; --write does."
+        typer.echo(f"{more} {len(proposal.unknown)} things are unknown.", err=True)
+
+
+@app.command()
 @_refusing("build")
 def build(
     campaign: CampaignPath,

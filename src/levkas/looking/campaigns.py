@@ -1,0 +1,234 @@
+"""Cameras put together to a whole campaign: reference, targets, what is left unknown."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from levkas.cube import band_labels
+from levkas.finding.patterns import natural
+from levkas.looking.describing import describe_camera
+from levkas.looking.grouping import Group, group_cameras
+from levkas.looking.listing import Listing
+from levkas.looking.naming import name_targets
+from levkas.looking.proposal import CameraGuess, Proposal, Said, to_toml
+from levkas.looking.roles import tell_roles
+from levkas.looking.samples import Samples
+from levkas.looking.spectra import find_warmth
+from levkas.looking.tables import find_white_table, with_sensitivity
+from levkas.looking.words import CHARTS, GENERIC
+from levkas.problems import Refused
+
+GREEN_NM = 550.0
+"""Where eyes and lenses are at their best; the reference band of the paper."""
+VISIBLE_NM = (400.0, 720.0)
+RANKS = {"bands": 4, "mosaic": 3, "cube": 2, "sensors": 2, "image": 1}
+"""Which kinds make the better reference: a sharp frame a band, then a sharp mosaic."""
+MOST_TOLD = 6
+UNKNOWN_WHITE = "what the white board reflects: 1 is taken"
+
+
+def propose(listing: Listing) -> Proposal:
+    """Make a proposal of a listing that holds at least one capture."""
+    samples = Samples()
+    named = name_targets(listing.seen, same_scene=samples.same_scene)
+    groups, left_out = group_cameras(named, listing.root.resolve().name)
+    unknown: list[str] = []
+    for group in groups:
+        unknown += [f"{group.name}: {told}" for told in tell_roles(group, samples)]
+    if not any(group.of_role("object") for group in groups):
+        unknown.append("what the object is: all targets look like darks, whites or charts")
+    warmth = find_warmth(groups, samples)
+    cameras = [
+        with_sensitivity(
+            describe_camera(group, samples, warmth=warmth), listing.root, listing.tables
+        )
+        for group in groups
+    ]
+    if (
+        all(c.kind == "image" for c in cameras)
+        and len(cameras) == 1
+        and len(cameras[0].targets) > 1
+    ):
+        unknown.append(
+            "whether some of these pictures show one object: each is taken for an object of its own, "
+            "and with one camera nothing is registered"
+        )
+    reference, why = _reference(groups, cameras)
+    targets, objects, more = _targets(listing, cameras, cameras[reference].name)
+    unknown += [text for camera in cameras for text in camera.unknown] + more
+    left_out += [f"{name}: {reason}" for name, reason in listing.unreadable.items()]
+    band = _band(groups[reference], cameras[reference])
+    told = {"camera": cameras[reference].name} | ({"band": band} if band else {})
+    described = {"title": Said(_title(listing.root)), **_date(listing)}
+    described["reference"] = Said(told, why)
+    proposal = Proposal(
+        root=listing.root,
+        described=described,
+        cameras=tuple(_with_own_templates(c, targets) for c in cameras),
+        targets=targets,
+        objects=tuple(objects),
+        hints=_hints(targets) if UNKNOWN_WHITE in unknown else (),
+        unknown=tuple(_shortened(unknown)),
+        left_out=tuple(_shortened(left_out)),
+    )
+    return replace(proposal, unknown=(*proposal.unknown, *_shortened(check(proposal))))
+
+
+def check(proposal: Proposal) -> list[str]:
+    """Read the proposal as a campaign and find its captures; return what would be refused, and why."""
+    from levkas.campaign import Camera, Campaign, Document
+    from levkas.discovery import find_captures
+
+    root = proposal.root.resolve()
+    document = Document.model_validate(tomllib.loads(proposal.text))
+    cameras = {
+        name: Camera.model_construct(name=name, **dict(keys))
+        for name, keys in document.cameras.items()
+    }
+    fields = {**dict(document), "cameras": cameras}
+    campaign = Campaign.model_construct(**fields, path=root / "campaign.toml", root=root)
+    try:
+        _, refusals = find_captures(campaign)
+    except Refused as refused:
+        return [str(p) for p in refused.problems]
+    told = []
+    for (name, camera, setup), why in refusals.items():
+        layer = f"{camera}@{setup}" if setup else camera
+        told += [f"{name}/{layer} would be refused: {p}" for p in why.problems]
+    return told
+
+
+# --- reference --------------------------------------------------------------------------------
+
+
+def _reference(groups: Sequence[Group], cameras: Sequence[CameraGuess]) -> tuple[int, str]:
+    """The camera to register the others to: it saw most objects, has most bands in the visible."""
+
+    def worth(i: int) -> tuple[float, ...]:
+        objects = len({f.target for f in groups[i].of_role("object")})
+        centres = _centres(groups[i], cameras[i])
+        visible = [w for w in centres if VISIBLE_NM[0] <= w <= VISIBLE_NM[1]]
+        near = bool(visible) and min(abs(w - GREEN_NM) for w in visible) <= 30
+        shape = groups[i].frames[0].named.seen.facts.shape
+        return (
+            objects,
+            near or not centres,
+            RANKS[cameras[i].kind],
+            len(visible),
+            shape[0] * shape[1],
+        )
+
+    best = max(range(len(cameras)), key=worth)
+    why = "the only camera" if len(cameras) == 1 else "a guess: what all else is registered to"
+    return best, why
+
+
+def _centres(group: Group, camera: CameraGuess) -> tuple[float, ...]:
+    """Wavelengths of a camera's bands, nm, as far as names or headers say them."""
+    numbers = {f.number("wavelength") for f in group.of_role("object")} - {None}
+    if camera.kind == "bands" and numbers:
+        return tuple(sorted(float(str(n)) for n in numbers))
+    told = [f.named.seen.facts.wavelengths or () for f in group.of_role("object") or group.frames]
+    if camera.kind == "sensors":
+        return tuple(dict.fromkeys(w for waves in told for w in waves))
+    return tuple(told[0]) if told else ()
+
+
+def _band(group: Group, camera: CameraGuess) -> str:
+    """The label of the band nearest to green; "" where the default, the middle one, will do."""
+    centres = _centres(group, camera)
+    if not centres:
+        return ""
+    place = min(range(len(centres)), key=lambda i: abs(centres[i] - GREEN_NM))
+    if camera.kind != "sensors":
+        return band_labels(centres)[place]
+    labels = [label for s in camera.sensors for label in s.keys["bands"].value]
+    return str(labels[place]) if len(labels) == len(centres) else ""
+
+
+# --- targets ----------------------------------------------------------------------------------
+
+
+def _targets(
+    listing: Listing, cameras: Sequence[CameraGuess], reference: str
+) -> tuple[dict[str, Said], list[str], list[str]]:
+    """Keys of [targets], the objects, and what is unknown of them."""
+    by_role: dict[str, list[str]] = {"dark": [], "white": [], "chart": [], "object": []}
+    for camera in cameras:
+        for target, role in camera.targets.items():
+            by_role[role] += [target] if target not in by_role[role] else []
+    calibrated = {t for c in cameras if c.kind != "image" for t in c.targets}
+    unknown: list[str] = []
+    keys: dict[str, Said] = {}
+    if dark := sorted(by_role["dark"], key=natural):
+        keys["dark"] = Said(dark[0] if len(dark) == 1 else dark, "by their names")
+    if white := sorted(by_role["white"], key=natural):
+        keys["white"], told = _white(listing, white)
+        unknown += told if set(white) & calibrated else []
+    charts = {t: _chart(t) for t in sorted(by_role["chart"], key=natural)}
+    if charts:
+        keys["charts"] = Said(charts, "by their names; check which chart each is")
+    seen = next(c.targets for c in cameras if c.name == reference)
+    objects = sorted(by_role["object"], key=natural)
+    lost = [name for name in objects if name not in seen]
+    if lost:
+        unknown.append(f"where the reference camera's image of {', '.join(lost[:MOST_TOLD])} is")
+    objects = [name for name in objects if name in seen]
+    if objects:
+        keys["objects"] = Said(objects, "all other targets" if dark or white or charts else "")
+    return keys, objects, unknown
+
+
+def _white(listing: Listing, names: list[str]) -> tuple[Said, list[str]]:
+    """The white board, with a table of its reflectance where one stands beside."""
+    one: object = names[0] if len(names) == 1 else names
+    if table := find_white_table(listing.root, listing.tables):
+        return Said({"names": one, "reflectance": table}, "the table that stands beside"), []
+    return Said(one, "by their names; what it reflects is not in the files"), [UNKNOWN_WHITE]
+
+
+def _hints(targets: dict[str, Said]) -> tuple[str, ...]:
+    white = to_toml({"names": targets["white"].value, "reflectance": 0.98})
+    return (f"white = {white}  # a share, or a CSV over wavelength",)
+
+
+def _chart(target: str) -> str:
+    word = next((w for w in re.split(r"[\W_\d]+", target.lower()) if w in CHARTS), "chart")
+    return CHARTS[word]
+
+
+def _with_own_templates(camera: CameraGuess, targets: dict[str, Said]) -> CameraGuess:
+    """Say of a camera that it has no dark or white where others have one."""
+    if camera.kind == "image":
+        return camera
+    keys = dict(camera.keys)
+    for role in ("dark", "white"):
+        if role in targets and role not in camera.targets.values():
+            keys[role] = Said([], f"no {role} of this camera was found")
+    return replace(camera, keys=keys)
+
+
+# --- the campaign -----------------------------------------------------------------------------
+
+
+def _title(root: Path) -> str:
+    here = root.resolve()
+    name = here.parent.name if here.name.lower() in GENERIC and here.parent.name else here.name
+    return name.replace("_", " ")
+
+
+def _date(listing: Listing) -> dict[str, Said]:
+    dates = sorted(s.facts.captured for s in listing.seen if s.facts.captured)
+    return {"date": Said(dates[0][:10], "of the earliest capture, by its header")} if dates else {}
+
+
+def _shortened(lines: Sequence[str]) -> list[str]:
+    """Leave out what was said before, and the tail of a long list."""
+    told = list(dict.fromkeys(lines))
+    if len(told) <= 3 * MOST_TOLD:
+        return told
+    return [*told[: 3 * MOST_TOLD], f"… and {len(told) - 3 * MOST_TOLD} more"]
