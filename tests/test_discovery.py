@@ -496,7 +496,7 @@ def test_the_foreign_campaign_is_found_whole(tmp_path, two_paintings):
     assert captures[0].layer == "lctf-vis" and captures[5].layer == "d80@45-degree"
     files = {f.path for c in captures for s in c.sensors for f in (*s.object, *s.dark, *s.white)}
     there = [p for p in (two_paintings / "raw").rglob("*") if p.suffix in (".tif", ".hdr")]
-    assert files == {p.resolve() for p in there}
+    assert {p.resolve() for p in files} == {p.resolve() for p in there}
 
 
 def test_the_filter_wheel_has_seven_bands_of_seven_exposures_and_darks_of_its_session(

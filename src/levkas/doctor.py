@@ -38,6 +38,7 @@ REQUIRED = {
     "scikit-image": ("0.25", "SSIM"),
     "scipy": ("1.14", "filters and solvers"),
     "spectral": ("0.23", "spectral libraries"),
+    "threadpoolctl": ("3.5", "linear algebra with one thread"),
     "tifffile": ("2025.1", "TIFF"),
     "typer": ("0.15", "the command line"),
     "xarray": ("2025.1", "labelled arrays"),

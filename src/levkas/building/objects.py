@@ -228,7 +228,12 @@ class ObjectBuild:
             write_text(table, registering.table_of(registration))
             files.append(table)
         problems = _verdict_problems(record, capture, refused)
-        figures = draw_trace(registration.matches, registration.trace) if registration else []
+        figures = []
+        if registration is not None:
+            size = tuple(self._reference_record()["size"])
+            theirs = tuple(here.size_of(here.bands[0].label))
+            trace = registering.trace_of(registration, size, theirs, options)
+            figures = draw_trace(registration.matches, trace)
         notes = {
             "seconds": round(time.monotonic() - started, 2),
             "refused": [p.to_dict() for p in problems],

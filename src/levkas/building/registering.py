@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from levkas.building.native import Native
     from levkas.discovery import Capture
     from levkas.gridding import Grid
-    from levkas.registration import BandImage
+    from levkas.registration import BandImage, Trace
 
 FEWEST_PX = 16
 """A band smaller than this has nothing to register by."""
@@ -48,6 +48,37 @@ def register_capture(
     return register(
         reference, native.images(), reference_band=reference_band, region=region, **options
     )
+
+
+def trace_of(
+    registration: Registration,
+    size: tuple[int, int],
+    target_size: tuple[int, int],
+    options: dict[str, Any],
+) -> Trace | None:
+    """Return the trace of a registration; for a method without one, what the paper's removal does.
+
+    The pairs are the method's own, so that the course of any registration can be followed in the
+    paper's Figures 9 and 10. None where a scale alone is no start: a camera on its side, say.
+    """
+    if registration.trace is not None or not len(registration.matches):
+        return registration.trace
+    from levkas.registration.mirhashemi2019 import REJECT_SHARE, scale_only
+    from levkas.registration.outliers import clean
+
+    pairs = registration.matches
+    try:
+        return clean(
+            pairs.target,
+            pairs.reference,
+            scale=scale_only(size, target_size),
+            reject=options.get("reject") or float(np.hypot(*size)) * REJECT_SHARE,
+            stop=options.get("stop", 1.0),
+            size=size,
+            target_size=target_size,
+        ).trace
+    except RegistrationRefused:
+        return None
 
 
 def record_of(
