@@ -230,9 +230,9 @@ class ObjectBuild:
         problems = _verdict_problems(record, capture, refused)
         figures = []
         if registration is not None:
-            size = tuple(self._reference_record()["size"])
-            theirs = tuple(here.size_of(here.bands[0].label))
-            trace = registering.trace_of(registration, size, theirs, options)
+            width, height = self._reference_record()["size"]
+            across, down = here.size_of(here.bands[0].label)
+            trace = registering.trace_of(registration, (width, height), (across, down), options)
             figures = draw_trace(registration.matches, trace)
         notes = {
             "seconds": round(time.monotonic() - started, 2),
