@@ -104,7 +104,9 @@ def fit_chromatic(
     earlier = np.zeros((len(seen), count))
     width = min(count, before.amounts.shape[1])
     earlier[:, :width] = before.amounts[:, :width]
-    systems = [_system(w, before, earlier[i], common) for i, w in enumerate(seen)]
+    terms = design_matrix(seen[0].centres, 3, before.centre, before.spread)
+    design = np.einsum("nk,fka->anf", terms, _tensor(count))
+    systems = [_system(w, design, earlier[i], common) for i, w in enumerate(seen)]
     free = min(count, _size("similarity"))
     apart = np.eye(len(seen)) - (0.0 if leaning is None else leaning)
     prior = np.zeros(free)
@@ -134,9 +136,9 @@ def _tensor(count: int) -> np.ndarray:
 
 
 def _system(
-    windows: Windows, before: Chromatic, earlier: np.ndarray, common: np.ndarray | None
+    windows: Windows, design: np.ndarray, earlier: np.ndarray, common: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix (f, f) and right side (f,) of a band's total amounts.
+    """Normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (2, n, f).
 
     What a prediction gets wrong pulls all windows along a stroke or a patch the same way. The
     matrix is deflated until the gradients of whole blocks scatter as it says they should.
@@ -145,32 +147,38 @@ def _system(
     used = np.trace(windows.information, axis1=1, axis2=2) > 0
     if used.sum() < LEAST_WINDOWS:
         return np.zeros((count, count)), np.zeros(count)
-    terms = design_matrix(windows.centres[used], 3, before.centre, before.spread)
-    design = np.einsum("nk,fka->naf", terms, _tensor(count))
+    design = design[:, used]
     shift = windows.shift if common is None else windows.shift - common
-    goal = np.einsum("naf,f->na", design, earlier) - shift[used]
+    goal = (design @ earlier).T - shift[used]
     information, residual = _reweighted(design, goal, windows.information[used])
-    pulled = np.swapaxes(design, 1, 2) @ information
-    matrix = np.swapaxes(pulled, 1, 2).reshape(-1, count).T @ design.reshape(-1, count)
-    gradients = (pulled @ residual[..., None])[..., 0]
+    pulled = _pulled(design, information)
+    matrix = pulled[0].T @ design[0] + pulled[1].T @ design[1]
+    gradients = pulled[0] * residual[:, :1] + pulled[1] * residual[:, 1:]
     blocks = _blocks(windows.centres[used])
-    summed = np.zeros((blocks.max() + 1, count))
-    np.add.at(summed, blocks, gradients)
     size = min(count, _size("similarity"))
-    scatter = np.trace(np.linalg.pinv(matrix[:size, :size]) @ (summed.T @ summed)[:size, :size])
+    summed = np.zeros((blocks.max() + 1, size))
+    np.add.at(summed, blocks, gradients[:, :size])
+    scatter = np.trace(np.linalg.pinv(matrix[:size, :size]) @ (summed.T @ summed))
     deflate = max(float(scatter) / size, 1.0)
-    return matrix / deflate, (pulled @ goal[..., None])[..., 0].sum(0) / deflate
+    return matrix / deflate, (pulled[0].T @ goal[:, 0] + pulled[1].T @ goal[:, 1]) / deflate
+
+
+def _pulled(design: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return Λ times the design, row by row, x and y."""
+    a, b, c = information[:, 0, :1], information[:, 0, 1:], information[:, 1, 1:]
+    return a * design[0] + b * design[1], b * design[0] + c * design[1]
 
 
 def _reweighted(
     design: np.ndarray, goal: np.ndarray, information: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    size = min(design.shape[2], _size("similarity"))
-    lean, current, residual = design[..., :size], information, goal
+    lean = design[..., : _size("similarity")]
+    current, residual = information, goal
     for _ in range(6):
-        pulled = (current @ lean).reshape(-1, size).T
-        matrix, right = pulled @ lean.reshape(-1, size), pulled @ goal.reshape(-1)
-        residual = goal - lean @ _solve(matrix, right)
+        pulled = _pulled(lean, current)
+        matrix = pulled[0].T @ lean[0] + pulled[1].T @ lean[1]
+        right = pulled[0].T @ goal[:, 0] + pulled[1].T @ goal[:, 1]
+        residual = goal - (lean @ _solve(matrix, right)).T
         floored, weights = temper(residual, information)
         current = floored * weights[:, None, None]
     return current, residual

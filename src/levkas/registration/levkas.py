@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -65,7 +64,7 @@ def register_levkas(
     anchor = next(image for image in reference if image.label == reference_band)
     siblings = [image for image in reference if image.sensor == anchor.sensor]
     own, images = target is reference, images_of(reference)
-    greys = _greys([images[image.label] for image in siblings])
+    greys = _Greys([images[image.label] for image in siblings])
     within = _inside(region, anchor.values.shape) & find_object(greys[0])
     masked = {i.label: np.where(within, images[i.label], np.nan) for i in siblings}
     first, predicting = None, siblings if own else _spread(siblings, anchor)
@@ -81,7 +80,7 @@ def register_levkas(
         pictures = images if own else images_of(target)
         for name in names:
             bands = [image for image in target if image.sensor == name]
-            theirs = _greys([pictures[band.label] for band in bands])
+            theirs = _Greys([pictures[band.label] for band in bands])
             sensors.append(align_sensor(bands, pictures, scene, greys, theirs, within=within))
     return assess(sensors, [image.label for image in target])
 
@@ -105,14 +104,33 @@ def _spread(bands: Sequence[BandImage], anchor: BandImage) -> list[BandImage]:
     return [bands[i] for i in places]
 
 
-def _greys(images: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return the mean of all bands brought to one contrast, and up to four others.
+class _Greys(Sequence[np.ndarray]):
+    """The mean of all bands brought to one contrast, and up to four others, made when asked for.
 
     Those are the bands themselves where they are few, else means of parts of the spectrum.
     """
-    even = [image / max(float(np.nanstd(image)), 1e-12) for image in images]
-    parts = np.array_split(np.arange(len(even)), min(MOST_GREYS, len(even)))
-    groups = [even, *([even[i] for i in part] for part in parts if len(even) > 1)]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return [np.nanmean(group, axis=0).astype(np.float32) for group in groups]
+
+    def __init__(self, images: Sequence[np.ndarray]) -> None:
+        self._images = images
+        parts = np.array_split(np.arange(len(images)), min(MOST_GREYS, len(images)))
+        self._groups = [range(len(images)), *(parts if len(images) > 1 else ())]
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def __getitem__(self, i: Any) -> Any:
+        if isinstance(i, slice):
+            return [self[k] for k in range(*i.indices(len(self)))]
+        if i not in self._made:
+            total = np.zeros(self._images[0].shape, np.float32)
+            count = np.zeros(self._images[0].shape, np.float32)
+            for k in self._groups[i]:
+                image = self._images[k]
+                known = np.isfinite(image)
+                spread = np.float32(max(float(np.std(image[::2, ::2][known[::2, ::2]])), 1e-12))
+                total += np.where(known, image / spread, np.float32(0))
+                count += known
+            with np.errstate(divide="ignore", invalid="ignore"):
+                self._made[i] = total / count
+        return self._made[i]

@@ -47,42 +47,40 @@ class Windows:
 
 
 def features(predictors: np.ndarray) -> np.ndarray:
-    """Return predictors, their x and then their y derivatives, (3k, h, w), from (k, h, w)."""
-    stack = np.full((3 * len(predictors), *predictors.shape[1:]), np.nan, np.float32)
-    k = len(predictors)
-    stack[:k] = predictors
-    stack[k : 2 * k, :, 1:-1] = (predictors[:, :, 2:] - predictors[:, :, :-2]) / 2
-    stack[2 * k :, 1:-1, :] = (predictors[:, 2:, :] - predictors[:, :-2, :]) / 2
+    """Return predictors, their x and then their y derivatives, (h, w, 3k), from (k, h, w)."""
+    k, h, w = predictors.shape
+    stack = np.full((h, w, 3 * k), np.nan, np.float32)
+    for n, image in enumerate(predictors):
+        stack[:, :, n] = image
+        stack[:, 1:-1, k + n] = (image[:, 2:] - image[:, :-2]) / 2
+        stack[1:-1, :, 2 * k + n] = (image[2:] - image[:-2]) / 2
     return stack
 
 
 @njit(nogil=True, cache=True)
-def _gram(start, stop, stack, cell, grams, counts):  # type: ignore[no-untyped-def]
+def _gram(start, stop, stack, known, cell, grams, counts):  # type: ignore[no-untyped-def]
     """Sums of products of (1, u, v, stack) over each cell where all of it is valid."""
-    d = stack.shape[0] + 3
-    cols = counts.shape[1]
+    d = stack.shape[2] + 3
+    v = np.empty(d)
+    g = np.empty((d, d))
     for r in range(start, stop):
-        v = np.empty(d)
-        g = np.empty((d, d))
-        for c in range(cols):
+        for c in range(counts.shape[1]):
             g[:] = 0.0
             n = 0
             for i in range(r * cell, (r + 1) * cell):
                 for j in range(c * cell, (c + 1) * cell):
-                    good = True
-                    for k in range(d - 3):
-                        v[3 + k] = stack[k, i, j]
-                        if not np.isfinite(v[3 + k]):
-                            good = False
-                    if not good:
+                    if not known[i, j]:
                         continue
                     n += 1
                     v[0] = 1.0
                     v[1] = (j + 0.5) / cell
                     v[2] = (i + 0.5) / cell
+                    for a in range(d - 3):
+                        v[3 + a] = stack[i, j, a]
                     for a in range(d):
+                        left = v[a]
                         for b in range(a + 1):
-                            g[a, b] += v[a] * v[b]
+                            g[a, b] += left * v[b]
             for a in range(d):
                 for b in range(a):
                     g[b, a] = g[a, b]
@@ -91,49 +89,55 @@ def _gram(start, stop, stack, cell, grams, counts):  # type: ignore[no-untyped-d
 
 
 @njit(nogil=True, cache=True)
-def _cross(start, stop, target, stack, cell, grams, counts, out, number):  # type: ignore[no-untyped-def]
+def _cross(start, stop, target, stack, known, cell, grams, counts, out, number):  # type: ignore[no-untyped-def]
     """Bordered sums: those of `_gram` with the target as the last row, masked by both."""
-    d = stack.shape[0] + 3
-    cols = counts.shape[1]
+    d = stack.shape[2] + 3
+    v = np.empty(d)
+    g = np.empty((d, d))
+    line = np.empty(d)
     for r in range(start, stop):
-        v = np.empty(d + 1)
-        for c in range(cols):
+        for c in range(counts.shape[1]):
             n = 0
             for i in range(r * cell, (r + 1) * cell):
                 for j in range(c * cell, (c + 1) * cell):
-                    if np.isfinite(target[i, j]):
+                    if known[i, j] and np.isfinite(target[i, j]):
                         n += 1
-            if n == 0 or counts[r, c] == 0:
+            if n == 0:
                 continue
-            whole = n == cell * cell and counts[r, c] == n
-            kept = 0
+            whole = n == counts[r, c]
+            number[r, c] = n
+            g[:] = 0.0
+            line[:] = 0.0
+            square = 0.0
             for i in range(r * cell, (r + 1) * cell):
                 for j in range(c * cell, (c + 1) * cell):
-                    t = target[i, j]
-                    good = np.isfinite(t)
-                    for k in range(d - 3):
-                        v[3 + k] = stack[k, i, j]
-                        if not whole and not np.isfinite(v[3 + k]):
-                            good = False
-                    if not good:
+                    t = np.float64(target[i, j])
+                    if not (known[i, j] and np.isfinite(t)):
                         continue
-                    kept += 1
-                    v[0] = 1.0
-                    v[1] = (j + 0.5) / cell
-                    v[2] = (i + 0.5) / cell
-                    v[d] = t
-                    for a in range(d + 1):
-                        out[r, c, d, a] += t * v[a]
+                    line[0] += t
+                    line[1] += t * ((j + 0.5) / cell)
+                    line[2] += t * ((i + 0.5) / cell)
+                    for a in range(d - 3):
+                        line[3 + a] += t * stack[i, j, a]
+                    square += t * t
                     if not whole:
+                        v[0] = 1.0
+                        v[1] = (j + 0.5) / cell
+                        v[2] = (i + 0.5) / cell
+                        for a in range(d - 3):
+                            v[3 + a] = stack[i, j, a]
                         for a in range(d):
-                            for b in range(d):
-                                out[r, c, a, b] += v[a] * v[b]
+                            left = v[a]
+                            for b in range(a + 1):
+                                g[a, b] += left * v[b]
             for a in range(d):
-                out[r, c, a, d] = out[r, c, d, a]
-                if whole:
-                    for b in range(d):
-                        out[r, c, a, b] = grams[r, c, a, b]
-            number[r, c] = kept
+                for b in range(a + 1):
+                    value = grams[r, c, a, b] if whole else g[a, b]
+                    out[r, c, a, b] = value
+                    out[r, c, b, a] = value
+                out[r, c, d, a] = line[a]
+                out[r, c, a, d] = line[a]
+            out[r, c, d, d] = square
 
 
 @njit(cache=True)
@@ -313,17 +317,19 @@ class Predictor:
     def __init__(self, images: np.ndarray, *, step: float = 1.0, cell: int = CELL_PX) -> None:
         self.k, self.step = len(images), step
         self.cell = min(cell, *images.shape[1:])
-        self.stack = np.ascontiguousarray(features(np.asarray(images, np.float32)))
-        d = len(self.stack) + 3
-        rows, cols = (n // self.cell for n in self.stack.shape[1:])
+        self.stack = features(np.asarray(images, np.float32))
+        # A NaN anywhere among the features makes their sum one.
+        self.known = np.isfinite(self.stack.sum(2))
+        d = self.stack.shape[2] + 3
+        rows, cols = (n // self.cell for n in self.known.shape)
         self.grams = np.zeros((rows, cols, d, d))
         self.counts = np.zeros((rows, cols), np.int64)
-        in_threads(_gram, rows, self.stack, self.cell, self.grams, self.counts)
+        in_threads(_gram, rows, self.stack, self.known, self.cell, self.grams, self.counts)
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) of the common frame."""
-        return self.stack.shape[1:]
+        return self.known.shape[0], self.known.shape[1]
 
     def compare(self, target: np.ndarray, *, ridge: float = RIDGE) -> Windows:
         """Return the shifts of `target`, warped into the common frame, against the predictors."""
@@ -331,8 +337,8 @@ class Predictor:
         d, k = self.grams.shape[2] + 1, self.k
         cells, number = np.zeros((rows, cols, d, d)), np.zeros((rows, cols), np.int64)
         target = np.ascontiguousarray(target, np.float32)
-        known = (self.stack, self.cell, self.grams, self.counts)
-        in_threads(_cross, rows, target, *known, cells, number)
+        ours = (self.stack, self.known, self.cell, self.grams, self.counts)
+        in_threads(_cross, rows, target, *ours, cells, number)
         shift, r2 = np.zeros((rows, cols, 2)), np.zeros((rows, cols))
         info, lean = np.zeros((rows, cols, 2, 2)), np.zeros((rows, cols, k, k))
         result = (shift, info, r2, lean)

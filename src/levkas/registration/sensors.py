@@ -16,13 +16,14 @@ from levkas.registration.models import Observations
 from levkas.registration.prediction import Scene, cell_px, compared, rooted, sampled
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.refinement import Predictor, Windows
-from levkas.transforms import Composed, Transform
+from levkas.transforms import Affine, Composed, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage
 
 COARSE_BANDS = 4
 ROUNDS = 2
+LARGE_PX = 600_000
 LEAST_CELLS = 5
 LEAST_WINDOWS = 12
 LARGE_HOLE = 7
@@ -151,54 +152,88 @@ def align_sensor(
             )
         )
     bands = ordered(bands)
-    base = found.transform
-    scale = _scale(base, scene.shape)
-    block = max(1, round(scale / 1.2))
+    scale = _scale(found.transform, scene.shape)
+    view = _View(images, scene, max(1, round(scale / 1.2)))
     finest = max(1, round(0.9 / scale))
+    base, step = _approach(_spread(bands, COARSE_BANDS), view, found, finest)
     model = still(len(bands), *frame_of(scene.shape))
-    rung, seen = None, {}
-    steps = steps_of(scene.shape, finest)
-    for turn, step in enumerate([*steps, *[finest] * (ROUNDS - 1)]):
-        last = turn >= len(steps) - 1
-        chosen = bands if last else _spread(bands, COARSE_BANDS)
-        places = [bands.index(band) for band in chosen]
-        size = (scene.shape[0] // step, scene.shape[1] // step)
-        predictor = scene.predictor(step)
-        here, shown = {}, {}
-        for i, band in zip(places, chosen, strict=True):
-            full = Composed(model.transform(i), base)
-            image = sampled(images[band.label], full, size, step, block=block if scale > 1 else 1)
-            here[band.label], shown[band.label] = compared(predictor, image), image
-        common, information = combine(list(here.values()))
-        if not last and _usable(information).sum() < LEAST_WINDOWS:
-            continue  # too little to see at this size; the key points' map stands
-        rung = _base(base, here[chosen[0].label].centres, common, information, step, last)
-        if last:
-            seen = here
-            corrected = _correction(base, rung.transform, here[chosen[0].label].centres)
-            model = (
-                fit_chromatic(
-                    list(here.values()), model, [b.wavelength for b in bands], common=corrected
-                )
-                if len(bands) > 1
-                else model
-            )
+    for _ in range(ROUNDS if scene.shape[0] * scene.shape[1] < LARGE_PX * step**2 else 1):
+        here = view.look(bands, [model.transform(i) for i in range(len(bands))], base, step)
+        rung = _base(base, here, step, coarse=False)
+        _check(rung, found, bands[0].sensor)
+        if len(bands) > 1:
+            moved = _correction(base, rung.transform, here[0].centres)
+            model = fit_chromatic(here, model, [band.wavelength for band in bands], common=moved)
         base = rung.transform
-        points = rung.observations.points
-        if not plausible(base, (*points.min(0), *points.max(0)), found.mirrored):
-            raise RegistrationRefused(
-                Problem(
-                    "E_FOLD",
-                    "the map of this sensor folds or stretches beyond belief",
-                    field=bands[0].sensor or None,
-                )
-            )
-    best = max(here, key=lambda label: float(here[label].r2.mean()))
-    evidence = _evidence(predictor, shown[best], here[best])
+    best = max(range(len(bands)), key=lambda i: float(here[i].r2.mean()))
+    image = view.sampled(bands[best], Composed(model.transform(best), base), step)
+    evidence = _evidence(scene.predictor(step), image, here[best])
     transforms: dict[str, Transform] = {
         band.label: Composed(model.transform(i), base) for i, band in enumerate(bands)
     }
-    return Sensor(bands[0].sensor, transforms, base, model, rung, seen, found, finest, evidence)
+    seen = {band.label: windows for band, windows in zip(bands, here, strict=True)}
+    return Sensor(bands[0].sensor, transforms, base, model, rung, seen, found, step, evidence)
+
+
+@dataclass(frozen=True)
+class _View:
+    """A sensor's images seen against the scene; `block` native px make about one reference px."""
+
+    images: Mapping[str, np.ndarray]
+    scene: Scene
+    block: int
+
+    def sampled(self, band: BandImage, transform: Transform, step: int) -> np.ndarray:
+        size = (self.scene.shape[0] // step, self.scene.shape[1] // step)
+        return sampled(self.images[band.label], transform, size, step, block=self.block)
+
+    def look(
+        self,
+        bands: Sequence[BandImage],
+        own: Sequence[Transform],
+        base: Transform,
+        step: int,
+    ) -> list[Windows]:
+        predictor = self.scene.predictor(step)
+        return [
+            compared(predictor, self.sampled(band, Composed(before, base), step))
+            for band, before in zip(bands, own, strict=True)
+        ]
+
+
+def _approach(
+    bands: Sequence[BandImage], view: _View, found: Start, finest: int
+) -> tuple[Transform, int]:
+    """Refine the start from coarse to fine; return the base map and the step that shows most.
+
+    Fine grids of oversampled or noisy pictures know less than coarser ones, which average: the
+    information of the windows tells.
+    """
+    base, step, known = found.transform, finest, -np.inf
+    identity = [Affine.identity()] * len(bands)
+    for finer in steps_of(view.scene.shape, finest):
+        here = view.look(bands, identity, base, finer)
+        if _usable(combine(here)[1]).sum() < LEAST_WINDOWS and finer > finest:
+            continue  # too little to see at this size; the key points' map stands
+        rung = _base(base, here, finer, coarse=True)
+        if rung.knowledge < known:
+            return base, step
+        _check(rung, found, bands[0].sensor)
+        base, step, known = rung.transform, finer, rung.knowledge
+    return base, step
+
+
+def _check(rung: Rung, found: Start, sensor: str) -> None:
+    points = rung.observations.points
+    if not plausible(rung.transform, (*points.min(0), *points.max(0)), found.mirrored):
+        raise RegistrationRefused(
+            Problem(
+                "E_FOLD",
+                "the map of this sensor folds or stretches beyond belief",
+                field=sensor or None,
+                fix="Check that both show the same object; give control points if they do.",
+            )
+        )
 
 
 def _evidence(predictor: Predictor, image: np.ndarray, seen: Windows) -> dict[str, float]:
@@ -255,14 +290,9 @@ def _usable(information: np.ndarray) -> np.ndarray:
     return np.asarray(np.trace(information, axis1=1, axis2=2) > 0)
 
 
-def _base(
-    base: Transform,
-    centres: np.ndarray,
-    common: np.ndarray,
-    information: np.ndarray,
-    step: int,
-    last: bool,
-) -> Rung:
+def _base(base: Transform, seen: Sequence[Windows], step: int, *, coarse: bool) -> Rung:
+    common, information = combine(seen)
+    centres = seen[0].centres
     used = _usable(information)
     if used.sum() < LEAST_WINDOWS:
         raise RegistrationRefused(
@@ -280,7 +310,7 @@ def _base(
     finite = np.isfinite(target).all(1)
     observations = Observations(points, target, jacobian, information[used]).part(finite)
     spacing = 4.0 * step * cell_px((0, 0))
-    return climb(observations, spacing=spacing, coarse=not last)
+    return climb(observations, spacing=spacing, coarse=coarse)
 
 
 def _correction(before: Transform, after: Transform, centres: np.ndarray) -> np.ndarray:

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.registration.chromatic import Chromatic, fit_chromatic, still
+from levkas.registration.chromatic import LEAST_WINDOWS, Chromatic, fit_chromatic, still
+from levkas.registration.ladder import climb
+from levkas.registration.models import Observations
 from levkas.registration.prediction import cell_px, compared, condense, sampled
 from levkas.registration.refinement import Predictor, Windows
-from levkas.registration.sensors import Sensor, frame_of, ordered, steps_of
+from levkas.registration.sensors import LARGE_PX, Sensor, frame_of, ordered, steps_of
 from levkas.transforms import Affine, Transform
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 RIDGES = (1e-2, 1e-3, 3e-4, 1e-4)
 HALVES_FROM = 6
 FAR_PX = 0.5
+STEADY = 0.05
 
 
 def align_own(
@@ -40,9 +43,13 @@ def align_own(
     model = still(len(bands), *frame_of(anchor.values.shape))
     seen: list[Windows] = []
     if len(bands) > 1:
-        model = _approach(pictures, places, fixed, model)
+        step = _telling(pictures, fixed)
+        step = max(step, 1 if anchor.values.size < LARGE_PX else 2)
+        model = _nearer(pictures, places, fixed, model, step)
         for ridge in RIDGES:
-            model, seen = _adjust(pictures, places, fixed, model, ridge)
+            model, seen = _adjust(pictures, places, fixed, model, step, ridge)
+        if step > 1:
+            model, seen = _finer(pictures, places, fixed, model, step, seen)
     identity = Affine.identity()
     transforms: dict[str, Transform] = {
         label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
@@ -51,22 +58,87 @@ def align_own(
     return Sensor(anchor.sensor, transforms, identity, model, None, windows)
 
 
+def _finer(
+    pictures: Sequence[np.ndarray],
+    places: Sequence[float],
+    fixed: int,
+    model: Chromatic,
+    step: int,
+    seen: list[Windows],
+) -> tuple[Chromatic, list[Windows]]:
+    """Adjust once more at half the step, and keep that if its windows know more.
+
+    What was measured on the coarser grid holds to a part of its pixel: where noise drowns the
+    finer one, bands that look alike drift together, and farther than that.
+    """
+    finer, looked = _adjust(pictures, places, fixed, model, step // 2, RIDGES[-1])
+    width = model.amounts.shape[1]
+    moved = np.sqrt(((finer.amounts[:, :width] - model.amounts) ** 2).sum(1)).max()
+    before, after = (sum(_knowledge(w) for w in windows) for windows in (seen, looked))
+    return (finer, looked) if after > before and moved < STEADY * step else (model, seen)
+
+
+def _telling(pictures: Sequence[np.ndarray], fixed: int) -> int:
+    """Return the step at which windows know most: fine grids of oversampled frames know less."""
+    near = sorted((i for i in range(len(pictures)) if i != fixed), key=lambda i: abs(i - fixed))[:2]
+    identity, shape = Affine.identity(), pictures[fixed].shape
+    best, known = 1, -np.inf
+    for step in steps_of(shape, 1):
+        size = (shape[0] // step, shape[1] // step)
+        anchor, *others = (sampled(pictures[i], identity, size, step) for i in (fixed, *near))
+        predictor = Predictor(condense(anchor[None]).ready().images, step=step, cell=cell_px(size))
+        seen = [compared(predictor, image) for image in others]
+        total = sum(_knowledge(windows) for windows in seen)
+        if total > known:
+            best, known = step, total
+    return best
+
+
+def _knowledge(seen: Windows) -> float:
+    """All information of the windows, 1/px², by how they really scatter about a smooth field."""
+    used = np.trace(seen.information, axis1=1, axis2=2) > 0
+    if used.sum() < LEAST_WINDOWS:
+        return 0.0
+    points, one = seen.centres[used], np.broadcast_to(np.eye(2), (int(used.sum()), 2, 2))
+    observed = Observations(points, points - seen.shift[used], one, seen.information[used])
+    return climb(observed, spacing=1.0, coarse=True).knowledge
+
+
+def _nearer(
+    pictures: Sequence[np.ndarray], places: Sequence[float], fixed: int, model: Chromatic, step: int
+) -> Chromatic:
+    """Return the start from which the bands predict each other better: as they are, or brought near.
+
+    The anchor alone predicts other bands badly: what it says is of use only where bands are far.
+    """
+    near = _approach(pictures, places, fixed, model)
+    if near is model:
+        return model
+    explained = []
+    for tried in (model, near):
+        seen = _adjust(pictures, places, fixed, tried, step, RIDGES[0])[1]
+        explained.append(float(np.mean([_explained(windows) for windows in seen])))
+    return near if explained[1] > explained[0] else model
+
+
+def _explained(windows: Windows) -> float:
+    used = np.trace(windows.information, axis1=1, axis2=2) > 0
+    return float(windows.r2[used].mean()) if used.any() else 0.0
+
+
 def _approach(
     pictures: Sequence[np.ndarray], places: Sequence[float], fixed: int, model: Chromatic
 ) -> Chromatic:
     """Bring bands that are pixels apart near, by the anchor alone; leave what is near as it is."""
     first, shape = model, pictures[fixed].shape
-    for step in [*steps_of(shape, 1), 1]:
+    for step in steps_of(shape, 1):
         size = (shape[0] // step, shape[1] // step)
         warped = [sampled(p, model.transform(i), size, step) for i, p in enumerate(pictures)]
         palette = condense(warped[fixed][None]).ready()
         predictor = Predictor(palette.images, step=step, cell=cell_px(size))
         seen = [compared(predictor, image) for image in warped]
         model = fit_chromatic(seen, model, places, highest="affine", fixed=fixed)
-        if step > 1:
-            continue
-        apart = np.sqrt((model.amounts**2).sum(1))
-        if apart.max() < FAR_PX:
+        if np.sqrt((model.amounts**2).sum(1)).max() < FAR_PX:
             return first
     return model
 
@@ -76,15 +148,17 @@ def _adjust(
     places: Sequence[float],
     fixed: int,
     model: Chromatic,
+    step: int,
     ridge: float,
 ) -> tuple[Chromatic, list[Windows]]:
-    count, shape = len(pictures), pictures[fixed].shape
-    warped = [sampled(p, model.transform(i), shape, 1) for i, p in enumerate(pictures)]
+    count, (height, width) = len(pictures), pictures[fixed].shape
+    size = (height // step, width // step)
+    warped = [sampled(p, model.transform(i), size, step) for i, p in enumerate(pictures)]
     leaning, seen = np.zeros((count, count)), {}
     for group in _groups(count, fixed):
         others = [i for i in range(count) if i not in group]
         palette = condense(np.stack([warped[i] for i in others])).ready()
-        predictor = Predictor(palette.images, cell=cell_px(shape))
+        predictor = Predictor(palette.images, step=step, cell=cell_px(size))
         for i in group:
             seen[i] = compared(predictor, warped[i], ridge=ridge)
             leaning[i, others] = palette.leaning(seen[i])
