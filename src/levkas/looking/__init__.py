@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.problems import Problem, Refused
+from levkas.looking.refusals import LookRefused
+from levkas.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.looking.proposal import Proposal
@@ -13,10 +14,6 @@ if TYPE_CHECKING:
 __all__ = ["LookRefused", "look", "write_campaign"]
 
 FILE = "campaign.toml"
-
-
-class LookRefused(Refused):
-    """A folder holds nothing that a campaign could be made of, or already has one."""
 
 
 def look(folder: str | Path) -> Proposal:

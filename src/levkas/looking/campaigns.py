@@ -9,22 +9,26 @@ from dataclasses import replace
 from pathlib import Path
 
 from levkas.cube import band_labels
+from levkas.declaring.contradictions import find_contradictions, is_safe_name
 from levkas.finding.patterns import natural
 from levkas.looking.describing import describe_camera
 from levkas.looking.grouping import Group, group_cameras
 from levkas.looking.listing import Listing
 from levkas.looking.naming import name_targets
 from levkas.looking.proposal import CameraGuess, Proposal, Said, to_toml
+from levkas.looking.refusals import LookRefused
 from levkas.looking.roles import tell_roles
 from levkas.looking.samples import Samples
 from levkas.looking.spectra import find_warmth
 from levkas.looking.tables import find_white_table, with_sensitivity
 from levkas.looking.words import CHARTS, GENERIC
-from levkas.problems import Refused
+from levkas.problems import Problem, Refused
 
 GREEN_NM = 550.0
 """Where eyes and lenses are at their best; the reference band of the paper."""
-VISIBLE_NM = (400.0, 720.0)
+VISIBLE_NM, NEAR_NM = (400.0, 720.0), 30.0
+PHOTOGRAPHS = r"(.*[-_ ])?(photo|photograph|foto|vis|visible|rgb|color|colour)([-_ ].*)?"
+"""Names of cameras that took the picture as one sees it."""
 RANKS = {"bands": 4, "mosaic": 3, "cube": 2, "sensors": 2, "image": 1}
 """Which kinds make the better reference: a sharp frame a band, then a sharp mosaic."""
 MOST_TOLD = 6
@@ -36,11 +40,12 @@ def propose(listing: Listing) -> Proposal:
     samples = Samples()
     named = name_targets(listing.seen, same_scene=samples.same_scene)
     groups, left_out = group_cameras(named, listing.root.resolve().name)
+    if not groups:
+        raise LookRefused(_no_object(listing, left_out))
     unknown: list[str] = []
-    for group in groups:
-        unknown += [f"{group.name}: {told}" for told in tell_roles(group, samples)]
-    if not any(group.of_role("object") for group in groups):
-        unknown.append("what the object is: all targets look like darks, whites or charts")
+    by_eye = [f"{g.name}: {told}" for g in groups for told in tell_roles(g, samples)]
+    unknown += by_eye
+    unknown += _without_conflicts(groups)
     warmth = find_warmth(groups, samples)
     cameras = [
         with_sensitivity(
@@ -57,11 +62,13 @@ def propose(listing: Listing) -> Proposal:
             "whether some of these pictures show one object: each is taken for an object of its own, "
             "and with one camera nothing is registered"
         )
-    reference, why = _reference(groups, cameras)
-    targets, objects, more = _targets(listing, cameras, cameras[reference].name)
+    shapes = [group.frames[0].named.seen.facts.shape for group in groups]
+    reference, why = _reference(cameras, [shape[0] * shape[1] for shape in shapes])
+    how = "by their histograms" if by_eye else "by their names"
+    targets, objects, more = _targets(listing, cameras, cameras[reference].name, how)
     unknown += [text for camera in cameras for text in camera.unknown] + more
     left_out += [f"{name}: {reason}" for name, reason in listing.unreadable.items()]
-    band = _band(groups[reference], cameras[reference])
+    band = _band(cameras[reference])
     told = {"camera": cameras[reference].name} | ({"band": band} if band else {})
     described = {"title": Said(_title(listing.root)), **_date(listing)}
     described["reference"] = Said(told, why)
@@ -78,6 +85,30 @@ def propose(listing: Listing) -> Proposal:
     return replace(proposal, unknown=(*proposal.unknown, *_shortened(check(proposal))))
 
 
+def _no_object(listing: Listing, left_out: Sequence[str]) -> Problem:
+    return Problem(
+        "E_NO_FRAMES",
+        "all captures here are darks, whites or charts",
+        file=str(listing.root),
+        found="; ".join(left_out[:MOST_TOLD]),
+        expected="frames of an object",
+        fix="Give the folder that holds the objects' frames too.",
+    )
+
+
+def _without_conflicts(groups: Sequence[Group]) -> list[str]:
+    """Take a target for an object everywhere where cameras disagree; return what was so decided."""
+    roles: dict[str, set[str]] = {}
+    for frame in (f for g in groups for f in g.frames):
+        roles.setdefault(frame.target, set()).add(frame.role)
+    doubted = {target for target, told in roles.items() if len(told) > 1}
+    for group in groups:
+        group.frames = [f.with_role("object") if f.target in doubted else f for f in group.frames]
+    return [
+        f"whether {name} is an object: not all cameras' frames look it" for name in sorted(doubted)
+    ]
+
+
 def check(proposal: Proposal) -> list[str]:
     """Read the proposal as a campaign and find its captures; return what would be refused, and why."""
     from levkas.campaign import Camera, Campaign, Document
@@ -85,6 +116,8 @@ def check(proposal: Proposal) -> list[str]:
 
     root = proposal.root.resolve()
     document = Document.model_validate(tomllib.loads(proposal.text))
+    if wrong := list(find_contradictions(document, root)):
+        return [str(p) for p in wrong]
     cameras = {
         name: Camera.model_construct(name=name, **dict(keys))
         for name, keys in document.cameras.items()
@@ -98,28 +131,31 @@ def check(proposal: Proposal) -> list[str]:
     told = []
     for (name, camera, setup), why in refusals.items():
         layer = f"{camera}@{setup}" if setup else camera
-        told += [f"{name}/{layer} would be refused: {p}" for p in why.problems]
+        for problem in why.problems:
+            fix = f". {problem.fix}" if problem.fix else ""
+            told.append(f"{name}/{layer} would be refused: {problem.message}{fix}")
     return told
 
 
 # --- reference --------------------------------------------------------------------------------
 
 
-def _reference(groups: Sequence[Group], cameras: Sequence[CameraGuess]) -> tuple[int, str]:
+def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[int, str]:
     """The camera to register the others to: it saw most objects, has most bands in the visible."""
 
     def worth(i: int) -> tuple[float, ...]:
-        objects = len({f.target for f in groups[i].of_role("object")})
-        centres = _centres(groups[i], cameras[i])
-        visible = [w for w in centres if VISIBLE_NM[0] <= w <= VISIBLE_NM[1]]
-        near = bool(visible) and min(abs(w - GREEN_NM) for w in visible) <= 30
-        shape = groups[i].frames[0].named.seen.facts.shape
+        camera = cameras[i]
+        objects = sum(role == "object" for role in camera.targets.values())
+        visible = [w for w in camera.centres if VISIBLE_NM[0] <= w <= VISIBLE_NM[1]]
+        near = bool(visible) and min(abs(w - GREEN_NM) for w in visible) <= NEAR_NM
+        plain = camera.kind == "image" and bool(re.fullmatch(PHOTOGRAPHS, camera.name.lower()))
         return (
             objects,
-            near or not centres,
-            RANKS[cameras[i].kind],
+            near or not camera.centres,
+            RANKS[camera.kind],
             len(visible),
-            shape[0] * shape[1],
+            plain,
+            sizes[i],
         )
 
     best = max(range(len(cameras)), key=worth)
@@ -127,21 +163,10 @@ def _reference(groups: Sequence[Group], cameras: Sequence[CameraGuess]) -> tuple
     return best, why
 
 
-def _centres(group: Group, camera: CameraGuess) -> tuple[float, ...]:
-    """Wavelengths of a camera's bands, nm, as far as names or headers say them."""
-    numbers = {f.number("wavelength") for f in group.of_role("object")} - {None}
-    if camera.kind == "bands" and numbers:
-        return tuple(sorted(float(str(n)) for n in numbers))
-    told = [f.named.seen.facts.wavelengths or () for f in group.of_role("object") or group.frames]
-    if camera.kind == "sensors":
-        return tuple(dict.fromkeys(w for waves in told for w in waves))
-    return tuple(told[0]) if told else ()
-
-
-def _band(group: Group, camera: CameraGuess) -> str:
+def _band(camera: CameraGuess) -> str:
     """The label of the band nearest to green; "" where the default, the middle one, will do."""
-    centres = _centres(group, camera)
-    if not centres:
+    centres = camera.centres
+    if not centres or camera.kind in ("mosaic", "image"):
         return ""
     place = min(range(len(centres)), key=lambda i: abs(centres[i] - GREEN_NM))
     if camera.kind != "sensors":
@@ -154,7 +179,7 @@ def _band(group: Group, camera: CameraGuess) -> str:
 
 
 def _targets(
-    listing: Listing, cameras: Sequence[CameraGuess], reference: str
+    listing: Listing, cameras: Sequence[CameraGuess], reference: str, how: str
 ) -> tuple[dict[str, Said], list[str], list[str]]:
     """Keys of [targets], the objects, and what is unknown of them."""
     by_role: dict[str, list[str]] = {"dark": [], "white": [], "chart": [], "object": []}
@@ -165,15 +190,18 @@ def _targets(
     unknown: list[str] = []
     keys: dict[str, Said] = {}
     if dark := sorted(by_role["dark"], key=natural):
-        keys["dark"] = Said(dark[0] if len(dark) == 1 else dark, "by their names")
+        keys["dark"] = Said(dark[0] if len(dark) == 1 else dark, how)
     if white := sorted(by_role["white"], key=natural):
-        keys["white"], told = _white(listing, white)
+        keys["white"], told = _white(listing, white, how)
         unknown += told if set(white) & calibrated else []
     charts = {t: _chart(t) for t in sorted(by_role["chart"], key=natural)}
     if charts:
         keys["charts"] = Said(charts, "by their names; check which chart each is")
     seen = next(c.targets for c in cameras if c.name == reference)
     objects = sorted(by_role["object"], key=natural)
+    if unsafe := [name for name in objects if not is_safe_name(name)]:
+        unknown.append(f"how to call {', '.join(unsafe[:MOST_TOLD])}: file names cannot hold this")
+    objects = [name for name in objects if name not in unsafe]
     lost = [name for name in objects if name not in seen]
     if lost:
         unknown.append(f"where the reference camera's image of {', '.join(lost[:MOST_TOLD])} is")
@@ -183,12 +211,12 @@ def _targets(
     return keys, objects, unknown
 
 
-def _white(listing: Listing, names: list[str]) -> tuple[Said, list[str]]:
+def _white(listing: Listing, names: list[str], how: str) -> tuple[Said, list[str]]:
     """The white board, with a table of its reflectance where one stands beside."""
     one: object = names[0] if len(names) == 1 else names
     if table := find_white_table(listing.root, listing.tables):
         return Said({"names": one, "reflectance": table}, "the table that stands beside"), []
-    return Said(one, "by their names; what it reflects is not in the files"), [UNKNOWN_WHITE]
+    return Said(one, f"{how}; what it reflects is not in the files"), [UNKNOWN_WHITE]
 
 
 def _hints(targets: dict[str, Said]) -> tuple[str, ...]:

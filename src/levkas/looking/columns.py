@@ -43,6 +43,14 @@ class Files:
     shots: bool = False
     reasons: tuple[str, ...] = ()
 
+    def spelt(self, kind: str) -> tuple[str, ...]:
+        """Return the patterns with the fields that a camera of some kind has; others become ``*``."""
+        fields = {"bands": "sensor", "sensors": "wavelength|band"}.get(
+            kind, "sensor|wavelength|band"
+        )
+        spelt = (re.sub(rf"\{{({fields})\}}", "*", text) for text in self.patterns)
+        return tuple(dict.fromkeys(re.sub(r"\*{2,}", "*", text) for text in spelt))
+
     def sensor_of(self) -> dict[Path, str]:
         """Return the value of ``{sensor}`` of each file that has one."""
         return {f.named.seen.path: name for name, frames in self.sensors.items() for f in frames}
@@ -121,7 +129,7 @@ def _pattern(frames: list[Frame]) -> _Made:
             reasons.append(f"{{shot}} counts {some[0]} … {some[-1]}")
     text = "/".join(
         "".join(
-            first.segments[i][j].gap + _spelt(columns[i, j], fields[i, j])
+            re.sub(r"[{}*]+", "*", first.segments[i][j].gap) + _spelt(columns[i, j], fields[i, j])
             for j in range(len(first.segments[i]))
         )
         for i in range(len(first.segments))
@@ -222,7 +230,7 @@ def _shots(
 def _spelt(tokens: Sequence[Token], field: str) -> str:
     first = tokens[0]
     if field == "":
-        return first.text
+        return re.sub(r"[{}*]+", "*", first.text)
     if field == "any":
         return "*"
     if field in ("wavelength", "exposure"):

@@ -10,7 +10,7 @@ from math import isnan
 import numpy as np
 
 from levkas.looking.columns import Files, find_patterns
-from levkas.looking.grouping import Frame, Group
+from levkas.looking.grouping import Frame, Group, safe_name
 from levkas.looking.pixels import bits_of
 from levkas.looking.proposal import CameraGuess, Said, SensorGuess
 from levkas.looking.samples import CLIPPED, MOST_SAMPLED, Samples
@@ -45,9 +45,9 @@ def describe_camera(
     """
     files, notes = find_patterns(group.frames), Notes(about=list(group.notes))
     keys = {"kind": _kind(group, files, samples)}
-    texts = files.patterns
-    keys["files"] = Said(texts[0] if len(texts) == 1 else texts, "; ".join(files.reasons))
     kind = str(keys["kind"].value)
+    texts = files.spelt(kind)
+    keys["files"] = Said(texts[0] if len(texts) == 1 else texts, "; ".join(files.reasons))
     if kind == "sensors":
         _describe_sensors(group, files, samples, notes, warmth or {})
     elif kind in ("mosaic", "bands"):
@@ -74,13 +74,14 @@ def describe_camera(
         sensors=tuple(notes.sensors),
         hints=tuple(notes.hints),
         unknown=tuple(f"{group.name}: {text}" for text in notes.unknown),
+        centres=_centres(group, files),
         targets={f.target: f.role for f in group.frames},
-        setups={name: _setup(frames) for name, frames in group.setups.items()},
+        setups={safe_name(name): _setup(frames, kind) for name, frames in group.setups.items()},
     )
 
 
-def _setup(frames: Sequence[Frame]) -> Said:
-    patterns = find_patterns(frames).patterns
+def _setup(frames: Sequence[Frame], kind: str) -> Said:
+    patterns = find_patterns(frames).spelt(kind)
     why = "the same camera in a folder of its own: another lighting"
     return Said(patterns[0] if len(patterns) == 1 else patterns, why)
 
@@ -169,6 +170,17 @@ def _describe_sensors(
         notes.sensors.append(SensorGuess(name, keys))
 
 
+def _centres(group: Group, files: Files) -> tuple[float, ...]:
+    """Wavelengths of a camera's bands, in their order."""
+    if files.wavelengths:
+        return files.wavelengths
+    told = [f.named.seen.facts.wavelengths or () for f in group.of_role("object") or group.frames]
+    if files.sensors:
+        told = [frames[0].named.seen.facts.wavelengths or () for frames in files.sensors.values()]
+        return tuple(w for waves in told for w in waves)
+    return tuple(told[0])
+
+
 # --- bands, bits, exposures -------------------------------------------------------------------
 
 
@@ -252,6 +264,11 @@ def _check_templates(group: Group, samples: Samples, notes: Notes) -> None:
     if len(told) > 1:
         notes.about.append(f"Mean levels: {', '.join(told)} counts.")
     dark, white, shown = means["dark"], means["white"], means["object"]
+    if dark > max(white, shown):
+        notes.unknown.append(
+            "whether darks and whites are swapped: the darks are brighter than all else"
+        )
+        return
     if dark > 0.5 * min(v for v in (white, shown, np.inf) if not isnan(v)):
         notes.unknown.append(f"whether the darks are dark: their mean is {dark:.4g} counts")
     if white < shown:

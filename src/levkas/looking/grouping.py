@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from levkas.finding.patterns import natural
 from levkas.looking.targets import TARGET, Named, signature
@@ -40,6 +40,10 @@ class Frame:
     def target(self) -> str:
         """What it shows."""
         return self.named.target
+
+    def with_role(self, role: str) -> Frame:
+        """Return the frame with another role."""
+        return replace(self, named=replace(self.named, role=role))
 
     def number(self, kind: str) -> str | None:
         """The number of its wavelength or exposure, as it stands in the path."""
@@ -269,7 +273,7 @@ def _could_be_one(one: Group, other: Group) -> bool:
 
 def _give_names(groups: list[Group], root_name: str) -> None:
     """Name each camera after a folder, words in its files' names, its model, or the root: one's own first."""
-    offered = [[_safe(name) for name in _names(group, root_name)] for group in groups]
+    offered = [[safe_name(name) for name in _names(group, root_name)] for group in groups]
     times = Counter(name.casefold() for names in offered for name in dict.fromkeys(names))
     taken: Counter[str] = Counter()
     for group, names in zip(groups, offered, strict=True):
@@ -296,7 +300,8 @@ def _names(group: Group, root_name: str) -> list[str]:
     return [*own, *(["-".join(words)] if words else []), model or root_name or "camera", "camera"]
 
 
-def _safe(name: str) -> str:
+def safe_name(name: str) -> str:
+    """Return a name as a camera or setup can bear it: what file names cannot hold becomes ``-``."""
     kept = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in name).strip("-_. ")
     kept = kept.replace(" ", "-")[:60] or "camera"
     return f"{kept}-camera" if kept.lower() == "grid" else kept

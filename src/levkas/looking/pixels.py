@@ -108,7 +108,8 @@ def find_mosaic(phases: dict[int, np.ndarray], *, dark: float = 0.0) -> int:
     (0, 3)
     """
     spans = {
-        side: float(np.ptp(means)) / max(float(means.mean()) - dark, 1e-9)
+        # A frame no brighter than its dark shows noise, not colours.
+        side: float(np.ptp(means)) / max(means.mean() - dark, 0.1 * means.mean(), 1e-9)
         for side, means in phases.items()
     }
     best = max(spans.values())

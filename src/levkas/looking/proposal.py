@@ -47,6 +47,8 @@ class CameraGuess:
         Keys that may be wanted, as comments.
     unknown : tuple of str
         What the files do not say.
+    centres : tuple of float
+        Wavelengths of its bands, nm, as names or headers say them.
     targets : dict
         Target → role.
     setups : dict
@@ -59,6 +61,7 @@ class CameraGuess:
     sensors: tuple[SensorGuess, ...] = ()
     hints: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
+    centres: tuple[float, ...] = ()
     targets: dict[str, str] = field(default_factory=dict)
     setups: dict[str, Said] = field(default_factory=dict)
 

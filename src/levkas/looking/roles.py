@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from levkas.looking.grouping import Frame, Group, sensor_of
 from levkas.looking.pixels import Statistics
@@ -42,7 +41,7 @@ def tell_roles(group: Group, samples: Samples) -> list[str]:
         if told:
             found[target] = told[0]
     roles, reasons = _judged(found)
-    group.frames = [_with_role(f, roles.get(f.target)) for f in group.frames]
+    group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
     return reasons
 
 
@@ -78,7 +77,3 @@ def _judged(found: dict[str, Statistics]) -> tuple[dict[str, str], list[str]]:
     if len([t for t in found if t not in roles]) == 0:
         return {}, []  # nothing would be left to be an object
     return roles, reasons
-
-
-def _with_role(frame: Frame, role: str | None) -> Frame:
-    return replace(frame, named=replace(frame.named, role=role)) if role else frame
