@@ -118,6 +118,14 @@ class Ledger:
         """Return the names and hashes of what a finished stage made."""
         return dict(_read(self._path(key)).get("products", {}))
 
+    def hashes_of_products(self) -> dict[str, str]:
+        """Return name → SHA-256 of every product of every finished stage that still stands."""
+        known: dict[str, str] = {}
+        for path in sorted(self.folder.rglob("*.json")):
+            if path != self.hashes.path:
+                known.update(_read(path).get("products", {}))
+        return {name: sha for name, sha in known.items() if (self.output / name).is_file()}
+
     def told(self, key: Key) -> dict[str, Any]:
         """Return what a finished stage noted for later ones."""
         return dict(_read(self._path(key)).get("notes", {}))

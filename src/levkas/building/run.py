@@ -227,6 +227,8 @@ def _object_toml(campaign: Campaign, name: str) -> str:
 def _write_catalogue(places: Places, ledger: Ledger, captures: list[Capture]) -> Step:
     """One row a layer that stands in the database; objects of earlier builds keep theirs."""
     from levkas.database.catalogue import DatabaseRefused, read_catalogue, write_catalogue
+    from levkas.database.manifest import write_manifest
+    from levkas.database.store import write_index
 
     built = {c.object for c in captures}
     entries: list[Entry] = []
@@ -241,6 +243,10 @@ def _write_catalogue(places: Places, ledger: Ledger, captures: list[Capture]) ->
         if row := ledger.told(key).get("entry"):
             entries.append(entry_of(row))
     write_catalogue(places.output, entries)
+    for name in sorted({entry.object for entry in entries}):
+        if places.store(name).is_dir():
+            write_index(places.store(name))
+    write_manifest(places.output, ledger.hashes_of_products())
     return Step(Key("", stage="catalogue"), "done")
 
 
