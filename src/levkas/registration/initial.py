@@ -223,8 +223,10 @@ def _consensus(
     settings.score, settings.sampler = cv2.SCORE_METHOD_MAGSAC, cv2.SAMPLING_UNIFORM
     settings.loMethod, settings.randomGeneratorState = cv2.LOCAL_OPTIM_SIGMA, 0
     try:
-        matrix, mask = cv2.findHomography(q, p, settings)
-        forward = np.linalg.inv(matrix) if matrix is not None else None
+        # OpenCV's sampler turns down all samples that change orientation.
+        flip = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0])
+        matrix, mask = cv2.findHomography(q * np.diag(flip)[:2], p, settings)
+        forward = flip @ np.linalg.inv(matrix) if matrix is not None else None
     except (cv2.error, np.linalg.LinAlgError):
         return None
     if forward is None or not np.isfinite(forward).all():

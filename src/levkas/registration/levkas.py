@@ -56,8 +56,9 @@ def register_levkas(
         (``E_WINDOWS``).
     """
     from levkas.registration.assessment import assess
+    from levkas.registration.pictures import images_of
     from levkas.registration.prediction import Scene, registered
-    from levkas.registration.sensors import align_sensor, images_of
+    from levkas.registration.sensors import align_sensor
     from levkas.registration.siblings import align_own
     from levkas.registration.silhouette import find_object
 

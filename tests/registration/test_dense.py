@@ -1,0 +1,183 @@
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from levkas.registration.chromatic import fit_chromatic, still
+from levkas.registration.initial import _inverted, _mirrored, start
+from levkas.registration.ladder import RUNGS, climb
+from levkas.registration.models import Observations, fit_polynomial, fit_similarity, temper
+from levkas.registration.prediction import condense, rooted
+from levkas.registration.refinement import Predictor, Windows
+from levkas.registration.sampling import highpass, reduce, warp
+from levkas.spline import SplineShift
+from levkas.transforms import Affine, Composed, Homography, Lens, from_dict
+
+RNG = np.random.default_rng
+
+
+def texture(rng, shape=(150, 190), sigma=1.6):
+    return ndimage.gaussian_filter(rng.standard_normal(shape), sigma).astype(np.float32)
+
+
+def moved(image, shift):
+    """See `image` at p + shift."""
+    return warp(image, Affine(np.array([[1, 0, shift[0]], [0, 1, shift[1]]], float)), image.shape)
+
+
+def lattice(n=20, size=(400.0, 300.0)):
+    x, y = np.meshgrid(np.linspace(0, size[0], n), np.linspace(0, size[1], n))
+    return np.stack([x, y], -1).reshape(-1, 2)
+
+
+def observed(truth, points, rng, noise=0.02, outliers=0.0):
+    jacobian = truth.jacobian(points)
+    errors = noise * rng.standard_normal(points.shape)
+    wrong = rng.random(len(points)) < outliers
+    errors[wrong] += rng.uniform(-3, 3, (int(wrong.sum()), 2))
+    target = truth(points) + np.einsum("nab,nb->na", jacobian, errors)
+    information = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2))
+    return Observations(points, target, jacobian, information)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.45), (0.5, 0.5)])
+def test_a_shift_between_weighted_sums_is_recovered_to_a_hundredth_of_a_pixel(shift):
+    rng = RNG(1)
+    layers = [texture(rng) for _ in range(3)]
+    here = np.stack([highpass(moved(layer, (0, 0))) for layer in layers])
+    mixed = -0.7 * layers[0] + 1.3 * layers[1] + 0.2 * layers[2]
+    predictor = Predictor(here, cell=12)
+    left = np.array(shift)
+    for _ in range(3):  # the first step overshoots: central differences are shorter than slopes
+        seen = predictor.compare(highpass(moved(mixed, left)))
+        left = left - np.median(seen.shift[seen.r2 > 0.5], 0)
+    assert np.abs(left).max() < 0.01
+
+
+def test_windows_of_a_masked_target_are_unusable_and_others_keep_their_answer():
+    rng = RNG(2)
+    layer = texture(rng)
+    predictor = Predictor(highpass(moved(layer, (0, 0)))[None], cell=12)
+    whole = highpass(moved(layer, (0.2, 0)))
+    holed = whole.copy()
+    holed[:, 95:] = np.nan
+    a, b = predictor.compare(whole), predictor.compare(holed)
+    far = a.centres[:, 0] < 70
+    assert np.allclose(a.shift[far], b.shift[far])
+    assert not b.information[a.centres[:, 0] > 125].any()
+
+
+def test_warp_reproduces_a_ramp_and_reduce_keeps_its_place():
+    x = np.mgrid[:60, :80][1].astype(np.float32)
+    seen = warp(x, Affine(np.array([[1.0, 0, 3.3], [0, 1, 2.6]])), (40, 50))
+    assert np.nanmax(np.abs(seen - (x[:40, :50] + 3.3))) < 1e-5
+    assert np.allclose(reduce(x, 4)[0, :3], [1.5, 5.5, 9.5])
+
+
+def test_fits_are_exact_on_their_own_family():
+    points, turn = lattice(), np.deg2rad(30)
+    turned = 1.4 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    for linear in (turned, turned @ np.diag([-1.0, 1.0])):
+        truth = Affine(np.column_stack([linear, [5.0, -3]]))
+        seen = observed(truth, points, RNG(0), noise=1e-9)
+        assert np.allclose(fit_similarity(seen)(points), truth(points), atol=1e-6)
+        assert np.allclose(fit_polynomial(seen, 2)(points), truth(points), atol=1e-6)
+
+
+def test_ladder_takes_the_lens_for_a_lens_and_not_more_than_an_affine_for_an_affine():
+    points = lattice(18)
+    affine = Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
+    low = climb(observed(affine, points, RNG(3)), spacing=60)
+    assert list(RUNGS).index(low.name) <= list(RUNGS).index("homography")
+    plane = Homography(np.array([[1.2, 0.01, 3], [0.0, 1.21, 5], [3e-5, -2e-5, 1]]))
+    lens = Composed(plane, Lens(np.array([240.0, 180]), 240.0, (0.02, -0.004)))
+    high = climb(observed(lens, points, RNG(4), outliers=0.1), spacing=60)
+    error = np.linalg.norm(high.transform(points) - lens(points), axis=1)
+    assert high.scores["homography+lens"] < high.scores["homography"] / 2
+    assert error.mean() < 0.02
+
+
+def test_sigma_of_the_jackknife_is_of_the_size_of_the_true_error():
+    points = lattice(18)
+    truth = Affine(np.array([[1.0, 0.02, 4], [-0.01, 1.0, 7]]))
+    ratios = []
+    for seed in range(8):
+        rung = climb(observed(truth, points, RNG(seed), noise=0.1), spacing=60)
+        error = np.linalg.norm(rung.transform(points) - truth(points), axis=1)
+        ratios.append(np.sqrt((error**2).mean() / (rung.sigma(points) ** 2).mean()))
+    assert 0.5 < np.median(ratios) < 2
+
+
+def test_common_variance_is_found_and_outliers_lose_their_weight():
+    rng = RNG(5)
+    residuals = 0.1 * rng.standard_normal((500, 2))
+    residuals[:20] += 5
+    information = np.broadcast_to(np.eye(2) * 1e6, (500, 2, 2))
+    floored, weights = temper(residuals, information)
+    assert floored[0, 0, 0] == pytest.approx(100, rel=0.2)
+    assert weights[:20].max() < 1e-3 < 0.3 < np.median(weights)
+
+
+def windows_of(field, points, rng, noise):
+    shift = field(points) + noise * rng.standard_normal(points.shape)
+    information = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
+    return Windows(points, shift, information, np.ones(len(points)), np.zeros((len(points), 1, 1)))
+
+
+def test_magnifications_of_bands_are_recovered_smoothly_and_a_blind_band_is_interpolated():
+    rng, points = RNG(6), lattice()
+    centre, spread = np.array([200.0, 150]), 200.0
+    wavelengths = np.arange(450.0, 700, 25)
+    truth = 0.002 * (wavelengths - 550) / 100
+    seen = [windows_of(lambda p, m=m: -m * (p - centre), points, rng, 0.05) for m in truth]
+    seen[2] = Windows(points, seen[2].shift, np.zeros((400, 2, 2)), seen[2].r2, seen[2].leaning)
+    model = fit_chromatic(seen, still(10, centre, spread), wavelengths, fixed=4)
+    for band, magnification in enumerate(truth):
+        wanted = points + magnification * (points - centre)
+        error = np.linalg.norm(model.transform(band)(points) - wanted, axis=1)
+        assert error.mean() < (0.05 if band == 2 else 0.02), band
+    assert np.allclose(model.transform(4)(points), points)
+
+
+def test_key_points_find_mirrored_turned_and_inverted_pictures():
+    rng = RNG(7)
+    picture = texture(rng, (260, 320), 2.0) + 0.5 * texture(rng, (260, 320), 5.0)
+    other = np.ascontiguousarray(-np.rot90(picture[:, ::-1]))
+    found = start([picture], [other])
+    assert found is not None and found.mirrored
+    # rot90 of the mirror: (x, y) → (y, x)
+    points = lattice(6, (300.0, 240.0)) + 8
+    assert np.linalg.norm(found.transform(points) - points[:, ::-1], axis=1).max() < 1.0
+
+
+def test_descriptor_permutations_are_involutions():
+    d = RNG(8).random((3, 128)).astype(np.float32)
+    assert np.array_equal(_inverted(_inverted(d)), d)
+    assert np.array_equal(_mirrored(_mirrored(d)), d)
+
+
+def test_unrelated_pictures_have_no_start():
+    rng = RNG(9)
+    a, b = (texture(rng, (260, 320), 2.0) for _ in range(2))
+    assert start([a], [b]) is None
+
+
+def test_principal_images_span_their_bands_and_leanings_sum_to_one():
+    rng = RNG(10)
+    layers = [texture(rng) for _ in range(2)]
+    weights = (0.0, 0.3, 0.6, 1.0)
+    bands = [rooted(1 + (1 - t) * layers[0] + t * layers[1]) for t in weights]
+    palette = condense(np.stack(bands)).ready()
+    seen = Predictor(palette.images, cell=12).compare(highpass(bands[1]))
+    assert np.median(seen.r2[seen.r2 > 0]) > 0.99
+    assert palette.leaning(seen).sum() == pytest.approx(1)
+
+
+def test_spline_shift_goes_there_and_back_and_is_stored():
+    t = SplineShift(np.zeros(2), 40.0, RNG(11).normal(0, 0.5, (9, 11, 2)))
+    points = lattice(9, (300.0, 220.0)) + 5
+    assert np.allclose(t.inverse(t(points)), points, atol=1e-6)
+    assert np.allclose(from_dict(t.to_dict())(points), t(points))
+    step = 1e-5
+    for axis in (0, 1):
+        numeric = (t(points + step * np.eye(2)[axis]) - t(points)) / step
+        assert np.allclose(t.jacobian(points)[:, :, axis], numeric, atol=1e-4)
