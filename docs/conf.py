@@ -1,11 +1,11 @@
 """Sphinx configuration."""
 
-import importlib.metadata
+import levkas
 
 project = "Levkas"
 author = "The Levkas authors"
 copyright = "2026, the Levkas authors"
-release = version = importlib.metadata.version("levkas")
+release = version = levkas.__version__
 
 extensions = [
     "myst_parser",

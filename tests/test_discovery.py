@@ -528,3 +528,29 @@ def test_the_line_scan_has_580_bands_by_its_header(tmp_path, real_data):
     (capture,) = example("envi-linescan", tmp_path, {"data": real_data})
     assert counts(capture) == (580, 1, 1, 1)
     assert (capture.bands[0].label, capture.bands[-1].wavelength) == ("367 nm", 1048.421)
+
+
+def test_a_manifest_tells_the_exposures_that_names_do_not(tmp_path):
+    from levkas.finding.manifest import read_manifest
+
+    for name in ("dark", "white", "icon1"):
+        (tmp_path / "raw").mkdir(exist_ok=True)
+        tifffile.imwrite(tmp_path / f"raw/{name}.tif", np.zeros((4, 6), np.uint16))
+    (tmp_path / "times.csv").write_text("file,exposure_s\nraw/icon1.tif,0.25\nwhite.tif,0.125\n")
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\nreference = { camera = "mono" }\n'
+        '[cameras.mono]\nkind = "sensors"\nmanifest = "times.csv"\n'
+        '[[cameras.mono.sensors]]\nname = "a"\nfiles = "raw/{target}.tif"\n'
+        '[targets]\ndark = "dark"\nwhite = { names = "white", reflectance = 0.98 }\n'
+    )
+    (capture,), refusals = find_captures(load_campaign(tmp_path))
+    (sensor,) = capture.sensors
+    assert not refusals
+    assert [f.exposure_s for f in (*sensor.object, *sensor.white, *sensor.dark)] == [
+        0.25,
+        0.125,
+        None,
+    ]
+    (tmp_path / "times.csv").write_text("file,exposure_s\nraw/icon1.tif,long\n")
+    with pytest.raises(Refused, match="line 2 of the manifest"):
+        read_manifest(tmp_path / "times.csv")

@@ -139,6 +139,7 @@ class CameraKeys(Table):
     black: Number | None = None
     saturation: Annotated[Number, Field(gt=0)] | None = None
     exposures: Literal["one", "best", "merge"] = "one"
+    manifest: Text | None = None
     sensors: tuple[Sensor, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     denoise: Literal["hysime"] | None = None

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from levkas.finding.captures import CaptureRefused
 from levkas.finding.files import Found, find
 from levkas.finding.folders import Folders
+from levkas.finding.manifest import read_manifest, with_exposures
 from levkas.finding.patterns import Pattern
 from levkas.problems import Problem, Refused
 
@@ -93,6 +94,9 @@ def _find(
             patterns = _patterns_of_sensor(camera, sensor, files, setup)
             found = find(survey.campaign.root, patterns, known=known, folders=survey.folders)
             frames += [replace(f, sensor=sensor) for f in found]
+        if camera.manifest:
+            exposures = read_manifest(survey.campaign.root / camera.manifest)
+            frames = with_exposures(frames, exposures, survey.campaign.root)
     except Refused as refused:
         survey.broken[key] = refused
     return frames

@@ -5,7 +5,7 @@ h = q_j·z of the pair j that leaves,
 
     r_i ← r_i + (q_i·z) r_j / (1 − h),    G⁻¹ ← G⁻¹ + z zᵀ / (1 − h).
 
-As |q_i·z| ≤ ‖q_i‖‖z‖, a pair whose error is far below the largest cannot become the worst for
+By Cauchy and Schwarz q_i·z is at most ‖q_i‖‖z‖: a pair whose error is far below the largest cannot become the worst for
 many rounds: only the `HOT` worst pairs are followed until that bound no longer excludes the rest.
 """
 
