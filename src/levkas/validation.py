@@ -13,18 +13,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from levkas.database.agreement import ALIKE, stem_of
+from levkas.database.agreement import stem_of
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.catalogue import DatabaseRefused, read_catalogue
+from levkas.database.comparison import (
+    hash_or_reason,
+    problem_of,
+    still_told,
+    unlisted,
+    what_happened,
+)
 from levkas.database.manifest import (
     NAME,
     Listed,
     Manifest,
-    is_partial,
     list_files,
     plain,
     read_manifest,
-    unfinished,
 )
 from levkas.files import hash_file
 from levkas.problems import Problem
@@ -169,7 +174,7 @@ def _find_manifest(root: Path) -> Manifest | None:
     problems = (*manifest.problems, *tags.problems)
     if (own := tags.files.get(NAME)) and hash_file(root / NAME) != own.sha256:
         problems += (
-            _problem(root, NAME, "E_DAMAGED", "it is not what the bag's tag manifest says"),
+            problem_of(root, NAME, "E_DAMAGED", "it is not what the bag's tag manifest says"),
         )
     return Manifest(manifest.path, files, manifest.bytes, problems)
 
@@ -188,7 +193,7 @@ def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> 
     found: dict[str, str] = {}
     damaged: dict[str, Listed] = {}
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        hashes = pool.map(lambda name: _hash(root / name), there.values())
+        hashes = pool.map(lambda name: hash_or_reason(root / name), there.values())
         for done, (key, digest) in enumerate(zip(there, hashes, strict=True), 1):
             found[key] = digest
             if key in listed and digest != listed[key].sha256:
@@ -198,62 +203,19 @@ def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> 
     for name in (n for n in names if n in own):
         yield Checked(name, done=len(there) + 1, total=total)
     for key, entry in damaged.items():
-        problem = _changed(root, there[key], entry, found[key], listed, found)
+        problem = what_happened(root, there[key], entry, found[key], listed, found)
         yield Checked(there[key], (problem,), total, total)
     for entry in missing:
         where = [there[key] for key, digest in found.items() if digest == entry.sha256]
         more = {"found": f"its content stands under {where[0]}"} if where else {}
         yield Checked(
-            "", (_problem(root, entry.name, "E_MISSING", "it is missing", **more),), total, total
+            "", (problem_of(root, entry.name, "E_MISSING", "it is missing", **more),), total, total
         )
     for name in extra:
-        yield Checked(name, (_extra(root, name),), total, total)
+        yield Checked(name, (unlisted(root, name),), total, total)
     if not (missing or damaged):
         stale = tuple(_check_catalogue(root, listed))
         yield Checked("", stale, total, total)
-
-
-def _hash(path: Path) -> str:
-    try:
-        return hash_file(path)
-    except OSError as error:
-        return f"cannot be read: {error.strerror or error}"
-
-
-def _changed(
-    root: Path,
-    name: str,
-    entry: Listed,
-    digest: str,
-    listed: dict[str, Listed],
-    found: dict[str, str],
-) -> Problem:
-    """Say as closely as can be what happened to a file whose hash is not the one it had."""
-    if digest.startswith("cannot"):
-        return _problem(root, name, "E_UNREADABLE", f"it {digest}")
-    others = [e.name for e in listed.values() if e.sha256 == digest and e.name != entry.name]
-    if others:
-        told = {"found": f"the content of {others[0]}", "expected": f"sha256 {entry.sha256}"}
-        return _problem(root, name, "E_SWAPPED", "it holds the content of another file", **told)
-    size = (root / name).stat().st_size
-    if entry.size is not None and size != entry.size:
-        told = {"found": f"{size} bytes", "expected": f"{entry.size} bytes"}
-        if size < entry.size:
-            return _problem(root, name, "E_TRUNCATED", "it is cut off", **told)
-        return _problem(root, name, "E_SIZE", "it is longer than it was", **told)
-    told = {"found": f"sha256 {digest}", "expected": entry.sha256}
-    return _problem(root, name, "E_DAMAGED", "its bytes have changed", **told)
-
-
-def _extra(root: Path, name: str) -> Problem:
-    if is_partial(name):
-        return unfinished(root / name)
-    return Problem(
-        "E_EXTRA",
-        "this file is not in the manifest",
-        str(root / name),
-        fix="Take it away; a file that belongs here comes in by a build.",
-    )
 
 
 def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]:
@@ -270,10 +232,10 @@ def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]
         name = f"{'data/' if base != root else ''}{stem_of(entry)}.tif"
         file = listed.get(plain(name))
         if file is None:
-            yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, and there is none")
+            yield problem_of(root, name, "E_MISSING", f"{CATALOGUE} lists it, and there is none")
         elif file.sha256 != entry.sha256.lower():
             told = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
-            yield _problem(base, CATALOGUE, "E_DAMAGED", "a hash in it is not the file's", **told)
+            yield problem_of(base, CATALOGUE, "E_DAMAGED", "a hash in it is not the file's", **told)
 
 
 # --- by structure -----------------------------------------------------------------------------
@@ -291,36 +253,13 @@ def _by_structure(
         done, ours = done + bool(step.name), step.ours or ours
         yield Checked(step.name, step.problems, done, total)
     if manifest is not None:
-        more = manifest.problems + tuple(_still_told(root, manifest, names, threads))
+        more = manifest.problems + tuple(still_told(root, manifest, names, threads))
         yield Checked(NAME, more, total, total)
     elif ours:
         gone = [name for name in (CATALOGUE, NAME) if name not in names]
         why = "it is missing; what it would tell could not be checked"
-        missing = tuple(_problem(root, name, "E_MISSING", why) for name in gone)
+        missing = tuple(problem_of(root, name, "E_MISSING", why) for name in gone)
         yield Checked("", missing, total, total)
-
-
-def _still_told(
-    root: Path, manifest: Manifest, names: list[str], threads: int
-) -> Iterator[Problem]:
-    """What a damaged manifest proves all the same: a hash that is wholly another, a file that is gone."""
-    entries = [e for e in manifest.files.values() if e.name in set(names)]
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        hashes = list(pool.map(lambda e: _hash(root / e.name), entries))
-    for entry, digest in zip(entries, hashes, strict=True):
-        if sum(map(str.__eq__, entry.sha256, digest)) <= ALIKE:
-            told = {"found": f"sha256 {digest}", "expected": entry.sha256}
-            yield _problem(root, entry.name, "E_DAMAGED", "its bytes have changed", **told)
-    unlisted = [n for n in names if n not in manifest.files and n != NAME]
-    strangers = {_hash(root / n) for n in unlisted}
-    for entry in manifest.files.values():
-        if entry.name not in names and entry.sha256 not in strangers:
-            yield _problem(root, entry.name, "E_MISSING", "it is missing")
-
-
-def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem:
-    fix = "Copy it anew, or build the database again."
-    return Problem(code, f"{Path(name).name}: {why}", file=str(root / name), fix=fix, **more)
 
 
 def _once(problems: Iterable[Problem]) -> Iterator[Problem]:
