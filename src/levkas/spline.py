@@ -14,7 +14,7 @@ from levkas.transforms import invert
 class SplineShift:
     """``p ↦ p + Σ B(u − i) B(v − j) c[j, i]`` with cubic B-splines, u = (x − x0)/spacing.
 
-    Beyond the lattice the displacement of its rim goes on.
+    Beyond the lattice the displacement goes on in a straight line, so that the map has no kink.
 
     Parameters
     ----------
@@ -39,7 +39,14 @@ class SplineShift:
         points = np.asarray(points, float)
         bx, by, i, j = self._weights(points, spline_weights)
         patch = self._patch(i, j)
-        return points + np.einsum("na,nb,nabk->nk", by, bx, patch)
+        shift = np.einsum("na,nb,nabk->nk", by, bx, patch)
+        over = self._over(points)
+        far = np.flatnonzero(over.any(axis=1))
+        if len(far):
+            along, down, both = self._edge_slopes(points[far])
+            x, y = over[far, :1], over[far, 1:]
+            shift[far] += along * x + down * y + both * x * y
+        return points + shift
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """Map points back by Newton; NaN where the displacement folds."""
@@ -48,21 +55,30 @@ class SplineShift:
     def jacobian(self, points: np.ndarray) -> np.ndarray:
         """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
         points = np.asarray(points, float)
+        along, down, both = self._edge_slopes(points)
+        over = self._over(points)
+        along, down = along + both * over[:, 1:], down + both * over[:, :1]
+        return np.eye(2) + np.stack([along, down], axis=2) / self.spacing
+
+    def _over(self, points: np.ndarray) -> np.ndarray:
+        """How far points lie beyond the knots, in spacings: there the shift goes on in a straight line."""
+        place = (points - self.origin) / self.spacing
+        return np.nan_to_num(place - np.clip(place, 0, self._limits()))
+
+    def _edge_slopes(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes along x, along y, and of either along the other, px per spacing, at the clamped place."""
         bx, by, i, j = self._weights(points, spline_weights)
         dx, dy, _, _ = self._weights(points, _slopes)
-        inside = self._inside(points)
-        patch = self._patch(i, j) / self.spacing
-        along_x = np.einsum("na,nb,nabk->nk", by, dx, patch) * inside[:, :1]
-        along_y = np.einsum("na,nb,nabk->nk", dy, bx, patch) * inside[:, 1:]
-        return np.eye(2) + np.stack([along_x, along_y], axis=2)
+        patch = self._patch(i, j)
+        return (
+            np.einsum("na,nb,nabk->nk", by, dx, patch),
+            np.einsum("na,nb,nabk->nk", dy, bx, patch),
+            np.einsum("na,nb,nabk->nk", dy, dx, patch),
+        )
 
     def _limits(self) -> np.ndarray:
         rows, columns = self.coefficients.shape[:2]
         return np.array([columns - 3, rows - 3], float)
-
-    def _inside(self, points: np.ndarray) -> np.ndarray:
-        place = (points - self.origin) / self.spacing
-        return (place >= 0) & (place <= self._limits())
 
     def _weights(self, points: np.ndarray, of: Any) -> tuple[np.ndarray, ...]:
         place = np.clip((points - self.origin) / self.spacing, 0, self._limits())
