@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levkas.gridding import Grid
-from levkas.problems import Refused
+from levkas.gridding import Grid, GridRefused
 
 FRAME = (40, 30)
 CORNERS = np.array([[0.0, 0], [39, 0], [39, 29], [0, 29]])
@@ -119,5 +118,5 @@ def test_every_reference_pixel_is_on_the_whole_grid(mirror, rotate, size):
     ],
 )
 def test_what_shows_nothing_is_refused(keys):
-    with pytest.raises(Refused, match=r"grid\."):
+    with pytest.raises(GridRefused, match=r"grid\."):
         Grid(FRAME, **keys)

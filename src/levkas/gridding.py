@@ -13,6 +13,10 @@ from levkas.transforms import Affine
 QUARTERS = {0: (1.0, 0.0), 90: (0.0, 1.0), 180: (-1.0, 0.0), 270: (0.0, -1.0)}
 
 
+class GridRefused(Refused):
+    """A grid that shows nothing of the reference."""
+
+
 @dataclass(frozen=True, init=False, eq=False)
 class Grid:
     """Pixel grid of an object, and the map from it to the reference band's native pixels.
@@ -43,7 +47,7 @@ class Grid:
 
     Raises
     ------
-    Refused
+    GridRefused
         Where a side is not positive, or the region lies outside the turned frame.
 
     Examples
@@ -77,7 +81,7 @@ class Grid:
         x, y, width, height = whole if region is None else (float(v) for v in region)
         _check_sides("grid.region", (width, height))
         if x >= bounds[0] or y >= bounds[1] or x + width <= 0 or y + height <= 0:
-            raise Refused(
+            raise GridRefused(
                 Problem(
                     "E_VALUE",
                     "the region of the grid lies outside the turned frame",
@@ -137,7 +141,7 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
 
 def _check_sides(name: str, sides: tuple[float, float]) -> None:
     if not all(np.isfinite(side) and side > 0 for side in sides):
-        raise Refused(
+        raise GridRefused(
             Problem(
                 "E_VALUE",
                 "a frame needs positive sides",
