@@ -109,7 +109,8 @@ def _drawn(steps: Iterable[Any], quiet: bool) -> list[Any]:
 def look(
     folder: Annotated[Path, typer.Argument(help="Folder of raw frames.")],
     write: Annotated[
-        bool, typer.Option("--write", help="Write campaign.toml into the folder, unless there is one.")
+        bool,
+        typer.Option("--write", help="Write campaign.toml into the folder, unless there is one."),
     ] = False,
     as_json: Json = False,
 ) -> None:

@@ -10,7 +10,12 @@ import numpy as np
 from levkas.problems import Problem, Refused
 from levkas.transforms import Affine
 
-QUARTERS = {0: (1.0, 0.0), 90: (0.0, 1.0), 180: (-1.0, 0.0), 270: (0.0, -1.0)}
+QUARTERS: dict[float, tuple[float, float]] = {
+    0: (1.0, 0.0),
+    90: (0.0, 1.0),
+    180: (-1.0, 0.0),
+    270: (0.0, -1.0),
+}
 
 
 class GridRefused(Refused):

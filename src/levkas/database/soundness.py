@@ -218,9 +218,12 @@ def _check_table(path: Path, text: str) -> Iterator[Problem]:
         return
     ragged = [i for i, row in enumerate(rows, 1) if len(row) != len(rows[0])]
     if ragged:
-        told = {"found": len(rows[ragged[0] - 1]), "expected": f"{len(rows[0])} cells"}
         yield damaged(
-            path, "a row has other cells than the first", field=f"row {ragged[0]}", **told
+            path,
+            "a row has other cells than the first",
+            field=f"row {ragged[0]}",
+            found=f"{len(rows[ragged[0] - 1])} cells",
+            expected=f"{len(rows[0])} cells",
         )
 
 
