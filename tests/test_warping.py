@@ -4,7 +4,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from levkas.cube import Flag
-from levkas.gridding import Grid, GridRefused
 from levkas.transforms import Affine, Composed, Polynomial
 from levkas.warping import Lattice, warp
 
@@ -121,40 +120,3 @@ def test_the_number_of_threads_does_not_change_a_byte():
 
 def test_a_map_between_its_nodes_errs_less_than_a_ten_thousandth_of_a_pixel():
     assert Lattice.of(bent(), (100, 100)).error(bent(), (100, 100)) < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("keys", "corner", "size"),
-    [
-        ({}, (0, 0), (40, 30)),
-        ({"mirror": True}, (39, 0), (40, 30)),
-        ({"rotate": 90}, (0, 29), (30, 40)),
-        ({"rotate": 180}, (39, 29), (40, 30)),
-        ({"rotate": 270}, (39, 0), (30, 40)),
-        ({"mirror": True, "rotate": 90}, (39, 29), (30, 40)),
-        ({"region": (5, 7, 20, 10)}, (5, 7), (20, 10)),
-    ],
-)
-def test_the_top_left_of_the_grid_shows_the_right_corner_of_the_reference(keys, corner, size):
-    grid = Grid((40, 30), **keys)
-    assert grid.size == size
-    assert grid.transform(np.array([[0.0, 0.0]])).tolist() == [list(map(float, corner))]
-
-
-def test_halving_the_size_keeps_pixel_corners():
-    grid = Grid((40, 30), output=(20, 15))
-    assert np.allclose(grid.transform(np.array([[0.0, 0.0], [19, 14]])), [[0.5, 0.5], [38.5, 28.5]])
-
-
-def test_a_turn_of_ten_degrees_is_clockwise_and_keeps_the_middle():
-    grid = Grid((41, 31), rotate=10)
-    w, h = grid.size
-    middle = np.array([[(w - 1) / 2, (h - 1) / 2]])
-    assert np.allclose(grid.transform(middle), [[20, 15]], atol=0.51)
-    right = grid.transform(middle + np.array([10, 0])) - grid.transform(middle)
-    assert right[0, 1] < 0
-
-
-def test_a_region_outside_the_frame_is_refused():
-    with pytest.raises(GridRefused, match=r"outside the turned"):
-        Grid((40, 30), rotate=90, region=(35, 0, 10, 10))
