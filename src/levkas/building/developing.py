@@ -15,6 +15,7 @@ from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.cube import Cube, Flag
+from levkas.database.layers import round_sigma
 from levkas.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 
@@ -192,6 +193,8 @@ def _cube(
             if variance.dtype == np.float32
             else np.sqrt(variance)
         )
+    if sigma is not None:
+        sigma = round_sigma(sigma)
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)

@@ -62,7 +62,8 @@ def resample(native: Native, transforms: dict[str, Transform], grid: Grid) -> Cu
     parts = []
     for cube in native.cubes.values():
         maps = [Composed(grid.transform, transforms[band.label]) for band in cube.bands]
-        variance = None if cube.sigma is None else cube.sigma * cube.sigma
+        # In place: the native cube is done with after this, and a scan's sigma is half a gigabyte.
+        variance = None if cube.sigma is None else np.square(cube.sigma, out=cube.sigma)
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         sigma = None if warped.variance is None else np.sqrt(warped.variance, out=warped.variance)
         parts.append((warped.values, warped.flags, sigma))
