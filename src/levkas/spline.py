@@ -36,17 +36,11 @@ class SplineShift:
     coefficients: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, float)
-        bx, by, i, j = self._weights(points, spline_weights)
-        patch = self._patch(i, j)
-        shift = np.einsum("na,nb,nabk->nk", by, bx, patch)
-        over = self._over(points)
-        far = np.flatnonzero(over.any(axis=1))
-        if len(far):
-            along, down, both = self._edge_slopes(points[far])
-            x, y = over[far, :1], over[far, 1:]
-            shift[far] += along * x + down * y + both * x * y
-        return points + shift
+        from levkas.spline_kernels import displace
+
+        points = np.ascontiguousarray(points, float)
+        coefficients = np.ascontiguousarray(self.coefficients, float)
+        return np.asarray(displace(points, self.origin, float(self.spacing), coefficients))
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """Map points back by Newton; NaN where the displacement folds."""

@@ -1,36 +1,39 @@
-"""Resampling: every band on the grid, each pixel interpolated once through one composed map.
-
-The kernel is Keys' cubic with a = −0.5, exact on a ramp; where the grid is coarser than the source
-it is widened by the local scale, so that nothing aliases. Weights are corrected for position, so that
-a ramp stays a ramp for any width and at every border. Sums are float64: the bytes do not depend on
-threads or tiles.
-"""
+"""Resampling: every pixel and band of a grid interpolated once, with its flags and its variance."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import ceil, nan
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.transforms import Transform
+from levkas.pixelmap import COARSE, Lattice, PixelMap, exact_table, lay, row_reach, tap_rows, widths
 
-LATTICE_PX = 16
-LARGEST_MAP_ERROR_PX = 1e-4
-PROBES = 257
-WIDE_FROM = 1.05
+if TYPE_CHECKING:
+    from levkas.transforms import Transform
+
+    Maps = Transform | Sequence[Transform] | PixelMap
+
+KERNELS = {"cubic": (0, 2.0), "lanczos3": (1, 3.0), "linear": (2, 1.0)}
+"""Number and reach, in taps."""
+BLOCK_BYTES = 1 << 26
+"""Most memory of the maps of one block of rows, where no lattice serves."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Warped:
-    """What lies on the grid.
+    """What `warp` gives.
 
     Parameters
     ----------
-    values : ndarray, (h, w, bands), float32
-        NaN where the camera did not see.
-    flags : ndarray, (h, w, bands), uint8
-    variance : ndarray, (h, w, bands), float32, or None
+    values : ndarray, (rows, width, bands), float32
+    flags : ndarray, (rows, width, bands), uint8
+        Bit field of `levkas.cube.Flag`.
+    variance : ndarray, (rows, width, bands), float32, or None
     """
 
     values: np.ndarray
@@ -38,115 +41,290 @@ class Warped:
     variance: np.ndarray | None
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """A map evaluated every `step` px, one node beyond each border; cubic in between.
-
-    Parameters
-    ----------
-    nodes : ndarray, (rows, columns, 2), float64, source px
-    step : int
-    """
-
-    nodes: np.ndarray
-    step: int
-
-    @classmethod
-    def of(cls, transform: Transform, shape: tuple[int, int]) -> Lattice:
-        """Evaluate a map so densely that cubic interpolation errs by less than 1e-4 px.
-
-        Checked on points between the nodes; the lattice is made finer until it holds.
-        """
-        step = LATTICE_PX
-        while True:
-            lattice = cls(_nodes(transform, shape, step), step)
-            if step == 1 or lattice.error(transform, shape) < LARGEST_MAP_ERROR_PX:
-                return lattice
-            step //= 2
-
-    @property
-    def wide(self) -> bool:
-        """Whether the grid is coarser than the source somewhere."""
-        along = np.diff(self.nodes, axis=1)[:-1] / self.step
-        down = np.diff(self.nodes, axis=0)[:, :-1] / self.step
-        scale = np.hypot(along, down)
-        return bool(scale[np.isfinite(scale)].max(initial=0.0) >= WIDE_FROM)
-
-    def error(self, transform: Transform, shape: tuple[int, int]) -> float:
-        """Largest distance, source px, of the interpolated map from the exact one on probes."""
-        from levkas.plane_kernels import interpolate_map
-
-        k = np.arange(PROBES)
-        points = np.stack(
-            [(k * 0.7548776662) % 1 * (shape[1] - 1), (k * 0.5698402910) % 1 * (shape[0] - 1)], 1
-        )
-        exact, near = transform(points), interpolate_map(self.nodes, self.step, points)
-        known = np.isfinite(exact).all(1)
-        return float(np.abs(exact - near)[known].max(initial=0.0))
-
-
-def _nodes(transform: Transform, shape: tuple[int, int], step: int) -> np.ndarray:
-    rows, columns = ((n - 1) // step + 4 for n in shape)
-    y, x = np.mgrid[-1 : rows - 1, -1 : columns - 1] * float(step)
-    nodes = transform(np.stack([x.ravel(), y.ravel()], 1))
-    return np.ascontiguousarray(nodes.reshape(rows, columns, 2))
-
-
 def warp(
     source: np.ndarray,
-    transforms: Transform | Sequence[Transform],
+    transforms: Maps,
     shape: tuple[int, int],
     *,
     flags: np.ndarray | None = None,
     variance: np.ndarray | None = None,
+    kernel: str = "cubic",
+    rows: tuple[int, int] | None = None,
+    held: tuple[int, int] | None = None,
+    fill: float = nan,
+    threads: int | None = None,
+    out: Warped | None = None,
 ) -> Warped:
-    """Resample every band of `source` on to a grid.
+    """Resample a source on a grid, each pixel and band interpolated once.
 
     Parameters
     ----------
-    source : ndarray, (h, w, bands), float32 or uint16
-    transforms : Transform or sequence of Transform
-        Grid px → source px; one for all bands, or one a band.
+    source : ndarray, (h, w) or (h, w, bands), float32, uint16 or uint8
+        Pixels that are not finite are taken as not there.
+    transforms : Transform, sequence of Transform, or PixelMap
+        Grid px → source px: one for all bands, or one each. Where the same maps are used again, for
+        tiles, `levkas.pixelmap.lay` them once.
     shape : (height, width) of the grid
-    flags : ndarray like `source`, uint8, optional
-        Bits of `cube.Flag`. The pixel nearest keeps its bits; one that has a share in the value
-        adds its bits and NEAR.
-    variance : ndarray like `source`, float32, optional
-        Out comes Σ w² u².
+    flags : ndarray, uint8, and variance : ndarray, float32, optional
+        As large as `source`. Variance in its unit squared.
+    kernel : str
+        ``"cubic"`` (Keys, a = −0.5: 4 x 4 pixels), ``"lanczos3"`` (6 x 6), ``"linear"``.
+    rows : (start, stop), optional
+        Grid rows wanted; default all.
+    held : (first row, height), optional
+        Where `source` is a part of a taller image of that height: `source_rows` says which.
+    fill : float
+        Value and variance where there is nothing.
+    threads : int, optional
+        Default: the processors this process may use.
+    out : Warped, optional
+        Arrays to write to, C-contiguous, instead of new ones.
 
     Returns
     -------
     warped : Warped
-        OUTSIDE and NaN where the map leaves the source's pixels (−0.5 … size − 0.5).
-    """
-    from levkas.plane_kernels import resample_plane
+        Rows `start` to `stop`. The same bytes for any rows, bands taken together, and threads.
 
-    height, width = shape
-    count = source.shape[2]
-    each = list(transforms) if isinstance(transforms, Sequence) else [transforms] * count
-    if len(each) != count:
-        raise ValueError(f"{count} bands and {len(each)} maps")
-    values, out_flags = (
-        np.empty((height, width, count), np.float32),
-        np.empty((height, width, count), np.uint8),
+    Raises
+    ------
+    ValueError
+        Where sizes or types do not fit, or rows of the source are wanted that are not held.
+
+    Notes
+    -----
+    Footprint: a pixel of the source covers half a pixel around its centre; what falls outside
+    −0.5 … w − 0.5 is OUTSIDE and `fill`. Taps that the edge of the image cuts off are left out, and
+    the others weighted so that a ramp is still met exactly.
+
+    Kernels are exact on a ramp: Lanczos' weights are brought to sum 1 and to their place. Where the
+    grid is coarser than the source, the kernel is widened by the length of a grid step in source
+    pixels, along x and y apart (exact where the axes are parallel, wide enough elsewhere); by all
+    of it from 1.5 px on, not at all below 1.1 px.
+
+    Flags: the pixel that the place lies on hands its flags on; another one that weighs at least
+    1/32 of the heaviest hands on its own and NEAR. A pixel that is not there (not finite, OUTSIDE)
+    is left out: what lies on it is OUTSIDE and `fill`; what only touches it is interpolated
+    linearly from those that are there, and NEAR. Variances add with the squared weights; what
+    neighbours have in common by the interpolation is not kept.
+
+    Examples
+    --------
+    >>> from levkas.transforms import Affine
+    >>> ramp = np.arange(8, dtype=np.float32) + np.zeros((8, 1), np.float32)
+    >>> half = Affine(np.array([[1.0, 0, 0.5], [0, 1, 0]]))
+    >>> warp(ramp, half, (1, 8)).values[0]
+    array([0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5], dtype=float32)
+    """
+    from levkas import warping_kernels as kernels
+
+    flat = source.ndim == 2
+    planes, frame = _planes(kernels, source, flags, variance, held)
+    pixel_map = transforms if isinstance(transforms, PixelMap) else lay(transforms, shape)
+    if pixel_map.shape != tuple(shape):
+        raise ValueError(f"the maps were laid on a grid of {pixel_map.shape}, not {tuple(shape)}")
+    if pixel_map.bands not in (None, frame.bands):
+        raise ValueError(f"{pixel_map.bands} transforms for a source of {frame.bands} bands")
+    if kernel not in KERNELS:
+        raise ValueError(f"unknown kernel {kernel!r}; known: {', '.join(KERNELS)}")
+    start, stop = _checked_rows(rows, shape[0])
+    count = threads or _processors()
+    warped = _result((stop - start, shape[1], frame.bands), variance is not None, out)
+    shared = [a for a in (source, flags, variance) if a is not None]
+    for target in (warped.values, warped.flags, warped.variance):
+        if target is not None and any(np.may_share_memory(target, a) for a in shared):
+            raise ValueError("`out` is in the memory of what is read")
+    if planes.flags.size:
+        _find_suspects(kernels, planes, frame, count)
+    result = kernels.Result(
+        warped.values.reshape(-1),
+        planes.variance[:0] if warped.variance is None else warped.variance.reshape(-1),
+        warped.flags.reshape(-1),
+        start,
+        float(fill),
     )
-    spread = None if variance is None else np.empty((height, width, count), np.float32)
-    nothing, no_flags = np.zeros((1, 1), np.float32), np.zeros((1, 1), np.uint8)
-    lattice: Lattice | None = None
-    for b, transform in enumerate(each):
-        if lattice is None or transform is not each[b - 1]:
-            lattice = Lattice.of(transform, shape)
-        plane = resample_plane(
-            np.ascontiguousarray(source[..., b], np.float32),
-            no_flags if flags is None else np.ascontiguousarray(flags[..., b]),
-            nothing if variance is None else np.ascontiguousarray(variance[..., b]),
-            lattice.nodes,
-            lattice.step,
-            height,
-            width,
-            lattice.wide,
+    absent = sum(
+        _run_lattice(
+            kernels, lattice, pixel_map.shape, planes, frame, result, kernel, (start, stop), count
         )
-        values[..., b], out_flags[..., b] = plane[0], plane[1]
-        if spread is not None:
-            spread[..., b] = plane[2]
-    return Warped(values, out_flags, spread)
+        for lattice in pixel_map.lattices
+    )
+    if absent:
+        raise ValueError(
+            f"rows {start} to {stop} of the grid need more than the source rows held, {frame.top} to "
+            f"{frame.top + frame.held}; `source_rows` says which"
+        )
+    return _squeezed(warped) if flat and out is None else warped
+
+
+def source_rows(
+    transforms: Maps,
+    shape: tuple[int, int],
+    rows: tuple[int, int],
+    height: int,
+    *,
+    kernel: str = "cubic",
+) -> tuple[int, int]:
+    """Return the source rows, first and one past the last, that grid rows are interpolated from.
+
+    Parameters
+    ----------
+    transforms, shape, rows, kernel
+        As for `warp`.
+    height : int
+        Of the whole source.
+
+    Returns
+    -------
+    first, stop : int
+        (0, 0) where the rows see nothing of the source; then any part of it will do.
+
+    Examples
+    --------
+    >>> from levkas.transforms import Affine
+    >>> source_rows(Affine.scaling(2.0), (500, 500), (100, 110), 1000)
+    (195, 225)
+    """
+    pixel_map = transforms if isinstance(transforms, PixelMap) else lay(transforms, shape)
+    start, stop = _checked_rows(rows, shape[0])
+    found = []
+    for lattice in pixel_map.lattices:
+        scale = lattice.widest if _is_wide(lattice, kernel) else 1.0
+        least, most = row_reach(lattice, pixel_map.shape, start, stop)
+        found.append(tap_rows(least, most, KERNELS[kernel][1] * scale, height))
+    found = [(low, high) for low, high in found if low < high]
+    return (min(f[0] for f in found), max(f[1] for f in found)) if found else (0, 0)
+
+
+def _is_wide(lattice: Lattice, kernel: str) -> bool:
+    return kernel != "cubic" or lattice.coarsest > COARSE
+
+
+def _checked_rows(rows: tuple[int, int] | None, height: int) -> tuple[int, int]:
+    start, stop = (0, height) if rows is None else (int(rows[0]), int(rows[1]))
+    if not 0 <= start < stop <= height:
+        raise ValueError(f"rows {start} to {stop} of a grid of {height} rows")
+    return start, stop
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _planes(
+    kernels: Any,
+    source: np.ndarray,
+    flags: np.ndarray | None,
+    variance: np.ndarray | None,
+    held: tuple[int, int] | None,
+) -> tuple[Any, Any]:
+    """Check the source arrays and lay them flat."""
+    if source.ndim not in (2, 3) or 0 in source.shape:
+        raise ValueError(f"source of shape {source.shape}; (h, w) or (h, w, bands) is wanted")
+    if source.dtype not in (np.float32, np.uint16, np.uint8):
+        raise ValueError(f"source of {source.dtype}; float32, uint16 or uint8 is wanted")
+    for name, twin in (("flags", flags), ("variance", variance)):
+        if twin is not None and twin.shape != source.shape:
+            raise ValueError(f"{name} of shape {twin.shape} for a source of {source.shape}")
+    if flags is not None and flags.dtype != np.uint8:
+        raise ValueError(f"flags of {flags.dtype}; uint8 is wanted")
+    rows, width = source.shape[:2]
+    top, height = (0, rows) if held is None else held
+    if not 0 <= top <= height - rows:
+        raise ValueError(f"{rows} rows from {top} on do not fit in an image of {height} rows")
+    values = source.astype(np.uint16) if source.dtype == np.uint8 else source
+    planes = kernels.Planes(
+        np.ascontiguousarray(values).reshape(-1),
+        np.empty(0, np.float32)
+        if variance is None
+        else np.ascontiguousarray(variance, np.float32).reshape(-1),
+        np.empty(0, np.uint8) if flags is None else np.ascontiguousarray(flags).reshape(-1),
+        np.empty(0 if flags is None else rows * width, np.uint8),
+        np.empty(0 if flags is None else rows * width, np.uint8),
+    )
+    bands = source.shape[2] if source.ndim == 3 else 1
+    return planes, kernels.Frame(top, rows, height, width, bands)
+
+
+def _result(shape: tuple[int, int, int], noisy: bool, out: Warped | None) -> Warped:
+    if out is None:
+        variance = np.empty(shape, np.float32) if noisy else None
+        return Warped(np.empty(shape, np.float32), np.zeros(shape, np.uint8), variance)
+    wanted = [(out.values, np.float32), (out.flags, np.uint8)]
+    if noisy != (out.variance is not None):
+        raise ValueError("`out` has a variance where none is wanted, or none where one is")
+    if out.variance is not None:
+        wanted.append((out.variance, np.float32))
+    for array, dtype in wanted:
+        if array.shape != shape or array.dtype != dtype or not array.flags.c_contiguous:
+            raise ValueError(f"`out` is {array.shape} {array.dtype}; {shape} is wanted")
+    out.flags[:] = 0
+    return out
+
+
+def _squeezed(warped: Warped) -> Warped:
+    variance = None if warped.variance is None else warped.variance[..., 0]
+    return Warped(warped.values[..., 0], warped.flags[..., 0], variance)
+
+
+def _find_suspects(kernels: Any, planes: Any, frame: Any, threads: int) -> None:
+    for find in (kernels.find_suspects, kernels.find_around):
+
+        def work(start: int, stop: int, find: Callable[..., None] = find) -> int:
+            find(start, stop, planes, frame)
+            return 0
+
+        _in_threads(work, (0, frame.held), threads)
+
+
+def _in_threads(work: Callable[[int, int], int], rows: tuple[int, int], threads: int) -> int:
+    """Add up what ``work(start, stop)`` gives on blocks of rows.
+
+    Threads of our own around kernels without the interpreter's lock: numba's parallel loops end the
+    process where two threads enter them at once.
+    """
+    step = min(64, max(1, ceil((rows[1] - rows[0]) / (4 * threads))))
+    starts = range(rows[0], rows[1], step)
+    if threads == 1 or len(starts) == 1:
+        return sum(work(start, min(start + step, rows[1])) for start in starts)
+    with ThreadPoolExecutor(threads) as pool:
+        return sum(pool.map(lambda start: work(start, min(start + step, rows[1])), starts))
+
+
+def _run_lattice(
+    kernels: Any,
+    lattice: Lattice,
+    shape: tuple[int, int],
+    planes: Any,
+    frame: Any,
+    result: Any,
+    kernel: str,
+    rows: tuple[int, int],
+    threads: int,
+) -> int:
+    """Resample the bands of one lattice; return how many taps were not in memory."""
+    wide = _is_wide(lattice, kernel)
+    channels = 10 if wide else 8
+    count = frame.bands if lattice.count is None else lattice.count
+    blocks = [rows]
+    if lattice.table is None:
+        step = max(1, BLOCK_BYTES // (80 * shape[1] * len(lattice.transforms)))
+        blocks = [(r, min(r + step, rows[1])) for r in range(rows[0], rows[1], step)]
+    absent = 0
+    for block in blocks:
+        exact = lattice.table is None
+        table = exact_table(lattice, shape, *block) if lattice.table is None else lattice.table
+        table = table[:, :, :channels].copy()
+        if wide:
+            table[:, :, 8:] = widths(table[:, :, 8:])
+        nodes = kernels.Nodes(table, *shape, block[0], lattice.segment, exact)
+        given = (nodes, planes, frame, result, lattice.first, count)
+
+        def work(start: int, stop: int, given: tuple[Any, ...] = given) -> int:
+            if wide:
+                return int(
+                    kernels.wide_rows(start, stop, *given, KERNELS[kernel][0], lattice.widest)
+                )
+            return int(kernels.cubic_rows(start, stop, *given))
+
+        absent += _in_threads(work, block, threads)
+    return absent

@@ -18,10 +18,21 @@ CALIBRATION_KEYS = (
 )  # fmt: skip
 CODE = {
     "calibrate": ("calibration", "readers", "building/developing.py", "building/whiteboard.py"),
-    "register": ("registration", "building/registering.py", "transforms.py"),
+    "register": (
+        "registration",
+        "building/registering.py",
+        "transforms.py",
+        "spline.py",
+        "spline_kernels.py",
+    ),
     "resample": (
         "warping.py",
-        "plane_kernels.py",
+        "warping_kernels.py",
+        "pixelmap.py",
+        "taps.py",
+        "lanes.py",
+        "spline.py",
+        "spline_kernels.py",
         "gridding.py",
         "colour.py",
         "database",
