@@ -19,9 +19,10 @@ def main(output: Path, found: Registration | None = None) -> Figure:
     axes = figure.subplots()
     axes.plot([0], [trace.scale_errors.max()], "s", color="tab:red", label="under scale alone")
     axes.plot(rounds, trace.largest, ".-", color="tab:blue", label="under the fit of each round")
-    for threshold, name in ((trace.reject, "T1"), (trace.stop, "T2")):
+    axes.text(trace.rounds, 1.06 * trace.reject, f"T1 = {trace.reject:.3g} px", ha="right")
+    axes.text(0, 0.94 * trace.stop, f"T2 = {trace.stop:.3g} px", va="top")
+    for threshold in (trace.reject, trace.stop):
         axes.axhline(threshold, color="0.5", linestyle="--", linewidth=1)
-        axes.text(trace.rounds, 1.06 * threshold, f"{name} = {threshold:.3g} px", ha="right")
     axes.annotate(
         f"{cut} pairs leave at once", (0, trace.scale_errors.max()), (14, -4),
         textcoords="offset points",

@@ -27,7 +27,7 @@ def main(database: Path, output: Path) -> Figure:
         axes.imshow(picture)
         axes.set_title(f"({letter}) {title}", fontsize=9)
         axes.set_axis_off()
-    figure.savefig(output, dpi=110)
+    figure.savefig(output, dpi=72)
     return figure
 
 

@@ -34,7 +34,7 @@ def main(output: Path) -> Figure:
     result = levkas.warp(source, grid.transform, grid.shape).values
 
     figure = Figure((7.6, 3.9), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(4, 2.4))
+    left, right = figure.subplots(1, 2, width_ratios=(4, 2.24))
     for axes, picture in ((left, source), (right, result)):
         axes.imshow(np.clip(picture, 0, 1) ** (1 / 2.2))
         axes.set(xlabel="x (px)", ylabel="y (px)")
@@ -46,7 +46,7 @@ def main(output: Path) -> Figure:
     right.plot(*corners[0], "o", color="cyan", markersize=7, clip_on=False)
     left.set_title(f"reference as captured, {width} x {height} px", fontsize=10)
     right.set_title(f"on the grid, {w} x {h} px", fontsize=10)
-    figure.savefig(output, dpi=100)
+    figure.savefig(output, dpi=80)
     return figure
 
 

@@ -30,9 +30,8 @@ def register_simulated_pair() -> Registration:
 def main(output: Path, found: Registration | None = None) -> Figure:
     found = found or register_simulated_pair()
     trace, (a, b) = found.trace, (found.matches.reference, found.matches.target)
-    everything, last = np.ones(len(a), bool), trace.rounds - 1
-    states = {"(a) start": everything, "(b) after the cut at T1": trace.kept_at(0)}
-    states |= {"(c) half-way": trace.kept_at(last // 2), "(d) at T2": trace.kept_at(last)}
+    states = {"(a) start": np.ones(len(a), bool), "(b) after the cut at T1": trace.kept_at(0)}
+    states |= {"(c) half-way": trace.kept_at(trace.rounds // 2), "(d) at T2": trace.kept_at(-1)}
     edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * trace.size - 0.5
     figure = Figure((8, 6.6), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
@@ -40,15 +39,18 @@ def main(output: Path, found: Registration | None = None) -> Figure:
         fit = levkas.Polynomial.fit(b[kept], a[kept], order=3)
         mapped = (trace.scale if kept.all() else fit)(b[kept])
         fitted = fit(trace.scale.inverse(trace.frame))
-        for frame, colour in ((edges, "black"), (trace.frame, "tab:red"), (fitted, "magenta")):
-            axes.fill(*frame.T, fill=False, edgecolor=colour, linewidth=1.3)
+        axes.fill(*edges.T, fill=False, edgecolor="black", label="reference")
+        axes.fill(*trace.frame.T, fill=False, edgecolor="tab:red", label="target, scale alone")
+        axes.fill(*fitted.T, fill=False, edgecolor="magenta", label="target, least squares")
         axes.plot(*np.stack([a[kept], mapped]).transpose(2, 0, 1), color="0.6", linewidth=0.6)
-        axes.plot(*a[kept].T, ".", color="tab:red", markersize=3)
-        axes.plot(*mapped.T, ".", color="tab:blue", markersize=3)
+        axes.plot(*a[kept].T, ".", color="tab:red", markersize=3, label="reference points")
+        axes.plot(*mapped.T, ".", color="tab:blue", markersize=3, label="target points")
         axes.set(title=f"{name}: {kept.sum()} pairs", aspect="equal")
     panels[0, 0].set(xlim=(-60, trace.size[0] + 60), ylim=(trace.size[1] + 50, -50))
-    figure.supxlabel("x (reference px)")
-    figure.supylabel("y (reference px)")
+    figure.supxlabel("x (reference px)", fontsize=10)
+    figure.supylabel("y (reference px)", fontsize=10)
+    legend = axes.get_legend_handles_labels()
+    figure.legend(*legend, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
     figure.savefig(output, dpi=90)
     return figure
 

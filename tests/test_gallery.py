@@ -1,0 +1,134 @@
+"""The scripts that draw figures of the paper: what they draw is true, and they are short and plain."""
+
+import ast
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import levkas
+
+pytest.importorskip("matplotlib")
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
+MODULES = {"levkas", "levkas.noise", "levkas.registration", "levkas.reporting", "levkas.simulation"}
+
+
+@pytest.fixture(scope="module")
+def script():
+    """Return a function that imports a script by its name."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(EXAMPLES))
+        yield importlib.import_module
+
+
+@pytest.fixture(scope="module")
+def registration(script):
+    return script("figure_9_registration").register_simulated_pair()
+
+
+def decoded(path):
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB"))
+
+
+def curves(axes):
+    return {line.get_label(): line.get_xydata() for line in axes.lines}
+
+
+def area(corners):
+    x, y = corners.T
+    return np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: p.stem)
+def test_a_script_is_short_and_rests_on_public_names(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 60
+    tree = ast.parse(text)
+    assert f"python examples/{path.name}" in ast.get_docstring(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for name in node.names:
+                assert not name.name.startswith("levkas.") or name.name in MODULES, name.name
+        elif isinstance(node, ast.ImportFrom) and node.module.split(".")[0] == "levkas":
+            assert node.module in MODULES, node.module
+            home = importlib.import_module(node.module)
+            public = getattr(home, "__all__", [n for n in dir(home) if not n.startswith("_")])
+            assert {name.name for name in node.names} <= set(public)
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            assert node.value.id != "levkas" or node.attr in levkas.__all__, node.attr
+
+
+def test_sampled_noise_lies_on_its_closed_form(script, tmp_path):
+    figure = script("figure_3_noise").main(tmp_path / "3.png")
+    assert decoded(tmp_path / "3.png").std() > 5
+    drawn = curves(figure.axes[0])
+    (e, closed), (at, sampled) = drawn["closed form"].T, drawn["sampled"].T
+    assert np.abs(np.interp(np.log(at), np.log(e), closed) - sampled).max() < 0.03
+    assert (np.diff(sampled) > 0).all() and sampled[0] < 6.6 and sampled[-1] > 17
+
+
+def test_the_grid_turns_the_icon_upright_and_leaves_the_table_out(script, tmp_path):
+    figure = script("figure_8_grid").main(tmp_path / "8.png")
+    assert decoded(tmp_path / "8.png").std() > 5
+    source, result = (axes.images[0].get_array() for axes in figure.axes)
+    assert source.shape == (260, 348, 3) and result.shape == (213, 159, 3)
+    outline = figure.axes[0].lines[0].get_xydata()
+    np.testing.assert_allclose(outline[0], [29.5, 233.5])  # bottom left comes to the top left
+    np.testing.assert_allclose(outline[1], [29.5, 21.5])
+    # The same picture by whole pixels: turned with numpy, cut out, every 4/3 of a pixel.
+    turned = np.rot90(np.asarray(source), -1)[30:314, 26:238]
+    rows, columns = (np.rint((np.arange(n) + 0.5) * 4 / 3 - 0.5).astype(int) for n in (213, 159))
+    again = turned[np.ix_(rows, columns)]
+    assert np.isfinite(result).all()
+    assert np.corrcoef(again.ravel(), np.asarray(result).ravel())[0, 1] > 0.9
+
+
+def test_least_squares_goes_astray_until_the_outliers_are_cut(script, registration, tmp_path):
+    figure = script("figure_9_registration").main(tmp_path / "9.png", registration)
+    assert decoded(tmp_path / "9.png").std() > 5
+    trace = registration.trace
+    frames = [
+        next(p for p in axes.patches if p.get_label() == "target, least squares").get_xy()[:4]
+        for axes in figure.axes
+    ]
+    # Drawn is the fit that was made; before the cut it folds the target's frame.
+    np.testing.assert_allclose(frames[1], trace.corners[0], atol=1e-3)
+    np.testing.assert_allclose(frames[3], trace.corners[-1], atol=1e-3)
+    areas = [area(frame) / np.prod(trace.size) for frame in frames]
+    assert areas[0] < 0.5 and min(areas[1:]) > 1.0
+    points = [curves(axes) for axes in figure.axes]
+    assert all(np.diff([len(p["reference points"]) for p in points]) < 0)
+    miss = np.linalg.norm(points[3]["reference points"] - points[3]["target points"], axis=1)
+    assert miss.max() == pytest.approx(trace.largest[-1], abs=1e-3) and miss.max() <= trace.stop
+
+
+def test_the_largest_error_falls_until_it_is_at_most_t2(script, registration, tmp_path):
+    figure = script("figure_10_largest_error").main(tmp_path / "10.png", registration)
+    assert decoded(tmp_path / "10.png").std() > 5
+    drawn, trace = curves(figure.axes[0]), registration.trace
+    largest = drawn["under the fit of each round"][:, 1]
+    assert len(largest) > 10 and largest[-1] <= trace.stop < largest[-2]
+    assert drawn["under scale alone"][0, 1] > trace.reject
+    assert largest[0] > 10 * largest[-1]
+
+
+def test_previews_of_all_cameras_stand_side_by_side(script, tmp_path):
+    from levkas.database.preview import write_preview
+
+    folder = tmp_path / "database" / "objects" / "icon"
+    folder.mkdir(parents=True)
+    for k, camera in enumerate(("a", "b")):
+        levels = np.full((12, 9, 3), 90 * k + 40, np.uint8)
+        write_preview(folder / f"icon_{camera}.png", levels)
+        levkas.write_stiff(
+            folder / f"icon_{camera}.tif", levels.astype(np.float32), [450, 550, 650], levels, "{}"
+        )
+    figure = script("figure_13_previews").main(tmp_path / "database", tmp_path / "13.png")
+    assert decoded(tmp_path / "13.png").std() > 5
+    assert [axes.get_title() for axes in figure.axes] == ["(a) a: 3 bands", "(b) b: 3 bands"]
+    assert [int(axes.images[0].get_array()[0, 0, 0]) for axes in figure.axes] == [40, 130]
