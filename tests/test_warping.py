@@ -228,6 +228,17 @@ def test_one_map_is_as_the_same_map_for_each_band(cube, kernel):
     assert same(each, warp(source, camera_map(), SHAPE, **given_))
 
 
+def test_more_bands_than_are_laid_out_at_once():
+    many = np.random.default_rng(8).uniform(0, 1, (20, 30, 70)).astype(np.float32)
+    maps = [shift(0.1, 0.2)] * 33 + [shift(0.01 * b, 0.3) for b in range(37)]
+    whole = warp(many, maps, (18, 28))
+    for b in (0, 32, 33, 63, 64, 69):
+        assert same(
+            warp(np.ascontiguousarray(many[..., b]), maps[b], (18, 28)),
+            Warped(whole.values[..., b], whole.flags[..., b], None),
+        )
+
+
 @pytest.mark.parametrize("scale", [1.0, 2.2])
 def test_source_rows_are_enough_and_too_few_are_an_error(cube, scale):
     tall = np.repeat(cube[..., :3], 3, axis=0)
@@ -415,7 +426,7 @@ def test_kept_machine_code_is_dropped_where_what_it_inlines_changed():
     """Numba's cache sees only the file of the kernel; its digest of the others stands there."""
     folder = Path(warping_kernels.__file__).parent
     helpers = b"".join((folder / name).read_bytes() for name in ("lanes.py", "taps.py"))
-    assert warping_kernels.HELPERS == hashlib.sha256(helpers).hexdigest()[:16]
+    assert hashlib.sha256(helpers).hexdigest()[:16] == warping_kernels.HELPERS
 
 
 def test_importing_the_module_does_not_import_numba():

@@ -42,6 +42,17 @@ class Finding:
         return asdict(self)
 
 
+def give_back_memory() -> None:
+    """Return freed memory to the system, where the C library keeps it for itself (glibc does)."""
+    import ctypes
+    import gc
+
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
+
+
 def find_memory() -> Finding:
     """Say how much memory there is and is free, of a container where one limits it."""
     total, free = _memory_bytes()

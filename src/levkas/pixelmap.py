@@ -180,8 +180,10 @@ def _coarsest(nodes: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
             np.diff(nodes[..., axis], axis=k) / (n[1] - n[0] if n[1] > n[0] else np.inf)
             for k, n in enumerate((y, x))
         ]
-        slope = np.hypot(*(np.nanmax(np.abs(s)) if np.isfinite(s).any() else 0.0 for s in steps))
-        scale = max(scale, float(slope))
+        along, down = (
+            float(np.nanmax(np.abs(s))) if np.isfinite(s).any() else 0.0 for s in steps
+        )
+        scale = max(scale, float(np.hypot(along, down)))
     return scale
 
 
@@ -198,26 +200,16 @@ def lagrange(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarray:
     """Lay cubics along the segments of each row of nodes, through four places of each."""
+    from levkas.map_kernels import segments
+
     (height, width), (rows, columns) = shape, nodes.shape[:2]
     count = ceil(width / segment)
     places = np.arange(3 * count + 1) * (segment / 3) * ((columns - 1) / (width - 1))
     first, weights = lagrange(places, columns)
-    along = sum(weights[None, :, k, None] * nodes[:, first + k] for k in range(NODES))
-    p, q, r, s = along[:, :-1:3], along[:, 1::3], along[:, 2::3], along[:, 3::3]
-    coefficients = (
-        p,
-        (18 * q - 11 * p - 9 * r + 2 * s) / (2 * segment),
-        4.5 * (2 * p - 5 * q + 4 * r - s) / segment**2,
-        4.5 * (3 * q - p - 3 * r + s) / segment**3,
-    )
     table = np.empty((rows, count, 10))
-    for axis in range(2):
-        for k, c in enumerate(coefficients):
-            # What is left of rounding would make a copy of whole pixels an interpolation.
-            nothing = (k > 0) & (np.abs(c[..., axis]) * segment**k < 1e-9)
-            table[..., 4 * axis + k] = np.where(nothing, 0.0, c[..., axis])
-        down = np.gradient((q + r)[..., axis] / 2, (height - 1) / (rows - 1), axis=0)
-        table[..., 8 + axis] = np.hypot((s - p)[..., axis] / segment, down)
+    segments(
+        np.ascontiguousarray(nodes), first, weights, segment, (height - 1) / (rows - 1), table
+    )
     return table
 
 
@@ -261,7 +253,7 @@ def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int)
                     scale = np.nan_to_num(np.hypot(*slopes), nan=1.0, posinf=1.0)
                     table[here, :, 8 + axis, m] = scale[part]
                     table[here, :, 4 * axis, m] = np.where(far, FAR, p)[part]
-    return table[..., 0] if lattice.count is None else table
+    return table[..., 0] if maps == 1 else table
 
 
 def widths(scales: np.ndarray) -> np.ndarray:

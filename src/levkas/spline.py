@@ -36,7 +36,7 @@ class SplineShift:
     coefficients: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        from levkas.spline_kernels import displace
+        from levkas.map_kernels import displace
 
         points = np.ascontiguousarray(points, float)
         coefficients = np.ascontiguousarray(self.coefficients, float)

@@ -213,7 +213,17 @@ class Polynomial:
         return cls(order, np.asarray(centre, float), float(spread), solved)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        return design_matrix(points, self.order, self.centre, self.spread) @ self.coefficients
+        from levkas.map_kernels import polynomial
+
+        return np.asarray(
+            polynomial(
+                np.ascontiguousarray(points, float),
+                self.order,
+                np.asarray(self.centre, float),
+                float(self.spread),
+                np.ascontiguousarray(self.coefficients, float),
+            )
+        )
 
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """Map target points back by Newton from the affine part; NaN where there is no answer."""
@@ -251,7 +261,18 @@ def frame_of(points: np.ndarray) -> tuple[np.ndarray, float]:
 def design_matrix(points: np.ndarray, order: int, centre: np.ndarray, spread: float) -> np.ndarray:
     """Return the (n, terms) matrix of u^i v^j, terms as `exponents` orders them."""
     u, v = ((np.asarray(points, float) - centre) / spread).T
-    return np.stack([u**i * v**j for i, j in exponents(order)], 1)
+    us, vs = _powers(u, order), _powers(v, order)
+    design = np.empty((len(u), (order + 1) * (order + 2) // 2))
+    for term, (i, j) in enumerate(exponents(order)):
+        np.multiply(us[i], vs[j], out=design[:, term])
+    return design
+
+
+def _powers(base: np.ndarray, most: int) -> list[np.ndarray]:
+    powers = [np.ones_like(base)]
+    for _ in range(most):
+        powers.append(powers[-1] * base)
+    return powers
 
 
 @dataclass(frozen=True, eq=False)

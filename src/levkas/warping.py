@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, nan
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 KERNELS = {"cubic": (0, 2.0), "lanczos3": (1, 3.0), "linear": (2, 1.0)}
 """Number and reach, in taps."""
+BANDS_AT_ONCE = 32
 BLOCK_BYTES = 1 << 26
 """Most memory of the maps of one block of rows, where no lattice serves."""
 
@@ -119,11 +120,12 @@ def warp(
 
     flat = source.ndim == 2
     planes, frame = _planes(kernels, source, flags, variance, held)
-    pixel_map = transforms if isinstance(transforms, PixelMap) else lay(transforms, shape)
-    if pixel_map.shape != tuple(shape):
-        raise ValueError(f"the maps were laid on a grid of {pixel_map.shape}, not {tuple(shape)}")
-    if pixel_map.bands not in (None, frame.bands):
-        raise ValueError(f"{pixel_map.bands} transforms for a source of {frame.bands} bands")
+    if not isinstance(transforms, PixelMap) and isinstance(transforms, Sequence):
+        given = len(transforms)
+    else:
+        given = transforms.bands if isinstance(transforms, PixelMap) else None
+    if given not in (None, frame.bands):
+        raise ValueError(f"{given} transforms for a source of {frame.bands} bands")
     if kernel not in KERNELS:
         raise ValueError(f"unknown kernel {kernel!r}; known: {', '.join(KERNELS)}")
     start, stop = _checked_rows(rows, shape[0])
@@ -143,10 +145,8 @@ def warp(
         float(fill),
     )
     absent = sum(
-        _run_lattice(
-            kernels, lattice, pixel_map.shape, planes, frame, result, kernel, (start, stop), count
-        )
-        for lattice in pixel_map.lattices
+        _run_lattice(kernels, lattice, shape, planes, frame, result, kernel, (start, stop), count)
+        for lattice in _lattices(transforms, shape)
     )
     if absent:
         raise ValueError(
@@ -154,6 +154,23 @@ def warp(
             f"{frame.top + frame.held}; `source_rows` says which"
         )
     return _squeezed(warped) if flat and out is None else warped
+
+
+def _lattices(transforms: Maps, shape: tuple[int, int]) -> Iterator[Lattice]:
+    """Lay the maps of some bands at a time: those of a scan take more memory than its pixels."""
+    shape = (int(shape[0]), int(shape[1]))
+    if isinstance(transforms, PixelMap):
+        if transforms.shape != shape:
+            raise ValueError(f"the maps were laid on a grid of {transforms.shape}, not {shape}")
+        yield from transforms.lattices
+    elif not isinstance(transforms, Sequence) or all(t is transforms[0] for t in transforms):
+        yield from lay(transforms, shape).lattices
+    else:
+        for first in range(0, len(transforms), BANDS_AT_ONCE):
+            group = transforms[first : first + BANDS_AT_ONCE]
+            for lattice in lay(group, shape).lattices:
+                count = len(group) if lattice.count is None else lattice.count
+                yield replace(lattice, first=first + lattice.first, count=count)
 
 
 def source_rows(

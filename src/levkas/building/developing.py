@@ -194,7 +194,7 @@ def _cube(
             else np.sqrt(variance)
         )
     if sigma is not None:
-        sigma = round_sigma(sigma)
+        sigma = round_sigma(sigma, out=sigma if sigma.dtype == np.float32 else None)
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)

@@ -23,7 +23,7 @@ CODE = {
         "building/registering.py",
         "transforms.py",
         "spline.py",
-        "spline_kernels.py",
+        "map_kernels.py",
     ),
     "resample": (
         "warping.py",
@@ -32,7 +32,7 @@ CODE = {
         "taps.py",
         "lanes.py",
         "spline.py",
-        "spline_kernels.py",
+        "map_kernels.py",
         "gridding.py",
         "colour.py",
         "database",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,18 +54,27 @@ class Native:
         return "reflectance" if quantities == {"reflectance"} else "counts"
 
     def images(self) -> list[BandImage]:
-        """Return every band as registration sees it."""
+        """Return every band as registration sees it, in memory of its own."""
+        from levkas.database.spectral_tiff import planes_of
+
         return [
             BandImage(
                 band.label,
                 band.wavelength,
-                np.ascontiguousarray(cube.values[..., i]),
-                np.isfinite(cube.values[..., i]) & ((cube.flags[..., i] & UNRELIABLE) == 0),
+                values,
+                np.isfinite(values) & ((flags & UNRELIABLE) == 0),
                 sensor,
             )
             for sensor, cube in self.cubes.items()
-            for i, band in enumerate(cube.bands)
+            for band, values, flags in zip(
+                cube.bands, planes_of(cube.values), planes_of(cube.flags), strict=True
+            )
         ]
+
+    def without_sigma(self) -> Native:
+        """Return the cubes without sigma: it is on the disk, and only resampling asks for it."""
+        cubes = {name: replace(cube, sigma=None) for name, cube in self.cubes.items()}
+        return replace(self, cubes=cubes)
 
     def size_of(self, label: str) -> list[int]:
         """Return [width, height] of the sensor that recorded a band."""
@@ -92,22 +101,29 @@ def write_native(native: Native, capture: Capture, places: Places, credits: Cred
 def read_native(
     capture: Capture, places: Places, quantity: str, warnings: tuple[str, ...]
 ) -> Native:
-    """Read back what `write_native` wrote."""
-    from levkas.database.spectral_tiff import read_tiff_pages
-
+    """Read back what `write_native` wrote, without sigma."""
     cubes, aligns = {}, {}
     for sensor in capture.sensors:
-        arrays: list[np.ndarray | None] = []
-        for kind in (".tif", ".flags.tif", ".sigma.tif"):
-            path = places.native(
-                capture.object, capture.camera, capture.setup, sensor.name, kind=kind
-            )
-            arrays.append(read_tiff_pages(path) if path.is_file() else None)
-        values, flags, sigma = arrays
+        values = _read(capture, places, sensor.name, "")
+        flags = _read(capture, places, sensor.name, ".flags")
         if values is None or flags is None:
             raise FileNotFoundError(
                 places.native(capture.object, capture.camera, capture.setup, sensor.name)
             )
-        cubes[sensor.name] = Cube(values, flags, sigma, sensor.bands, quantity)
+        cubes[sensor.name] = Cube(values, flags, None, sensor.bands, quantity)
         aligns[sensor.name] = sensor.align
     return Native(cubes, aligns, None, warnings)
+
+
+def read_sigma(capture: Capture, places: Places, sensor: str) -> np.ndarray | None:
+    """Read back the sigma of one sensor, None where it is not known."""
+    return _read(capture, places, sensor, ".sigma")
+
+
+def _read(capture: Capture, places: Places, sensor: str, kind: str) -> np.ndarray | None:
+    from levkas.database.spectral_tiff import read_tiff_pages
+
+    path = places.native(
+        capture.object, capture.camera, capture.setup, sensor, kind=f"{kind}.tif"
+    )
+    return read_tiff_pages(path) if path.is_file() else None

@@ -6,6 +6,7 @@ import base64
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from math import nan
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key, Ledger
 from levkas.building.steps import Step
+from levkas.machine import give_back_memory
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -140,6 +142,7 @@ class ObjectBuild:
             "register": self._register,
             "resample": self._resample,
         }[stage]
+        give_back_memory()
         try:
             return run(key, prints, capture, native, why)
         except Refused as refused:
@@ -168,9 +171,9 @@ class ObjectBuild:
         from levkas.building.native import write_native
 
         made = develop(capture, self.campaign, self.shelf)
-        native.append(made)
         credits = self._credits(made.captured or "")
         files = write_native(made, capture, self.places, credits)
+        native.append(made.without_sigma())
         notes = {
             "quantity": made.quantity,
             "warnings": list(made.warnings),
@@ -253,13 +256,17 @@ class ObjectBuild:
     def _resample(
         self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
     ) -> Step:
+        from levkas.building.native import read_sigma
         from levkas.building.resampling import describe_flags, resample
         from levkas.database.layers import Layer, write_layer
         from levkas.files import make_folder
 
         grid, sampling, _ = self._frame(native if capture is self.reference else [])
-        cube = resample(self._native(capture, native), self._transforms(capture), grid)
+        here = self._native(capture, native)
         native.clear()
+        sigma = partial(read_sigma, capture, self.places)
+        cube = resample(here, self._transforms(capture), grid, sigma)
+        del here
         captured = self.ledger.told(self.keys(capture)["calibrate"]).get("captured", "")
         layer = Layer(
             self.name, capture.camera, capture.setup, sampling or nan, self._credits(captured)

@@ -9,7 +9,7 @@ import numpy as np
 from levkas.cube import Cube, Flag
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from levkas.building.native import Native
@@ -44,7 +44,9 @@ def shrink_map(full: np.ndarray) -> np.ndarray:
 
 def describe_flags(flags: np.ndarray) -> dict[str, float]:
     """Return the share of pixels and bands under each flag, by its name."""
-    counts = np.bincount(flags.ravel(), minlength=256)
+    counts = np.zeros(256, np.int64)
+    for row in flags:  # bincount turns what it counts into 64-bit numbers
+        counts += np.bincount(row.reshape(-1), minlength=256)
     codes = np.arange(256)
     return {
         flag.name.lower(): float(counts[(codes & flag.value) != 0].sum() / max(flags.size, 1))
@@ -53,20 +55,32 @@ def describe_flags(flags: np.ndarray) -> dict[str, float]:
     }
 
 
-def resample(native: Native, transforms: dict[str, Transform], grid: Grid) -> Cube:
-    """Return the capture on the grid; orientation, crop, scale and registration are one map."""
+def resample(
+    native: Native,
+    transforms: dict[str, Transform],
+    grid: Grid,
+    sigma_of: Callable[[str], np.ndarray | None],
+) -> Cube:
+    """Return the capture on the grid; orientation, crop, scale and registration are one map.
+
+    `sigma_of` gives the sigma of a sensor, and gives it away.
+    """
+    from levkas.database.layers import round_sigma
     from levkas.transforms import Composed
     from levkas.warping import warp
 
     shape = (grid.size[1], grid.size[0])
     parts = []
-    for cube in native.cubes.values():
+    for sensor, cube in native.cubes.items():
         maps = [Composed(grid.transform, transforms[band.label]) for band in cube.bands]
-        # In place: the native cube is done with after this, and a scan's sigma is half a gigabyte.
-        variance = None if cube.sigma is None else np.square(cube.sigma, out=cube.sigma)
+        sigma = sigma_of(sensor)
+        # In place: a scan's sigma is most of a gigabyte.
+        variance = None if sigma is None else np.square(sigma, out=sigma)
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
-        sigma = None if warped.variance is None else np.sqrt(warped.variance, out=warped.variance)
-        parts.append((warped.values, warped.flags, sigma))
+        found = warped.variance
+        if found is not None:
+            found = round_sigma(np.sqrt(found, out=found), out=found)
+        parts.append((warped.values, warped.flags, found))
     values, flags, sigmas = zip(*parts, strict=True)
     known = [s for s in sigmas if s is not None]
     return Cube(

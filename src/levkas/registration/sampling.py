@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from itertools import pairwise
 from math import ceil
 from typing import TYPE_CHECKING, Any
@@ -67,10 +68,15 @@ def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any) -> None:
         kernel(0, rows, *arguments)
         return
     edges = np.linspace(0, rows, 2 * workers + 1).astype(int).tolist()
-    with ThreadPoolExecutor(workers) as pool:
-        jobs = [pool.submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]
-        for job in jobs:
-            job.result()
+    jobs = [_pool(workers).submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]
+    for job in jobs:
+        job.result()
+
+
+@cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    """Threads that stay: a registration asks for them thousands of times."""
+    return ThreadPoolExecutor(workers, thread_name_prefix="registration")
 
 
 @njit(nogil=True, cache=True)
@@ -82,8 +88,6 @@ def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
         ly = min(int(fy), lattice.shape[0] - 2) if lattice.shape[0] > 1 else 0
         ty = fy - ly
         my = min(ly + 1, lattice.shape[0] - 1)
-        wx = np.empty(4)
-        wy = np.empty(4)
         for j in range(width):
             fx = j / LATTICE_PX
             lx = min(int(fx), lattice.shape[1] - 2) if lattice.shape[1] > 1 else 0
@@ -99,24 +103,34 @@ def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
                 continue
             x0 = int(x)
             y0 = int(y)
-            _spline_weights(x - x0, wx)
-            _spline_weights(y - y0, wy)
-            total = 0.0
-            for a in range(4):
-                line = 0.0
-                for b in range(4):
-                    line += wx[b] * image[y0 - 1 + a, x0 - 1 + b]
-                total += wy[a] * line
-            out[i, j] = total
+            u, v = _spline_weights(x - x0), _spline_weights(y - y0)
+            out[i, j] = (
+                v[0] * _across(image, y0 - 1, x0, u)
+                + v[1] * _across(image, y0, x0, u)
+                + v[2] * _across(image, y0 + 1, x0, u)
+                + v[3] * _across(image, y0 + 2, x0, u)
+            )
 
 
 @njit(inline="always")
-def _spline_weights(t, weights):  # type: ignore[no-untyped-def]
+def _across(image, y, x, u):  # type: ignore[no-untyped-def]
+    return (
+        u[0] * image[y, x - 1]
+        + u[1] * image[y, x]
+        + u[2] * image[y, x + 1]
+        + u[3] * image[y, x + 2]
+    )
+
+
+@njit(inline="always")
+def _spline_weights(t):  # type: ignore[no-untyped-def]
     s = 1.0 - t
-    weights[0] = s * s * s / 6.0
-    weights[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
-    weights[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
-    weights[3] = t * t * t / 6.0
+    return (
+        s * s * s / 6.0,
+        (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0,
+        (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0,
+        t * t * t / 6.0,
+    )
 
 
 def reduce(image: np.ndarray, n: int) -> np.ndarray:
