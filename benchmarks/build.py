@@ -1,4 +1,4 @@
-"""A full-size campaign: simulated once, built, with the time of each stage and the peak of memory.
+"""A full-size campaign: simulated once, built, with its time and the peak of memory.
 
     python benchmarks/build.py [FOLDER]
 
@@ -10,7 +10,6 @@ import shutil
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from pathlib import Path
 
 from levkas.assessment import assess
@@ -26,12 +25,8 @@ def main(folder: Path) -> None:
     for path in (output, output.with_name(output.name + ".kept")):
         shutil.rmtree(path, ignore_errors=True)
     raw = sum(p.stat().st_size for p in (folder / "raw").rglob("*") if p.is_file())
-    spent: dict[str, float] = defaultdict(float)
-    start = last = time.perf_counter()
+    start = time.perf_counter()
     for step in build(folder, output=output):
-        now = time.perf_counter()
-        spent[step.key.stage] += now - last
-        last = now
         if step.state in ("refused", "failed"):
             print(step.line)
     total = time.perf_counter() - start
@@ -41,8 +36,6 @@ def main(folder: Path) -> None:
         end="",
     )
     print(f"peak {usage.ru_maxrss / 1e6:.2f} GB")
-    for stage, seconds in spent.items():
-        print(f"  {stage:10} {seconds:7.1f} s")
     print(assess(output, truth=folder / "truth").text)
 
 

@@ -180,9 +180,7 @@ def _coarsest(nodes: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
             np.diff(nodes[..., axis], axis=k) / (n[1] - n[0] if n[1] > n[0] else np.inf)
             for k, n in enumerate((y, x))
         ]
-        along, down = (
-            float(np.nanmax(np.abs(s))) if np.isfinite(s).any() else 0.0 for s in steps
-        )
+        along, down = (float(np.nanmax(np.abs(s))) if np.isfinite(s).any() else 0.0 for s in steps)
         scale = max(scale, float(np.hypot(along, down)))
     return scale
 
@@ -207,9 +205,7 @@ def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarra
     places = np.arange(3 * count + 1) * (segment / 3) * ((columns - 1) / (width - 1))
     first, weights = lagrange(places, columns)
     table = np.empty((rows, count, 10))
-    segments(
-        np.ascontiguousarray(nodes), first, weights, segment, (height - 1) / (rows - 1), table
-    )
+    segments(np.ascontiguousarray(nodes), first, weights, segment, (height - 1) / (rows - 1), table)
     return table
 
 

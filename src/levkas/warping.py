@@ -120,10 +120,9 @@ def warp(
 
     flat = source.ndim == 2
     planes, frame = _planes(kernels, source, flags, variance, held)
+    given = transforms.bands if isinstance(transforms, PixelMap) else None
     if not isinstance(transforms, PixelMap) and isinstance(transforms, Sequence):
         given = len(transforms)
-    else:
-        given = transforms.bands if isinstance(transforms, PixelMap) else None
     if given not in (None, frame.bands):
         raise ValueError(f"{given} transforms for a source of {frame.bands} bands")
     if kernel not in KERNELS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -67,21 +68,25 @@ class Hashes:
         self.path = path
         self.known: dict[str, list[Any]] = _read(path)
         self.changed = False
+        self._lock = threading.Lock()
 
     def __call__(self, path: Path) -> str:
         status = path.stat()
         stamp = [status.st_size, status.st_mtime_ns]
         entry = self.known.get(str(path))
         if entry is None or entry[:2] != stamp:
-            entry = self.known[str(path)] = [*stamp, hash_file(path)]
-            self.changed = True
+            entry = [*stamp, hash_file(path)]
+            with self._lock:
+                self.known[str(path)] = entry
+                self.changed = True
         return str(entry[2])
 
     def save(self) -> None:
         """Keep what was learnt."""
-        if self.changed:
-            write_json(self.path, self.known)
-            self.changed = False
+        with self._lock:
+            if self.changed:
+                write_json(self.path, self.known)
+                self.changed = False
 
 
 class Ledger:

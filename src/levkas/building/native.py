@@ -123,7 +123,5 @@ def read_sigma(capture: Capture, places: Places, sensor: str) -> np.ndarray | No
 def _read(capture: Capture, places: Places, sensor: str, kind: str) -> np.ndarray | None:
     from levkas.database.spectral_tiff import read_tiff_pages
 
-    path = places.native(
-        capture.object, capture.camera, capture.setup, sensor, kind=f"{kind}.tif"
-    )
+    path = places.native(capture.object, capture.camera, capture.setup, sensor, kind=f"{kind}.tif")
     return read_tiff_pages(path) if path.is_file() else None

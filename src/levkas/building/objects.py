@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from math import nan
@@ -52,6 +53,8 @@ class ObjectBuild:
     _own: Registration | None = None
     _grid: tuple[Grid, float | None, tuple[float, float, float, float] | None] | None = None
     _grey: tuple[np.ndarray, np.ndarray] | None = None
+    _hashing: bool = False
+    _being_written: list[tuple[Capture, str, Future[Step]]] = field(default_factory=list)
 
     @property
     def reference(self) -> Capture:
@@ -59,7 +62,20 @@ class ObjectBuild:
         return self.captures[0]
 
     def run(self) -> Iterator[Step]:
-        """Yield every stage as it begins and as it ends."""
+        """Yield every stage as it begins and as it ends.
+
+        What a stage made is compressed and written while the next one computes.
+        """
+        with (
+            ThreadPoolExecutor(1, thread_name_prefix="writing") as self._writer,
+            ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
+        ):
+            try:
+                yield from self._all()
+            finally:
+                self._hasher.shutdown(wait=False, cancel_futures=True)
+
+    def _all(self) -> Iterator[Step]:
         broken: Refused | None = None
         for capture in self.captures:
             if broken is not None and capture is not self.reference:
@@ -71,6 +87,16 @@ class ObjectBuild:
                 failed = step if step.state in ("refused", "failed") else failed
             if failed is not None and capture is self.reference:
                 broken = NoReference(_no_reference(self.name, capture.layer, failed))
+        yield from self._written()
+
+    def _hash_ahead(self) -> None:
+        """Hash the frames of all captures beside the work; what fails is met again when it is due."""
+        if not self._hashing:
+            self._hashing = True
+            for capture in self.captures:
+                self._hasher.submit(
+                    fingerprints.of_calibration, self.campaign, capture, self.ledger.hashes
+                )
 
     def states(self) -> list[Step]:
         """Say of every stage whether it is fresh or stale, and why, without doing any."""
@@ -99,15 +125,40 @@ class ObjectBuild:
             prints = self._prints(capture, stage)
             self.digests[key] = digest(prints)
             why = self.ledger.why_stale(key, prints)
-            if not why:
-                step = self._fresh(key)
-            else:
+            if stage == "register":
+                # Two cubes at once are enough; the one of the capture before goes first.
+                yield from self._written(but=capture)
+            if why:
+                self._hash_ahead()
                 yield Step(key, "running", why)
-                step = self._attempt(stage, key, prints, capture, native, why)
+            ended = self._attempt(stage, key, prints, capture, native, why) if why else None
+            if isinstance(ended, Future):
+                self._being_written.append((capture, stage, ended))
+                if stage == "calibrate" or capture is not self.reference:
+                    continue
+            failed = False
+            for step in self._written(of=capture):
+                yield step
+                failed = failed or step.state == "refused"
+            if failed or isinstance(ended, Future):
+                return
+            step = ended or self._fresh(key)
             yield step
             if step.state in ("refused", "failed"):
                 self._withdraw(capture, after=stage)
                 return
+
+    def _written(self, *, of: Capture | None = None, but: Capture | None = None) -> Iterator[Step]:
+        """Wait for what is being written, and yield how those stages ended."""
+        for waiting in list(self._being_written):
+            capture, stage, job = waiting
+            if (of is not None and capture is not of) or capture is but:
+                continue
+            self._being_written.remove(waiting)
+            step = job.result()
+            yield step
+            if step.state == "refused":
+                self._withdraw(capture, after=stage)
 
     def _prints(self, capture: Capture, stage: str) -> dict[str, Any]:
         if stage == "calibrate":
@@ -135,18 +186,28 @@ class ObjectBuild:
         capture: Capture,
         native: list[Native],
         why: str,
-    ) -> Step:
+    ) -> Step | Future[Step]:
+        """Do a stage; what it makes may still be being written when this returns."""
         self.ledger.forget(key)
-        run = {
+        stages: dict[str, Callable[..., Step | Future[Step]]] = {
             "calibrate": self._calibrate,
             "register": self._register,
             "resample": self._resample,
-        }[stage]
+        }
         give_back_memory()
         try:
-            return run(key, prints, capture, native, why)
+            return stages[stage](key, prints, capture, native, why)
         except Refused as refused:
             return _refused(key, refused)
+
+    def _write(self, key: Key, write: Callable[[], Step]) -> Future[Step]:
+        def attempt() -> Step:
+            try:
+                return write()
+            except Refused as refused:
+                return _refused(key, refused)
+
+        return self._writer.submit(attempt)
 
     def _native(self, capture: Capture, native: list[Native]) -> Native:
         """The calibrated cubes, from this run or from the database."""
@@ -166,21 +227,24 @@ class ObjectBuild:
 
     def _calibrate(
         self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
-    ) -> Step:
+    ) -> Future[Step]:
         from levkas.building.developing import develop
         from levkas.building.native import write_native
 
         made = develop(capture, self.campaign, self.shelf)
-        credits = self._credits(made.captured or "")
-        files = write_native(made, capture, self.places, credits)
         native.append(made.without_sigma())
-        notes = {
-            "quantity": made.quantity,
-            "warnings": list(made.warnings),
-            "captured": made.captured or "",
-        }
-        self.ledger.keep(key, prints, files, **notes)
-        return Step(key, "done", why, warnings=made.warnings)
+
+        def write() -> Step:
+            files = write_native(made, capture, self.places, self._credits(made.captured or ""))
+            notes = {
+                "quantity": made.quantity,
+                "warnings": list(made.warnings),
+                "captured": made.captured or "",
+            }
+            self.ledger.keep(key, prints, files, **notes)
+            return Step(key, "done", why, warnings=made.warnings)
+
+        return self._write(key, write)
 
     def _register(
         self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
@@ -255,7 +319,7 @@ class ObjectBuild:
 
     def _resample(
         self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
-    ) -> Step:
+    ) -> Future[Step]:
         from levkas.building.native import read_sigma
         from levkas.building.resampling import describe_flags, resample
         from levkas.database.layers import Layer, write_layer
@@ -271,20 +335,24 @@ class ObjectBuild:
         layer = Layer(
             self.name, capture.camera, capture.setup, sampling or nan, self._credits(captured)
         )
-        record = self._record(capture)
+        decision = self._record(capture)["verdict"]["decision"]
         encoded = self.campaign.cameras[capture.camera].kind == "image"
-        make_folder(self.places.folder(self.name))
-        make_folder(self.places.store(self.name))
-        entry, files = write_layer(
-            self.places.output, layer, cube, verdict=record["verdict"]["decision"], encoded=encoded
-        )
-        notes = {
-            **self._similarity(capture, cube),
-            "flags": describe_flags(cube.flags),
-            "entry": entry.to_row(),
-        }
-        self.ledger.keep(key, prints, files, **notes)
-        return Step(key, "done", why)
+
+        def write() -> Step:
+            make_folder(self.places.folder(self.name))
+            make_folder(self.places.store(self.name))
+            entry, files = write_layer(
+                self.places.output, layer, cube, verdict=decision, encoded=encoded
+            )
+            notes = {
+                **self._similarity(capture, cube),
+                "flags": describe_flags(cube.flags),
+                "entry": entry.to_row(),
+            }
+            self.ledger.keep(key, prints, files, **notes)
+            return Step(key, "done", why)
+
+        return self._write(key, write)
 
     def _withdraw(self, capture: Capture, *, after: str) -> None:
         """Take away what an earlier build published of a layer that is refused now."""

@@ -22,8 +22,10 @@ LONGEST_MAP = 640
 
 def grey_of(values: np.ndarray, flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean of the registered bands, (h, w), and the pixels that every band saw."""
-    valid = ~np.any(flags & Flag.OUTSIDE, axis=2)
-    return np.where(valid, values.mean(axis=2, dtype=np.float64), 0.0), valid
+    from levkas.building.grey_kernels import mean_of_seen
+
+    seen: tuple[np.ndarray, np.ndarray] = mean_of_seen(values, flags, np.uint8(Flag.OUTSIDE))
+    return seen
 
 
 def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,15 +15,17 @@ if TYPE_CHECKING:
     from levkas.registration.images import BandImage
 
 LARGE_HOLE = 7
+MOST_THREADS = 4
 
 
 def images_of(bands: Sequence[BandImage]) -> dict[str, np.ndarray]:
     """Return label → square root of the image, NaN where invalid."""
-    result = {}
-    for band in bands:
-        image = np.where(band.valid, band.values, np.nan).astype(np.float32)
-        result[band.label] = rooted(_mended(image))
-    return result
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
+        return dict(zip([band.label for band in bands], pool.map(_picture, bands), strict=True))
+
+
+def _picture(band: BandImage) -> np.ndarray:
+    return rooted(_mended(np.where(band.valid, band.values, np.float32(np.nan))))
 
 
 def _mended(image: np.ndarray) -> np.ndarray:
