@@ -8,10 +8,10 @@ places without an answer) are evaluated at every pixel.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from math import ceil, floor
+from math import ceil, floor, inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ TOLERANCE_PX = 1e-4
 LADDER = ((128, 32), (32, 16), (8, 8), (4, 4))
 """Distance of nodes and length of segments, grid px."""
 NODES = 6
+LANES = 16
 CHECKS = 12
 """Check points on either axis."""
 COARSE, COARSER = 1.1, 1.5
@@ -117,16 +118,37 @@ def lay(transforms: Transform | Sequence[Transform], shape: tuple[int, int]) -> 
     height, width = (int(n) for n in shape)
     if height < 1 or width < 1:
         raise ValueError(f"a grid of {width} x {height} px has no pixel")
+    bands = len(transforms) if isinstance(transforms, Sequence) else None
+    return PixelMap((height, width), bands, tuple(lay_runs(transforms, (height, width))))
+
+
+def lay_runs(
+    transforms: Transform | Sequence[Transform],
+    shape: tuple[int, int],
+    most_bytes: float = inf,
+) -> Iterator[Lattice]:
+    """Yield the lattices of `lay`, a new one wherever those held take more than `most_bytes`."""
     if not isinstance(transforms, Sequence):
-        return PixelMap((height, width), None, (_lay_band(transforms, (height, width), 0),))
+        yield _lay_band(transforms, shape, 0)
+        return
     if not transforms:
         raise ValueError("there is no transform: give one for all bands, or one for each")
     if all(t is transforms[0] for t in transforms):
-        one = _lay_band(transforms[0], (height, width), 0)
-        return PixelMap((height, width), len(transforms), (one,))
-    bands = [_lay_band(t, (height, width), b) for b, t in enumerate(transforms)]
-    runs = groupby(bands, key=lambda one: (one.segment, one.coarsest > COARSE))
-    return PixelMap((height, width), len(bands), tuple(_join(list(run)) for _, run in runs))
+        yield _lay_band(transforms[0], shape, 0)
+        return
+    run: list[Lattice] = []
+    for band, transform in enumerate(transforms):
+        run.append(_lay_band(transform, shape, band))
+        held = sum(one.table.nbytes for one in run if one.table is not None)
+        if held > most_bytes and len(run) % LANES == 0:
+            yield from _joined(run)
+            run = []
+    yield from _joined(run)
+
+
+def _joined(bands: list[Lattice]) -> Iterator[Lattice]:
+    for _, run in groupby(bands, key=lambda one: (one.segment, one.coarsest > COARSE)):
+        yield _join(list(run))
 
 
 def _lay_band(transform: Transform, shape: tuple[int, int], band: int) -> Lattice:

@@ -5,13 +5,23 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.pixelmap import COARSE, Lattice, PixelMap, exact_table, lay, row_reach, tap_rows, widths
+from levkas.pixelmap import (
+    COARSE,
+    Lattice,
+    PixelMap,
+    exact_table,
+    lay,
+    lay_runs,
+    row_reach,
+    tap_rows,
+    widths,
+)
 
 if TYPE_CHECKING:
     from levkas.transforms import Transform
@@ -20,7 +30,7 @@ if TYPE_CHECKING:
 
 KERNELS = {"cubic": (0, 2.0), "lanczos3": (1, 3.0), "linear": (2, 1.0)}
 """Number and reach, in taps."""
-BANDS_AT_ONCE = 32
+MAP_BYTES = 1 << 28
 BLOCK_BYTES = 1 << 26
 """Most memory of the maps of one block of rows, where no lattice serves."""
 
@@ -156,20 +166,14 @@ def warp(
 
 
 def _lattices(transforms: Maps, shape: tuple[int, int]) -> Iterator[Lattice]:
-    """Lay the maps of some bands at a time: those of a scan take more memory than its pixels."""
+    """Lay the maps of some bands at a time: those of a scan can take more memory than its pixels."""
     shape = (int(shape[0]), int(shape[1]))
     if isinstance(transforms, PixelMap):
         if transforms.shape != shape:
             raise ValueError(f"the maps were laid on a grid of {transforms.shape}, not {shape}")
         yield from transforms.lattices
-    elif not isinstance(transforms, Sequence) or all(t is transforms[0] for t in transforms):
-        yield from lay(transforms, shape).lattices
     else:
-        for first in range(0, len(transforms), BANDS_AT_ONCE):
-            group = transforms[first : first + BANDS_AT_ONCE]
-            for lattice in lay(group, shape).lattices:
-                count = len(group) if lattice.count is None else lattice.count
-                yield replace(lattice, first=first + lattice.first, count=count)
+        yield from lay_runs(transforms, shape, MAP_BYTES)
 
 
 def source_rows(

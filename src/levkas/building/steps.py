@@ -71,7 +71,7 @@ class BuildReport:
         """What a person wants to know at the end."""
         states = [step.state for step in self.stages]
         told = [f"{states.count(s)} {s}" for s in FINISHED if s in states]
-        lines = [f"warning: {warning}" for warning in self.warnings]
+        lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
         lines += [step.line for step in self.stages if step.state in ("refused", "failed", "stale")]
         where = f": {self.output}" if self.output else ""
         lines.append(f"{', '.join(told) or 'nothing to do'}{where}")
@@ -84,6 +84,22 @@ class BuildReport:
             "stages": [step.to_dict() for step in self.stages],
             "warnings": list(self.warnings),
         }
+
+
+def _gathered(warnings: Iterable[str]) -> list[str]:
+    """Say once what several layers are warned of alike.
+
+    >>> _gathered(["a/x: too dark", "a/y: too dark", "a/x: too soft"])
+    ['a/x and 1 more: too dark', 'a/x: too soft']
+    """
+    layers: dict[str, list[str]] = {}
+    for warning in warnings:
+        layer, _, text = warning.partition(": ")
+        layers.setdefault(text, []).append(layer)
+    return [
+        f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}{': ' if text else ''}{text}"
+        for text, names in layers.items()
+    ]
 
 
 def summarise(steps: Iterable[Step], output: Path | None = None) -> BuildReport:
