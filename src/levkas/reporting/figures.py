@@ -23,12 +23,14 @@ def draw_trace(matches: Matches, trace: Trace | None) -> list[Figure]:
     if len(matches) == 0:
         return []
     if trace is None:
-        return [Figure(_panels([_pairs_only(matches)]), _PAIRS)]
+        height = _placing(matches.reference).height
+        return [Figure(_panels([_pairs_only(matches)], height), _PAIRS)]
     middle = max(1, trace.rounds // 2)
     rounds = sorted({0, middle, trace.rounds - 1})
     panels = [_panel(matches, trace, -1, "start: scale alone")]
     panels += [_panel(matches, trace, r, f"round {r + 1} of {trace.rounds}") for r in rounds]
-    return [Figure(_panels(panels), _COURSE), Figure(_curve(trace), _LARGEST)]
+    height = _placing(_both_frames(trace)).height
+    return [Figure(_panels(panels, height), _COURSE), Figure(_curve(trace), _LARGEST)]
 
 
 _COURSE = (
@@ -43,22 +45,20 @@ _LARGEST = (
 _PAIRS = "Pairs of control points in reference pixels: kept ones red, removed ones gray."
 
 
-def _panels(panels: Sequence[str]) -> str:
+def _panels(panels: Sequence[str], height: float) -> str:
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
     placed = [
-        f'<g transform="translate({(i % columns) * PANEL_PX},{(i // columns) * PANEL_PX})">{p}</g>'
+        f'<g transform="translate({(i % columns) * PANEL_PX},{(i // columns) * height:.0f})">{p}</g>'
         for i, p in enumerate(panels)
     ]
-    size = f"0 0 {columns * PANEL_PX} {rows * PANEL_PX}"
+    size = f"0 0 {columns * PANEL_PX} {rows * height:.0f}"
     return f'<svg viewBox="{size}" role="img" aria-label="course of the registration">{"".join(placed)}</svg>'
 
 
 def _panel(matches: Matches, trace: Trace, number: int, title: str) -> str:
     """One state of the removal: frames, and the pairs under the map of that state."""
-    width, height = trace.size
-    frame = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], float)
-    place = _placing(np.vstack([frame, trace.frame]))
+    place, frame = _placing(_both_frames(trace)), _both_frames(trace)[:4]
     kept = np.ones(len(matches), bool) if number < 0 else trace.kept_at(number)
     chosen = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // MOST_PAIRS)]
     mapped = trace.scale(matches.target[chosen])
@@ -72,6 +72,12 @@ def _panel(matches: Matches, trace: Trace, number: int, title: str) -> str:
     parts.append(_dots(place(mapped), "var(--tgt)"))
     parts.append(f'<text x="8" y="16">{title}: {int(kept.sum())} pairs</text>')
     return "".join(parts)
+
+
+def _both_frames(trace: Trace) -> np.ndarray:
+    width, height = trace.size
+    frame = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], float)
+    return np.vstack([frame, trace.frame])
 
 
 def _under_corners(trace: Trace, number: int, mapped: np.ndarray) -> np.ndarray:
@@ -96,6 +102,7 @@ class _placing:
     def __init__(self, points: np.ndarray) -> None:
         self.low, high = points.min(0), points.max(0)
         self.scale = (PANEL_PX - 40) / max(float((high - self.low).max()), 1.0)
+        self.height = 48 + self.scale * float(high[1] - self.low[1])
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return (np.asarray(points) - self.low) * self.scale + [20, 28]
