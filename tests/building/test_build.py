@@ -164,6 +164,44 @@ def test_a_changed_parameter_redoes_only_what_depends_on_it_and_status_says_why(
     assert done["irr register"] == "done" and done["photo resample"] == "fresh"
 
 
+def flip_a_bit(path):
+    """Damage one file where its size and time do not tell."""
+    told = path.stat()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+    os.utime(path, ns=(told.st_atime_ns, told.st_mtime_ns))
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        *("native/panel_photo.tif", "native/panel_irr.tif", "native/panel_irr.flags.tif"),
+        *("registration/photo.json", "registration/irr.json", "panel_photo.tif"),
+    ],
+)
+def test_what_was_kept_is_checked_before_it_is_read_again(campaign, damaged):
+    whole = hash_tree(campaign / "database")
+    assert summarise(build(campaign)).ok  # from now on sizes and times are believed
+    path = campaign / "database/objects/panel" / damaged
+    flip_a_bit(path)
+    for name in ("panel_irr.tif", "panel_irr.png"):
+        (campaign / "database/objects/panel" / name).unlink()  # so that the last stage is due
+    report = summarise(build(campaign))
+    assert report.ok, report.text
+    assert hash_tree(campaign / "database") == whole
+    assert any("damaged" in step.why for step in report.stages)
+
+
+def test_a_damaged_record_of_a_stage_is_not_believed(campaign):
+    whole = hash_tree(campaign / "database")
+    path = campaign / "database.kept/panel/irr/resample.json"
+    path.write_text(path.read_text().replace('"accept"', '"accepT"'))
+    assert states(status(campaign))["irr resample"] == "stale"
+    summarise(build(campaign))
+    assert hash_tree(campaign / "database") == whole
+
+
 def test_the_same_input_gives_the_same_bytes_in_another_folder(finished, tmp_path):
     other = make(tmp_path / "elsewhere")
     assert summarise(build(other, output=tmp_path / "there")).ok

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
-from levkas.files import hash_file, make_folder, remove, write_json
+from levkas.files import hash_file, make_folder, remove, to_json, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -106,9 +106,8 @@ class Ledger:
 
     def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
         """Say why a stage must be done; empty where its products stand and fit."""
-        record = _read(self._path(key))
-        if not record:
-            return "not yet built"
+        if not (record := self._record(key)):
+            return "its record was damaged" if self._path(key).is_file() else "not yet built"
         if changed := _difference(record.get("fingerprint", {}), fingerprint):
             return changed
         for name, digest in record.get("products", {}).items():
@@ -119,21 +118,33 @@ class Ledger:
                 return f"{name} was changed after it was built"
         return ""
 
+    def damaged(self, key: Key) -> str:
+        """Read every product of a finished stage, and name the first that is not what was written.
+
+        `why_stale` believes size and time of a file; before a product is read again, nothing is
+        believed.
+        """
+        for name, digest in self.products(key).items():
+            path = self.output / name
+            if not path.is_file() or hash_file(path) != digest:
+                return name
+        return ""
+
     def products(self, key: Key) -> dict[str, str]:
         """Return the names and hashes of what a finished stage made."""
-        return dict(_read(self._path(key)).get("products", {}))
+        return dict(self._record(key).get("products", {}))
 
     def hashes_of_products(self) -> dict[str, str]:
         """Return name → SHA-256 of every product of every finished stage that still stands."""
         known: dict[str, str] = {}
         for path in sorted(self.folder.rglob("*.json")):
             if path != self.hashes.path:
-                known.update(_read(path).get("products", {}))
+                known.update(_sound(_read(path)).get("products", {}))
         return {name: sha for name, sha in known.items() if (self.output / name).is_file()}
 
     def told(self, key: Key) -> dict[str, Any]:
         """Return what a finished stage noted for later ones."""
-        return dict(_read(self._path(key)).get("notes", {}))
+        return dict(self._record(key).get("notes", {}))
 
     def keep(
         self, key: Key, fingerprint: dict[str, Any], products: Iterable[Path], **notes: Any
@@ -142,13 +153,17 @@ class Ledger:
         made = {p.relative_to(self.output).as_posix(): self.hashes(p) for p in sorted(products)}
         path = self._path(key)
         make_folder(path.parent)
-        write_json(path, {"fingerprint": fingerprint, "products": made, "notes": notes})
+        record = {"fingerprint": fingerprint, "products": made, "notes": notes}
+        write_json(path, {**record, "check": _check(record)})
         self.hashes.save()
 
     def forget(self, key: Key) -> None:
         """Drop the record of a stage that is about to be done anew."""
         if self._path(key).is_file():
             remove(self._path(key))
+
+    def _record(self, key: Key) -> dict[str, Any]:
+        return _sound(_read(self._path(key)))
 
     def _path(self, key: Key) -> Path:
         parts = [part for part in (key.object, key.layer, key.stage) if part]
@@ -161,6 +176,17 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return record if isinstance(record, dict) else {}
+
+
+def _check(record: dict[str, Any]) -> str:
+    """Hash of a record as its file spells it, so that a bit that flips in it is seen."""
+    return hashlib.sha256(to_json(record).encode()).hexdigest()
+
+
+def _sound(record: dict[str, Any]) -> dict[str, Any]:
+    """Return a record without its check; nothing where it is not what was written."""
+    body = {name: value for name, value in record.items() if name != "check"}
+    return body if record.get("check") == _check(body) else {}
 
 
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,17 @@ if TYPE_CHECKING:
     from levkas.discovery import Capture
     from levkas.gridding import Grid
     from levkas.registration import BandImage, Registration
+
+
+STAGES = ("calibrate", "register", "resample")
+
+
+class Planned(NamedTuple):
+    """A stage of a capture, what it hangs on, and why it must be done; empty where it need not."""
+
+    key: Key
+    prints: dict[str, Any]
+    why: str
 
 
 @dataclass
@@ -54,6 +65,7 @@ class ObjectBuild:
     _grid: tuple[Grid, float | None, tuple[float, float, float, float] | None] | None = None
     _grey: tuple[np.ndarray, np.ndarray] | None = None
     _hashing: bool = False
+    _checked: bool = False
     _being_written: list[tuple[Capture, str, Future[Step]]] = field(default_factory=list)
 
     @property
@@ -82,7 +94,12 @@ class ObjectBuild:
                 yield _refused(self.keys(capture)["calibrate"], broken)
                 continue
             failed = None
-            for step in self._capture(capture):
+            plan = self._plan(capture)
+            due = any(planned.why for planned in plan.values())
+            if due and not self._checked and capture is not self.reference:
+                yield from self._check_reference()
+            self._checked = self._checked or due
+            for step in self._capture(capture, plan):
                 yield step
                 failed = step if step.state in ("refused", "failed") else failed
             if failed is not None and capture is self.reference:
@@ -118,13 +135,33 @@ class ObjectBuild:
 
     # --- one capture --------------------------------------------------------------------------
 
-    def _capture(self, capture: Capture) -> Iterator[Step]:
-        native: list[Native] = []
-        for stage in ("calibrate", "register", "resample"):
-            key = self.keys(capture)[stage]
+    def _plan(self, capture: Capture, *, verify: bool = False) -> dict[str, Planned]:
+        """Say what each stage of a capture hangs on, and why it must be done.
+
+        What a stage made is read in full and checked before a later one that is due reads it.
+        """
+        plan: dict[str, Planned] = {}
+        for stage, key in self.keys(capture).items():
             prints = self._prints(capture, stage)
             self.digests[key] = digest(prints)
-            why = self.ledger.why_stale(key, prints)
+            plan[stage] = Planned(key, prints, self.ledger.why_stale(key, prints))
+        due = [stage for stage, planned in plan.items() if planned.why]
+        for stage, planned in plan.items():
+            read = verify or (due and STAGES.index(stage) < STAGES.index(due[-1]))
+            if read and not planned.why and (name := self.ledger.damaged(planned.key)):
+                plan[stage] = planned._replace(why=f"{name} was damaged")
+        return plan
+
+    def _check_reference(self) -> Iterator[Step]:
+        """Before another capture reads what was kept of the reference, mend what is damaged of it."""
+        self._checked = True
+        for step in self._capture(self.reference, self._plan(self.reference, verify=True)):
+            if step.state != "fresh":
+                yield step
+
+    def _capture(self, capture: Capture, plan: dict[str, Planned]) -> Iterator[Step]:
+        native: list[Native] = []
+        for stage, (key, prints, why) in plan.items():
             if stage == "register":
                 # Two cubes at once are enough; the one of the capture before goes first.
                 yield from self._written(but=capture)
