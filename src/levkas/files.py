@@ -170,6 +170,26 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
     _sync_folder(path.parent)
 
 
+@contextlib.contextmanager
+def spooling(folder: str | Path, name: str) -> Iterator[io.BufferedRandom]:
+    """Open a file for what is needed meanwhile; it bears a partial name and goes with the block.
+
+    Raises WriteRefused as `replacing` does.
+    """
+    path = Path(folder) / name
+    make_folder(path.parent)
+    raw = _open_partial(path, None)
+    handle = io.BufferedRandom(raw, BUFFER_BYTES)
+    try:
+        with _refusing(path, None, only_of=Path(raw.name)):
+            yield handle
+    finally:
+        raw.discarding = True
+        handle.close()
+        with contextlib.suppress(OSError):
+            Path(raw.name).unlink()
+
+
 class _Watched(io.FileIO):
     """A file that announces its writes and turns their failures into refusals."""
 

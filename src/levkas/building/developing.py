@@ -96,7 +96,7 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
         facts = read_facts(sensor.object[0].path)
         captured = captured or facts.captured
         bench = Bench(campaign, camera, sensor, facts, shelf)
-        notes += _doubts(bench)
+        notes += doubts_of(bench)
         cubes[sensor.name] = DEVELOPERS[camera.kind](bench, notes)
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
@@ -104,7 +104,7 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
     return Native(cubes, aligns, captured, told)
 
 
-def _doubts(bench: Bench) -> list[str]:
+def doubts_of(bench: Bench) -> list[str]:
     """What a person should know before believing the values."""
     doubts: list[str] = []
     camera = bench.camera
@@ -140,7 +140,7 @@ def _read(frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
         yield read_frame(frame.path, page=frame.page)
 
 
-def _read_cube(frame: FrameRef) -> np.ndarray:
+def read_cube(frame: FrameRef) -> np.ndarray:
     """Read (lines, samples, bands): ENVI, or a TIFF whose pages are the bands."""
     pages = read_facts(frame.path).pages
     if pages > 1:
@@ -156,7 +156,7 @@ def _placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
 
 
-def _flat(
+def flatten(
     bench: Bench, shot: Template, dark: list[Template], white: Template | None, **more: Any
 ) -> Calibrated:
     """Flat-field with the files named in every refusal."""
@@ -183,9 +183,10 @@ def _noise(
     return fit_noise_single(shots, whites, dark, black=black, pattern=pattern)
 
 
-def _cube(
+def cube_of(
     bench: Bench, values: np.ndarray, flags: np.ndarray, variance: np.ndarray | None, quantity: str
 ) -> Cube:
+    """Return values, flags and sigma of one sensor; what could not be said is 0 and flagged."""
     sigma = None
     if variance is not None:
         sigma = (
@@ -291,7 +292,7 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     pattern = sensor.pattern
     defects = _defects(darks, white, pattern)
     reflectance = white_reflectance(bench.campaign, sensor.bands)
-    flat = _flat(
+    flat = flatten(
         bench,
         exposed.shot,
         [] if exposed.above_dark else darks,
@@ -309,14 +310,14 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     if pattern is None:
         deep = values.shape if values.ndim == 3 else (*values.shape, 1)
         variance = None if variance is None else variance.reshape(deep)
-        return _cube(bench, values.reshape(deep), flags.reshape(deep), variance, flat.quantity)
+        return cube_of(bench, values.reshape(deep), flags.reshape(deep), variance, flat.quantity)
     method = camera.demosaic or (
         "bilinear" if camera.kind == "sensors" and len(pattern) == 2 else None
     )
     made = demosaic(
         values, flags, variance, pattern, method=method, channels=[b.label for b in sensor.bands]
     )
-    return _cube(bench, *made, flat.quantity)
+    return cube_of(bench, *made, flat.quantity)
 
 
 def develop_bands(bench: Bench, notes: list[str]) -> Cube:
@@ -338,7 +339,7 @@ def develop_bands(bench: Bench, notes: list[str]) -> Cube:
             variance[..., i] = flat.variance
         else:
             variance = None
-    return _cube(bench, values, flags, variance, quantity)
+    return cube_of(bench, values, flags, variance, quantity)
 
 
 def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None) -> Calibrated:
@@ -351,7 +352,7 @@ def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None
     exposed = _exposed(bench, [f for f in sensor.object if f.band == label], darks)
     frames = _require(_of_band(sensor.white, label), bench, label)
     white = _white(bench, frames, darks, exposed.above_dark)
-    flat = _flat(
+    flat = flatten(
         bench,
         exposed.shot,
         [] if exposed.above_dark else darks,
@@ -429,19 +430,20 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     def template(frames: Sequence[FrameRef]) -> Template | None:
         if not frames:
             return None
-        blocks = (_read_cube(frame) for frame in frames)
+        blocks = (read_cube(frame) for frame in frames)
         join = average if mirror else average_lines
         return join(blocks, saturation=bench.saturation)
 
     dark, white = template(sensor.dark), template(sensor.white)
     darks = [dark] if dark else []
     reflectance = white_reflectance(bench.campaign, sensor.bands)
-    noise, strips = None, []
+    noise = None if mirror else line_noise(bench, dark, white)
+    strips = []
     for frame in sensor.object:
-        shot = average(iter([_read_cube(frame)]), saturation=bench.saturation)
-        stacks: list[Template | None] = [white] if white and not mirror else []
-        noise = noise or _noise([shot] if mirror else [], stacks, darks, bench)
-        flat = _flat(
+        shot = average(iter([read_cube(frame)]), saturation=bench.saturation)
+        if mirror:
+            noise = noise or _noise([shot], [], darks, bench)
+        flat = flatten(
             bench,
             shot,
             darks,
@@ -457,7 +459,12 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
         whole, seams = join_strips(strips)
         notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
     values = _denoised(bench, whole.values, notes) if bench.camera.denoise else whole.values
-    return _cube(bench, values, whole.flags, whole.variance, whole.quantity)
+    return cube_of(bench, values, whole.flags, whole.variance, whole.quantity)
+
+
+def line_noise(bench: Bench, dark: Template | None, white: Template | None) -> NoiseModel | None:
+    """Noise of a push-broom camera: its white is one line, seen many times."""
+    return _noise([], [white] if white else [], [dark] if dark else [], bench)
 
 
 def _describe_seam(number: int, seam: Seam) -> str:
@@ -492,7 +499,7 @@ def develop_image(bench: Bench, notes: list[str]) -> Cube:
         if shot.variance is None
         else (shot.variance / shot.count).reshape(values.shape).astype(np.float32)
     )
-    return _cube(bench, np.ascontiguousarray(values, np.float32), flags, variance, "counts")
+    return cube_of(bench, np.ascontiguousarray(values, np.float32), flags, variance, "counts")
 
 
 DEVELOPERS = {

@@ -53,6 +53,11 @@ class Native:
         quantities = {cube.quantity for cube in self.cubes.values()}
         return "reflectance" if quantities == {"reflectance"} else "counts"
 
+    @property
+    def factor(self) -> int:
+        """Side, px, of the blocks that make a pixel of `images`."""
+        return 1
+
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it, in memory of its own."""
         from levkas.database.spectral_tiff import planes_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,16 +21,21 @@ from levkas.machine import give_back_memory
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from levkas.building.native import Native
     from levkas.building.places import Places
+    from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
     from levkas.campaign import Campaign
-    from levkas.cube import Cube
+    from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
+    from levkas.database.layers import Layer
     from levkas.discovery import Capture
     from levkas.gridding import Grid
     from levkas.registration import BandImage, Registration
 
+    Grey = tuple[np.ndarray, np.ndarray]
 
 STAGES = ("calibrate", "register", "resample")
 
@@ -160,7 +165,7 @@ class ObjectBuild:
                 yield step
 
     def _capture(self, capture: Capture, plan: dict[str, Planned]) -> Iterator[Step]:
-        native: list[Native] = []
+        native: list[Native | Scan] = []
         for stage, (key, prints, why) in plan.items():
             if stage == "register":
                 # Two cubes at once are enough; the one of the capture before goes first.
@@ -221,7 +226,7 @@ class ObjectBuild:
         key: Key,
         prints: dict[str, Any],
         capture: Capture,
-        native: list[Native],
+        native: list[Native | Scan],
         why: str,
     ) -> Step | Future[Step]:
         """Do a stage; what it makes may still be being written when this returns."""
@@ -237,20 +242,27 @@ class ObjectBuild:
         except Refused as refused:
             return _refused(key, refused)
 
-    def _write(self, key: Key, write: Callable[[], Step]) -> Future[Step]:
+    def _write(self, key: Key, write: Callable[[], Step], *, wait: bool = False) -> Future[Step]:
         def attempt() -> Step:
             try:
                 return write()
             except Refused as refused:
                 return _refused(key, refused)
 
-        return self._writer.submit(attempt)
+        job = self._writer.submit(attempt)
+        if wait:
+            job.exception()
+        return job
 
-    def _native(self, capture: Capture, native: list[Native]) -> Native:
+    def _native(self, capture: Capture, native: list[Native | Scan]) -> Native | Scan:
         """The calibrated cubes, from this run or from the database."""
         if not native:
             from levkas.building.native import read_native
+            from levkas.building.scans import is_streamed, open_scan
 
+            if is_streamed(capture, self.campaign):
+                native.append(open_scan(capture, self.campaign, self.shelf))
+                return native[0]
             notes = self.ledger.told(self.keys(capture)["calibrate"])
             native.append(
                 read_native(
@@ -263,16 +275,28 @@ class ObjectBuild:
         return native[0]
 
     def _calibrate(
-        self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
+        self,
+        key: Key,
+        prints: dict[str, Any],
+        capture: Capture,
+        native: list[Native | Scan],
+        why: str,
     ) -> Future[Step]:
         from levkas.building.developing import develop
-        from levkas.building.native import write_native
+        from levkas.building.native import Native, write_native
+        from levkas.building.scans import is_streamed, open_scan
+        from levkas.building.streaming import write_scan
 
-        made = develop(capture, self.campaign, self.shelf)
+        streamed = is_streamed(capture, self.campaign)
+        made = (open_scan if streamed else develop)(capture, self.campaign, self.shelf)
         native.append(made.without_sigma())
 
         def write() -> Step:
-            files = write_native(made, capture, self.places, self._credits(made.captured or ""))
+            credits = self._credits(made.captured or "")
+            if isinstance(made, Native):
+                files = write_native(made, capture, self.places, credits)
+            else:
+                files = write_scan(made, capture, self.places, credits)
             notes = {
                 "quantity": made.quantity,
                 "warnings": list(made.warnings),
@@ -281,10 +305,15 @@ class ObjectBuild:
             self.ledger.keep(key, prints, files, **notes)
             return Step(key, "done", why, warnings=made.warnings)
 
-        return self._write(key, write)
+        return self._write(key, write, wait=streamed)
 
     def _register(
-        self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
+        self,
+        key: Key,
+        prints: dict[str, Any],
+        capture: Capture,
+        native: list[Native | Scan],
+        why: str,
     ) -> Step:
         from levkas.building import registering
         from levkas.files import make_folder, write_json, write_text
@@ -355,41 +384,83 @@ class ObjectBuild:
         return Step(key, "done", why, warnings=warned)
 
     def _resample(
-        self, key: Key, prints: dict[str, Any], capture: Capture, native: list[Native], why: str
+        self,
+        key: Key,
+        prints: dict[str, Any],
+        capture: Capture,
+        native: list[Native | Scan],
+        why: str,
     ) -> Future[Step]:
         from levkas.building.native import read_sigma
-        from levkas.building.resampling import describe_flags, resample
+        from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
+        from levkas.building.scans import Scan
         from levkas.database.layers import Layer, write_layer
         from levkas.files import make_folder
 
         grid, sampling, _ = self._frame(native if capture is self.reference else [])
         here = self._native(capture, native)
         native.clear()
-        sigma = partial(read_sigma, capture, self.places)
-        cube = resample(here, self._transforms(capture), grid, sigma)
-        del here
         captured = self.ledger.told(self.keys(capture)["calibrate"]).get("captured", "")
         layer = Layer(
             self.name, capture.camera, capture.setup, sampling or nan, self._credits(captured)
         )
         decision = self._record(capture)["verdict"]["decision"]
-        encoded = self.campaign.cameras[capture.camera].kind == "image"
+        for folder in (self.places.folder(self.name), self.places.store(self.name)):
+            make_folder(folder)
 
-        def write() -> Step:
-            make_folder(self.places.folder(self.name))
-            make_folder(self.places.store(self.name))
-            entry, files = write_layer(
-                self.places.output, layer, cube, verdict=decision, encoded=encoded
-            )
+        def keep(entry: Entry, files: Iterable[Path], grey: Grey, flags: np.ndarray) -> Step:
             notes = {
-                **self._similarity(capture, cube),
-                "flags": describe_flags(cube.flags),
+                **self._similarity(capture, grey),
+                "flags": describe_flags(flags),
                 "entry": entry.to_row(),
             }
             self.ledger.keep(key, prints, files, **notes)
             return Step(key, "done", why)
 
+        if isinstance(here, Scan):
+            return self._write(
+                key, partial(self._stream, here, capture, layer, decision, grid, keep), wait=True
+            )
+        sigma = partial(read_sigma, capture, self.places)
+        cube = resample(here, self._transforms(capture), grid, sigma)
+        encoded = self.campaign.cameras[capture.camera].kind == "image"
+        del here
+
+        def write() -> Step:
+            entry, files = write_layer(
+                self.places.output, layer, cube, verdict=decision, encoded=encoded
+            )
+            return keep(entry, files, grey_of(cube.values, cube.flags), count_flags(cube.flags))
+
         return self._write(key, write)
+
+    def _stream(
+        self,
+        scan: Scan,
+        capture: Capture,
+        layer: Layer,
+        decision: str,
+        grid: Grid,
+        keep: Callable[..., Step],
+    ) -> Step:
+        """Resample and write a scan some rows at a time."""
+        from levkas.building.streaming import Passing, resample_scan
+        from levkas.database.spooling import write_rows
+        from levkas.transforms import Composed
+
+        transforms, passing = self._transforms(capture), Passing()
+        maps = [Composed(grid.transform, transforms[band.label]) for band in scan.bands]
+        made = write_rows(
+            self.places.output,
+            layer,
+            passing.noting(resample_scan(scan, maps, grid.size, spool=self.places.kept)),
+            size=grid.size,
+            bands=scan.bands,
+            quantity=scan.quantity,
+            sigma=scan.has_sigma,
+            verdict=decision,
+        )
+        return keep(made.entry, made.files, passing.grey, passing.flags)
 
     def _withdraw(self, capture: Capture, *, after: str) -> None:
         """Take away what an earlier build published of a layer that is refused now."""
@@ -416,7 +487,7 @@ class ObjectBuild:
             return labels[len(labels) // 2]
         return labels[find_band(labels, wanted, [band.wavelength for band in bands])]
 
-    def _reference_images(self, native: list[Native]) -> list[BandImage]:
+    def _reference_images(self, native: list[Native | Scan]) -> list[BandImage]:
         if self._images is None:
             self._images = self._native(self.reference, native).images()
         return self._images
@@ -452,7 +523,7 @@ class ObjectBuild:
         return {"camera": self.reference.camera, "band": image.label, "size": list(image.size)}
 
     def _frame(
-        self, native: list[Native]
+        self, native: list[Native | Scan]
     ) -> tuple[Grid, float | None, tuple[float, float, float, float] | None]:
         """The grid, its sampling in px per mm where known, and the object's region in reference px."""
         if self._grid is None:
@@ -482,13 +553,12 @@ class ObjectBuild:
             rights=(facts.rights if facts else "") or described.licence,
         )
 
-    def _similarity(self, capture: Capture, cube: Cube) -> dict[str, Any]:
+    def _similarity(self, capture: Capture, grey: Grey) -> dict[str, Any]:
         """SSIM against the reference layer, and its map as PNG text, for the report."""
-        from levkas.building.resampling import grey_of, read_grey, shrink_map
+        from levkas.building.resampling import read_grey, shrink_map
         from levkas.database.preview import encode_png
         from levkas.evaluation import structural_similarity
 
-        grey = grey_of(cube.values, cube.flags)
         if capture is self.reference:
             self._grey = grey
             return {"ssim": None, "ssim_map": ""}

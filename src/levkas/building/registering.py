@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas import __version__
 from levkas.registration import Registration, RegistrationRefused, register
-from levkas.transforms import Affine
+from levkas.transforms import Affine, Composed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.building.native import Native
+    from levkas.building.scans import Scan
     from levkas.discovery import Capture
     from levkas.gridding import Grid
     from levkas.registration import BandImage, Trace
@@ -25,7 +27,7 @@ FEWEST_PX = 16
 
 
 def register_capture(
-    native: Native,
+    native: Native | Scan,
     reference: Sequence[BandImage],
     reference_band: str,
     own: Registration | None,
@@ -45,8 +47,21 @@ def register_capture(
     aligns = {s: a for s, a in native.aligns.items() if a != "measure"}
     if aligns and options.get("method") == "mirhashemi2019":
         options = {**options, "align": {s: Affine(np.array(a, float)) for s, a in aligns.items()}}
-    return register(
+    found = register(
         reference, native.images(), reference_band=reference_band, region=region, **options
+    )
+    return found if native.factor == 1 else _enlarged(found, native.factor)
+
+
+def _enlarged(found: Registration, factor: int) -> Registration:
+    """Turn a registration of reduced pictures into one of native pixels."""
+    middle = (factor - 1) / 2
+    grow = Affine(np.array([[factor, 0, middle], [0, factor, middle]], float))
+    return replace(
+        found,
+        transforms={label: Composed(one, grow) for label, one in found.transforms.items()},
+        matches=replace(found.matches, target=grow(found.matches.target)),
+        trace=None,
     )
 
 
@@ -85,7 +100,7 @@ def record_of(
     registration: Registration | None,
     refused: RegistrationRefused | None,
     capture: Capture,
-    native: Native,
+    native: Native | Scan,
     grid: Grid,
     reference: dict[str, Any],
     px_per_mm: float | None,

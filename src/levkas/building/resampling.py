@@ -44,14 +44,20 @@ def shrink_map(full: np.ndarray) -> np.ndarray:
     return np.asarray(np.round(255 * np.clip(blocks.mean((1, 3)), 0, 1)), np.uint8)
 
 
-def describe_flags(flags: np.ndarray) -> dict[str, float]:
-    """Return the share of pixels and bands under each flag, by its name."""
+def count_flags(flags: np.ndarray) -> np.ndarray:
+    """Return how often each of the 256 codes occurs."""
     counts = np.zeros(256, np.int64)
     for row in flags:  # bincount turns what it counts into 64-bit numbers
         counts += np.bincount(row.reshape(-1), minlength=256)
+    return counts
+
+
+def describe_flags(counts: np.ndarray) -> dict[str, float]:
+    """Return the share of pixels and bands under each flag, by its name, from `count_flags`."""
     codes = np.arange(256)
+    total = max(int(counts.sum()), 1)
     return {
-        flag.name.lower(): float(counts[(codes & flag.value) != 0].sum() / max(flags.size, 1))
+        flag.name.lower(): float(counts[(codes & flag.value) != 0].sum() / total)
         for flag in Flag
         if flag.name
     }

@@ -115,7 +115,7 @@ def write_layer(
     """
     database = Path(database)
     picture, description = preview(cube, sensitivity=sensitivity, encoded=encoded, white=white)
-    cube = _rounded(cube)
+    cube = rounded(cube)
     base = database / "objects" / layer.object / layer.stem
     written = write_tiffs(base, layer, cube, rgb=picture, rendering=description, threads=threads)
     png = base.with_name(base.name + ".png")
@@ -127,11 +127,19 @@ def write_layer(
         write_layer_store(root, layer.name, cube, attributes=layer.attributes(cube.quantity))
         written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
     height, width, count = cube.values.shape
-    entry = Entry(
-        *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
-        *(cube.quantity, verdict, hash_file(written[0])),
-    )
+    entry = entry_of_layer(layer, (height, width, count), cube.quantity, verdict, written[0])
     return entry, tuple(written)
+
+
+def entry_of_layer(
+    layer: Layer, shape: tuple[int, int, int], quantity: str, verdict: str, tiff: Path
+) -> Entry:
+    """Return the layer's row of the catalogue."""
+    height, width, count = shape
+    return Entry(
+        *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
+        *(quantity, verdict, hash_file(tiff)),
+    )
 
 
 def write_tiffs(
@@ -201,7 +209,8 @@ def describe_bands(bands: Sequence[Band], facts: dict[str, Any]) -> str:
     return json.dumps(record, ensure_ascii=False, allow_nan=False)
 
 
-def _rounded(cube: Cube) -> Cube:
+def rounded(cube: Cube) -> Cube:
+    """Return the cube with sigma as it is stored."""
     if cube.sigma is None or _is_rounded(cube.sigma):
         return cube
     return replace(cube, sigma=round_sigma(cube.sigma))

@@ -79,19 +79,55 @@ def write_spectral_tiff(
     WriteRefused
         Where the disk refuses.
     """
+    dtype, count = np.dtype(dtype), len(wavelengths)
+    pages = _compressed(
+        _checked(Path(path), planes, shape, dtype, count), strip_rows(shape[1], dtype), threads
+    )
+    write_encoded_pages(
+        path,
+        pages,
+        shape=shape,
+        wavelengths=wavelengths,
+        text=text,
+        dtype=dtype,
+        rgb=rgb,
+        px_per_mm=px_per_mm,
+        credits=credits,
+        bigtiff=bigtiff,
+    )
+
+
+def strip_rows(width: int, dtype: Any) -> int:
+    """Return the rows of a strip."""
+    return max(1, STRIP_BYTES // max(1, width * np.dtype(dtype).itemsize))
+
+
+def write_encoded_pages(
+    path: str | Path,
+    pages: Iterable[Iterable[bytes]],
+    *,
+    shape: tuple[int, int],
+    wavelengths: Sequence[float],
+    text: str,
+    dtype: Any,
+    rgb: np.ndarray | None,
+    px_per_mm: float | None,
+    credits: Credits | None,
+    bigtiff: bool | None = None,
+) -> None:
+    """Write pages whose strips `encode_strip` has made; otherwise as `write_spectral_tiff`."""
     from tifffile import TiffWriter
 
-    dtype, count = np.dtype(dtype), len(wavelengths)
+    dtype = np.dtype(dtype)
     if bigtiff is None:
-        bigtiff = dtype.itemsize * shape[0] * shape[1] * count > CLASSIC_LIMIT
-    rows = max(1, STRIP_BYTES // max(1, shape[1] * dtype.itemsize))
+        bigtiff = dtype.itemsize * shape[0] * shape[1] * len(wavelengths) > CLASSIC_LIMIT
+    rows = strip_rows(shape[1], dtype)
     common = _common_tags(px_per_mm)
     first = _first_tags(text, wavelengths, credits if rgb is None else None)
-    strips = _compressed(_checked(Path(path), planes, shape, dtype, count), rows, threads)
     with replacing(path) as handle, TiffWriter(handle, bigtiff=bigtiff, byteorder="<") as tiff:
         if rgb is not None:
             _write_render(tiff, rgb, common, credits or Credits())
-        for index, encoded in enumerate(strips):
+        for index, encoded in enumerate(pages):
             tiff.write(
                 iter(encoded),
                 shape=shape,
@@ -172,14 +208,15 @@ def _compressed(planes: Iterable[np.ndarray], rows: int, threads: int) -> Iterat
     with ThreadPoolExecutor(max(1, threads)) as pool:
         for plane in planes:
             cuts = range(0, len(plane), rows)
-            jobs = [pool.submit(_encode_strip, plane[y : y + rows]) for y in cuts]
+            jobs = [pool.submit(encode_strip, plane[y : y + rows]) for y in cuts]
             if ready:
                 yield ready.popleft()
             ready.append([job.result() for job in jobs])
         yield from ready
 
 
-def _encode_strip(strip: Any) -> bytes:
+def encode_strip(strip: Any) -> bytes:
+    """Predict and deflate one strip, (rows, width)."""
     import imagecodecs
 
     if strip.dtype.kind == "f":

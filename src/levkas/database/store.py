@@ -26,6 +26,8 @@ LEVEL = 1
 """Of zstd: noise does not get smaller at higher levels, only slower."""
 BAND_CHUNK, NARROW, SIDE, WIDE_SIDE = 16, 8, 128, 256
 SHARD_TARGET, SHARD_LIMIT = 64 << 20, 256_000_000
+SLAB_LIMIT, LEAST_ROWS = 128 << 20, 16
+"""Whole rows of chunks are written at once: those of a long scan with many bands are made lower."""
 ROOT = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
 
 
@@ -49,7 +51,10 @@ def chunks_of(shape: tuple[int, int, int]) -> tuple[tuple[int, ...], tuple[int, 
     groups = -(-bands // BAND_CHUNK)
     depth = -(-bands // groups)
     side = SIDE if depth >= NARROW else WIDE_SIDE
-    chunk = (min(side, height), min(side, width), depth)
+    tall, wide = side, side
+    while 4 * tall * width * bands > SLAB_LIMIT and tall > LEAST_ROWS:
+        tall, wide = tall // 2, wide * 2
+    chunk = (min(tall, height), min(wide, width), depth)
     unit = 4 * chunk[0] * chunk[1] * chunk[2]
     across = min(-(-width // chunk[1]), max(1, SHARD_LIMIT // (unit * groups)))
     deep = min(groups, max(1, SHARD_LIMIT // (unit * across)))

@@ -1,0 +1,248 @@
+"""Line scans too large for memory: calibrated some lines at a time, whenever they are asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.building.native import UNRELIABLE
+from levkas.cube import Cube
+from levkas.registration.images import BandImage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from levkas.building.developing import Bench
+    from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.templates import Template
+    from levkas.campaign import Campaign
+    from levkas.cube import Band
+    from levkas.discovery import Capture
+    from levkas.readers.envi import EnviFile
+
+STREAMED_SAMPLES = 400_000_000
+"""A cube of more samples is streamed. A constant, not a share of the memory that happens to be
+there: which way a scan goes shows in its bytes."""
+BLOCK_SAMPLES = 8_000_000
+"""Calibrated at once."""
+LOOKED_AT_PX = 1_000_000
+"""Most pixels of a band as registration sees it."""
+
+
+def is_streamed(capture: Capture, campaign: Campaign) -> bool:
+    """Tell whether a capture is a line scan in one ENVI file that is larger than is held in memory."""
+    from levkas.readers.frames import read_facts
+
+    camera = campaign.cameras[capture.camera]
+    if camera.kind != "cube" or camera.scan == "mirror" or camera.denoise:
+        return False
+    frames = capture.sensors[0].object
+    if len(frames) != 1 or capture.camera == campaign.reference.camera:
+        return False
+    facts = read_facts(frames[0].path)
+    return facts.kind == "envi" and int(np.prod(facts.shape, dtype=object)) > STREAMED_SAMPLES
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One line scan with its templates, in place of `Native`.
+
+    Parameters
+    ----------
+    opened : EnviFile
+    bench : Bench
+    dark, white : Template or None
+        One line each.
+    noise : NoiseModel or None
+    reflectance : float or ndarray
+        Of the white.
+    aligns, captured, warnings
+        As of `Native`.
+    """
+
+    opened: EnviFile
+    bench: Bench
+    dark: Template | None
+    white: Template | None
+    noise: NoiseModel | None
+    reflectance: Any
+    captured: str | None = None
+    warnings: tuple[str, ...] = ()
+    aligns: Mapping[str, object] = field(default_factory=dict)
+    pictures: list[BandImage] = field(default_factory=list)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(lines, samples, bands)."""
+        lines, samples, bands = self.opened.facts.shape
+        return int(lines), int(samples), int(bands)
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """All bands."""
+        return self.bench.sensor.bands
+
+    @property
+    def quantity(self) -> str:
+        """``"reflectance"`` where there is a white, else ``"counts"``."""
+        return "counts" if self.white is None else "reflectance"
+
+    @property
+    def has_sigma(self) -> bool:
+        """Whether the noise is known."""
+        return self.lines(0, 1).sigma is not None
+
+    @property
+    def factor(self) -> int:
+        """Side, px, of the blocks that make a pixel of the pictures that registration sees."""
+        lines, samples, _ = self.shape
+        return max(1, int(np.ceil(np.sqrt(lines * samples / LOOKED_AT_PX))))
+
+    def without_sigma(self) -> Scan:
+        """Return the scan itself: it holds nothing."""
+        return self
+
+    def size_of(self, _label: str) -> list[int]:
+        """Return [width, height] of any band."""
+        return [self.shape[1], self.shape[0]]
+
+    def lines(self, start: int, stop: int) -> Cube:
+        """Calibrate lines `start` to `stop`; the same values for any block that they are part of."""
+        samples, bands = self.shape[1:]
+        step = max(1, BLOCK_SAMPLES // (samples * bands))
+        cubes = [self._block(y, min(y + step, stop)) for y in range(start, stop, step)]
+        if len(cubes) == 1:
+            return cubes[0]
+        sigmas = [cube.sigma for cube in cubes if cube.sigma is not None]
+        return Cube(
+            np.concatenate([cube.values for cube in cubes]),
+            np.concatenate([cube.flags for cube in cubes]),
+            np.concatenate(sigmas) if sigmas else None,
+            self.bands,
+            self.quantity,
+        )
+
+    def blocks(self) -> Iterator[Cube]:
+        """Yield all lines, some at a time."""
+        samples, bands = self.shape[1:]
+        step = max(1, BLOCK_SAMPLES // (samples * bands))
+        for start in range(0, self.shape[0], step):
+            yield self._block(start, min(start + step, self.shape[0]))
+
+    def _block(self, start: int, stop: int) -> Cube:
+        from levkas.building.developing import cube_of, flatten
+        from levkas.calibration.templates import average
+
+        raw = self.opened.read_lines(start, stop)
+        flat = flatten(
+            self.bench,
+            average(iter([raw]), saturation=self.bench.saturation),
+            [self.dark] if self.dark else [],
+            self.white,
+            white_reflectance=self.reflectance,
+            noise=self.noise,
+            labels=[band.label for band in self.bands],
+        )
+        return cube_of(self.bench, flat.values, flat.flags, flat.variance, flat.quantity)
+
+    def images(self) -> list[BandImage]:
+        """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""
+        if not self.pictures:
+            reducer = Reducer(self)
+            for cube in self.blocks():
+                reducer.add(cube)
+            self.pictures.extend(reducer.images())
+        return self.pictures
+
+
+class Reducer:
+    """Gathers the pictures of a scan while its lines pass by."""
+
+    def __init__(self, scan: Scan) -> None:
+        self._scan, self._factor = scan, scan.factor
+        lines, samples, bands = scan.shape
+        height, width = lines // self._factor, samples // self._factor
+        self._sums = np.zeros((bands, height, width), np.float32)
+        self._counts = np.zeros((bands, height, width), np.uint16)
+        self._row: tuple[np.ndarray, np.ndarray] | None = None
+        self._line = 0
+
+    def add(self, cube: Cube) -> None:
+        """Take the next lines."""
+        factor, width = self._factor, self._sums.shape[2]
+        shape = (width, factor, cube.values.shape[2])
+        for values, flags in zip(cube.values, cube.flags, strict=True):
+            row = self._line // factor
+            self._line += 1
+            if row >= self._sums.shape[1]:
+                return
+            good = (flags[: width * factor] & UNRELIABLE) == 0
+            seen = np.where(good, values[: width * factor], np.float32(0)).reshape(shape)
+            # Line by line and sample by sample: the sums do not depend on how lines come in.
+            for k in range(factor):
+                self._sums[:, row] += seen[:, k].T
+            self._counts[:, row] += good.reshape(shape).sum(1, dtype=np.uint16).T
+
+    def images(self) -> list[BandImage]:
+        """Return the pictures."""
+        least = self._factor**2 / 2
+        return [
+            BandImage(
+                band.label,
+                band.wavelength,
+                (sums / np.maximum(counts, 1)).astype(np.float32),
+                counts >= least,
+            )
+            for band, sums, counts in zip(self._scan.bands, self._sums, self._counts, strict=True)
+        ]
+
+
+def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
+    """Average the templates of a line scan; no line of the object is read.
+
+    Raises Refused as `developing.develop` does.
+    """
+    from levkas.building.developing import Bench, doubts_of, line_noise
+    from levkas.building.whiteboard import white_reflectance
+    from levkas.calibration.scanning import average_lines
+    from levkas.readers.envi import open_envi
+    from levkas.readers.frames import read_facts
+
+    sensor = capture.sensors[0]
+    facts = read_facts(sensor.object[0].path)
+    bench = Bench(campaign, campaign.cameras[capture.camera], sensor, facts, shelf)
+
+    def template(frames: Any) -> Template | None:
+        blocks = (block for frame in frames for block in _line_blocks(frame))
+        return average_lines(blocks, saturation=bench.saturation) if frames else None
+
+    dark, white = template(sensor.dark), template(sensor.white)
+    where = f"{capture.object}/{capture.layer}"
+    return Scan(
+        open_envi(sensor.object[0].path),
+        bench,
+        dark,
+        white,
+        line_noise(bench, dark, white),
+        white_reflectance(campaign, sensor.bands),
+        facts.captured,
+        tuple(f"{where}: {doubt}" for doubt in doubts_of(bench)),
+        {sensor.name: sensor.align},
+    )
+
+
+def _line_blocks(frame: Any) -> Iterator[np.ndarray]:
+    from levkas.building.developing import read_cube
+    from levkas.readers.envi import open_envi
+    from levkas.readers.frames import read_facts
+
+    if read_facts(frame.path).kind != "envi":
+        yield read_cube(frame)
+        return
+    opened = open_envi(frame.path)
+    lines, samples, bands = opened.facts.shape
+    step = max(1, BLOCK_SAMPLES // (samples * bands))
+    for start in range(0, lines, step):
+        yield opened.read_lines(start, min(start + step, lines))

@@ -1,0 +1,226 @@
+"""A layer written row by row: pages of bands, which a file holds one after the other, by way of a spool.
+
+The files are those that `layers.write_tiffs` and `layers.write_layer` make of the whole cube, byte
+for byte; only a few rows of them are in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from levkas.colour import counts_white, find_rendering
+from levkas.database.catalogue import Entry
+from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
+from levkas.database.preview import write_preview
+from levkas.database.spectral_tiff import encode_strip, planes_of, strip_rows, write_encoded_pages
+from levkas.database.store import writing_layer
+from levkas.files import spooling
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.cube import Band, Cube
+
+KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
+DTYPES = {"values": np.float32, "flags": np.uint8, "sigma": np.float32}
+
+
+class PageSpool:
+    """Strips of band pages: taken from rows of all bands, given back band by band.
+
+    Parameters
+    ----------
+    handle : binary file, for reading and writing
+    shape : (height, width, bands)
+    dtype : numpy dtype
+    threads : int
+        For compression; the bytes are the same for any number.
+    """
+
+    def __init__(
+        self, handle: BinaryIO, shape: tuple[int, int, int], dtype: Any, pool: ThreadPoolExecutor
+    ) -> None:
+        self._handle, self.shape, self._pool = handle, shape, pool
+        self._rows = strip_rows(shape[1], dtype)
+        strips = -(-shape[0] // self._rows)
+        self._places = np.zeros((shape[2], strips, 2), np.int64)
+        self._held = np.empty((min(self._rows, shape[0]), *shape[1:]), dtype)
+        self._filled = self._strip = self._end = 0
+
+    def write_rows(self, block: np.ndarray) -> None:
+        """Take rows, (rows, width, bands), from top to bottom."""
+        start = 0
+        while start < len(block):
+            missing = min(self._rows, self.shape[0] - self._strip * self._rows) - self._filled
+            part = block[start : start + missing]
+            if len(part) == missing and not self._filled:
+                self._keep(part)
+            else:
+                self._held[self._filled : self._filled + len(part)] = part
+                self._filled += len(part)
+                if len(part) == missing:
+                    self._keep(self._held[: self._filled])
+                    self._filled = 0
+            start += len(part)
+
+    def _keep(self, strip: np.ndarray) -> None:
+        for band, encoded in enumerate(self._pool.map(encode_strip, planes_of(strip))):
+            self._handle.write(encoded)
+            self._places[band, self._strip] = self._end, len(encoded)
+            self._end += len(encoded)
+        self._strip += 1
+
+    def pages(self) -> Iterator[list[bytes]]:
+        """Yield the strips of each band.
+
+        Raises ValueError where rows are missing.
+        """
+        if self._filled or self._strip != self._places.shape[1]:
+            raise ValueError(f"{self._strip} strips of {self._places.shape[1]} were written")
+        for places in self._places:
+            yield [self._read(int(start), int(size)) for start, size in places]
+
+    def _read(self, start: int, size: int) -> bytes:
+        self._handle.seek(start)
+        return self._handle.read(size)
+
+
+class SpooledTiffs:
+    """Values, flags and, where it is known, sigma of one layer or sensor, written row by row.
+
+    To be used as a context; `finish` writes the files.
+    """
+
+    def __init__(
+        self, base: Path, shape: tuple[int, int, int], *, sigma: bool, threads: int = 2
+    ) -> None:
+        self.base, self.shape, self._threads = base, shape, threads
+        self._kinds = [kind for kind in KINDS if sigma or kind != "sigma"]
+        self._spools: dict[str, PageSpool] = {}
+
+    def __enter__(self) -> SpooledTiffs:
+        with ExitStack() as stack:
+            pool = stack.enter_context(ThreadPoolExecutor(self._threads))
+            for kind in self._kinds:
+                name = f"{self.base.name}{KINDS[kind]}.spool"
+                handle = stack.enter_context(spooling(self.base.parent, name))
+                self._spools[kind] = PageSpool(handle, self.shape, DTYPES[kind], pool)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def write_rows(self, cube: Cube) -> None:
+        """Take rows of all arrays."""
+        for kind, spool in self._spools.items():
+            spool.write_rows(getattr(cube, kind))
+
+    def finish(
+        self,
+        layer: Layer,
+        bands: Sequence[Band],
+        quantity: str,
+        *,
+        rgb: np.ndarray | None = None,
+        rendering: str = "",
+    ) -> list[Path]:
+        """Write the files and return them; raises WriteRefused."""
+        facts = layer.attributes(quantity)
+        more = {
+            "values": {**facts, "rendering": rendering} if rendering else facts,
+            "flags": {**facts, "quantity": "flags"},
+            "sigma": {**facts, "quantity": f"sigma of {quantity}"},
+        }
+        written = []
+        for kind, spool in self._spools.items():
+            path = self.base.with_name(f"{self.base.name}{KINDS[kind]}.tif")
+            write_encoded_pages(
+                path,
+                spool.pages(),
+                shape=self.shape[:2],
+                wavelengths=centres_of(bands, layer.centroids),
+                text=describe_bands(bands, more[kind]),
+                dtype=DTYPES[kind],
+                rgb=rgb if kind == "values" else None,
+                px_per_mm=facts.get("px_per_mm"),
+                credits=layer.credits,
+            )
+            written.append(path)
+        return written
+
+
+@dataclass(frozen=True)
+class RowsLayer:
+    """What `write_rows` found out while the rows of a layer went by."""
+
+    entry: Entry
+    files: tuple[Path, ...]
+
+
+def write_rows(
+    database: str | Path,
+    layer: Layer,
+    blocks: Iterable[Cube],
+    *,
+    size: tuple[int, int],
+    bands: Sequence[Band],
+    quantity: str,
+    sigma: bool,
+    verdict: str = "accept",
+) -> RowsLayer:
+    """Write a layer as `write_layer` does, its rows from top to bottom as they come.
+
+    Parameters
+    ----------
+    blocks : iterable of Cube
+        Rows of the grid, any number at a time.
+    size : (width, height) of the grid
+    bands, quantity, sigma
+        Of the layer; whether sigma is known.
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses.
+    """
+    database = Path(database)
+    base = database / "objects" / layer.object / layer.stem
+    shape = (size[1], size[0], len(bands))
+    rendering = find_rendering(bands)
+    picture = np.zeros((size[1], size[0], 3), np.uint8)
+    root, row = database / "zarr" / f"{layer.object}.zarr", 0
+    attributes = {"quantity": quantity, **layer.attributes(quantity)}
+    white = 1.0 if quantity == "reflectance" else 0.0
+    with (
+        SpooledTiffs(base, shape, sigma=sigma) as tiffs,
+        writing_layer(
+            root, layer.name, shape=shape, bands=bands, attributes=attributes, sigma=sigma
+        ) as store,
+    ):
+        for block in blocks:
+            rows = rounded(block)
+            tiffs.write_rows(rows)
+            store.write_rows(rows.values, rows.flags, rows.sigma)
+            # Counts have no white: what is brightest in the first rows is taken for it.
+            white = white or counts_white(rows.values, rendering)
+            picture[row : row + len(rows.values)] = rendering(rows.values, white=white)
+            row += len(rows.values)
+        text = rendering.description
+        if quantity != "reflectance":
+            text += f"; counts, {white:g} shown as white"
+        written = tiffs.finish(layer, bands, quantity, rgb=picture, rendering=text)
+    png = base.with_name(base.name + ".png")
+    scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
+    write_preview(png, picture, description=text, px_per_mm=scale)
+    written.append(png)
+    written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
+    return RowsLayer(entry_of_layer(layer, shape, quantity, verdict, written[0]), tuple(written))

@@ -1,0 +1,148 @@
+"""Scans that are larger than memory, shown on one that is not: the limits are lowered."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from levkas.building import build, scans, streaming, summarise
+from levkas.building.developing import develop
+from levkas.building.scans import is_streamed, open_scan
+from levkas.building.shelf import Shelf
+from levkas.campaign import load_campaign
+from levkas.cube import Band, Cube, Flag
+from levkas.database.layers import Layer, write_layer
+from levkas.database.spooling import write_rows
+from levkas.discovery import find_captures
+from levkas.files import hash_tree
+from levkas.simulation import simulate_campaign
+from levkas.transforms import Affine
+from levkas.warping import warp
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scan") / "campaign"
+    for _ in simulate_campaign(folder, preset="small", scale=0.2, cameras=["v10"]):
+        pass
+    return folder
+
+
+@pytest.fixture
+def scan_and_cube(simulated, monkeypatch):
+    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
+    campaign = load_campaign(simulated)
+    capture = next(c for c in find_captures(campaign)[0] if c.camera == "v10")
+    assert is_streamed(capture, campaign)
+    shelf = Shelf(simulated, None, shared=False)
+    cube = next(iter(develop(capture, campaign, shelf).cubes.values()))
+    return open_scan(capture, campaign, shelf), cube
+
+
+def same(a, b):
+    pairs = ((a.values, b.values), (a.flags, b.flags), (a.sigma, b.sigma))
+    return all(np.array_equal(x, y, equal_nan=x.dtype.kind == "f") for x, y in pairs)
+
+
+@pytest.mark.parametrize("samples", [1, 10**4, 10**8])
+def test_lines_are_what_the_whole_cube_is(scan_and_cube, monkeypatch, samples):
+    scan, cube = scan_and_cube
+    monkeypatch.setattr(scans, "BLOCK_SAMPLES", samples)
+    assert same(scan.lines(0, scan.shape[0]), cube)
+    part = scan.lines(7, 20)
+    assert np.array_equal(part.values, cube.values[7:20])
+    assert np.array_equal(np.concatenate([c.flags for c in scan.blocks()]), cube.flags)
+
+
+def test_pictures_are_block_means_of_what_is_there(scan_and_cube, monkeypatch):
+    scan, cube = scan_and_cube
+    monkeypatch.setattr(scans, "LOOKED_AT_PX", cube.values[..., 0].size // 9 + 1)
+    assert scan.factor == 3
+    image = scan.images()[4]
+    h, w = image.values.shape
+    blocks = cube.values[: 3 * h, : 3 * w, 4].reshape(h, 3, w, 3)
+    sound = (cube.flags[: 3 * h, : 3 * w, 4].reshape(h, 3, w, 3) == 0).all((1, 3))
+    assert sound.any()
+    assert np.allclose(image.values[sound], blocks.mean((1, 3))[sound], atol=1e-6)
+
+
+@pytest.mark.parametrize("quarter", [False, True], ids=["upright", "on its side"])
+def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path, quarter):
+    scan, cube = scan_and_cube
+    h, w = cube.values.shape[:2]
+    matrix = np.array([[1.0203, 0.01007, -2.0131], [-0.01003, 1.0507, 3.0171]])
+    size = (w + 5, h - 2)
+    if quarter:
+        matrix, size = matrix[::-1], (size[1], size[0])
+    maps = [
+        Affine(matrix + np.array([[0, 0, 0.02 * b], [0, 0, 0]])) for b in range(len(cube.bands))
+    ]
+    whole = warp(
+        cube.values, maps, (size[1], size[0]), flags=cube.flags, variance=np.square(cube.sigma)
+    )
+    held = 9 * len(cube.bands) * w * 30
+    monkeypatch.setattr(streaming, "HELD_BYTES", held)
+    blocks = list(streaming.resample_scan(scan, maps, size, spool=tmp_path))
+    assert len(blocks) > 2
+    values = np.concatenate([b.values for b in blocks])
+    flags = np.concatenate([b.flags for b in blocks])
+    sigma = np.concatenate([b.sigma for b in blocks])
+    assert np.array_equal(flags & Flag.OUTSIDE, whole.flags & Flag.OUTSIDE)
+    assert np.nanmax(np.abs(values - whole.values)) < 1e-4
+    assert np.nanmax(np.abs(sigma / np.sqrt(whole.variance) - 1)) < 1e-3
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scan_that_lies_askew_is_refused(scan_and_cube, monkeypatch, tmp_path):
+    scan, cube = scan_and_cube
+    askew = Affine(np.array([[0.7, -0.7, 0], [0.7, 0.7, 0]]))
+    monkeypatch.setattr(streaming, "HELD_BYTES", 9 * len(cube.bands) * cube.values.shape[1] * 30)
+    with pytest.raises(streaming.ScanRefused, match="askew"):
+        next(streaming.resample_scan(scan, [askew] * len(cube.bands), (80, 80), spool=tmp_path))
+
+
+@pytest.mark.parametrize("step", [1, 7, 64, 1000])
+def test_rows_are_written_as_the_whole_is(tmp_path, step):
+    rng = np.random.default_rng(5)
+    shape = (150, 90, 12)
+    values = rng.uniform(0, 1, shape).astype(np.float32)
+    flags = (rng.random(shape) < 0.01).astype(np.uint8)
+    bands = tuple(Band(f"{w} nm", float(w)) for w in range(400, 1000, 50))
+    cube = Cube(values, flags, (values / 50).astype(np.float32), bands, "reflectance")
+    layer = Layer("icon", "v10")
+    write_layer(tmp_path / "whole", layer, cube)
+    blocks = (
+        Cube(
+            values[y : y + step],
+            flags[y : y + step],
+            cube.sigma[y : y + step],
+            bands,
+            "reflectance",
+        )
+        for y in range(0, shape[0], step)
+    )
+    made = write_rows(
+        tmp_path / "rows",
+        layer,
+        blocks,
+        size=(90, 150),
+        bands=bands,
+        quantity="reflectance",
+        sigma=True,
+    )
+    assert hash_tree(tmp_path / "rows") == hash_tree(tmp_path / "whole")
+    assert made.entry.bands == 12 and all(path.is_file() for path in made.files)
+
+
+def test_a_campaign_with_a_streamed_scan_is_built(simulated, tmp_path, monkeypatch):
+    shutil.copytree(simulated, tmp_path / "campaign")
+    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
+    monkeypatch.setattr(streaming, "HELD_BYTES", 3_000_000)
+    report = summarise(build(tmp_path / "campaign"))
+    assert report.ok, report.text
+    trees = [hash_tree(tmp_path / "campaign/database")]
+    monkeypatch.setattr(scans, "BLOCK_SAMPLES", 10_000)
+    assert summarise(build(tmp_path / "campaign", output=tmp_path / "again")).ok
+    trees.append(hash_tree(tmp_path / "again"))
+    assert trees[0] == trees[1]
+    assert any("v10" in name and "native" in name for name in trees[0])
