@@ -229,6 +229,19 @@ def test_one_map_is_as_the_same_map_for_each_band(cube, kernel):
     assert same(each, warp(source, camera_map(), SHAPE, **given_))
 
 
+@pytest.mark.parametrize("scale", [1.0, 2.2])
+def test_flags_of_all_bands_are_passed_on_as_those_of_each(cube, scale):
+    rng = np.random.default_rng(6)
+    flags = np.where(rng.random(cube.shape) < 0.4, rng.choice([2, 4, 8, 14], cube.shape), 0)
+    flags = flags.astype(np.uint8)
+    flags[50, 60:64, 3] |= Flag.OUTSIDE
+    coarser = [Composed(camera_map(), Affine.scaling(scale)) for _ in range(21)]
+    shape = (int(90 / scale), int(130 / scale))
+    each = warp(cube, coarser, shape, flags=flags, variance=cube**2)
+    assert same(each, warp(cube, coarser[0], shape, flags=flags, variance=cube**2))
+    assert len(np.unique(each.flags)) > 8
+
+
 def test_maps_of_many_bands_are_laid_a_part_at_a_time(monkeypatch):
     many = np.random.default_rng(8).uniform(0, 1, (20, 30, 70)).astype(np.float32)
     maps = [shift(0.1, 0.2)] * 33 + [shift(0.01 * b, 0.3) for b in range(37)]

@@ -301,6 +301,43 @@ def gather(planes, result, frame, kind, at, wide_x, wide_y, b, to, always, scrat
 
 
 @njit
+def pass_flags(planes, result, frame, kind, at, wide_x, wide_y, b, count, to, scratch):
+    """Hand on the flags of `count` bands from `b` on that share a place, as `gather` does.
+
+    False where a tap is OUTSIDE in one of them: then `gather` has to see to each.
+    """
+    fx, x, fy, y = at
+    u, v = scratch[0], scratch[1]
+    x0, columns = weigh_axis(kind, fx, x, wide_x, frame.width, u)
+    y0, rows = weigh_axis(kind, fy, y, wide_y, frame.height, v)
+    if y0 < frame.top or y0 + rows > frame.top + frame.held:
+        return False
+    near_x = min(max(fx + (1 if x >= 0.5 else 0), 0), frame.width - 1)
+    near_y = min(max(fy + (1 if y >= 0.5 else 0), 0), frame.height - 1)
+    least = LIGHTEST * (peak(u, columns) * peak(v, rows))
+    flags, out, gone = planes.flags, result.flags, np.uint8(0)
+    p = ((near_y - frame.top) * frame.width + near_x) * frame.bands + b
+    for i in range(count):
+        flag = look(flags, p + i)
+        gone |= flag
+        put(out, to + i, flag)
+    for r in range(rows):
+        for k in range(columns):
+            weight = abs(v[r] * u[k])
+            if weight == 0.0 or (x0 + k == near_x and y0 + r == near_y):
+                continue
+            p = ((y0 + r - frame.top) * frame.width + x0 + k) * frame.bands + b
+            bits = NEAR if weight >= least else np.uint8(0)
+            passed = np.uint8(255) if weight >= least else np.uint8(0)
+            for i in range(count):
+                flag = look(flags, p + i)
+                gone |= flag
+                more = np.uint8((flag & passed) | (bits if flag != 0 else np.uint8(0)))
+                put(out, to + i, np.uint8(look(out, to + i) | more))
+    return gone & OUTSIDE == 0
+
+
+@njit
 def leave_out(planes, result, to, flag):
     """Write that there is nothing."""
     result.values[to] = result.fill

@@ -40,6 +40,7 @@ from levkas.taps import (
     lagrange,
     leave_out,
     mix,
+    pass_flags,
     place,
     run_along,
     split,
@@ -51,7 +52,7 @@ from levkas.taps import Nodes as Nodes
 from levkas.taps import Planes as Planes
 from levkas.taps import Result as Result
 
-HELPERS = "1ee2f733b38ee9c6"
+HELPERS = "114ea89e0bcd6a41"
 EVERY = np.uint16(0xFFFF)
 
 
@@ -239,6 +240,14 @@ def cubic_rows(start, stop, nodes, planes, frame, result, first, count):
                             )
                             if around.size == 0 or around[pixel] == 0:
                                 careful = strange
+                            elif shared and strange == 0:
+                                spot = (px, rx, py, ry)
+                                todo_ = min(WIDTH, count)
+                                if pass_flags(
+                                    planes, result, frame, CUBIC, spot, 1.0, 1.0, first + s, todo_,
+                                    to + s, scratch,
+                                ):  # fmt: skip
+                                    careful = strange
                         while careful:
                             b = lowest(careful)
                             careful = np.uint16(careful & (careful - 1))
@@ -330,9 +339,12 @@ def wide_rows(start, stop, nodes, planes, frame, result, first, count, kind, wid
                     sum_taps(noise, p, wide, step, u, v, columns, lines, 2, sums, n)
                     for b in range(n):
                         put(out_noise, to + b, F(sums[b]))
-                if strange or (
-                    suspect.size and any_suspect(suspect, frame, x0, y0, columns, lines)
-                ):
+                settled = not strange
+                if settled and suspect.size:
+                    settled = not any_suspect(suspect, frame, x0, y0, columns, lines) or pass_flags(
+                        planes, result, frame, kind, spot, wide_x, wide_y, first + m, n, to, scratch
+                    )
+                if not settled:
                     for b in range(n):
                         absent += gather(
                             planes, result, frame, kind, spot, wide_x, wide_y, first + m + b,
