@@ -82,7 +82,9 @@ def main(folder: Path, *, profile: bool) -> None:
     start = time.perf_counter()
     report = summarise(build(folder))
     seconds = time.perf_counter() - start
-    states = {s: sum(step.state == s for step in report.stages) for s in ("done", "fresh", "refused")}
+    states = {
+        s: sum(step.state == s for step in report.stages) for s in ("done", "fresh", "refused")
+    }
     files = sum(p.is_file() for p in (folder / "database").rglob("*"))
     print(f"first build {seconds:.0f} s, {states}, {files} files")
     before = standing(folder)
@@ -94,7 +96,10 @@ def main(folder: Path, *, profile: bool) -> None:
     changed = [p for p in before.keys() | after.keys() if before.get(p) != after.get(p)]
     print(f"written by these two: {', '.join(sorted(changed)[:5]) or 'nothing'}")
     if profile:
-        for name, call in (("build", lambda: summarise(build(folder))), ("status", lambda: status(folder))):
+        for name, call in (
+            ("build", lambda: summarise(build(folder))),
+            ("status", lambda: status(folder)),
+        ):
             with cProfile.Profile() as profiler:
                 call()
             print(f"-- {name}")

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-import levkas
+from levkas.validation import validate
 from levkas.building import build, status, summarise
 from levkas.files import PARTIAL, hash_tree
 
@@ -57,7 +57,7 @@ def check_whole(folder, output, alone):
     assert hash_tree(output) == hash_tree(alone)
     assert not left_over(output, output.with_name(output.name + ".kept"))
     assert {s.state for s in status(folder, output=output).stages} == {"fresh"}
-    assert levkas.validation.validate(output).ok
+    assert validate(output).ok
 
 
 def test_two_processes_at_once_make_what_one_makes(plates, tmp_path):
@@ -121,7 +121,10 @@ def test_where_all_is_fresh_nothing_at_all_is_written(plates):
 def test_where_all_is_fresh_no_heavy_module_is_loaded(plates):
     folder, output = plates
     heavy = ("cv2", "numba", "rawpy", "tifffile", "zarr", "scipy")
-    for call in ("summarise(build(*sys.argv[1:2], output=sys.argv[2]))", "status(sys.argv[1], output=sys.argv[2])"):
+    for call in (
+        "summarise(build(*sys.argv[1:2], output=sys.argv[2]))",
+        "status(sys.argv[1], output=sys.argv[2])",
+    ):
         script = f"""
 import json, sys
 from levkas.building import build, status, summarise

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from levkas.files import PARTIAL, hash_file, write_bytes
+from levkas.files import PARTIAL, hash_file, write_changed
 from levkas.problems import Problem
 
 NAME = "manifest-sha256.txt"
@@ -86,17 +86,19 @@ def write_manifest(
     root, known = Path(database), known or {}
     names = [name for name in list_files(root) if name != NAME and not is_partial(name)]
 
-    def listed(name: str) -> Listed:
+    def listed(name: str) -> Listed | None:
         path = root / name
-        return Listed(name, known.get(name) or hash_file(path), path.stat().st_size)
+        try:
+            return Listed(name, known.get(name) or hash_file(path), path.stat().st_size)
+        except FileNotFoundError:  # taken away by a build beside this one, which ends with its own
+            return None
 
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        files = {entry.name: entry for entry in pool.map(listed, names)}
+        files = {entry.name: entry for entry in pool.map(listed, names) if entry is not None}
     total = sum(entry.size or 0 for entry in files.values())
     data = _to_bytes(files, total)
     path = root / NAME
-    if not path.is_file() or path.read_bytes() != data:
-        write_bytes(path, data)
+    write_changed(path, data)
     return Manifest(path, files, total)
 
 
