@@ -5,12 +5,15 @@ import os
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 
-from levkas.validation import validate
 from levkas.building import build, status, summarise
+from levkas.building.ledger import Key, Ledger
+from levkas.building.turns import in_turn
 from levkas.files import PARTIAL, hash_tree
+from levkas.validation import validate
 
 BUILD = """
 import sys, time
@@ -97,6 +100,23 @@ def test_two_builds_step_by_step_in_turn_make_what_one_makes(plates, tmp_path):
     while turns:
         turns = [steps for steps in turns if next(steps, None) is not None]
     check_whole(folder, output, alone)
+
+
+def test_what_a_build_noted_outlasts_another_that_does_the_stage_again(tmp_path):
+    (tmp_path / "database").mkdir()
+    key = Key("one", "photo", stage="calibrate")
+    mine, other = (Ledger(tmp_path / "kept", tmp_path / "database") for _ in range(2))
+    mine.keep(key, {"code": "1"}, [], captured="2019-08-29")
+    other.forget(key)
+    assert mine.told(key) == {"captured": "2019-08-29"} and other.told(key) == {}
+
+
+def test_turns_are_taken_and_not_waited_for_without_end(tmp_path):
+    with in_turn(tmp_path):
+        start = time.monotonic()
+        with in_turn(tmp_path, patience_s=0.2):
+            waited = time.monotonic() - start
+        assert 0.1 < waited < 5
 
 
 def standing(output):

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from levkas.files import PARTIAL, hash_file, write_changed
+from levkas.machine import count_threads
 from levkas.problems import Problem
 
 NAME = "manifest-sha256.txt"
@@ -60,7 +61,7 @@ class Manifest:
 
 
 def write_manifest(
-    database: str | Path, known: Mapping[str, str] | None = None, *, threads: int = 2
+    database: str | Path, known: Mapping[str, str] | None = None, *, threads: int | None = None
 ) -> Manifest:
     """Write the manifest of a database that is otherwise finished.
 
@@ -70,7 +71,7 @@ def write_manifest(
     known : mapping, optional
         Relative path with ``/`` → SHA-256, of files that were hashed when they were written: they
         are not read again, and damage since then will be found.
-    threads : int
+    threads : int, optional
         For hashing; the manifest is the same for any number.
 
     Returns
@@ -93,7 +94,7 @@ def write_manifest(
         except FileNotFoundError:  # taken away by a build beside this one, which ends with its own
             return None
 
-    with ThreadPoolExecutor(max(1, threads)) as pool:
+    with ThreadPoolExecutor(threads or count_threads(2)) as pool:
         files = {entry.name: entry for entry in pool.map(listed, names) if entry is not None}
     total = sum(entry.size or 0 for entry in files.values())
     data = _to_bytes(files, total)
