@@ -72,6 +72,16 @@ def write_bytes(path: str | Path, data: bytes | bytearray | memoryview) -> None:
         handle.write(data)
 
 
+def write_changed(path: str | Path, data: bytes) -> None:
+    """Write `data` as `write_bytes` does, unless the file says just that already."""
+    try:
+        if Path(path).read_bytes() == data:
+            return
+    except OSError:
+        pass
+    write_bytes(path, data)
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` as UTF-8 with its line ends as they are."""
     write_bytes(path, text.encode("utf-8"))
@@ -327,10 +337,10 @@ def _exchange(one: Path, other: Path) -> bool:
 
 def _discard(path: Path) -> None:
     fault("remove", path)
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    while path.is_dir() and not path.is_symlink():
+        with contextlib.suppress(FileNotFoundError):  # another builder sweeps it too
+            shutil.rmtree(path)
+    path.unlink(missing_ok=True)
 
 
 def make_folder(path: str | Path) -> None:
@@ -354,8 +364,9 @@ def remove(path: str | Path) -> None:
         if path.is_dir() and not path.is_symlink():
             gone = _partial(path)
             fault("rename", path)
-            path.rename(gone)
-            _discard(gone)
+            with contextlib.suppress(FileNotFoundError):
+                path.rename(gone)
+                _discard(gone)
         else:
             _discard(path)
     _sync_folder(path.parent)

@@ -7,10 +7,17 @@ import re
 import shutil
 import sys
 import tempfile
+import threading
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+VARIABLE = "LEVKAS_THREADS"
 LEAST_MEMORY, LEAST_DISK = 4e9, 10e9
 
 
@@ -51,6 +58,62 @@ def give_back_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)
+
+
+def count_threads(most: int | None = None) -> int:
+    """Return how many threads work at a time: $LEVKAS_THREADS, else the processors we may use.
+
+    Parameters
+    ----------
+    most : int, optional
+        More are of no use to the caller.
+
+    Examples
+    --------
+    >>> count_threads(most=1)
+    1
+    """
+    told = os.environ.get(VARIABLE, "").strip()
+    count = int(told) if told.isdecimal() and int(told) > 0 else _processors()
+    return count if most is None else min(count, most)
+
+
+def _processors() -> int:
+    """Processors that this process may use, those of a container where one limits them."""
+    count = os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        count = len(os.sched_getaffinity(0))
+    return max(1, min(count, _quota() or count))
+
+
+@cache
+def _quota() -> int | None:
+    quota = _text("/sys/fs/cgroup/cpu.max").split()
+    if len(quota) == 2 and quota[0].isdigit():
+        return max(1, round(int(quota[0]) / int(quota[1])))
+    return None
+
+
+_alone = threading.RLock()
+
+
+@contextmanager
+def steady_libraries() -> Iterator[None]:
+    """Let one thread at a time into the block, and the libraries have `count_threads()`, linear algebra one.
+
+    Sums of linear algebra depend on its number of threads, and small problems do not wait for one
+    another on a busy machine. That number is one for the whole process, and compiled parallel loops
+    may end the process where two threads enter them at once: hence one at a time.
+    """
+    import cv2
+    import numba
+    from threadpoolctl import threadpool_limits
+
+    with _alone, threadpool_limits(limits=1, user_api="blas"):
+        most: int = vars(numba.config)["NUMBA_NUM_THREADS"]
+        cv2.setNumThreads(count_threads())
+        numba.set_num_threads(count_threads(most))
+        yield
 
 
 def find_memory() -> Finding:
@@ -95,16 +158,17 @@ def find_disk(folder: Path) -> Finding:
 
 def find_threads() -> Finding:
     """Say how many threads can run at a time, and which variables limit the libraries."""
-    count = os.cpu_count() or 1
-    if hasattr(os, "sched_getaffinity"):
-        count = len(os.sched_getaffinity(0))
-    quota = _text("/sys/fs/cgroup/cpu.max").split()
-    if len(quota) == 2 and quota[0].isdigit():
-        count = max(1, min(count, round(int(quota[0]) / int(quota[1]))))
-    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    names = (
+        *(VARIABLE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+        "MKL_NUM_THREADS",
+    )
     told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
     return Finding(
-        "threads", "ok", ", ".join([str(count), *told]), "", "speed; the bytes are the same"
+        "threads",
+        "ok",
+        ", ".join([str(count_threads()), *told]),
+        "",
+        "speed; the bytes are the same",
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.machine import count_threads
 from levkas.pixelmap import (
     COARSE,
     Lattice,
@@ -138,7 +138,7 @@ def warp(
     if kernel not in KERNELS:
         raise ValueError(f"unknown kernel {kernel!r}; known: {', '.join(KERNELS)}")
     start, stop = _checked_rows(rows, shape[0])
-    count = threads or _processors()
+    count = threads or count_threads()
     warped = _result((stop - start, shape[1], frame.bands), variance is not None, out)
     shared = [a for a in (source, flags, variance) if a is not None]
     for target in (warped.values, warped.flags, warped.variance):
@@ -224,10 +224,6 @@ def _checked_rows(rows: tuple[int, int] | None, height: int) -> tuple[int, int]:
     if not 0 <= start < stop <= height:
         raise ValueError(f"rows {start} to {stop} of a grid of {height} rows")
     return start, stop
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _planes(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import threading
 from dataclasses import dataclass
 from functools import cache
@@ -70,14 +71,15 @@ class Hashes:
         self.changed = False
         self._lock = threading.Lock()
 
-    def __call__(self, path: Path) -> str:
-        status = path.stat()
+    def __call__(self, path: str | Path) -> str:
+        name = str(path)
+        status = os.stat(name)  # noqa: PTH116 -- thousands of times where all is fresh
         stamp = [status.st_size, status.st_mtime_ns]
-        entry = self.known.get(str(path))
+        entry = self.known.get(name)
         if entry is None or entry[:2] != stamp:
             entry = [*stamp, hash_file(path)]
             with self._lock:
-                self.known[str(path)] = entry
+                self.known[name] = entry
                 self.changed = True
         return str(entry[2])
 
@@ -92,6 +94,9 @@ class Hashes:
 class Ledger:
     """Fingerprints and products of finished stages, one small file a stage.
 
+    A record is read once: what this build was told, or has noted itself, stays true for it, whatever
+    another build that runs beside it takes away or writes.
+
     Parameters
     ----------
     folder : Path
@@ -103,6 +108,7 @@ class Ledger:
     def __init__(self, folder: Path, output: Path) -> None:
         self.folder, self.output = folder, output
         self.hashes = Hashes(folder / "hashes.json")
+        self._known: dict[str, dict[str, Any]] = {}
 
     def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
         """Say why a stage must be done; empty where its products stand and fit."""
@@ -110,12 +116,13 @@ class Ledger:
             return "its record was damaged" if self._path(key).is_file() else "not yet built"
         if changed := _difference(record.get("fingerprint", {}), fingerprint):
             return changed
+        root = str(self.output)
         for name, digest in record.get("products", {}).items():
-            path = self.output / name
-            if not path.is_file():
+            try:
+                if self.hashes(f"{root}{os.sep}{name}") != digest:
+                    return f"{name} was changed after it was built"
+            except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
                 return f"{name} is missing"
-            if self.hashes(path) != digest:
-                return f"{name} was changed after it was built"
         return ""
 
     def damaged(self, key: Key) -> str:
@@ -137,10 +144,13 @@ class Ledger:
     def hashes_of_products(self) -> dict[str, str]:
         """Return name → SHA-256 of every product of every finished stage that still stands."""
         known: dict[str, str] = {}
-        for path in sorted(self.folder.rglob("*.json")):
-            if path != self.hashes.path:
-                known.update(_sound(_read(path)).get("products", {}))
-        return {name: sha for name, sha in known.items() if (self.output / name).is_file()}
+        for place, _, names in sorted(os.walk(self.folder)):
+            if place != str(self.folder):
+                for name in sorted(n for n in names if n.endswith(".json")):
+                    record = self._recorded(f"{place}{os.sep}{name}")
+                    known.update(record.get("products", {}))
+        root = str(self.output)
+        return {name: sha for name, sha in known.items() if _is_file(f"{root}{os.sep}{name}")}
 
     def told(self, key: Key) -> dict[str, Any]:
         """Return what a finished stage noted for later ones."""
@@ -153,17 +163,25 @@ class Ledger:
         made = {p.relative_to(self.output).as_posix(): self.hashes(p) for p in sorted(products)}
         path = self._path(key)
         make_folder(path.parent)
-        record = {"fingerprint": fingerprint, "products": made, "notes": notes}
+        text = to_json({"fingerprint": fingerprint, "products": made, "notes": notes})
+        record = json.loads(text)
         write_json(path, {**record, "check": _check(record)})
+        self._known[str(path)] = record
         self.hashes.save()
 
     def forget(self, key: Key) -> None:
         """Drop the record of a stage that is about to be done anew."""
+        self._known[str(self._path(key))] = {}
         if self._path(key).is_file():
             remove(self._path(key))
 
     def _record(self, key: Key) -> dict[str, Any]:
-        return _sound(_read(self._path(key)))
+        return self._recorded(str(self._path(key)))
+
+    def _recorded(self, path: str) -> dict[str, Any]:
+        if path not in self._known:
+            self._known[path] = _sound(_read(Path(path)))
+        return self._known[path]
 
     def _path(self, key: Key) -> Path:
         parts = [part for part in (key.object, key.layer, key.stage) if part]
@@ -179,8 +197,12 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _check(record: dict[str, Any]) -> str:
-    """Hash of a record as its file spells it, so that a bit that flips in it is seen."""
-    return hashlib.sha256(to_json(record).encode()).hexdigest()
+    """Hash of what a record says, so that a bit that flips in its file is seen."""
+    return hashlib.sha256(json.dumps(record, ensure_ascii=False).encode()).hexdigest()
+
+
+def _is_file(path: str) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 -- thousands of times where all is fresh
 
 
 def _sound(record: dict[str, Any]) -> dict[str, Any]:

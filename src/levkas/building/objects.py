@@ -17,7 +17,7 @@ from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key, Ledger
 from levkas.building.steps import Step
-from levkas.machine import give_back_memory
+from levkas.machine import give_back_memory, steady_libraries
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -238,7 +238,8 @@ class ObjectBuild:
         }
         give_back_memory()
         try:
-            return stages[stage](key, prints, capture, native, why)
+            with steady_libraries():
+                return stages[stage](key, prints, capture, native, why)
         except Refused as refused:
             return _refused(key, refused)
 

@@ -80,7 +80,7 @@ def build(
                 )
                 done += 1 + skipped
             yield replace(step, done=done, total=total)
-    yield replace(_write_catalogue(places, ledger, captures), done=total, total=total)
+    yield replace(_write_catalogue(places, ledger, captures, names), done=total, total=total)
     ledger.hashes.save()
 
 
@@ -224,30 +224,60 @@ def _object_toml(campaign: Campaign, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_catalogue(places: Places, ledger: Ledger, captures: list[Capture]) -> Step:
-    """One row a layer that stands in the database; objects of earlier builds keep theirs."""
-    from levkas.database.catalogue import DatabaseRefused, read_catalogue, write_catalogue
+def _write_catalogue(
+    places: Places, ledger: Ledger, captures: list[Capture], names: list[str]
+) -> Step:
+    """Catalogue, indices and manifest, where a layer came, changed or went; else nothing.
+
+    Objects of earlier builds keep their rows. A build that runs beside this one ends before or
+    after: the last to end has seen all.
+    """
+    from levkas.building.turns import in_turn
+
+    key = Key("", stage="catalogue")
+    with in_turn(places.kept):
+        entries = _entries(places, ledger, captures, names)
+        products = ledger.hashes_of_products()
+        prints = {"layers": digest({"rows": [e.to_row() for e in entries], "files": products})}
+        why = ledger.why_stale(key, prints)
+        if not why:
+            return Step(key, "fresh")
+        ledger.forget(key)
+        made = _published(places, products, entries, names)
+        ledger.keep(key, prints, made)
+    return Step(key, "done", why)
+
+
+def _entries(
+    places: Places, ledger: Ledger, captures: list[Capture], names: list[str]
+) -> list[Entry]:
+    """One row a layer that stands in the database."""
+    from levkas.database.catalogue import DatabaseRefused, entry_of, read_catalogue
+
+    try:
+        entries = [e for e in read_catalogue(places.output) if e.object not in names]
+    except DatabaseRefused:
+        entries = []
+    for capture in captures:
+        if row := ledger.told(fingerprints.keys_of(capture)["resample"]).get("entry"):
+            entries.append(entry_of(row))
+    return sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
+
+
+def _published(
+    places: Places, products: dict[str, str], entries: list[Entry], names: list[str]
+) -> list[Path]:
+    """Write the files that speak of all layers; those that would say the same are left alone."""
+    from levkas.database.catalogue import write_catalogue
     from levkas.database.manifest import write_manifest
     from levkas.database.store import write_index
 
-    built = {c.object for c in captures}
-    entries: list[Entry] = []
-    try:
-        entries = [e for e in read_catalogue(places.output) if e.object not in built]
-    except DatabaseRefused:
-        entries = []
-    from levkas.database.catalogue import entry_of
-
-    for capture in captures:
-        key = fingerprints.keys_of(capture)["resample"]
-        if row := ledger.told(key).get("entry"):
-            entries.append(entry_of(row))
-    write_catalogue(places.output, entries)
-    for name in sorted({entry.object for entry in entries}):
+    made = [write_catalogue(places.output, entries)]
+    for name in sorted({*names, *(entry.object for entry in entries)}):
         if places.store(name).is_dir():
-            write_index(places.store(name))
-    write_manifest(places.output, ledger.hashes_of_products())
-    return Step(Key("", stage="catalogue"), "done")
+            made.append(write_index(places.store(name)))
+    made.append(write_manifest(places.output, products).path)
+    return made
 
 
 def _refusal(where: tuple[str, str, str], refused: Refused) -> Step:

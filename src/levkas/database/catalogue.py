@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.files import write_text
+from levkas.files import write_changed
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ COLUMNS = tuple(field.name for field in fields(Entry))
 def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
     """Write the catalogue, rows sorted by object, camera and setup; raises WriteRefused.
 
+    One that says the same already is left alone.
+
     Returns
     -------
     path : Path
@@ -62,7 +64,7 @@ def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
     rows = sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
     table.writerows(entry.to_row() for entry in rows)
     path = Path(database) / NAME
-    write_text(path, text.getvalue())
+    write_changed(path, text.getvalue().encode())
     return path
 
 

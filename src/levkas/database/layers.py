@@ -82,7 +82,7 @@ def write_layer(
     encoded: bool = False,
     white: float | None = None,
     zarr: bool = True,
-    threads: int = 2,
+    threads: int | None = None,
 ) -> tuple[Entry, tuple[Path, ...]]:
     """Write all files of one registered layer.
 
@@ -98,7 +98,7 @@ def write_layer(
         For the picture, as in `levkas.colour.preview`.
     zarr : bool
         Whether the Zarr layer is written too.
-    threads : int
+    threads : int, optional
         For compression; the bytes are the same for any number.
 
     Returns
@@ -149,7 +149,7 @@ def write_tiffs(
     *,
     rgb: np.ndarray | None = None,
     rendering: str = "",
-    threads: int = 2,
+    threads: int | None = None,
 ) -> list[Path]:
     """Write `base`.tif, .flags.tif and, where the noise is known, .sigma.tif; raises WriteRefused.
 

@@ -15,7 +15,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from levkas.files import PARTIAL, hash_file, write_bytes
+from levkas.files import PARTIAL, hash_file, write_changed
+from levkas.machine import count_threads
 from levkas.problems import Problem
 
 NAME = "manifest-sha256.txt"
@@ -60,7 +61,7 @@ class Manifest:
 
 
 def write_manifest(
-    database: str | Path, known: Mapping[str, str] | None = None, *, threads: int = 2
+    database: str | Path, known: Mapping[str, str] | None = None, *, threads: int | None = None
 ) -> Manifest:
     """Write the manifest of a database that is otherwise finished.
 
@@ -70,7 +71,7 @@ def write_manifest(
     known : mapping, optional
         Relative path with ``/`` → SHA-256, of files that were hashed when they were written: they
         are not read again, and damage since then will be found.
-    threads : int
+    threads : int, optional
         For hashing; the manifest is the same for any number.
 
     Returns
@@ -86,17 +87,19 @@ def write_manifest(
     root, known = Path(database), known or {}
     names = [name for name in list_files(root) if name != NAME and not is_partial(name)]
 
-    def listed(name: str) -> Listed:
+    def listed(name: str) -> Listed | None:
         path = root / name
-        return Listed(name, known.get(name) or hash_file(path), path.stat().st_size)
+        try:
+            return Listed(name, known.get(name) or hash_file(path), path.stat().st_size)
+        except FileNotFoundError:  # taken away by a build beside this one, which ends with its own
+            return None
 
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        files = {entry.name: entry for entry in pool.map(listed, names)}
+    with ThreadPoolExecutor(threads or count_threads(2)) as pool:
+        files = {entry.name: entry for entry in pool.map(listed, names) if entry is not None}
     total = sum(entry.size or 0 for entry in files.values())
     data = _to_bytes(files, total)
     path = root / NAME
-    if not path.is_file() or path.read_bytes() != data:
-        write_bytes(path, data)
+    write_changed(path, data)
     return Manifest(path, files, total)
 
 

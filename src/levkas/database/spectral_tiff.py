@@ -19,6 +19,7 @@ from levkas.database.credits import Credits
 from levkas.database.tiff_pages import TiffRefused, open_pages
 from levkas.files import replacing
 from levkas.icc import srgb_profile
+from levkas.machine import count_threads
 from levkas.problems import Problem
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def write_spectral_tiff(
     rgb: np.ndarray | None = None,
     px_per_mm: float | None = None,
     credits: Credits | None = None,
-    threads: int = 2,
+    threads: int | None = None,
     bigtiff: bool | None = None,
 ) -> None:
     """Write one page a band as the planes arrive; the same bytes for any number of threads.
@@ -67,7 +68,7 @@ def write_spectral_tiff(
     px_per_mm : float, optional
         Sampling, for the resolution tags.
     credits : Credits, optional
-    threads : int
+    threads : int, optional
         For compression.
     bigtiff : bool, optional
         Default: past 4 GB.
@@ -202,10 +203,12 @@ def _checked(
         _refuse("E_BAND_COUNT", path, "bands and wavelengths do not fit", found, count)
 
 
-def _compressed(planes: Iterable[np.ndarray], rows: int, threads: int) -> Iterator[list[bytes]]:
+def _compressed(
+    planes: Iterable[np.ndarray], rows: int, threads: int | None
+) -> Iterator[list[bytes]]:
     """Yield the encoded strips of each plane; one plane is compressed while another is written."""
     ready: deque[list[bytes]] = deque()
-    with ThreadPoolExecutor(max(1, threads)) as pool:
+    with ThreadPoolExecutor(threads or count_threads(2)) as pool:
         for plane in planes:
             cuts = range(0, len(plane), rows)
             jobs = [pool.submit(encode_strip, plane[y : y + rows]) for y in cuts]

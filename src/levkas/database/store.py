@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.cube import Band, Cube, Flag
-from levkas.files import Folder, publishing, to_json, write_bytes
+from levkas.database.manifest import is_partial, list_files
+from levkas.files import Folder, publishing, to_json, write_changed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -207,24 +208,26 @@ def write_layer_store(
 
 def write_root(root: Path) -> None:
     """Make the store of an object, without an index: what is written next would outdate it."""
-    plain = to_json(ROOT).encode()
-    target = root / "zarr.json"
-    if not target.is_file() or target.read_bytes() != plain:
-        write_bytes(target, plain)
+    write_changed(root / "zarr.json", to_json(ROOT).encode())
 
 
-def write_index(root: str | Path) -> None:
+def write_index(root: str | Path) -> Path:
     """Consolidate the metadata of all layers in the store's root, so that xarray reads one file.
 
-    Call it when the last layer of an object is written; writing one more drops the index again.
+    Call it when the last layer of an object is written; writing one more drops the index again. An
+    index that says the same already is left alone.
     """
     root = Path(root)
-    found = sorted(
-        p for p in root.glob("**/zarr.json") if p.parent != root and ".partial-" not in str(p)
-    )
-    entries = {p.parent.relative_to(root).as_posix(): json.loads(p.read_bytes()) for p in found}
+    entries = {}
+    for name in list_files(root):
+        if name.endswith("/zarr.json") and not is_partial(name):
+            with contextlib.suppress(FileNotFoundError):  # taken away by a build beside this one
+                entries[name.removesuffix("/zarr.json")] = json.loads((root / name).read_bytes())
+    entries = dict(sorted(entries.items(), key=lambda entry: Path(entry[0])))
     index = {"kind": "inline", "must_understand": False, "metadata": entries}
-    write_bytes(root / "zarr.json", to_json({**ROOT, "consolidated_metadata": index}).encode())
+    path = root / "zarr.json"
+    write_changed(path, to_json({**ROOT, "consolidated_metadata": index}).encode())
+    return path
 
 
 def flag_attributes() -> dict[str, Any]:

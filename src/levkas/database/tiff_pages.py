@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from levkas.machine import count_threads
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ class TiffPages:
         def fetch(place: int) -> None:
             cube[:, :, place] = self.read_page(chosen[place], start, stop)
 
-        with ThreadPoolExecutor(2) as pool:
+        with ThreadPoolExecutor(count_threads(2)) as pool:
             list(pool.map(fetch, range(len(chosen))))
         return cube
 

@@ -80,16 +80,13 @@ def register(
     RegistrationRefused
         Where there is no answer at all, or an argument is wrong.
     """
-    from threadpoolctl import threadpool_limits
-
+    from levkas.machine import steady_libraries
     from levkas.registration.arguments import check_arguments
 
     check_arguments(reference, target, reference_band, method, METHODS, reject, stop, region)
     module, name = METHODS[method]
     run: Callable[..., Registration] = getattr(import_module(module), name)
-    # One thread for linear algebra: its sums then do not depend on how many there are, and small
-    # problems do not wait for one another on a busy machine.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with steady_libraries():
         return run(
             reference,
             target,

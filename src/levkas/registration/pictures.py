@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.machine import count_threads
 from levkas.registration.prediction import rooted
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ MOST_THREADS = 4
 
 def images_of(bands: Sequence[BandImage]) -> dict[str, np.ndarray]:
     """Return label → square root of the image, NaN where invalid."""
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
+    with ThreadPoolExecutor(count_threads(MOST_THREADS)) as pool:
         return dict(zip([band.label for band in bands], pool.map(_picture, bands), strict=True))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -12,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
+
+from levkas.machine import count_threads
 
 if TYPE_CHECKING:
     from levkas.transforms import Transform
@@ -62,7 +63,7 @@ def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any) -> None:
     Threads of our own around kernels without the interpreter's lock: numba's parallel loops take
     four times as long to compile, and the first run on a fresh machine is one that people wait for.
     """
-    workers = min(os.cpu_count() or 1, MOST_THREADS)
+    workers = count_threads(MOST_THREADS)
     largest = max(a.size for a in arguments if isinstance(a, np.ndarray))
     if rows < 4 * workers or workers == 1 or largest < WORTH_THREADS:
         kernel(0, rows, *arguments)

@@ -1,0 +1,126 @@
+"""One campaign built under other circumstances: the databases must be the same, byte for byte.
+
+    python benchmarks/same_bytes.py [FOLDER] [--plain]
+
+A mosaic camera, one of many bands and a line scan, simulated; other numbers of threads, order and
+dates of the files, folder, locale, time zone and day. FOLDER keeps the simulated campaign. With
+``--plain`` FOLDER is any campaign, and nothing is simulated.
+"""
+
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from levkas.files import hash_tree
+from levkas.simulation import simulate_campaign
+
+BUILD = """
+import datetime, os, random, sys, time
+
+days, order = int(sys.argv[3]), sys.argv[4]
+if days:
+    clock, true_time, true_ns = datetime.datetime, time.time, time.time_ns
+    class Moved(clock):
+        @classmethod
+        def now(cls, tz=None):
+            return clock.now(tz) + datetime.timedelta(days)
+        @classmethod
+        def today(cls):
+            return cls.now()
+    datetime.datetime = Moved
+    time.time = lambda: true_time() + 86400 * days
+    time.time_ns = lambda: true_ns() + 86400 * days * 10**9
+if order == "shuffled":
+    listed, scanned = os.listdir, os.scandir
+    def mixed(entries):
+        entries = list(entries)
+        random.Random(7).shuffle(entries)
+        return entries
+    class Scan:
+        def __init__(self, entries):
+            self.entries = iter(entries)
+        def __iter__(self):
+            return self
+        def __next__(self):
+            return next(self.entries)
+        def __enter__(self):
+            return self
+        def __exit__(self, *error):
+            pass
+        close = __exit__
+    os.listdir = lambda *place: mixed(listed(*place))
+    os.scandir = lambda *place: Scan(mixed(scanned(*place)))
+from levkas.building import build, summarise
+report = summarise(build(sys.argv[1], output=sys.argv[2]))
+print(report.text)
+sys.exit(not report.ok)
+"""
+ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+CIRCUMSTANCES: dict[str, tuple[dict[str, str], int, str]] = {
+    "as it comes": ({}, 0, ""),
+    "1 thread": ({"LEVKAS_THREADS": "1"}, 0, ""),
+    "2 threads": ({"LEVKAS_THREADS": "2"}, 0, ""),
+    "3 threads": ({"LEVKAS_THREADS": "3", "NUMBA_NUM_THREADS": "3"}, 0, ""),
+    "libraries with 1 thread": (ONE_THREAD, 0, ""),
+    "one processor": ({}, 0, "pinned"),
+    "files in another order, of other dates, elsewhere": ({}, 0, "shuffled"),
+    "Turkish, Kathmandu, 400 days on": (
+        {"LC_ALL": "tr_TR.UTF-8", "LANG": "tr_TR.UTF-8", "TZ": "Asia/Kathmandu"},
+        400,
+        "",
+    ),
+    "plain C locale, 9000 days ago": ({"LC_ALL": "C", "TZ": "America/Lima"}, -9000, ""),
+}
+
+
+def scatter(folder: Path, copy: Path) -> None:
+    """Copy a campaign file by file in another order, with other dates."""
+    files = [p for p in sorted(folder.rglob("*")) if p.is_file()]
+    random.Random(3).shuffle(files)
+    for number, path in enumerate(files):
+        target = copy / path.relative_to(folder)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, target)
+        os.utime(target, (10**9 + 1000 * number, 10**9 + 1000 * number))
+
+
+def run(folder: Path, output: Path, name: str) -> dict[str, str]:
+    """Build in a process of its own, and return the hashes."""
+    more, days, how = CIRCUMSTANCES[name]
+    if how == "shuffled":
+        scatter(folder, output.with_name("elsewhere"))
+        folder = output.with_name("elsewhere")
+    command = [sys.executable, "-c", BUILD, str(folder), str(output), str(days), how]
+    if how == "pinned":
+        command[2] = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])" + BUILD
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, **more})
+    return hash_tree(output)
+
+
+def main(folder: Path, *, plain: bool) -> int:
+    if not plain and not (folder / "campaign.toml").is_file():
+        for _ in simulate_campaign(folder, preset="small", scale=0.15, cameras=["d80", "v10"]):
+            pass
+    first: dict[str, str] = {}
+    failed = 0
+    with tempfile.TemporaryDirectory() as room:
+        for number, name in enumerate(CIRCUMSTANCES):
+            start = time.perf_counter()
+            found = run(folder, Path(room) / f"database-{number}", name)
+            first = first or found
+            other = [n for n in {**first, **found} if first.get(n) != found.get(n)]
+            failed += bool(other)
+            told = f"{len(other)} of {len(first)} files differ: {other[:4]}" if other else "same"
+            print(f"{name}: {told}, {time.perf_counter() - start:.0f} s", flush=True)
+    return failed
+
+
+if __name__ == "__main__":
+    places = [a for a in sys.argv[1:] if not a.startswith("-")]
+    where = Path(places[0]) if places else Path(tempfile.mkdtemp()) / "campaign"
+    sys.exit(main(where, plain="--plain" in sys.argv))

@@ -1,0 +1,50 @@
+"""The bytes of a database do not depend on where, when and with how many threads it was built."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from levkas.building import build, summarise
+from levkas.files import hash_tree
+from levkas.machine import count_threads
+
+BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks/same_bytes.py"
+
+
+@pytest.fixture(scope="module")
+def other_ways():
+    """The benchmark, which builds under other circumstances; it has more of them, and more cameras."""
+    spec = importlib.util.spec_from_file_location("same_bytes", BENCHMARK)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def plate(make_plates, tmp_path_factory):
+    folder = make_plates(tmp_path_factory.mktemp("plate") / "campaign", ("one",))
+    assert summarise(build(folder)).ok
+    return folder, hash_tree(folder / "database")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "1 thread",
+        "3 threads",
+        "files in another order, of other dates, elsewhere",
+        "Turkish, Kathmandu, 400 days on",
+    ],
+)
+def test_the_bytes_are_the_same(name, plate, other_ways, tmp_path):
+    folder, expected = plate
+    assert other_ways.run(folder, tmp_path / "database", name) == expected
+
+
+def test_one_variable_says_how_many_threads(monkeypatch):
+    monkeypatch.setenv("LEVKAS_THREADS", "3")
+    assert count_threads() == 3 and count_threads(2) == 2
+    for nonsense in ("", "0", "-1", "many"):
+        monkeypatch.setenv("LEVKAS_THREADS", nonsense)
+        assert count_threads() >= 1 and count_threads(1) == 1
