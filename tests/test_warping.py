@@ -234,7 +234,7 @@ def test_flags_of_all_bands_are_passed_on_as_those_of_each(cube, scale):
     rng = np.random.default_rng(6)
     flags = np.where(rng.random(cube.shape) < 0.4, rng.choice([2, 4, 8, 14], cube.shape), 0)
     flags = flags.astype(np.uint8)
-    flags[50, 60:64, 3] |= Flag.OUTSIDE
+    flags[50, 60:64, 3] |= np.uint8(Flag.OUTSIDE)
     coarser = [Composed(camera_map(), Affine.scaling(scale)) for _ in range(21)]
     shape = (int(90 / scale), int(130 / scale))
     each = warp(cube, coarser, shape, flags=flags, variance=cube**2)
