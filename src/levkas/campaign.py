@@ -112,11 +112,11 @@ def load_campaign(path: str | Path) -> Campaign:
     try:
         record = read_toml(path)
     except TomlRefused as refused:
-        missing = refused.problems[0].code == "E_UNREADABLE"
+        missing = refused.problems[0].found == "no such file"
         fix = (
             "Write one beside the raw frames; docs/campaign.md has every key." if missing else None
         )
-        raise CampaignInvalid(*(replace(p, fix=p.fix or fix) for p in refused.problems)) from None
+        raise CampaignInvalid(*(replace(p, fix=fix or p.fix) for p in refused.problems)) from None
     document, problems = _validate(path, record)
     if document is None or problems:
         raise CampaignInvalid(*dict.fromkeys(problems))
