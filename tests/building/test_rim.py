@@ -11,8 +11,8 @@ from levkas.building.developing import develop
 from levkas.building.ledger import Ledger
 from levkas.building.places import Places
 from levkas.building.shelf import Shelf
-from levkas.campaign import CampaignInvalid, load_campaign
 from levkas.calibration.templates import CalibrationRefused
+from levkas.campaign import CampaignInvalid, load_campaign
 from levkas.cli import app
 from levkas.cube import Flag
 from levkas.discovery import find_captures
@@ -160,14 +160,17 @@ def test_codes_at_the_upper_end_of_16_bits_are_read_where_saturation_says_so(tmp
     ("change", "said"),
     [
         (lambda f, *_: f >> 4, "no code is above"),
-        (lambda f, *_: np.round((f >> 4) * 4095 / 255).astype(np.uint16), "8 bits stretched to 12"),
+        (
+            lambda f, *_: np.round((f >> 4) * (4095 / 255)).astype(np.uint16),
+            "8 bits stretched to 12",
+        ),
     ],
     ids=["low", "stretched"],
 )
 def test_16_bit_files_of_8_bit_codes_are_warned_about(tmp_path, change, said):
     def spread(frame, target, band):
         if target == "dark":
-            return frame
+            return change(np.full_like(frame, 96))
         ramp = np.linspace(0.4, 1, frame.size).reshape(frame.shape)
         return change((frame * ramp).astype(np.uint16), target, band)
 

@@ -33,11 +33,12 @@ def close_gaps(template: Template) -> Template:
     >>> closed.mean.tolist(), closed.lost.tolist()
     ([[1.0, 2.0, 3.0]], [[False, True, False]])
     """
+    arrays = [a for a in (template.mean, template.variance) if a is not None]
+    if all(np.isfinite(np.sum(a, dtype=np.float64)) for a in arrays):
+        return template  # a sum takes no memory, and is finite only where all are
     lost = ~np.isfinite(template.mean)
     if template.variance is not None:
         lost |= ~np.isfinite(template.variance)
-    if not lost.any():
-        return template
     mean = _filled(template.mean, lost)
     variance = None if template.variance is None else _filled(template.variance, lost)
     return replace(
