@@ -239,7 +239,7 @@ def test_flags_of_all_bands_are_passed_on_as_those_of_each(cube, scale):
     shape = (int(90 / scale), int(130 / scale))
     each = warp(cube, coarser, shape, flags=flags, variance=cube**2)
     assert same(each, warp(cube, coarser[0], shape, flags=flags, variance=cube**2))
-    assert len(np.unique(each.flags)) > 8
+    assert len(np.unique(each.flags)) > 5
 
 
 def test_maps_of_many_bands_are_laid_a_part_at_a_time(monkeypatch):

@@ -12,6 +12,7 @@ import numpy as np
 
 from levkas.evaluation import BandError, Truth, position_errors, read_truth, summarise_errors
 from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_json
 from levkas.transforms import from_dict
 
 POINT_COLUMNS = ("object", "camera", "band", "reference_x", "reference_y", "x", "y")
@@ -91,7 +92,7 @@ def assess(
     checks = read_check_points(Path(points)) if points else {}
     results = []
     for path in sorted(output.glob("objects/*/registration/*.json")):
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = read_json(path)
         results.append(_assess_layer(output, record, folder, checks, Path(maps) if maps else None))
     return Assessment(results)
 

@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 
+EXPLAINED = "docs/campaign.md explains every key."
 ATTEMPTS = 4
 """Rounds of leaving out what is wrong, until the rest can be checked against itself."""
 
@@ -112,11 +113,11 @@ def load_campaign(path: str | Path) -> Campaign:
     try:
         record = read_toml(path)
     except TomlRefused as refused:
-        missing = refused.problems[0].code == "E_UNREADABLE"
+        missing = refused.problems[0].found == "no such file"
         fix = (
             "Write one beside the raw frames; docs/campaign.md has every key." if missing else None
         )
-        raise CampaignInvalid(*(replace(p, fix=p.fix or fix) for p in refused.problems)) from None
+        raise CampaignInvalid(*(replace(p, fix=fix or p.fix) for p in refused.problems)) from None
     document, problems = _validate(path, record)
     if document is None or problems:
         raise CampaignInvalid(*dict.fromkeys(problems))
@@ -147,7 +148,7 @@ def _validate(path: Path, record: dict[str, Any]) -> tuple[Document | None, list
         again = any(_within(problem.field or "", field) for field in told)
         if not again and problem.found not in unsound:
             problems.append(problem)
-    return document, [replace(p, file=str(path)) for p in problems]
+    return document, [replace(p, file=str(path), fix=p.fix or EXPLAINED) for p in problems]
 
 
 def _cameras(record: dict[str, Any]) -> list[str]:

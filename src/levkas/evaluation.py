@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_json
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,7 +108,7 @@ def read_truth(folder: Path, name: str, camera: str) -> Truth | None:
     reference, target = folder / f"{name}_ref_px.npy", folder / f"{name}_{camera}_px.npy"
     if not (reference.is_file() and target.is_file() and (folder / "truth.json").is_file()):
         return None
-    record = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    record = read_json(folder / "truth.json")
     labels = list(record.get("cameras", {}).get(camera, {}).get("bands", []))
     points = np.load(reference, allow_pickle=False)
     rows = np.load(target, allow_pickle=False)

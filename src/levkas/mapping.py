@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 
 from levkas.cube import find_band
 from levkas.problems import Problem, Refused
+from levkas.readers.texts import TextRefused, read_json
 from levkas.transforms import Affine, Inverse, Transform, from_dict
 
 GRID = "grid"
@@ -327,10 +327,6 @@ def _size(entry: dict[str, Any]) -> tuple[float, float] | None:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        problem = Problem("E_UNREADABLE", f"a record cannot be read: {error}", file=str(path))
-        raise MappingRefused(problem) from error
-    if not isinstance(record, dict):
-        raise MappingRefused(Problem("E_UNREADABLE", "a record is no table", file=str(path)))
-    return record
+        return read_json(path)
+    except TextRefused as refused:
+        raise MappingRefused(*refused.problems) from None

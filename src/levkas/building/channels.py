@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 from math import isnan, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.cube import find_band
+from levkas.readers.texts import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,21 +60,21 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
     rows: list[list[float]] = []
     head: list[str] = []
     try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            for row in csv.reader(lines):
-                cells = [cell.strip() for cell in row]
-                if not any(cells) or cells[0].startswith("#"):
-                    continue
-                try:
-                    rows.append([float(c) if c else nan for c in cells])
-                except ValueError:
-                    if rows or head:
-                        raise
-                    head = cells
+        text = read_text(path, "a CSV of wavelength in nm and a column a channel")
+        for row in csv.reader(io.StringIO(text, newline="")):
+            cells = [cell.strip() for cell in row]
+            if not any(cells) or cells[0].startswith("#"):
+                continue
+            try:
+                rows.append([float(c) if c else nan for c in cells])
+            except ValueError:
+                if rows or head:
+                    raise
+                head = cells
         table = np.array(rows, float)
         if table.ndim != 2 or len(table) < 2 or table.shape[1] < 2:
             raise ValueError(f"{len(rows)} rows of numbers")
-    except (OSError, ValueError, UnicodeDecodeError, csv.Error) as error:
+    except (ValueError, csv.Error) as error:
         raise Refused(
             Problem(
                 "E_UNREADABLE",

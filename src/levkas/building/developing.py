@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.building.codes import CodesRefused, check_codes, doubt_codes, spread
 from levkas.building.native import Native
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated, flat_field
+from levkas.calibration.gaps import close_gaps, describe_gaps, gaps_of
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.cube import Cube, Flag
 from levkas.database.layers import round_sigma
-from levkas.problems import Problem
-from levkas.readers.frames import Facts, read_facts, read_frame
+from levkas.problems import Problem, Refused
+from levkas.readers.frames import Facts, UnreadableCapture, read_facts, read_frame
 
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
     from levkas.calibration.scanning import Seam
     from levkas.campaign import Camera, Campaign
     from levkas.discovery import Capture, FrameRef, SensorFrames
+
+
+GLIMPSE_LINES = 64
+MOST_PROBLEMS = 50
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,11 @@ class Bench:
         return float(2**bits - 1) if bits else None
 
     @property
+    def unmended(self) -> bool:
+        """Whether defects are left out instead of replaced from their neighbours."""
+        return self.camera.kind == "cube"
+
+    @property
     def black(self) -> float | None:
         """Declared, else the file's own black level, counts; None where nobody says."""
         return self.camera.black if self.camera.black is not None else self.facts.black
@@ -59,13 +70,35 @@ class Bench:
 
         def make() -> Template:
             try:
-                return average(_read(frames), saturation=self.saturation, exposure_s=exposure)
+                return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
             except CalibrationRefused as refused:
-                raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
+                raise type(refused)(*(_placed(p, frames) for p in refused.problems)) from None
 
         if not kept:
-            return make()
-        return self.shelf.template(frames, make, saturation=self.saturation, exposure=exposure)
+            return self.whole(make(), frames)
+        made = self.shelf.template(
+            frames, make, saturation=self.saturation, exposure=exposure, bits=self.camera.bits
+        )
+        return self.whole(made, frames)
+
+    def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
+        """Read frame by frame, codes checked against the bits that are declared."""
+        for frame in frames:
+            yield self.checked(read_frame(frame.path, page=frame.page), frame)
+
+    def checked(self, values: np.ndarray, frame: FrameRef) -> np.ndarray:
+        """Return a frame's values; raises CalibrationRefused where `bits` does not hold."""
+        if self.camera.bits is not None:
+            full = self.camera.saturation or self.facts.saturation
+            check_codes(values, frame.path, self.camera.name, self.camera.bits, full)
+        return values
+
+    def whole(self, template: Template, frames: Sequence[FrameRef]) -> Template:
+        """Return a template whose every value is a number, what was none marked as lost."""
+        try:
+            return close_gaps(template)
+        except CalibrationRefused as refused:
+            raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
 
     def templates(self, frames: Sequence[FrameRef]) -> list[Template]:
         """Average frames exposure by exposure, shortest first."""
@@ -92,22 +125,43 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
     """
     camera = campaign.cameras[capture.camera]
     cubes, notes, captured = {}, [], None
-    for sensor in capture.sensors:
-        facts = read_facts(sensor.object[0].path)
-        captured = captured or facts.captured
-        bench = Bench(campaign, camera, sensor, facts, shelf)
-        notes += doubts_of(bench)
-        cubes[sensor.name] = DEVELOPERS[camera.kind](bench, notes)
+    try:
+        for sensor in capture.sensors:
+            facts = read_facts(sensor.object[0].path)
+            captured = captured or facts.captured
+            bench = Bench(campaign, camera, sensor, facts, shelf)
+            notes += doubts_of(bench)
+            cubes[sensor.name] = DEVELOPERS[camera.kind](bench, notes)
+    except (UnreadableCapture, CodesRefused) as refused:
+        raise type(refused)(*_all_problems(capture, campaign, shelf, refused)) from None
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
     told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
     return Native(cubes, aligns, captured, told)
 
 
+def _all_problems(
+    capture: Capture, campaign: Campaign, shelf: Shelf, first: Refused
+) -> list[Problem]:
+    """What is wrong with every frame of a capture: who mends one wants to know of the others."""
+    problems = list(first.problems)
+    for sensor in capture.sensors:
+        for frame in (*sensor.object, *sensor.white, *sensor.dark):
+            try:
+                facts = read_facts(frame.path)
+                bench = Bench(campaign, campaign.cameras[capture.camera], sensor, facts, shelf)
+                bench.checked(read_frame(frame.path, page=frame.page), frame)
+            except Refused as refused:
+                problems += refused.problems
+            if len(problems) > MOST_PROBLEMS:
+                return list(dict.fromkeys(problems))[:MOST_PROBLEMS]
+    return list(dict.fromkeys(problems))
+
+
 def doubts_of(bench: Bench) -> list[str]:
     """What a person should know before believing the values."""
-    doubts: list[str] = []
     camera = bench.camera
+    doubts = _doubt_bits(bench)
     targets = bench.campaign.targets
     if camera.kind == "image":
         return doubts
@@ -122,6 +176,26 @@ def doubts_of(bench: Bench) -> list[str]:
     return doubts
 
 
+def _doubt_bits(bench: Bench) -> list[str]:
+    """Whether a few frames, whites above all, look like 8 bits where more are declared."""
+    bits, full = bench.camera.bits, bench.saturation
+    if bits is None or bits <= 8 or full is None or bench.facts.kind == "raw":
+        return []
+    frames = [*spread(bench.sensor.object, 3), *spread(bench.sensor.white, 3)]
+    return [f"{bench.camera.name}: {d}" for d in doubt_codes(map(_glimpse, frames), bits, full)]
+
+
+def _glimpse(frame: FrameRef) -> np.ndarray:
+    """Read a frame; of a line scan some lines in its middle."""
+    if read_facts(frame.path).kind != "envi":
+        return read_frame(frame.path, page=frame.page)
+    from levkas.readers.envi import open_envi
+
+    scan = open_envi(frame.path)
+    middle, half = scan.facts.shape[0] // 2, GLIMPSE_LINES // 2
+    return scan.read_lines(max(0, middle - half), min(scan.facts.shape[0], middle + half + 1))
+
+
 def exposure_of(frame: FrameRef) -> float | None:
     """Exposure from the file's name, else from its EXIF, s."""
     if frame.exposure_s is not None or frame.path.suffix.lower() in (".hdr", ".png"):
@@ -133,11 +207,6 @@ def exposure_of(frame: FrameRef) -> float | None:
 def _exposure_told(path: Path, _stamp: int) -> float | None:
     """EXIF of one file, asked for once: a camera raw costs half a second."""
     return read_facts(path).exposure_s
-
-
-def _read(frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
-    for frame in frames:
-        yield read_frame(frame.path, page=frame.page)
 
 
 def read_cube(frame: FrameRef) -> np.ndarray:
@@ -161,10 +230,20 @@ def flatten(
 ) -> Calibrated:
     """Flat-field with the files named in every refusal."""
     try:
-        return flat_field(shot, dark or None, white, black=bench.black, **more)
+        flat = flat_field(shot, dark or None, white, black=bench.black, **more)
     except CalibrationRefused as refused:
         frames = bench.sensor.white or bench.sensor.object
         raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
+    lost = gaps_of(shot, *dark, white)
+    if lost is None:
+        return flat
+    labels: list[str] = list(more.get("labels") or ())
+    lost = np.broadcast_to(lost, flat.values.shape)
+    note = describe_gaps(lost, labels[0] if len(labels) == 1 else bench.camera.name)
+    # Where frames are not mended from their neighbours, the value is gone.
+    values = np.where(lost, np.float32(np.nan), flat.values) if bench.unmended else flat.values
+    flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
+    return replace(flat, values=values, flags=flags, notes=(*flat.notes, note))
 
 
 def _noise(
@@ -430,9 +509,9 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     def template(frames: Sequence[FrameRef]) -> Template | None:
         if not frames:
             return None
-        blocks = (read_cube(frame) for frame in frames)
+        blocks = (bench.checked(read_cube(frame), frame) for frame in frames)
         join = average if mirror else average_lines
-        return join(blocks, saturation=bench.saturation)
+        return bench.whole(join(blocks, saturation=bench.saturation), frames)
 
     dark, white = template(sensor.dark), template(sensor.white)
     darks = [dark] if dark else []
@@ -440,7 +519,9 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     noise = None if mirror else line_noise(bench, dark, white)
     strips = []
     for frame in sensor.object:
-        shot = average(iter([read_cube(frame)]), saturation=bench.saturation)
+        block = bench.checked(read_cube(frame), frame)
+        shot = bench.whole(average(iter([block]), saturation=bench.saturation), [frame])
+        del block
         if mirror:
             noise = noise or _noise([shot], [], darks, bench)
         flat = flatten(
@@ -492,6 +573,9 @@ def develop_image(bench: Bench, notes: list[str]) -> Cube:
     """A photograph or radiograph: nothing to calibrate, its codes as they are."""
     shot = bench.average(bench.sensor.object)
     values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
+    if shot.lost is not None:
+        notes.append(describe_gaps(shot.lost, bench.camera.name))
+        values = np.where(shot.lost.reshape(values.shape), np.float32(np.nan), values)
     saturated = shot.saturated.reshape(values.shape)
     flags = np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
     variance = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -136,9 +136,10 @@ class Scan:
         from levkas.calibration.templates import average
 
         raw = self.opened.read_lines(start, stop)
+        raw = self.bench.checked(raw, self.bench.sensor.object[0])
         flat = flatten(
             self.bench,
-            average(iter([raw]), saturation=self.bench.saturation),
+            _with_gaps(average(iter([raw]), saturation=self.bench.saturation)),
             [self.dark] if self.dark else [],
             self.white,
             white_reflectance=self.reflectance,
@@ -155,6 +156,20 @@ class Scan:
                 reducer.add(cube)
             self.pictures.extend(reducer.images())
         return self.pictures
+
+
+def _with_gaps(shot: Template) -> Template:
+    """Mark what is no number; unlike `gaps.close_gaps`, the same for any lines around it."""
+    lost = ~np.isfinite(shot.mean)
+    if not lost.any():
+        return shot
+    return replace(
+        shot,
+        mean=np.where(lost, np.float32(0), shot.mean),
+        saturated=shot.saturated & ~lost,
+        black=shot.black & ~lost,
+        lost=lost,
+    )
 
 
 class Reducer:
@@ -215,8 +230,10 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
     bench = Bench(campaign, campaign.cameras[capture.camera], sensor, facts, shelf)
 
     def template(frames: Any) -> Template | None:
-        blocks = (block for frame in frames for block in _line_blocks(frame))
-        return average_lines(blocks, saturation=bench.saturation) if frames else None
+        if not frames:
+            return None
+        blocks = (bench.checked(block, frame) for frame in frames for block in _line_blocks(frame))
+        return bench.whole(average_lines(blocks, saturation=bench.saturation), frames)
 
     dark, white = template(sensor.dark), template(sensor.white)
     where = f"{capture.object}/{capture.layer}"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.problems import Problem, Refused
+from levkas.readers.texts import TextRefused, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,16 +67,18 @@ def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """
     rows = []
     try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            for number, row in enumerate(csv.reader(lines)):
-                if not row or row[0].lstrip().startswith("#"):
-                    continue
-                try:
-                    rows.append((float(row[0]), float(row[1])))
-                except (ValueError, IndexError):
-                    if number:
-                        raise
-    except (OSError, ValueError, IndexError, UnicodeDecodeError, csv.Error) as error:
+        lines = io.StringIO(read_text(path, "a CSV of wavelength in nm and value"), newline="")
+        for number, row in enumerate(csv.reader(lines)):
+            if not row or row[0].lstrip().startswith("#"):
+                continue
+            try:
+                rows.append((float(row[0]), float(row[1])))
+            except (ValueError, IndexError):
+                if number:
+                    raise
+    except TextRefused as refused:
+        raise SpectrumRefused(*refused.problems) from None
+    except (ValueError, IndexError, csv.Error) as error:
         raise SpectrumRefused(
             Problem(
                 "E_UNREADABLE",

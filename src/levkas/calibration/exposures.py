@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, match_dark
+from levkas.calibration.gaps import gaps_of
 from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.linearity import Linearity, check_linearity
 from levkas.calibration.noise_fit import NoiseModel
@@ -167,7 +168,13 @@ def _merge(
         variance = variance.reshape(first.mean.shape)
     whole = first.mean.shape
     return Template(
-        rate.reshape(whole), variance, 1, lost.reshape(whole), clipped.reshape(whole) > 0, 1.0
+        rate.reshape(whole),
+        variance,
+        1,
+        lost.reshape(whole),
+        clipped.reshape(whole) > 0,
+        1.0,
+        gaps_of(*timed),
     )
 
 

@@ -39,6 +39,8 @@ class Template:
     saturated, black : ndarray like `mean`, bool
         Whether any single shot was saturated, or clipped at black, there.
     exposure_s : float, optional
+    lost : ndarray like `mean`, bool, optional
+        Where a shot was no finite number and `gaps.close_gaps` put another value. None: nowhere.
 
     Examples
     --------
@@ -53,6 +55,7 @@ class Template:
     saturated: np.ndarray
     black: np.ndarray
     exposure_s: float | None = None
+    lost: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.saturated, self.black]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import logging
 import struct
 import tomllib
@@ -18,6 +17,7 @@ import numpy as np
 
 from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE
 from levkas.problems import Problem
+from levkas.readers.texts import parse_json
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PLAIN = 1  # tag Compression
@@ -176,7 +176,7 @@ def _check_text(path: Path, kind: str) -> Iterator[Problem]:
     try:
         text = data.decode("utf-8-sig")
         if kind == ".json":
-            read_strict_json(text)
+            parse_json(text)
         elif kind == ".toml":
             tomllib.loads(text)
         elif kind == ".csv":
@@ -185,29 +185,6 @@ def _check_text(path: Path, kind: str) -> Iterator[Problem]:
             yield damaged(path, "it is cut off", code="E_TRUNCATED", expected="</html> at the end")
     except (ValueError, RecursionError) as error:
         yield damaged(path, _reason(error))
-
-
-def read_strict_json(text: str) -> Any:
-    """Parse JSON without NaN, infinities or a key twice; raises ValueError.
-
-    Examples
-    --------
-    >>> read_strict_json('{"a": 1, "a": 2}')
-    Traceback (most recent call last):
-    ValueError: the key 'a' stands twice
-    """
-
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        record = dict(pairs)
-        if len(record) != len(pairs):
-            names = [name for name, _ in pairs]
-            raise ValueError(f"the key {max(names, key=names.count)!r} stands twice")
-        return record
-
-    def refuse(name: str) -> Any:
-        raise ValueError(f"{name} is no number in JSON")
-
-    return json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
 
 
 def _check_table(path: Path, text: str) -> Iterator[Problem]:

@@ -14,10 +14,10 @@ from levkas.database.soundness import (
     check_array,
     check_file,
     check_tiff,
-    read_strict_json,
 )
 from levkas.database.twins import check_stores
 from levkas.problems import Problem
+from levkas.readers.texts import parse_json
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _is_array(folder: Path) -> bool:
     if (folder / ".zarray").is_file():
         return True
     try:
-        record = read_strict_json((folder / "zarr.json").read_text("utf-8"))
+        record = parse_json((folder / "zarr.json").read_text("utf-8"))
         return bool(record.get("node_type") != "group")
     except (OSError, ValueError, AttributeError):
         return (folder / "c").is_dir()

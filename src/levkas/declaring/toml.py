@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from levkas.problems import Problem, Refused
+from levkas.readers.texts import TextRefused, read_text
 
 LARGEST_FILE = 1 << 20
 LONGEST_KEY = 1024
@@ -45,21 +46,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         Where the file cannot be read, is too large, nested too deeply or no TOML.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-        if len(data) > LARGEST_FILE:
-            raise _too_much(path, "the file is too large", "over 1 MiB", "at most 1 MiB")
-        text = data.decode("utf-8-sig").replace("\r\n", "\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise TomlRefused(
-            Problem(
-                "E_UNREADABLE",
-                f"{path.name} cannot be read",
-                str(path),
-                found=getattr(error, "strerror", None) or str(error),
-                expected="a TOML file in UTF-8",
-            )
-        ) from error
+        text = read_text(path, "a TOML file in UTF-8", most=LARGEST_FILE).replace("\r\n", "\n")
+    except TextRefused as refused:
+        raise TomlRefused(*refused.problems) from None
     _bound(path, text)
     try:
         return tomllib.loads(text)
@@ -70,6 +59,7 @@ def read_toml(path: Path) -> dict[str, Any]:
                 f"{path.name} is not valid TOML",
                 str(path),
                 found=str(error)[:200],
+                expected="TOML 1.0",
                 fix="Mend that line: text in quotes, lists in brackets, one key a line.",
             )
         ) from error
@@ -112,5 +102,12 @@ def _line(text: str, at: int) -> str:
 
 def _too_much(path: Path, message: str, found: str, expected: str) -> TomlRefused:
     return TomlRefused(
-        Problem("E_SIZE", f"{path.name}: {message}", str(path), found=found, expected=expected)
+        Problem(
+            "E_SIZE",
+            f"{path.name}: {message}",
+            str(path),
+            found=found,
+            expected=f"at most {expected}",
+            fix="docs/campaign.md has every key: none is as long or as deep.",
+        )
     )

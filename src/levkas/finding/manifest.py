@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,9 @@ from pathlib import Path
 from levkas.finding.captures import CaptureRefused
 from levkas.finding.files import Found
 from levkas.problems import Problem
+from levkas.readers.texts import TextRefused, read_text
 
-COLUMNS = ("file", "exposure_s")
+EXPECTED = "a CSV with the columns file and exposure_s, in UTF-8"
 
 
 def read_manifest(path: Path) -> dict[str, float]:
@@ -30,18 +32,27 @@ def read_manifest(path: Path) -> dict[str, float]:
     exposures: dict[str, float] = {}
     problems = []
     try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            for number, row in enumerate(csv.DictReader(lines), start=2):
-                try:
-                    name, seconds = str(row["file"]).strip(), float(row["exposure_s"])
-                except (KeyError, TypeError, ValueError):
-                    name, seconds = "", 0.0
-                if not name or not 0 < seconds < 1e6:
-                    problems.append(_bad_row(path, number, row))
-                exposures[name.replace("\\", "/")] = seconds
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        lines = io.StringIO(read_text(path, EXPECTED), newline="")
+        for number, row in enumerate(csv.DictReader(lines), start=2):
+            try:
+                name, seconds = str(row["file"]).strip(), float(row["exposure_s"])
+            except (KeyError, TypeError, ValueError):
+                name, seconds = "", 0.0
+            if not name or not 0 < seconds < 1e6:
+                problems.append(_bad_row(path, number, row))
+            exposures[name.replace("\\", "/")] = seconds
+    except TextRefused as refused:
+        problems = list(refused.problems)
+    except csv.Error as error:
         problems = [
-            Problem("E_UNREADABLE", "the manifest cannot be read", str(path), found=str(error))
+            Problem(
+                "E_UNREADABLE",
+                "the manifest cannot be read",
+                str(path),
+                found=str(error),
+                expected=EXPECTED,
+                fix="Save it again as a table of two columns.",
+            )
         ]
     if problems:
         raise CaptureRefused(*problems[:10])
@@ -69,4 +80,5 @@ def _bad_row(path: Path, number: int, row: dict[str, str]) -> Problem:
         "exposure_s",
         ", ".join(str(v) for v in row.values())[:80],
         "columns file and exposure_s, in seconds",
+        "Write the exposure in seconds, a number above 0.",
     )

@@ -19,6 +19,7 @@ from levkas.readers.envi_header import (
 )
 from levkas.readers.envi_layout import DATA_TYPES, check_length, layout_of
 from levkas.readers.facts import COPY_AGAIN, Facts, unreadable
+from levkas.readers.texts import what_stands_at
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
 
@@ -126,8 +127,14 @@ def open_envi(path: str | Path) -> EnviFile:
     """
     path = Path(path)
     header = path if path.suffix.lower() == ".hdr" else find_header(path)
-    if header is None or not header.is_file():
-        raise unreadable(path, "the cube has no header", expected=f"{path.stem}.hdr beside it")
+    if header is None or what_stands_at(header) != "a file":
+        raise unreadable(
+            path,
+            "the cube has no header",
+            found="no such file",
+            expected=f"{path.stem}.hdr beside it",
+            fix="Put the header beside its data, under the same name.",
+        )
     fields = parse_header(header)
     layout = layout_of(header, fields)
     try:
@@ -190,6 +197,7 @@ def _wavelengths(path: Path, fields: Fields, key: str, bands: int) -> tuple[floa
             field=key,
             found=f"{len(numbers)} numbers",
             expected=f"{bands}",
+            fix="Write one number a band, or take the list out.",
         )
     centres = [number_of(v) or 0.0 for v in fields.get("wavelength") or raw]
     convert = _to_nanometres(text_of(fields, "wavelength units").lower(), max(centres))

@@ -8,8 +8,9 @@ from math import isfinite
 from pathlib import Path
 
 from levkas.readers.facts import unreadable
+from levkas.readers.texts import what_stands_at
 
-LONGEST_HEADER = 8 << 20
+LONGEST_HEADER = 4 << 20
 DATA_SUFFIXES = (
     *(".raw", ".dat", ".img", ".bil", ".bip", ".bsq", ".bin", ".cube", ".float", ".hyspex", ".sli"),
     "",
@@ -25,6 +26,9 @@ LAYOUT = (
 )
 """Keys that say where each number lies: said twice, they must agree."""
 
+LONGEST_NUMBER = 400
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
+
 Fields = dict[str, "str | list[str]"]
 
 
@@ -34,7 +38,7 @@ def find_header(path: str | Path) -> Path | None:
     names = [path.name] + ([path.stem] if path.suffix else [])
     for name in names:
         for suffix in (".hdr", ".HDR"):
-            if (header := path.with_name(name + suffix)).is_file():
+            if what_stands_at(header := path.with_name(name + suffix)) == "a file":
                 return header
     return None
 
@@ -52,12 +56,16 @@ def find_data(header: Path, fields: Fields, needed: int) -> Path:
     found: list[Path] = []
     for name in names:
         candidate = header.with_name(name)
-        if candidate.is_file() and not any(candidate.samefile(f) for f in [*found, header]):
+        if what_stands_at(candidate) == "a file" and not any(
+            candidate.samefile(f) for f in [*found, header]
+        ):
             found.append(candidate)
     if not found:
         raise unreadable(
             header,
             "the header has no data file beside it",
+            field="data file",
+            found=_beside(header, names),
             expected=f"{stem.name} with one of {', '.join(DATA_SUFFIXES[:-1])}, or no suffix",
             fix="Put the data beside their header, under the same name.",
         )
@@ -75,6 +83,13 @@ def find_data(header: Path, fields: Fields, needed: int) -> Path:
     )
 
 
+def _beside(header: Path, names: list[str]) -> str:
+    """Say what stands where the data should: a pipe, a folder, or nothing."""
+    there = {name: what_stands_at(header.with_name(name)) for name in names}
+    odd = [f"{name}: {found}" for name, found in there.items() if found != "no such file"]
+    return "; ".join(odd[:3]) if odd else "no such file"
+
+
 def parse_header(path: Path) -> Fields:
     """Parse an ENVI header: keys in lower case, ``{…}`` as lists of text, comments left out.
 
@@ -90,6 +105,7 @@ def parse_header(path: Path) -> Fields:
             "this is no ENVI header",
             found=(rows or [""])[0][:40],
             expected="a first line ENVI",
+            fix="Name the header of an ENVI cube, or leave the file out of `files`.",
         )
     fields: Fields = {}
     left = iter(rows[1:])
@@ -121,8 +137,10 @@ def _rows(path: Path) -> list[str]:
                 path,
                 "the header is too long to be one",
                 code="E_SIZE",
+                field="header",
                 found=f"{size} bytes",
-                expected=f"at most {LONGEST_HEADER}",
+                expected=f"at most {LONGEST_HEADER} bytes",
+                fix="The data may have the name of the header: a header is a page of text.",
             )
         text = path.read_bytes().decode("utf-8-sig", "replace")
     except OSError as error:
@@ -132,10 +150,15 @@ def _rows(path: Path) -> list[str]:
 
 def _uncommented(line: str) -> str:
     """Cut ``; …`` at the start of a line or after a space, but not in quotes or before a ``}``."""
-    for found in re.finditer(r"(?:^|(?<=\s))\s*;", line):
-        before, after = line[: found.start()], line[found.end() :]
-        if before.count('"') % 2 == 0 and ("}" not in after or not before.strip()):
-            return before
+    last, start, quotes = line.rfind("}"), 0, 0
+    blank = len(line) - len(line.lstrip())
+    # One pass, and no pattern that goes back: a header may be a megabyte of blanks or semicolons.
+    while (at := line.find(";", start)) >= 0:
+        quotes += line.count('"', start, at)
+        apart = at == 0 or line[at - 1].isspace()
+        if apart and quotes % 2 == 0 and (last < at or at <= blank):
+            return line[:at]
+        start = at + 1
     return line
 
 
@@ -145,7 +168,12 @@ def _list(path: Path, key: str, text: str, left: Iterator[str]) -> list[str]:
         row = next(left, None)
         if row is None:
             raise unreadable(
-                path, "a list in the header has no end", field=key, expected="a closing }"
+                path,
+                "a list in the header has no end",
+                field=key,
+                found="the end of the file",
+                expected="a closing }",
+                fix="Write the } where the list ends.",
             )
         parts.append(row)
     inner = "\n".join(parts).rpartition("}")[0]
@@ -170,7 +198,8 @@ def number_of(text: str) -> float | None:
     >>> number_of(" 4.5e2"), number_of("nan"), number_of("12 bit")
     (450.0, None, None)
     """
-    if not re.fullmatch(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", text, re.IGNORECASE):
+    text = text.strip()
+    if len(text) > LONGEST_NUMBER or not NUMBER.fullmatch(text):
         return None
     value = float(text)
     return value if isfinite(value) else None
@@ -189,7 +218,8 @@ def whole_of(
             path,
             f"the header does not say its {key}",
             field=key,
-            found=text or None,
+            found=text[:80] or "nothing",
             expected=f"a whole number from {least}",
+            fix=f"Write `{key} = …` as the camera's software gives it.",
         )
     return int(value)

@@ -55,7 +55,13 @@ def layout_of(path: Path, fields: Fields) -> Layout:
     A missing `byte order` is 0 and a missing `header offset` is 0, as many vendors leave them out.
     """
     lines, samples, bands = (whole_of(path, fields, key) for key in ("lines", "samples", "bands"))
-    check_size(path, (lines, samples, bands), most=MOST_SAMPLES)
+    check_size(
+        path,
+        (lines, samples, bands),
+        most=MOST_SAMPLES,
+        field="lines, samples, bands",
+        fix="Mend the header: no scan is as large.",
+    )
     _check_plain(path, fields)
     return Layout(
         shape=(lines, samples, bands),
@@ -87,6 +93,8 @@ def _explain(found: int, layout: Layout) -> tuple[str, str]:
     """Return the one field that would explain the size, and what to do about it."""
     lines, samples, bands = layout.shape
     room = found - layout.offset
+    if room <= 0:
+        return "header offset", "The data end before the offset: `header offset = 0` is usual."
     types = [c for c, t in DATA_TYPES.items() if prod(layout.shape) * int(t[1]) == room]
     if types:
         return "data type", f"Data type {' or '.join(map(str, types))} would fit."
@@ -115,6 +123,7 @@ def _interleave(path: Path, fields: Fields, bands: int) -> str:
         field="interleave",
         found=text or None,
         expected="bil, bip or bsq",
+        fix="Write `interleave = bil`, bip or bsq.",
     )
 
 
@@ -127,6 +136,7 @@ def _dtype(path: Path, fields: Fields) -> np.dtype[Any]:
             field="data type",
             found=f"{code}, complex numbers" if code in (6, 9) else code,
             expected=", ".join(map(str, DATA_TYPES)),
+            fix="Save the cube again as whole numbers or floats.",
         )
     order = whole_of(path, fields, "byte order", least=0, default=0)
     if order > 1:

@@ -75,16 +75,25 @@ class Facts:
 
 
 def unreadable(
-    path: str | Path, message: str, *, code: str = "E_UNREADABLE", **more: Any
+    path: str | Path,
+    message: str,
+    *,
+    code: str = "E_UNREADABLE",
+    expected: Any = "a whole file as its format is",
+    fix: str | None = COPY_AGAIN,
+    **more: Any,
 ) -> UnreadableCapture:
     """Return the refusal of a file, ready to raise.
 
     Examples
     --------
-    >>> print(unreadable("a.tif", "the file is empty", code="E_TRUNCATED", found="0 bytes"))
-    the file is empty (file: a.tif; found: 0 bytes)
+    >>> print(unreadable("a.tif", "no page 3", found="2 pages", expected="4", fix="Check the name."))
+    no page 3 (file: a.tif; found: 2 pages; expected: 4). Check the name.
     """
-    return UnreadableCapture(Problem(code, message, file=str(path), **more))
+    more.setdefault("found", "nothing of the kind")
+    return UnreadableCapture(
+        Problem(code, message, file=str(path), expected=expected, fix=fix, **more)
+    )
 
 
 @contextmanager
@@ -101,11 +110,19 @@ def decoding(path: Path, what: str) -> Iterator[None]:
             path,
             f"the {what} cannot be read",
             found=f"{type(error).__name__}: {error}"[:300],
+            expected=f"a whole {what}",
             fix=COPY_AGAIN,
         ) from error
 
 
-def check_size(path: Path, shape: tuple[int, ...], *, most: int = MOST_SAMPLES) -> None:
+def check_size(
+    path: Path,
+    shape: tuple[int, ...],
+    *,
+    most: int = MOST_SAMPLES,
+    field: str = "width, height",
+    fix: str = COPY_AGAIN,
+) -> None:
     """Refuse absurd declared sizes before anything is allocated."""
     samples = prod(int(side) for side in shape)
     if min(shape) > 0 and samples <= most and max(shape) <= LONGEST_SIDE:
@@ -114,14 +131,16 @@ def check_size(path: Path, shape: tuple[int, ...], *, most: int = MOST_SAMPLES) 
         path,
         "the declared size cannot be right",
         code="E_SIZE",
-        field="width, height",
+        field=field,
         found=" x ".join(str(s) for s in shape),
         expected=f"1 to {most} samples, sides up to {LONGEST_SIDE}",
-        fix=COPY_AGAIN,
+        fix=fix,
     )
 
 
-def check_ratio(path: Path, needed: int, stored: int, *, ratio: int) -> None:
+def check_ratio(
+    path: Path, needed: int, stored: int, *, ratio: int, field: str = "width, height"
+) -> None:
     """Refuse an image of `needed` bytes that `stored` bytes cannot hold at `ratio` to 1."""
     if needed <= FREE_BYTES or needed <= ratio * stored:
         return
@@ -129,7 +148,7 @@ def check_ratio(path: Path, needed: int, stored: int, *, ratio: int) -> None:
         path,
         "the image is larger than its stored bytes can hold",
         code="E_SIZE",
-        field="width, height",
+        field=field,
         found=f"{needed} bytes from {stored}",
         expected=f"at most {ratio} to 1",
         fix=COPY_AGAIN,

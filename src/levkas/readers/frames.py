@@ -13,10 +13,20 @@ from levkas.readers import jpeg, png
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
 from levkas.readers.facts import COPY_AGAIN, Facts, UnreadableCapture, unreadable
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
+from levkas.readers.texts import what_stands_at
 
 __all__ = ["Facts", "UnreadableCapture", "kind_of", "read_facts", "read_frame"]
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+FOREIGN = {
+    b"\x89HDF\r\n\x1a\n": "HDF5 (also .mat of MATLAB 7.3 and netCDF 4)",
+    b"MATLAB 5.0 MAT-fil": "a MATLAB file",
+    b"\x93NUMPY": "a NumPy array",
+    b"SIMPLE  =": "FITS",
+    b"CDF\x01": "netCDF",
+    b"CDF\x02": "netCDF",
+}
+"""Formats of cubes that are not read, by their first bytes."""
 READERS = {
     "tiff": ("levkas.readers.tiff", "read_tiff_facts", "read_tiff_page"),
     "png": ("levkas.readers.png", "read_png_facts", "read_png"),
@@ -41,6 +51,9 @@ def kind_of(path: str | Path) -> str:
     path = Path(path)
     suffix = path.suffix.lower()
     head = _first_bytes(path)
+    for signature, name in FOREIGN.items():
+        if head.startswith(signature):
+            raise _foreign(path, name)
     if suffix == ".hdr" or (suffix in DATA_SUFFIXES and find_header(path)):
         return "envi"
     if head.startswith(png.SIGNATURE):
@@ -59,6 +72,19 @@ def kind_of(path: str | Path) -> str:
         found=f"first bytes {head[:8].hex(' ')}",
         expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
         fix="Leave it out of `files`, or put the header of a cube beside it.",
+    )
+
+
+def _foreign(path: Path, name: str) -> UnreadableCapture:
+    """Return the refusal of a format that is known and not read."""
+    return unreadable(
+        path,
+        f"{name} is not read",
+        field="format",
+        found=name,
+        expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
+        fix="Save the cube as ENVI (spectral.envi.save_image in Python, enviwrite in MATLAB), or as "
+        "a TIFF of one page a band, and name that in `files`.",
     )
 
 
@@ -118,23 +144,31 @@ def _reader(path: str | Path, which: int) -> Callable[..., Any]:
 
 def _first_bytes(path: Path) -> bytes:
     try:
-        if not path.is_file():
+        if (found := what_stands_at(path)) != "a file":
             raise unreadable(
                 path,
                 "the file cannot be opened",
-                found="a folder or device" if path.exists() else "no such file",
+                found=found,
                 expected="a file",
+                fix="Put the frame there, or mend the pattern in `files`.",
             )
         with path.open("rb") as handle:
-            head = handle.read(16)
+            head = handle.read(32)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        raise unreadable(path, "the file cannot be opened", found=str(error)) from error
+        raise unreadable(
+            path,
+            "the file cannot be opened",
+            found=str(error),
+            expected="a file that may be read",
+            fix="Allow its reading, or copy it again.",
+        ) from error
     if not head:
         raise unreadable(
             path,
             "the file is empty",
             code="E_TRUNCATED",
             found="0 bytes",
+            expected="an image",
             fix=COPY_AGAIN,
         )
     return head

@@ -15,6 +15,9 @@ from levkas.readers.facts import COPY_AGAIN, Facts, check_ratio, check_size, dec
 SIGNATURE = b"\xff\xd8\xff"
 NO_FRAME = (0xC4, 0xC8, 0xCC)  # tables and an extension, among the markers of frames
 LARGEST_RATIO = 4000
+MOST_SCANS = 64
+"""Of a progressive JPEG; encoders write about ten, and each goes through the whole image."""
+SCAN = b"\xff\xda"
 END = b"\xff\xd9"
 
 
@@ -43,6 +46,16 @@ def read_jpeg(path: Path) -> np.ndarray:
                 found=f"{len(data)} bytes",
                 expected="an end-of-image marker after the scan",
                 fix=COPY_AGAIN,
+            )
+        if (scans := data.count(SCAN, scan - 4)) > MOST_SCANS:
+            raise unreadable(
+                path,
+                "the JPEG has too many scans to be a photograph",
+                code="E_SIZE",
+                field="scan",
+                found=f"{scans} scans",
+                expected=f"at most {MOST_SCANS}",
+                fix="Save it again as a plain JPEG or a PNG.",
             )
         values = np.asarray(imagecodecs.jpeg8_decode(data))
     if values.shape != facts.shape or values.dtype != np.uint8:
@@ -78,6 +91,7 @@ def _walk(path: Path) -> tuple[Facts, int]:
         code="E_TRUNCATED",
         field="scan" if frame else "frame header",
         found=f"{size} bytes",
+        expected="a frame header and a scan",
         fix=COPY_AGAIN,
     )
 

@@ -32,7 +32,11 @@ def read_png_facts(path: Path) -> Facts:
     width, height, depth, colour = struct.unpack(">IIBB", head[:10])
     if colour not in SAMPLES or depth not in (1, 2, 4, 8, 16):
         raise unreadable(
-            path, "the PNG header is damaged", field="IHDR", found=f"{depth} bits, type {colour}"
+            path,
+            "the PNG header is damaged",
+            field="IHDR",
+            found=f"{depth} bits, type {colour}",
+            expected="1, 2, 4, 8 or 16 bits of type 0, 2, 3, 4 or 6",
         )
     shape = (height, width) if SAMPLES[colour] == 1 else (height, width, 3)
     check_size(path, shape)
@@ -67,6 +71,7 @@ def read_png(path: Path) -> np.ndarray:
                 path,
                 "the file ends before its image does",
                 code="E_TRUNCATED",
+                field="IEND",
                 found=f"{len(data)} bytes",
                 expected="an IEND chunk at the end",
                 fix=COPY_AGAIN,
@@ -105,5 +110,6 @@ def _chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
         code="E_TRUNCATED",
         field="IHDR" if not head else "IDAT",
         found=f"{size} bytes",
+        expected="an IHDR chunk first, then pixels in IDAT",
         fix=COPY_AGAIN,
     )

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from levkas.readers.facts import COPY_AGAIN, Facts, check_ratio, check_size, decoding, unreadable
+from levkas.readers.tiff_codecs import CODECS, JPEG, OWN_SIZE, SLACK, check_frames
 from levkas.readers.tiff_pages import full_pages
 from levkas.readers.tiff_tags import colours_of, describe
 
 LARGEST_RATIO = 2000
 PLAIN = 1  # tag Compression
-JPEG = (6, 7, 33007)
 
 
 def read_tiff_facts(path: Path) -> Facts:
@@ -88,6 +88,15 @@ def _checked(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, ...]:
     elif page.axes not in ("YX", "YXS"):
         raise unreadable(path, f"page {index} is not a plane", code="E_SIZE", found=str(shape))
     check_size(path, shape)
+    if page.compression not in CODECS:
+        raise unreadable(
+            path,
+            f"page {index} is compressed in a way that is not read",
+            field="Compression",
+            found=str(getattr(page.compression, "name", page.compression)),
+            expected=", ".join(dict.fromkeys(CODECS.values())),
+            fix="Save it again with deflate, or uncompressed.",
+        )
     if page.dtype is None or page.dtype.kind not in "uif" or page.dtype.itemsize > 8:
         raise unreadable(
             path,
@@ -108,8 +117,14 @@ def _checked(path: Path, tiff: Any, page: Any, index: int) -> tuple[int, ...]:
         )
     _check_stack(path, tiff, page)
     _check_strips(path, tiff, page, index)
-    needed = prod(shape) * page.dtype.itemsize
-    check_ratio(path, needed, sum(page.databytecounts), ratio=LARGEST_RATIO)
+    if page.compression in OWN_SIZE:
+        check_frames(path, tiff, page)
+    stored = sum(page.databytecounts)
+    check_ratio(path, prod(shape) * page.dtype.itemsize, stored, ratio=LARGEST_RATIO)
+    if page.is_tiled:
+        tile = int(page.tilewidth) * int(page.tilelength)
+        held = prod(page.chunked) * tile * page.samplesperpixel * page.dtype.itemsize
+        check_ratio(path, held, stored, ratio=LARGEST_RATIO, field="TileWidth, TileLength")
     return shape
 
 
@@ -141,8 +156,30 @@ def _check_strips(path: Path, tiff: Any, page: Any, index: int) -> None:
             expected=f"at least {end}",
             fix=COPY_AGAIN,
         )
+    stored = sum(counts)
+    if stored > size:
+        raise unreadable(
+            path,
+            "the strips or tiles lie over one another",
+            field="StripOffsets, StripByteCounts",
+            found=f"{stored} bytes of strips in a file of {size}",
+            expected="each strip at a place of its own",
+            fix=COPY_AGAIN,
+        )
     if page.compression == PLAIN:
-        _check_plain(path, page, sum(counts))
+        _check_plain(path, page, stored)
+        return
+    most = 2 * prod(page.chunks) * page.dtype.itemsize + SLACK
+    if (longest := max(counts)) > most:
+        raise unreadable(
+            path,
+            "a strip or tile holds more than its part of the image",
+            code="E_SIZE",
+            field="StripByteCounts",
+            found=f"{longest} bytes",
+            expected=f"at most {most} bytes",
+            fix=COPY_AGAIN,
+        )
 
 
 def _check_plain(path: Path, page: Any, stored: int) -> None:

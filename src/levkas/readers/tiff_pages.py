@@ -29,17 +29,23 @@ def full_pages(path: Path) -> list[int]:
         size = handle.seek(0, 2)
         handle.seek(0)
         order = "<" if handle.read(2) == b"II" else ">"
-        (version,) = struct.unpack(order + "H", handle.read(2))
-        big = version == 43
+        big = _number(path, handle, order + "H") == 43
         handle.seek(8 if big else 4)
-        offset = _number(handle, order + ("Q" if big else "I"))
+        offset = _number(path, handle, order + ("Q" if big else "I"))
         kinds: list[int] = []
         seen: set[int] = set()
+        walked = 0
         while offset:
-            if offset in seen or offset >= size or len(kinds) >= MOST_PAGES:
+            # Directories stand side by side: laid over one another, each costs a reader as much
+            # of the file again.
+            if offset in seen or offset >= size or walked > size:
                 raise _broken(path, offset, size)
+            if len(kinds) >= MOST_PAGES:
+                raise _too_many(path)
             seen.add(offset)
-            kind, offset = _directory(path, handle, offset, order, big)
+            kind, following = _directory(path, handle, offset, order, big)
+            walked += handle.tell() - offset
+            offset = following
             kinds.append(kind)
     pages = [i for i, kind in enumerate(kinds) if not kind & (REDUCED | MASK)]
     if not pages:
@@ -56,28 +62,62 @@ def full_pages(path: Path) -> list[int]:
 def _directory(path: Path, handle: BinaryIO, offset: int, order: str, big: bool) -> tuple[int, int]:
     """Return NewSubfileType of the directory at `offset`, and where the next one is (0: none)."""
     handle.seek(offset)
-    count = _number(handle, order + ("Q" if big else "H"))
+    count = _number(path, handle, order + ("Q" if big else "H"))
     if not 0 < count <= MOST_TAGS:
         raise unreadable(
             path,
             "a directory of the TIFF is damaged",
             field="number of tags",
-            found=count,
+            found=f"{count} tags",
             expected=f"1 to {MOST_TAGS}",
             fix=COPY_AGAIN,
         )
     entry = struct.Struct(order + ("HHQI4x" if big else "HHII"))
-    tags = entry.iter_unpack(handle.read(count * entry.size))
+    data = handle.read(count * entry.size)
+    if len(data) < count * entry.size:
+        raise _cut(path, handle)
     # The value stands left in its field: a SHORT there has to be read as one.
     kind = next(
-        (v >> (16 * (order == ">" and t == 3)) for c, t, _, v in tags if c == SUBFILE_TYPE), 0
+        (
+            v >> (16 * (order == ">" and t == 3))
+            for c, t, _, v in entry.iter_unpack(data)
+            if c == SUBFILE_TYPE
+        ),
+        0,
     )
-    return kind, _number(handle, order + ("Q" if big else "I"))
+    return kind, _number(path, handle, order + ("Q" if big else "I"))
 
 
-def _number(handle: BinaryIO, form: str) -> int:
-    number: int = struct.unpack(form, handle.read(struct.calcsize(form)))[0]
+def _number(path: Path, handle: BinaryIO, form: str) -> int:
+    data = handle.read(struct.calcsize(form))
+    if len(data) < struct.calcsize(form):
+        raise _cut(path, handle)
+    number: int = struct.unpack(form, data)[0]
     return number
+
+
+def _cut(path: Path, handle: BinaryIO) -> Exception:
+    return unreadable(
+        path,
+        "the file ends inside a directory of the TIFF",
+        code="E_TRUNCATED",
+        field="directory",
+        found=f"{handle.seek(0, 2)} bytes",
+        expected="all tags of the page, and where the next one is",
+        fix=COPY_AGAIN,
+    )
+
+
+def _too_many(path: Path) -> Exception:
+    return unreadable(
+        path,
+        "the TIFF has too many pages",
+        code="E_SIZE",
+        field="pages",
+        found=f"over {MOST_PAGES}",
+        expected=f"at most {MOST_PAGES}",
+        fix="Save the frames in several files.",
+    )
 
 
 def _broken(path: Path, offset: int, size: int) -> Exception:
@@ -86,7 +126,7 @@ def _broken(path: Path, offset: int, size: int) -> Exception:
         path,
         "the file ends before its pages do"
         if past
-        else "the pages of the TIFF go round in a circle",
+        else "the pages of the TIFF go round in a circle or lie over one another",
         code="E_TRUNCATED" if past else "E_UNREADABLE",
         field="next directory",
         found=f"byte {offset}",
