@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.building.native import UNRELIABLE
+from levkas.calibration.lines import LineField
 from levkas.cube import Cube
+from levkas.database.layers import SIGMA_DROP
+from levkas.machine import count_threads
 from levkas.registration.images import BandImage
 
 if TYPE_CHECKING:
@@ -45,7 +49,7 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
     return facts.kind == "envi" and int(np.prod(facts.shape, dtype=object)) > STREAMED_SAMPLES
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scan:
     """One line scan with its templates, in place of `Native`.
 
@@ -94,6 +98,19 @@ class Scan:
         """Whether the noise is known."""
         return self.lines(0, 1).sigma is not None
 
+    @cached_property
+    def field(self) -> LineField:
+        """The flat field of every line."""
+        return LineField.of(
+            self.dark,
+            self.white,
+            shape=self.shape[1:],
+            reflectance=self.reflectance,
+            black=self.bench.black,
+            noise=self.noise,
+            labels=[band.label for band in self.bands],
+        )
+
     @property
     def factor(self) -> int:
         """Side, px, of the blocks that make a pixel of the pictures that registration sees."""
@@ -112,17 +129,19 @@ class Scan:
         """Calibrate lines `start` to `stop`; the same values for any block that they are part of."""
         samples, bands = self.shape[1:]
         step = max(1, BLOCK_SAMPLES // (samples * bands))
-        cubes = [self._block(y, min(y + step, stop)) for y in range(start, stop, step)]
-        if len(cubes) == 1:
-            return cubes[0]
-        sigmas = [cube.sigma for cube in cubes if cube.sigma is not None]
-        return Cube(
-            np.concatenate([cube.values for cube in cubes]),
-            np.concatenate([cube.flags for cube in cubes]),
-            np.concatenate(sigmas) if sigmas else None,
-            self.bands,
-            self.quantity,
-        )
+        first = self._block(start, min(start + step, stop))
+        if start + step >= stop:
+            return first
+        shape = (stop - start, samples, bands)
+        values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+        sigma = None if first.sigma is None else np.empty(shape, np.float32)
+        for y in range(start, stop, step):
+            block = first if y == start else self._block(y, min(y + step, stop))
+            rows = slice(y - start, y - start + len(block.values))
+            values[rows], flags[rows] = block.values, block.flags
+            if sigma is not None and block.sigma is not None:
+                sigma[rows] = block.sigma
+        return Cube(values, flags, sigma, self.bands, self.quantity)
 
     def blocks(self) -> Iterator[Cube]:
         """Yield all lines, some at a time."""
@@ -135,8 +154,13 @@ class Scan:
         from levkas.building.developing import cube_of, flatten
         from levkas.calibration.templates import average
 
-        raw = self.opened.read_lines(start, stop)
+        raw = self.opened.read_lines(start, stop, turned=False)
         raw = self.bench.checked(raw, self.bench.sensor.object[0])
+        if raw.dtype in (np.uint8, np.uint16):
+            made = self.field.develop(
+                raw, saturation=self.bench.saturation, drop=SIGMA_DROP, threads=count_threads()
+            )
+            return Cube(*made, self.bands, self.quantity)
         flat = flatten(
             self.bench,
             _with_gaps(average(iter([raw]), saturation=self.bench.saturation)),

@@ -63,8 +63,10 @@ class EnviFile:
         """Read all, (lines, samples, bands), native byte order."""
         return self.read_lines(0, self.facts.shape[0])
 
-    def read_lines(self, start: int, stop: int) -> np.ndarray:
+    def read_lines(self, start: int, stop: int, *, turned: bool = True) -> np.ndarray:
         """Read lines `start` to `stop` − 1, (stop − start, samples, bands), native byte order.
+
+        Bands are innermost in memory, or where `turned` is false as they are in the file.
 
         Raises
         ------
@@ -87,7 +89,7 @@ class EnviFile:
             starts = [start * samples * bands]
             out = stored.transpose(0, 2, 1) if shape else stored
         self._fill(stored.reshape(len(starts), -1), starts)
-        out = np.ascontiguousarray(out)
+        out = np.ascontiguousarray(out) if turned else out
         return out if out.dtype.isnative else out.byteswap(inplace=True).view(dtype.newbyteorder())
 
     def _fill(self, blocks: np.ndarray, starts: list[int]) -> None:

@@ -1,0 +1,123 @@
+"""Lines of a push-broom camera: what `flatfield` makes of them, faster, for dark and white are one line."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.calibration.flatfield import _constant, _pair_darks, _Side
+from levkas.calibration.layout import as_marks
+from levkas.calibration.templates import Template
+from levkas.calibration.whites import check_white, reflectance_table
+from levkas.cube import Flag
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from levkas.calibration.noise_fit import NoiseModel
+
+BLACK_CLIP = 0.0
+_DEFECT, _SATURATED = int(Flag.DEFECT), int(Flag.SATURATED)
+
+
+@dataclass(frozen=True, eq=False)
+class LineField:
+    """All of the flat field that is the same for every line.
+
+    Made by `of`; `develop` applies it.
+    """
+
+    shape: tuple[int, int]
+    quantity: str
+    notes: tuple[str, ...]
+    has_sigma: bool
+    _tables: tuple[Any, ...]
+
+    @classmethod
+    def of(
+        cls,
+        dark: Template | None,
+        white: Template | None,
+        *,
+        shape: tuple[int, int],
+        reflectance: float | np.ndarray,
+        black: float | None,
+        noise: NoiseModel | None,
+        labels: Sequence[str],
+    ) -> LineField:
+        """Work the tables out.
+
+        Parameters
+        ----------
+        dark, white : Template, (1, samples, bands), or None
+        shape : (samples, bands)
+        reflectance, black, noise, labels
+            As for `flat_field`.
+
+        Raises
+        ------
+        CalibrationRefused
+            As `flat_field` does.
+        """
+        from levkas.calibration.line_kernels import fill_share
+
+        nothing = np.zeros((1, *shape), bool)
+        line = Template(np.zeros((1, *shape), np.float32), None, 1, nothing, nothing)
+        under, white_under, ratio, notes = _pair_darks(line, dark, white, black)
+        scale = reflectance_table(reflectance, line, None) * ratio
+        flags = _spread(as_marks(under.saturated), shape) * np.uint8(_DEFECT)
+        if white is None:
+            scale, lit_side = np.ones((1, 1)), _constant(1.0)
+        else:
+            check_white(white, white_under, None, labels)
+            lit_side = _Side.of_shots(white)
+            flags |= _spread(as_marks(white.saturated), shape) * np.uint8(_SATURATED)
+        sides = lit_side, _Side.of_dark(under), _Side.of_dark(white_under)
+        means = [_spread(side.mean, shape).astype(np.float64) for side in sides]
+        lit = means[0] - means[2]
+        gain, read = (-1.0, 0.0) if noise is None else (noise.gain, noise.read_variance)
+        signals = (lit, np.zeros_like(lit), np.zeros_like(lit))
+        shares = np.empty((3, lit.size))
+        for row, side, signal in zip(shares, sides, signals, strict=True):
+            measured = _spread(side.variance, shape)
+            fill_share(row, signal, measured, side.freedom, side.share, gain, read)
+        shared = under.mean is white_under.mean
+        tables = (
+            *(_spread(sides[1].mean, shape), lit, np.resize(scale.reshape(-1), lit.size)),
+            *(shares, flags, (gain, read, 1.0, float(shared))),
+        )
+        quantity = "counts" if white is None else "reflectance"
+        return cls(shape, quantity, notes, noise is not None, tables)
+
+    def develop(
+        self, raw: np.ndarray, *, saturation: float | None, drop: int, threads: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Calibrate lines, (lines, samples, bands), uint8 or uint16, of any strides.
+
+        Returns
+        -------
+        values, flags, sigma : ndarray like `raw`, float32, uint8, float32 or None
+            Where the white is not above dark, the value is 0 and flagged DEFECT and OUTSIDE.
+        """
+        from levkas.calibration.line_kernels import develop_lines
+
+        kernel: Callable[..., None] = develop_lines
+        values, flags = np.empty(raw.shape, np.float32), np.empty(raw.shape, np.uint8)
+        sigma = np.empty(raw.shape if self.has_sigma else (0, 0, 0), np.float32)
+        limits = (np.inf if saturation is None else float(saturation), BLACK_CLIP)
+        edges = np.linspace(0, len(raw), min(threads, len(raw)) + 1).astype(int)
+
+        def work(part: tuple[int, int]) -> None:
+            kernel(*part, raw, *self._tables, limits, drop, values, flags, sigma)
+
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)))
+        return values, flags, sigma if self.has_sigma else None
+
+
+def _spread(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Repeat one number for all, or take a line as it is."""
+    return np.ascontiguousarray(np.broadcast_to(array.reshape(-1), (shape[0] * shape[1],)))
