@@ -25,6 +25,7 @@ import subprocess
 import sys
 import threading
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,6 +36,7 @@ import tifffile
 
 from levkas import files
 from levkas.building import build, objects, registering, summarise
+from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
@@ -358,6 +360,26 @@ def test_a_fault_that_is_never_reached_changes_nothing(scenes):
     outcome = strike(scenes["over"], 100_000, "kill")
     assert outcome == Outcome(None, (), ())
     assert hash_tree(scenes["over"].output) == scenes["over"].after
+
+
+def test_a_failed_write_leaves_no_threads_to_be_collected(tmp_path, monkeypatch):
+    # Collected while another thread starts, a pool waits for ever for a lock of its own thread.
+    pools = []
+
+    class Pool(ThreadPoolExecutor):
+        def __init__(self, *args):
+            super().__init__(*args)
+            pools.append(self)
+
+    monkeypatch.setattr(spectral_tiff, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr(files, "fault", Fault(3, "failing"))
+    planes = [np.zeros((40, 50), np.float32)] * 5
+    with pytest.raises(Refused) as refused:
+        spectral_tiff.write_spectral_tiff(
+            tmp_path / "a.tif", planes, shape=(40, 50), wavelengths=range(5)
+        )
+    assert refused.value.problems[0].code == "E_IO"
+    assert pools and all(pool._shutdown for pool in pools)
 
 
 CHILD = """

@@ -6,6 +6,7 @@ page of a mask file its label. Float pages are zlib with predictor 3, which ever
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
@@ -22,7 +23,7 @@ from levkas.icc import srgb_profile
 from levkas.problems import Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 
     from tifffile import TiffWriter
 
@@ -88,7 +89,11 @@ def write_spectral_tiff(
     common = _common_tags(px_per_mm)
     first = _first_tags(text, wavelengths, credits if rgb is None else None)
     strips = _compressed(_checked(Path(path), planes, shape, dtype, count), rows, threads)
-    with replacing(path) as handle, TiffWriter(handle, bigtiff=bigtiff, byteorder="<") as tiff:
+    with (
+        contextlib.closing(strips),  # its threads must not wait for the garbage collector
+        replacing(path) as handle,
+        TiffWriter(handle, bigtiff=bigtiff, byteorder="<") as tiff,
+    ):
         if rgb is not None:
             _write_render(tiff, rgb, common, credits or Credits())
         for index, encoded in enumerate(strips):
@@ -166,7 +171,9 @@ def _checked(
         _refuse("E_BAND_COUNT", path, "bands and wavelengths do not fit", found, count)
 
 
-def _compressed(planes: Iterable[np.ndarray], rows: int, threads: int) -> Iterator[list[bytes]]:
+def _compressed(
+    planes: Iterable[np.ndarray], rows: int, threads: int
+) -> Generator[list[bytes], None, None]:
     """Yield the encoded strips of each plane; one plane is compressed while another is written."""
     ready: deque[list[bytes]] = deque()
     with ThreadPoolExecutor(max(1, threads)) as pool:
