@@ -316,12 +316,14 @@ def _take_place(partial: Path, path: Path) -> None:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
         if _exchange(partial, path):
+            _sync_folder(path.parent)  # or a loss of power may undo the exchange, not the removal
             _discard(partial)
             return
         old = _partial(path)
         with contextlib.suppress(FileNotFoundError):
             path.rename(old)
             partial.rename(path)
+            _sync_folder(path.parent)
             _discard(old)
             return
 
@@ -366,6 +368,7 @@ def remove(path: str | Path) -> None:
             fault("rename", path)
             with contextlib.suppress(FileNotFoundError):
                 path.rename(gone)
+                _sync_folder(path.parent)
                 _discard(gone)
         else:
             _discard(path)

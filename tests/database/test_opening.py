@@ -73,6 +73,14 @@ def test_a_layer_is_a_lazy_labelled_array(opened):
     np.testing.assert_array_equal(cube.values, VIS.values)
 
 
+def test_the_sigma_of_an_older_layer_does_not_stay(tmp_path):
+    layer = Layer("icon1", "d80")
+    write_layer(tmp_path / "over", layer, RGB)
+    for folder in ("over", "afresh"):
+        write_layer(tmp_path / folder, layer, LAMP)
+    assert hash_tree(tmp_path / "over") == hash_tree(tmp_path / "afresh")
+
+
 def test_every_way_of_selecting_reads_what_numpy_would(opened):
     cube, whole = opened["icon1"]["vis"], VIS.values
     np.testing.assert_array_equal(cube.sel(band="560 nm").values, whole[:, :, 4])

@@ -317,7 +317,7 @@ class ObjectBuild:
         why: str,
     ) -> Step:
         from levkas.building import registering
-        from levkas.files import make_folder, write_json, write_text
+        from levkas.files import make_folder, remove, write_json, write_text
         from levkas.registration import RegistrationRefused
         from levkas.reporting.figures import draw_trace
 
@@ -361,6 +361,8 @@ class ObjectBuild:
         if registration is not None:
             write_text(table, registering.table_of(registration))
             files.append(table)
+        elif table.is_file():
+            remove(table)
         problems = _verdict_problems(record, capture, refused)
         figures = []
         if registration is not None:
@@ -465,16 +467,17 @@ class ObjectBuild:
 
     def _withdraw(self, capture: Capture, *, after: str) -> None:
         """Take away what an earlier build published of a layer that is refused now."""
-        import shutil
-
         from levkas.files import remove
 
-        key = self.keys(capture)["resample"]
-        for name in self.ledger.products(key):
-            if (self.places.output / name).is_file():
-                remove(self.places.output / name)
-        shutil.rmtree(self.places.store(self.name) / capture.layer, ignore_errors=True)
-        self.ledger.forget(key)
+        # By name, not by record: an interrupted build has dropped the record and left the files.
+        self.ledger.forget(self.keys(capture)["resample"])
+        places = [
+            self.places.layer(self.name, capture.camera, capture.setup, kind=kind)
+            for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")
+        ]
+        for path in (*places, self.places.store(self.name) / capture.layer):
+            if path.exists():
+                remove(path)
 
     # --- what stages share --------------------------------------------------------------------
 

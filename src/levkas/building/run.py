@@ -200,6 +200,7 @@ def _page(
     page = places.folder(name) / "report.html"
     facts = places.folder(name) / "object.toml"
     try:
+        ledger.forget(key)
         make_folder(page.parent)
         write_text(page, report_of(campaign, places, ledger, name, mine.captures, steps))
         write_text(facts, _object_toml(campaign, name))

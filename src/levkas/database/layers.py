@@ -16,7 +16,7 @@ from levkas.database.credits import Credits
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
 from levkas.database.store import layer_name, write_layer_store
-from levkas.files import hash_file
+from levkas.files import hash_file, remove
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -153,6 +153,7 @@ def write_tiffs(
 ) -> list[Path]:
     """Write `base`.tif, .flags.tif and, where the noise is known, .sigma.tif; raises WriteRefused.
 
+    An older .sigma.tif goes where the noise is not known any more.
     Also for the native files of single sensors.
     """
     facts = layer.attributes(cube.quantity)
@@ -162,6 +163,8 @@ def write_tiffs(
     ]
     if cube.sigma is not None:
         parts.append((".sigma.tif", cube.sigma, {**facts, "quantity": f"sigma of {cube.quantity}"}))
+    elif (stale := base.with_name(base.name + ".sigma.tif")).is_file():
+        remove(stale)
     written = []
     for suffix, values, more in parts:
         path = base.with_name(base.name + suffix)

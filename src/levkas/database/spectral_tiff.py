@@ -6,6 +6,7 @@ page of a mask file its label. Float pages are zlib with predictor 3, which ever
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +24,7 @@ from levkas.machine import count_threads
 from levkas.problems import Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 
     from tifffile import TiffWriter
 
@@ -105,7 +106,7 @@ def strip_rows(width: int, dtype: Any) -> int:
 
 def write_encoded_pages(
     path: str | Path,
-    pages: Iterable[Iterable[bytes]],
+    pages: Generator[list[bytes], None, None],
     *,
     shape: tuple[int, int],
     wavelengths: Sequence[float],
@@ -125,7 +126,12 @@ def write_encoded_pages(
     rows = strip_rows(shape[1], dtype)
     common = _common_tags(px_per_mm)
     first = _first_tags(text, wavelengths, credits if rgb is None else None)
-    with replacing(path) as handle, TiffWriter(handle, bigtiff=bigtiff, byteorder="<") as tiff:
+    with (
+        # Its threads must not wait for the garbage collector.
+        contextlib.closing(pages),
+        replacing(path) as handle,
+        TiffWriter(handle, bigtiff=bigtiff, byteorder="<") as tiff,
+    ):
         if rgb is not None:
             _write_render(tiff, rgb, common, credits or Credits())
         for index, encoded in enumerate(pages):
@@ -205,7 +211,7 @@ def _checked(
 
 def _compressed(
     planes: Iterable[np.ndarray], rows: int, threads: int | None
-) -> Iterator[list[bytes]]:
+) -> Generator[list[bytes], None, None]:
     """Yield the encoded strips of each plane; one plane is compressed while another is written."""
     ready: deque[list[bytes]] = deque()
     with ThreadPoolExecutor(threads or count_threads(2)) as pool:

@@ -6,7 +6,7 @@ for byte; only a few rows of them are in memory.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -78,7 +78,7 @@ class PageSpool:
             self._end += len(encoded)
         self._strip += 1
 
-    def pages(self) -> Iterator[list[bytes]]:
+    def pages(self) -> Generator[list[bytes], None, None]:
         """Yield the strips of each band.
 
         Raises ValueError where rows are missing.
