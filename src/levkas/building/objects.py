@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     Grey = tuple[np.ndarray, np.ndarray]
 
 STAGES = ("calibrate", "register", "resample")
+CATALOGUE = Key("", stage="catalogue")
 
 
 class Planned(NamedTuple):
@@ -230,6 +231,7 @@ class ObjectBuild:
         why: str,
     ) -> Step | Future[Step]:
         """Do a stage; what it makes may still be being written when this returns."""
+        self.ledger.forget(CATALOGUE)  # what it lists is about to change
         self.ledger.forget(key)
         stages: dict[str, Callable[..., Step | Future[Step]]] = {
             "calibrate": self._calibrate,
@@ -470,6 +472,7 @@ class ObjectBuild:
         from levkas.files import remove
 
         # By name, not by record: an interrupted build has dropped the record and left the files.
+        self.ledger.forget(CATALOGUE)
         self.ledger.forget(self.keys(capture)["resample"])
         places = [
             self.places.layer(self.name, capture.camera, capture.setup, kind=kind)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key, Ledger
-from levkas.building.objects import NoReference, ObjectBuild
+from levkas.building.objects import CATALOGUE, NoReference, ObjectBuild
 from levkas.building.places import Places
 from levkas.building.shelf import Shelf
 from levkas.building.steps import BuildReport, Step, summarise
@@ -235,7 +235,7 @@ def _write_catalogue(
     """
     from levkas.building.turns import in_turn
 
-    key = Key("", stage="catalogue")
+    key = CATALOGUE
     with in_turn(places.kept):
         entries = _entries(places, ledger, captures, names)
         products = ledger.hashes_of_products()

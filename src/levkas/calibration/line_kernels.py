@@ -1,6 +1,6 @@
 """Kernel of `lines`: raw lines of a push-broom camera to values, flags and sigma in one passage.
 
-Number for number what `flattening` makes of them: the same operations in the same order.
+What `flattening` makes of them, to the last bits of sums that stand in another order.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -11,6 +11,7 @@ from numba import njit
 
 from levkas.calibration.flattening import PRIOR
 from levkas.cube import Flag
+from levkas.lanes import look, put
 
 SATURATED, BLACK, DEFECT, OUTSIDE = (
     np.uint8(f.value) for f in (Flag.SATURATED, Flag.BLACK, Flag.DEFECT, Flag.OUTSIDE)
@@ -35,7 +36,7 @@ def fill_share(out, signal, measured, freedom, share, gain, read):
         out[i] = share * one_shot(signal[i], np.float64(measured[i]), freedom, gain, read)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def develop_lines(
     start, stop, raw, dark, lit, scale, shares, base, noise, limits, drop, values, flags, sigma
 ):
@@ -44,59 +45,62 @@ def develop_lines(
     Parameters
     ----------
     raw : (lines, samples, bands), uint8 or uint16, any strides
-    dark, lit, scale : (samples·bands,), float32, float64, float64
+    dark, lit, scale : (samples·bands,), float64
         Counts; white above its dark; reflectance of the white times the ratio of exposures.
     shares : (3, samples·bands), float64
-        Variances of the means of white, dark and the white's dark.
+        Variances of the means of white and of dark, the white's dark counted with the white where it
+        is another one; (scale / lit)².
     base : (samples·bands,), uint8
         Flags that hold for all lines.
     noise : (gain, read, share of a shot, 1 where one dark serves both)
     limits : (saturation, clipped at black), codes
     drop : int
         Mantissa bits of sigma that are rounded away.
+    values, flags, sigma : (lines·samples·bands,)
     """
     samples, bands = raw.shape[1:]
     high, low = limits
     gain, read, share, shared = noise
     half = np.uint32(1 << (drop - 1))
     keep = np.uint32((0xFFFFFFFF << drop) & 0xFFFFFFFF)
-    codes = np.empty((TILE, bands), np.float32)
+    codes = np.empty(TILE * bands, np.float32)
     spread = np.empty(bands, np.float32)
+    bits = spread.view(np.uint32)
+    white_share, dark_share, square = shares[0], shares[1], shares[2]
     for y in range(start, stop):
         for x0 in range(0, samples, TILE):
             count = min(TILE, samples - x0)
             for b in range(bands):
                 for k in range(count):
-                    codes[k, b] = raw[y, x0 + k, b]
+                    put(codes, k * bands + b, np.float32(raw[y, x0 + k, b]))
             for k in range(count):
-                x = x0 + k
-                i = x * bands
+                i, to, c = (x0 + k) * bands, (y * samples + x0 + k) * bands, k * bands
                 for b in range(bands):
-                    code = codes[k, b]
-                    flag = base[i + b]
-                    flag |= SATURATED if code >= high else np.uint8(0)
-                    flag |= BLACK if code <= low else np.uint8(0)
-                    signal = np.float64(code) - np.float64(dark[i + b])
-                    known = lit[i + b] > 0.0
-                    value = np.float32(signal / lit[i + b] * scale[i + b])
-                    values[y, x, b] = value if known else np.float32(0)
-                    flags[y, x, b] = flag if known else flag | DEFECT | OUTSIDE
-                if sigma.size == 0:
-                    continue
+                    code = look(codes, c + b)
+                    flag = look(base, i + b) | (SATURATED if code >= high else np.uint8(0))
+                    put(flags, to + b, flag | (BLACK if code <= low else np.uint8(0)))
                 for b in range(bands):
-                    signal = np.float64(codes[k, b]) - np.float64(dark[i + b])
-                    r = signal / lit[i + b]
-                    shot = share * one_shot(signal, 0.0, 0.0, gain, read)
-                    if shared:
-                        total = shot + r * r * shares[0, i + b] + (1.0 - r) ** 2 * shares[1, i + b]
-                    else:
-                        total = (
-                            shot + shares[1, i + b] + r * r * (shares[0, i + b] + shares[2, i + b])
-                        )
-                    part = np.float32(total * (scale[i + b] / lit[i + b]) ** 2)
-                    spread[b] = np.sqrt(max(part, np.float32(0)))
-                bits = spread.view(np.uint32)
-                for b in range(bands):
-                    bits[b] = (bits[b] + half) & keep
-                for b in range(bands):
-                    sigma[y, x, b] = spread[b] if lit[i + b] > 0.0 else np.float32(np.nan)
+                    signal = np.float64(look(codes, c + b)) - look(dark, i + b)
+                    r = signal / look(lit, i + b)
+                    put(values, to + b, np.float32(r * look(scale, i + b)))
+                    if sigma.size:
+                        model = read + gain * max(signal, 0.0)
+                        total = share * (PRIOR * model / PRIOR) + r * r * look(white_share, i + b)
+                        if shared:
+                            total += (1.0 - r) * (1.0 - r) * look(dark_share, i + b)
+                        else:
+                            total += look(dark_share, i + b)
+                        part = np.float32(total * look(square, i + b))
+                        put(spread, b, np.sqrt(max(part, np.float32(0))))
+                if sigma.size:
+                    for b in range(bands):
+                        put(bits, b, (look(bits, b) + half) & keep)
+                    for b in range(bands):
+                        put(sigma, to + b, look(spread, b))
+        for i in range(samples * bands):
+            if not lit[i] > 0.0:
+                to = y * samples * bands + i
+                values[to] = 0.0
+                flags[to] |= DEFECT | OUTSIDE
+                if sigma.size:
+                    sigma[to] = np.nan

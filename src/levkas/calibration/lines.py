@@ -85,10 +85,12 @@ class LineField:
             measured = _spread(side.variance, shape)
             fill_share(row, signal, measured, side.freedom, side.share, gain, read)
         shared = under.mean is white_under.mean
-        tables = (
-            *(_spread(sides[1].mean, shape), lit, np.resize(scale.reshape(-1), lit.size)),
-            *(shares, flags, (gain, read, 1.0, float(shared))),
-        )
+        table = np.resize(scale.reshape(-1), lit.size)
+        if not shared:
+            shares[0] += shares[2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares[2] = np.square(table / lit)
+        tables = (means[1], lit, table, shares, flags, (gain, read, 1.0, float(shared)))
         quantity = "counts" if white is None else "reflectance"
         return cls(shape, quantity, notes, noise is not None, tables)
 
@@ -107,11 +109,12 @@ class LineField:
         kernel: Callable[..., None] = develop_lines
         values, flags = np.empty(raw.shape, np.float32), np.empty(raw.shape, np.uint8)
         sigma = np.empty(raw.shape if self.has_sigma else (0, 0, 0), np.float32)
+        flat = (values.reshape(-1), flags.reshape(-1), sigma.reshape(-1))
         limits = (np.inf if saturation is None else float(saturation), BLACK_CLIP)
         edges = np.linspace(0, len(raw), min(threads, len(raw)) + 1).astype(int)
 
         def work(part: tuple[int, int]) -> None:
-            kernel(*part, raw, *self._tables, limits, drop, values, flags, sigma)
+            kernel(*part, raw, *self._tables, limits, drop, *flat)
 
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)))
