@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from levkas import files
 from levkas.building import build, scans, streaming, summarise
 from levkas.building.developing import develop
 from levkas.building.scans import is_streamed, open_scan
@@ -146,3 +147,12 @@ def test_a_campaign_with_a_streamed_scan_is_built(simulated, tmp_path, monkeypat
     trees.append(hash_tree(tmp_path / "again"))
     assert trees[0] == trees[1]
     assert any("v10" in name and "native" in name for name in trees[0])
+
+
+def test_a_full_disk_is_foreseen_before_a_stage_writes(simulated, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_free_bytes", lambda folder: 50_000)
+    report = summarise(build(simulated, output=tmp_path / "database"))
+    first = report.problems[0]
+    assert first.code == "E_DISK_FULL" and first.found == "50000 bytes free"
+    assert int(str(first.expected).split()[0]) > 100_000
+    assert not list((tmp_path / "database").rglob("*.tif"))

@@ -89,6 +89,17 @@ class Native:
         raise KeyError(label)
 
 
+def least_bytes(cube: Cube) -> int:
+    """Return what the files of a cube will take at the very least, so that a full disk is foreseen.
+
+    Noise cannot be compressed: of float32 reflectance two bytes of four remain, of its sigma one;
+    whole codes, which photographs are, get far smaller.
+    """
+    noisy = cube.quantity == "reflectance"
+    each = (2 if noisy else 0) + (1 if noisy and cube.sigma is not None else 0)
+    return cube.values.size * each
+
+
 def write_native(native: Native, capture: Capture, places: Places, credits: Credits) -> list[Path]:
     """Write the cubes, their flags and, where known, their sigma; return the files."""
     from levkas.database.layers import Layer, write_tiffs

@@ -286,9 +286,10 @@ class ObjectBuild:
         why: str,
     ) -> Future[Step]:
         from levkas.building.developing import develop
-        from levkas.building.native import Native, write_native
+        from levkas.building.native import Native, least_bytes, write_native
         from levkas.building.scans import is_streamed, open_scan
         from levkas.building.streaming import write_scan
+        from levkas.files import require_space
 
         streamed = is_streamed(capture, self.campaign)
         made = (open_scan if streamed else develop)(capture, self.campaign, self.shelf)
@@ -297,6 +298,8 @@ class ObjectBuild:
         def write() -> Step:
             credits = self._credits(made.captured or "")
             if isinstance(made, Native):
+                for cube in made.cubes.values():
+                    require_space(self.places.output, least_bytes(cube))
                 files = write_native(made, capture, self.places, credits)
             else:
                 files = write_scan(made, capture, self.places, credits)
@@ -396,11 +399,11 @@ class ObjectBuild:
         native: list[Native | Scan],
         why: str,
     ) -> Future[Step]:
-        from levkas.building.native import read_sigma
+        from levkas.building.native import least_bytes, read_sigma
         from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
         from levkas.building.scans import Scan
         from levkas.database.layers import Layer, write_layer
-        from levkas.files import make_folder
+        from levkas.files import make_folder, require_space
 
         grid, sampling, _ = self._frame(native if capture is self.reference else [])
         here = self._native(capture, native)
@@ -432,6 +435,7 @@ class ObjectBuild:
         del here
 
         def write() -> Step:
+            require_space(self.places.output, 2 * least_bytes(cube))  # as TIFF and as Zarr
             entry, files = write_layer(
                 self.places.output, layer, cube, verdict=decision, encoded=encoded
             )

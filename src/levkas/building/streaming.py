@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import ceil
 from typing import TYPE_CHECKING, BinaryIO
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from levkas.discovery import Capture
     from levkas.transforms import Transform
 
-HELD_BYTES = 400_000_000
-"""Of calibrated lines and of grid rows, together; what is on the way takes about as much again."""
+HELD_BYTES = 300_000_000
+"""Of calibrated lines and of grid rows, together; the next ones are read meanwhile."""
 SAMPLE_BYTES = 9
 MOST_ROWS, LEAST_ROWS, TURNED_ROWS = 256, 8, 32
 
@@ -127,26 +128,43 @@ def _in_rows(
     scan: Scan, maps: Sequence[Transform], size: tuple[int, int], rows: int
 ) -> Iterator[Cube]:
     width, height = size
-    for top in range(0, height, rows):
-        count = min(rows, height - top)
-        pixel_map, low, high = _lay(scan, maps, (count, width), top)
-        if low == high:
-            yield _nothing(scan, count, width)
-            continue
-        lines = scan.lines(low, high)
-        variance = None if lines.sigma is None else np.square(lines.sigma, out=lines.sigma)
-        warped = warp(
-            lines.values,
-            pixel_map,
-            (count, width),
-            flags=lines.flags,
-            variance=variance,
-            held=(low, scan.shape[0]),
-        )
-        sigma = warped.variance
-        if sigma is not None:
-            sigma = round_sigma(np.sqrt(sigma, out=sigma), out=sigma)
-        yield Cube(warped.values, warped.flags, sigma, scan.bands, scan.quantity)
+    tops = range(0, height, rows)
+
+    def read(top: int) -> tuple[PixelMap, int, Cube | None]:
+        pixel_map, low, high = _lay(scan, maps, (min(rows, height - top), width), top)
+        return pixel_map, low, scan.lines(low, high) if low < high else None
+
+    # The lines of the next rows are calibrated while these are written.
+    with ThreadPoolExecutor(1, thread_name_prefix="ahead") as ahead:
+        coming = ahead.submit(read, 0)
+        for top in tops:
+            pixel_map, low, lines = coming.result()
+            if top + rows < height:
+                coming = ahead.submit(read, top + rows)
+            shape = (min(rows, height - top), width)
+            if lines is None:
+                yield _nothing(scan, *shape)
+            else:
+                yield _resampled(scan, lines, pixel_map, shape, low)
+            del lines
+
+
+def _resampled(
+    scan: Scan, lines: Cube, pixel_map: PixelMap, shape: tuple[int, int], low: int
+) -> Cube:
+    variance = None if lines.sigma is None else np.square(lines.sigma, out=lines.sigma)
+    warped = warp(
+        lines.values,
+        pixel_map,
+        shape,
+        flags=lines.flags,
+        variance=variance,
+        held=(low, scan.shape[0]),
+    )
+    sigma = warped.variance
+    if sigma is not None:
+        sigma = round_sigma(np.sqrt(sigma, out=sigma), out=sigma)
+    return Cube(warped.values, warped.flags, sigma, scan.bands, scan.quantity)
 
 
 def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int]) -> int:
