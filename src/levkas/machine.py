@@ -52,9 +52,7 @@ class Finding:
 def give_back_memory() -> None:
     """Return freed memory to the system, where the C library keeps it for itself (glibc does)."""
     import ctypes
-    import gc
 
-    gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)

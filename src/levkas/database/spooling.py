@@ -41,8 +41,8 @@ class PageSpool:
     handle : binary file, for reading and writing
     shape : (height, width, bands)
     dtype : numpy dtype
-    threads : int
-        For compression; the bytes are the same for any number.
+    pool : ThreadPoolExecutor
+        For compression; the bytes are the same for any number of threads.
     """
 
     def __init__(
