@@ -19,6 +19,7 @@ from levkas.registration.models import (
     fit_projective,
     fit_similarity,
     fit_spline,
+    solve_pairs,
     temper,
 )
 from levkas.transforms import Transform
@@ -87,7 +88,7 @@ class Rung:
             return np.full(len(points), np.nan)
         jacobian = self.transform.jacobian(points)
         places = np.stack([part(points) for part in self.parts])
-        apart = np.linalg.solve(jacobian, (places - places.mean(0))[..., None])[..., 0]
+        apart = np.stack([solve_pairs(jacobian, miss) for miss in places - places.mean(0)])
         share = (len(self.parts) - 1) / len(self.parts)
         return np.sqrt(share * (apart**2).sum((0, 2)))
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from levkas.spline import SplineShift, spline_weights
 from levkas.transforms import (
@@ -51,12 +52,25 @@ class Observations:
 
     def residuals(self, model: Transform) -> np.ndarray:
         """Return (n, 2) residuals in reference px."""
-        miss = self.target - model(self.points)
-        return np.linalg.solve(self.jacobian, miss[..., None])[..., 0]
+        return solve_pairs(self.jacobian, self.target - model(self.points))
 
     def weighted(self, weights: np.ndarray) -> Observations:
         """Return the observations with their information scaled."""
         return replace(self, information=self.information * weights[:, None, None])
+
+
+def solve_pairs(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve n systems of two equations, (n, 2, 2) and (n, 2); infinite where one is singular.
+
+    Examples
+    --------
+    >>> solve_pairs(np.array([[[2.0, 1.0], [0.0, 4.0]]]), np.array([[4.0, 8.0]])).tolist()
+    [[1.0, 2.0]]
+    """
+    a, b, c, d = (matrices[:, i, j] for i in (0, 1) for j in (0, 1))
+    x, y = right.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([d * x - b * y, a * y - c * x], 1) / (a * d - b * c)[:, None]
 
 
 def temper(residuals: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -65,25 +79,34 @@ def temper(residuals: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, 
     Windows err by more than their own noise: what the prediction cannot explain pulls. A variance
     that is common to all is added so that the median normalised residual is as it should be.
     """
-    variance = _inverse(information[:, 0, 0], information[:, 0, 1], information[:, 1, 1], 1e-9)
+    a, b, c = _inverse(information[:, 0, 0], information[:, 0, 1], information[:, 1, 1], 1e-9)
     x, y = residuals.T
-    expected = 2 * np.log(2)
-
-    def distances(extra: float) -> np.ndarray:
-        a, b, c = _inverse(*variance, extra)
-        return a * x * x + 2 * b * x * y + c * y * y
-
-    low, high = 0.0, float(np.median(x * x + y * y)) + 1e-12
-    if np.median(distances(0.0)) > expected:
-        for _ in range(12):
-            middle = (low + high) / 2
-            above = np.median(distances(middle)) > expected
-            low, high = (middle, high) if above else (low, middle)
-    else:
-        high = 0.0
-    a, b, c = _inverse(*variance, high)
+    high = _common_variance(a, b, c, x, y, float(np.median(x * x + y * y)) + 1e-12)
+    a, b, c = _inverse(a, b, c, high)
     floored = np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], 1)
-    return floored, 1 / (1 + distances(high) / 8) ** 2
+    return floored, 1 / (1 + (a * x * x + 2 * b * x * y + c * y * y) / 8) ** 2
+
+
+@njit(nogil=True, cache=True)
+def _common_variance(a, b, c, x, y, most):  # type: ignore[no-untyped-def]
+    """Return what variance, at most `most`, leaves half of all distances above those of chance."""
+    low, high, middle = 0.0, most, 0.0
+    expected = 2 * np.log(2.0)
+    for tried in range(13):
+        above = 0
+        for n in range(len(x)):
+            p, q = a[n] + middle, c[n] + middle
+            along = q * x[n] * x[n] - 2 * b[n] * x[n] * y[n] + p * y[n] * y[n]
+            above += along > expected * (p * q - b[n] * b[n])
+        enough = 2 * above > len(x)
+        if tried == 0 and not enough:
+            return 0.0
+        if enough:
+            low = middle
+        else:
+            high = middle
+        middle = (low + high) / 2
+    return high
 
 
 def _inverse(
@@ -123,8 +146,13 @@ def fit_linear(
 
 def _native(observations: Observations) -> np.ndarray:
     """Information in native px: J⁻ᵀ Λ J⁻¹, (n, 2, 2)."""
-    inverse = np.linalg.inv(observations.jacobian)
-    return np.swapaxes(inverse, 1, 2) @ observations.information @ inverse
+    a, b, c, d = (observations.jacobian[:, i, j] for i in (0, 1) for j in (0, 1))
+    determinant = a * d - b * c
+    p, q, r = (observations.information[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+    a, b, c, d = d / determinant, -b / determinant, -c / determinant, a / determinant
+    cross = a * b * p + (a * d + b * c) * q + c * d * r
+    xx, yy = a * a * p + 2 * a * c * q + c * c * r, b * b * p + 2 * b * d * q + d * d * r
+    return np.stack([np.stack([xx, cross], 1), np.stack([cross, yy], 1)], 1)
 
 
 def fit_polynomial(observations: Observations, order: int) -> Polynomial:

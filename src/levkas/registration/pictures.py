@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
 
 from levkas.machine import count_threads
 from levkas.registration.prediction import rooted
@@ -41,13 +42,30 @@ def _mended(image: np.ndarray) -> np.ndarray:
         return image
     side = LARGE_HOLE
     kernel = np.ones((side, side), np.uint8)
-    framed = np.pad(hole.astype(np.uint8), side, constant_values=1)
+    framed = np.pad(hole.view(np.uint8), side, constant_values=1)
     opened = np.asarray(cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel))
-    large = opened[side:-side, side:-side] > 0
-    small = hole & ~large
-    if not small.any():
-        return image
-    known = np.where(hole, 0, image).astype(np.float32)
-    weight = cv2.GaussianBlur((~hole).astype(np.float32), (0, 0), LARGE_HOLE / 2)
-    filling = cv2.GaussianBlur(known, (0, 0), LARGE_HOLE / 2) / np.maximum(weight, 1e-6)
-    return np.where(small & (weight > 1e-3), filling, image).astype(np.float32)
+    small = np.argwhere(hole & (opened[side:-side, side:-side] == 0))
+    reach = 3 * LARGE_HOLE // 2
+    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (LARGE_HOLE / 2)) ** 2)
+    mended = image.copy()
+    mended[small[:, 0], small[:, 1]] = _means_around(image, small, taps)
+    return mended
+
+
+@njit(nogil=True, cache=True)
+def _means_around(image, places, taps):  # type: ignore[no-untyped-def]
+    """Weighted mean of what is valid about each (row, column); NaN where nothing is."""
+    height, width = image.shape
+    reach = len(taps) // 2
+    out = np.empty(len(places), np.float32)
+    for n in range(len(places)):
+        total, weight = 0.0, 0.0
+        row, column = places[n]
+        for y in range(max(row - reach, 0), min(row + reach + 1, height)):
+            for x in range(max(column - reach, 0), min(column + reach + 1, width)):
+                if np.isfinite(image[y, x]):
+                    tap = taps[y - row + reach] * taps[x - column + reach]
+                    total += tap * image[y, x]
+                    weight += tap
+        out[n] = total / weight if weight > 0.0 else np.nan
+    return out

@@ -13,15 +13,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from levkas.registration.refinement import RIDGE, Predictor, Windows
-from levkas.registration.sampling import highpass, reduce, warp
+from levkas.registration.sampling import highpass, in_threads, reduce, warp
 from levkas.transforms import Affine, Composed, Transform
 
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
 LEAST_SHARE = 1e-6
 TOE = 0.02
 SAMPLED_PX = 100_000
+LINES = 32
 
 
 @dataclass(frozen=True)
@@ -74,24 +76,40 @@ def condense(stack: np.ndarray) -> Palette:
     stack : ndarray, (bands, h, w), float32
         Square roots of reflectance as `rooted` gives them; NaN where invalid in a band.
     """
-    parts = [(stack**2, LINEAR), (np.log(np.maximum(stack, 1e-3)), LOGARITHMIC)]
-    images, loadings, groups = [], [], []
-    for number, (values, count) in enumerate(parts):
-        vectors = _principal(values, count)
-        # What a mean adds is slow and goes with the slow part.
-        part = np.tensordot(vectors.astype(np.float32), values, 1)
-        images.append(part / max(float(np.nanstd(part[0, ::4, ::4])), 1e-12))
-        loadings.append(vectors)
-        groups.append(np.full(len(vectors), number))
-    return Palette(
-        np.concatenate(images).astype(np.float32), np.concatenate(loadings), np.concatenate(groups)
-    )
-
-
-def _principal(stack: np.ndarray, count: int) -> np.ndarray:
-    """Return orthonormal loadings, (<= count, bands), of what remains without slow parts."""
     skip = 1 + int(np.sqrt(stack[0].size / SAMPLED_PX))
-    rough = stack[:, ::skip, 4::skip] - stack[:, ::skip, :-4:skip]
+    far, near = stack[:, ::skip, 4::skip], stack[:, ::skip, :-4:skip]
+    loadings = [
+        _principal(measure(far) - measure(near), count)
+        for measure, count in ((np.square, LINEAR), (_logarithm, LOGARITHMIC))
+    ]
+    images = np.empty((sum(map(len, loadings)), *stack.shape[1:]), np.float32)
+    shares = [vectors.astype(np.float32) for vectors in loadings]
+    in_threads(_mix, stack.shape[1], stack, *shares, images)
+    groups = np.repeat([0, 1], [len(vectors) for vectors in loadings])
+    for group in (0, 1):
+        part = images[groups == group]
+        images[groups == group] = part / max(float(np.nanstd(part[0, ::4, ::4])), 1e-12)
+    return Palette(images, np.concatenate(loadings), groups)
+
+
+def _mix(
+    start: int, stop: int, stack: np.ndarray, linear: np.ndarray, bent: np.ndarray, out: np.ndarray
+) -> None:
+    """Mix the bands of some rows; what a mean adds is slow and goes with the slow part."""
+    for top in range(start, stop, LINES):
+        rows = slice(top, min(top + LINES, stop))
+        part = stack[:, rows].reshape(len(stack), -1)
+        shape = (-1, *stack[0, rows].shape)
+        out[: len(linear), rows] = (linear @ np.square(part)).reshape(shape)
+        out[len(linear) :, rows] = (bent @ _logarithm(part)).reshape(shape)
+
+
+def _logarithm(values: np.ndarray) -> np.ndarray:
+    return np.asarray(np.log(np.maximum(values, np.float32(1e-3))))
+
+
+def _principal(rough: np.ndarray, count: int) -> np.ndarray:
+    """Return orthonormal loadings, (<= count, bands), of differences between neighbours."""
     flat = rough[:, np.isfinite(rough).all(0)].astype(np.float64)
     values, vectors = np.linalg.eigh(flat @ flat.T)
     order = np.argsort(-values)[:count]
@@ -107,13 +125,42 @@ def rooted(image: np.ndarray) -> np.ndarray:
 
     Counts below zero are the noise of the dark; an image that is negative for good is shifted.
     """
-    known = image[np.isfinite(image)]
+    image = np.ascontiguousarray(image, np.float32)
+    known = _some(image, SAMPLED_PX)
     if not len(known):
-        return image.astype(np.float32)
-    low, high = np.percentile(known[:: max(len(known) // 100000, 1)], (2, 99))
+        return image
+    low, high = np.percentile(known, (2, 99))
     low = min(float(low), 0.0)
-    scaled = (image - low) / max(float(high) - low, 1e-12)
-    return np.sqrt(np.maximum(scaled, -0.5 * TOE) + TOE).astype(np.float32)
+    return np.asarray(_roots(image, low, max(float(high) - low, 1e-12)))
+
+
+@njit(nogil=True, cache=True)
+def _some(image, most):  # type: ignore[no-untyped-def]
+    """Return every n-th finite value, at least `most` of them where there are as many."""
+    count = 0
+    for value in image.flat:
+        count += np.isfinite(value)
+    every = max(count // most, 1)
+    picked = np.empty((count + every - 1) // every, np.float32)
+    place = 0
+    for value in image.flat:
+        if np.isfinite(value):
+            if place % every == 0:
+                picked[place // every] = value
+            place += 1
+    return picked
+
+
+@njit(nogil=True, cache=True)
+def _roots(image, low, span):  # type: ignore[no-untyped-def]
+    out = np.empty(image.shape, np.float32)
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            scaled = (image[i, j] - low) / span
+            if scaled < -0.5 * TOE:
+                scaled = -0.5 * TOE
+            out[i, j] = np.sqrt(scaled + TOE)
+    return out
 
 
 def registered(

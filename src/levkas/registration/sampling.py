@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba import njit
 
+from levkas.lanes import fma, look
 from levkas.machine import count_threads
 
 if TYPE_CHECKING:
@@ -83,55 +84,55 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 @njit(nogil=True, cache=True)
 def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
     h, w = image.shape
-    width = out.shape[1]
+    flat, width = image.reshape(-1), out.shape[1]
+    last = lattice.shape[0] - 1
+    nodes = np.empty((lattice.shape[1], 2))
     for i in range(start, stop):
         fy = i / LATTICE_PX
-        ly = min(int(fy), lattice.shape[0] - 2) if lattice.shape[0] > 1 else 0
+        ly = min(int(fy), last)
+        my = min(ly + 1, last)
         ty = fy - ly
-        my = min(ly + 1, lattice.shape[0] - 1)
-        for j in range(width):
-            fx = j / LATTICE_PX
-            lx = min(int(fx), lattice.shape[1] - 2) if lattice.shape[1] > 1 else 0
-            tx = fx - lx
-            mx = min(lx + 1, lattice.shape[1] - 1)
-            x = (1 - ty) * ((1 - tx) * lattice[ly, lx, 0] + tx * lattice[ly, mx, 0]) + ty * (
-                (1 - tx) * lattice[my, lx, 0] + tx * lattice[my, mx, 0]
-            )
-            y = (1 - ty) * ((1 - tx) * lattice[ly, lx, 1] + tx * lattice[ly, mx, 1]) + ty * (
-                (1 - tx) * lattice[my, lx, 1] + tx * lattice[my, mx, 1]
-            )
-            if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
-                continue
-            x0 = int(x)
-            y0 = int(y)
-            u, v = _spline_weights(x - x0), _spline_weights(y - y0)
-            out[i, j] = (
-                v[0] * _across(image, y0 - 1, x0, u)
-                + v[1] * _across(image, y0, x0, u)
-                + v[2] * _across(image, y0 + 1, x0, u)
-                + v[3] * _across(image, y0 + 2, x0, u)
-            )
+        for n in range(len(nodes)):
+            nodes[n, 0] = (1 - ty) * lattice[ly, n, 0] + ty * lattice[my, n, 0]
+            nodes[n, 1] = (1 - ty) * lattice[ly, n, 1] + ty * lattice[my, n, 1]
+        for left in range(0, width, LATTICE_PX):
+            n = left // LATTICE_PX
+            _warp_span(flat, h, w, nodes[n], nodes[min(n + 1, len(nodes) - 1)], out[i, left:])
+
+
+@njit(cache=True)
+def _warp_span(image, h, w, near, far, out):  # type: ignore[no-untyped-def]
+    """Fill up to `LATTICE_PX` pixels whose places lie on a straight line from `near` to `far`."""
+    slope_x, slope_y = (far[0] - near[0]) / LATTICE_PX, (far[1] - near[1]) / LATTICE_PX
+    for j in range(min(LATTICE_PX, len(out))):
+        x, y = near[0] + j * slope_x, near[1] + j * slope_y
+        if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
+            continue
+        x0, y0 = int(x), int(y)
+        u0, u1, u2, u3 = _spline_weights(np.float32(x - x0))
+        v0, v1, v2, v3 = _spline_weights(np.float32(y - y0))
+        a = (y0 - 1) * w + x0 - 1
+        b, c, d = a + w, a + 2 * w, a + 3 * w
+        first = _column(image, a, b, c, d, v0, v1, v2, v3)
+        second = _column(image, a + 1, b + 1, c + 1, d + 1, v0, v1, v2, v3)
+        third = _column(image, a + 2, b + 2, c + 2, d + 2, v0, v1, v2, v3)
+        fourth = _column(image, a + 3, b + 3, c + 3, d + 3, v0, v1, v2, v3)
+        out[j] = fma(u0, first, fma(u1, second, fma(u2, third, u3 * fourth)))
 
 
 @njit(inline="always")
-def _across(image, y, x, u):  # type: ignore[no-untyped-def]
-    return (
-        u[0] * image[y, x - 1]
-        + u[1] * image[y, x]
-        + u[2] * image[y, x + 1]
-        + u[3] * image[y, x + 2]
+def _column(image, a, b, c, d, v0, v1, v2, v3):  # type: ignore[no-untyped-def]
+    return fma(
+        v0, look(image, a), fma(v1, look(image, b), fma(v2, look(image, c), v3 * look(image, d)))
     )
 
 
 @njit(inline="always")
 def _spline_weights(t):  # type: ignore[no-untyped-def]
-    s = 1.0 - t
-    return (
-        s * s * s / 6.0,
-        (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0,
-        (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0,
-        t * t * t / 6.0,
-    )
+    sixth, half, two = np.float32(1 / 6), np.float32(0.5), np.float32(2 / 3)
+    s = np.float32(1.0) - t
+    tt, ss = t * t, s * s
+    return ss * s * sixth, two - tt + half * tt * t, two - ss + half * ss * s, tt * t * sixth
 
 
 def reduce(image: np.ndarray, n: int) -> np.ndarray:

@@ -1,0 +1,457 @@
+"""Compiled loops of dense refinement: sums over cells, windows of cells, gains and shift of each.
+
+What depends on the predictors alone is summed, centred and freed of bias and ramp once for every
+window; a band then costs one row of sums a cell. Only windows whose cells the band covers in part
+are summed anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(inline="always")
+def _see(images, i, j, k, cell, r, c, v):  # type: ignore[no-untyped-def]
+    """Fill v with 1, u, v, the predictors and their derivatives along x and y at one pixel."""
+    v[0] = 1.0
+    v[1] = (j + 0.5) / cell
+    v[2] = (i + 0.5) / cell
+    half = np.float32(0.5)
+    for a in range(k):
+        v[3 + a] = images[a, i, j]
+        v[3 + k + a] = (images[a, i, j + 1] - images[a, i, j - 1]) * half
+        v[3 + 2 * k + a] = (images[a, i + 1, j] - images[a, i - 1, j]) * half
+
+
+@njit(inline="always")
+def _add_square(g, v, d):  # type: ignore[no-untyped-def]
+    for a in range(d):
+        left = v[a]
+        for b in range(a + 1):
+            g[a, b] += left * v[b]
+
+
+@njit(inline="always")
+def _mirror(g, d):  # type: ignore[no-untyped-def]
+    for a in range(d):
+        for b in range(a):
+            g[b, a] = g[a, b]
+
+
+@njit(nogil=True, cache=True)
+def find_known(start, stop, images, known):  # type: ignore[no-untyped-def]
+    """Tell where all predictors and their derivatives are finite; the frame's rim never is."""
+    k, h, w = images.shape
+    total = np.empty(w, np.float32)
+    for i in range(max(start, 1), min(stop, h - 1)):
+        total[:] = np.float32(0.0)
+        for a in range(k):  # a NaN or an infinity anywhere makes the sum one
+            for j in range(1, w - 1):
+                total[j] += images[a, i, j] - images[a, i, j]
+                total[j] += images[a, i, j + 1] - images[a, i, j - 1]
+                total[j] += images[a, i + 1, j] - images[a, i - 1, j]
+        for j in range(1, w - 1):
+            known[i, j] = np.isfinite(total[j])
+
+
+@njit(nogil=True, cache=True)
+def sum_squares(start, stop, images, known, cell, grams, counts):  # type: ignore[no-untyped-def]
+    """Sums of products of what `_see` gives over each cell, where all of it is known."""
+    k = images.shape[0]
+    table = np.empty((3 + 3 * k, cell * cell))
+    for r in range(start, stop):
+        for c in range(counts.shape[1]):
+            counts[r, c] = _tabulate(images, known, cell, r, c, table)
+            if counts[r, c] > 0:
+                grams[r, c] = np.dot(table, table.T)
+
+
+@njit(cache=True)
+def _tabulate(images, known, cell, r, c, table):  # type: ignore[no-untyped-def]
+    """Fill what `_see` gives at every pixel of a cell, a row each; zeros where it is not known."""
+    k = images.shape[0]
+    left = c * cell
+    half = np.float32(0.5)
+    count = 0
+    for y in range(cell):
+        i, place = r * cell + y, y * cell
+        whole = 0
+        for x in range(cell):
+            whole += known[i, left + x]
+        count += whole
+        if whole == 0:
+            table[:, place : place + cell] = 0.0
+            continue
+        table[0, place : place + cell] = 1.0
+        table[2, place : place + cell] = (i + 0.5) / cell
+        for x in range(cell):
+            table[1, place + x] = (left + x + 0.5) / cell
+        for a in range(k):
+            row = images[a, i, left : left + cell]
+            after, below = images[a, i, left + 1 :], images[a, i + 1, left : left + cell]
+            before, above = images[a, i, max(left - 1, 0) :], images[a, i - 1, left : left + cell]
+            # The frame's first column is not known, so that it matters not what stands before it.
+            skew = 0 if left > 0 else 1
+            for x in range(cell):
+                table[3 + a, place + x] = row[x]
+                table[3 + k + a, place + x] = (
+                    after[min(x, len(after) - 1)] - before[max(x - skew, 0)]
+                ) * half
+                table[3 + 2 * k + a, place + x] = (below[x] - above[x]) * half
+        if whole < cell:
+            for x in range(cell):
+                if not known[i, left + x]:
+                    table[:, place + x] = 0.0
+    return count
+
+
+@njit(nogil=True, cache=True)
+def count_cover(start, stop, target, known, cell, number):  # type: ignore[no-untyped-def]
+    """Count the pixels of each cell that predictors and target both know."""
+    for r in range(start, stop):
+        for c in range(number.shape[1]):
+            n = 0
+            for i in range(r * cell, (r + 1) * cell):
+                for j in range(c * cell, (c + 1) * cell):
+                    n += known[i, j] and np.isfinite(target[i, j])
+            number[r, c] = n
+
+
+@njit(nogil=True, cache=True)
+def sum_products(start, stop, target, images, known, cell, number, slots, lines, partial):  # type: ignore[no-untyped-def]
+    """Sums of the target's products, its square last; of all products anew in partial cells.
+
+    Columns side by side, the rows of a cell one by one, these in single precision: as if the
+    target had noise of 1e-7.
+    """
+    k, h, w = images.shape
+    sums = np.empty((3, w), np.float32)
+    for r in range(start, stop):
+        for a in range(k):
+            sums[:] = np.float32(0.0)
+            for i in range(max(r * cell, 1), min((r + 1) * cell, h - 1)):
+                _add_products(target[i], images[a, i - 1 : i + 2], sums)
+            for c in range(number.shape[1]):
+                if number[r, c] == cell * cell:
+                    _gather(sums, c * cell, cell, a, k, lines[r, c])
+        for c in range(number.shape[1]):
+            if number[r, c] == cell * cell:
+                _ramps(target, cell, r, c, lines[r, c], k)
+            elif number[r, c] > 0:
+                slot = slots[r, c]
+                g = partial[slot] if slot >= 0 else np.empty((0, 0))
+                _masked_cell(target, images, known, cell, r, c, lines[r, c], g)
+
+
+@njit(cache=True)
+def _add_products(target, rows, sums):  # type: ignore[no-untyped-def]
+    above, image, below = rows[0], rows[1], rows[2]
+    plain, along, down = sums[0], sums[1], sums[2]
+    for j in range(1, len(target) - 1):
+        t = target[j]
+        plain[j] += t * image[j]
+        along[j] += t * (image[j + 1] - image[j - 1])
+        down[j] += t * (below[j] - above[j])
+
+
+@njit(cache=True)
+def _gather(sums, left, cell, a, k, line):  # type: ignore[no-untyped-def]
+    for n in range(3):
+        value = 0.0
+        for j in range(left, left + cell):
+            value += sums[n, j]
+        line[3 + n * k + a] = value if n == 0 else value * 0.5
+
+
+@njit(cache=True)
+def _ramps(target, cell, r, c, line, k):  # type: ignore[no-untyped-def]
+    for i in range(r * cell, (r + 1) * cell):
+        total = ramp = square = 0.0
+        for j in range(c * cell, (c + 1) * cell):
+            t = np.float64(target[i, j])
+            total += t
+            ramp += t * (j + 0.5)
+            square += t * t
+        line[0] += total
+        line[1] += ramp / cell
+        line[2] += total * ((i + 0.5) / cell)
+        line[3 + 3 * k] += square
+
+
+@njit(cache=True)
+def _masked_cell(target, images, known, cell, r, c, line, g):  # type: ignore[no-untyped-def]
+    k = images.shape[0]
+    d = 3 + 3 * k
+    v = np.empty(d)
+    g[:] = 0.0
+    for i in range(r * cell, (r + 1) * cell):
+        for j in range(c * cell, (c + 1) * cell):
+            t = np.float64(target[i, j])
+            if not (known[i, j] and np.isfinite(t)):
+                continue
+            _see(images, i, j, k, cell, r, c, v)
+            for a in range(d):
+                line[a] += t * v[a]
+            line[d] += t * t
+            if len(g):
+                _add_square(g, v, d)
+    _mirror(g, len(g))
+
+
+@njit(cache=True)
+def _cholesky(a, n):  # type: ignore[no-untyped-def]
+    """Factor the leading n x n block in place (lower); False where it is not positive definite."""
+    for i in range(n):
+        for j in range(i + 1):
+            total = a[i, j]
+            for m in range(j):
+                total -= a[i, m] * a[j, m]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                a[i, i] = np.sqrt(total)
+            else:
+                a[i, j] = total / a[j, j]
+    return True
+
+
+@njit(cache=True)
+def _substitute(factor, n, right, out):  # type: ignore[no-untyped-def]
+    """Solve with the factor that `_cholesky` left."""
+    for i in range(n):
+        total = right[i]
+        for m in range(i):
+            total -= factor[i, m] * out[m]
+        out[i] = total / factor[i, i]
+    for back in range(n):
+        i = n - 1 - back
+        total = out[i]
+        for m in range(i + 1, n):
+            total -= factor[m, i] * out[m]
+        out[i] = total / factor[i, i]
+
+
+@njit(inline="always")
+def _tent(r, c, a, b):  # type: ignore[no-untyped-def]
+    return (0.5 if a == r else 0.25) * (0.5 if b == c else 0.25)
+
+
+@njit(cache=True)
+def _free(g, d, r, c, n, gram, mixed, ramp):  # type: ignore[no-untyped-def]
+    """Centre a window's sums and take bias and ramp out; `ramp` is left factored; False if ill."""
+    # Ramps about the window's own centre keep the system well conditioned.
+    for i in range(d):
+        g[1, i] -= (c + 0.5) * g[0, i]
+        g[2, i] -= (r + 0.5) * g[0, i]
+    for i in range(d):
+        g[i, 1] -= (c + 0.5) * g[i, 0]
+        g[i, 2] -= (r + 0.5) * g[i, 0]
+    for i in range(3):
+        for j in range(3):
+            ramp[i, j] = g[i, j] + (1e-9 * n if i == j else 0.0)
+    if not _cholesky(ramp, 3):
+        return False
+    right, out = np.empty(3), np.empty((d, 3))
+    for j in range(3, d):
+        for i in range(3):
+            right[i] = g[i, j]
+            mixed[i, j - 3] = g[i, j]
+        _substitute(ramp, 3, right, out[j])
+    for i in range(3, d):
+        for j in range(3, d):
+            gram[i - 3, j - 3] = g[i, j] - (
+                g[i, 0] * out[j, 0] + g[i, 1] * out[j, 1] + g[i, 2] * out[j, 2]
+            )
+    return True
+
+
+@njit(nogil=True, cache=True)
+def sum_windows(start, stop, cells, counts, cell, cover, able, gram, mixed, ramp):  # type: ignore[no-untyped-def]
+    """Sums of every 3 x 3 window of cells under tent weights, without bias and ramp.
+
+    `able` is left at the weighted number of pixels, and at 0 where a window is of no use.
+    """
+    rows, cols = counts.shape
+    d = cells.shape[2]
+    g = np.empty((d, d))
+    for r in range(start, stop):
+        for c in range(cols):
+            g[:] = 0.0
+            n = 0.0
+            full = 0.0
+            for a in range(max(r - 1, 0), min(r + 2, rows)):
+                for b in range(max(c - 1, 0), min(c + 2, cols)):
+                    weight = _tent(r, c, a, b)
+                    full += weight * cell * cell
+                    if counts[a, b] > 0:
+                        n += weight * counts[a, b]
+                        g += weight * cells[a, b]
+            if n >= cover * full and _free(g, d, r, c, n, gram[r, c], mixed[r, c], ramp[r, c]):
+                able[r, c] = n
+
+
+@njit(cache=True)
+def _gauss_newton(g, t, k, ridge, total, gains, answer, lean, work):  # type: ignore[no-untyped-def]
+    """Fit gains and shift; answer holds e, the Schur complement (3) and what is left; False if ill.
+
+    g: sums (3k, 3k) of predictors and derivatives, t: their sums with the target, (3k,). The
+    gains' own block does not change with the shift: it is factored once, as L with the
+    reciprocals of its diagonal, and every round borders it by two rows.
+    """
+    m = 3 * k
+    factor, forward, border, grad, right = work
+    energy = 0.0
+    for a in range(k):
+        energy += g[a, a]
+    for i in range(k):
+        for j in range(i + 1):
+            value = g[i, j] + (ridge * energy if i == j else 0.0)
+            for n in range(j):
+                value -= factor[i, n] * factor[j, n]
+            if i == j:
+                if not value > 0.0:
+                    return False
+                factor[i, i] = 1.0 / np.sqrt(value)
+            else:
+                factor[i, j] = value * factor[j, j]
+        value = t[i]
+        for n in range(i):
+            value -= factor[i, n] * forward[n]
+        forward[i] = value * factor[i, i]
+    _backward(factor, forward, k, gains)
+    for _ in range(3):
+        for axis in range(2):
+            line = grad[axis]
+            line[:] = 0.0
+            value = 0.0
+            for a in range(k):
+                gain, row = gains[a], g[(1 + axis) * k + a]
+                for c in range(m):
+                    line[c] += gain * row[c]
+                value += gain * t[(1 + axis) * k + a]
+            right[axis] = value
+            for i in range(k):
+                value = line[i]
+                for n in range(i):
+                    value -= factor[i, n] * border[axis, n]
+                border[axis, i] = value * factor[i, i]
+        # What the shift's own block keeps once the gains are out of it.
+        xx = xy = yy = sxx = sxy = syy = 0.0
+        for a in range(k):
+            xx += gains[a] * grad[0, k + a]
+            xy += gains[a] * grad[1, k + a]
+            yy += gains[a] * grad[1, 2 * k + a]
+            sxx += border[0, a] * border[0, a]
+            sxy += border[1, a] * border[0, a]
+            syy += border[1, a] * border[1, a]
+        tiny = 1e-9 * (xx + yy) + 1e-300
+        xx += tiny
+        yy += tiny
+        p2 = xx - sxx
+        q = xy - sxy
+        r2 = yy - syy - q * q / p2 if p2 > 0.0 else 0.0
+        if not (p2 > 0.0 and r2 > 0.0):
+            return False
+        left_x, left_y = right[0], right[1]
+        for a in range(k):
+            left_x -= border[0, a] * forward[a]
+            left_y -= border[1, a] * forward[a]
+        ey = (left_y - q / p2 * left_x) / r2
+        ex = (left_x - q * ey) / p2
+        for a in range(k):
+            gains[a] = forward[a] - border[0, a] * ex - border[1, a] * ey
+        _backward(factor, gains, k, gains)
+    left = total - ex * right[0] - ey * right[1]
+    for a in range(k):
+        left -= gains[a] * t[a]
+    answer[0], answer[1], answer[5] = ex, ey, left
+    answer[2], answer[3], answer[4] = p2, q, r2 + q * q / p2
+    for a in range(k):
+        for b in range(k):
+            value = grad[0, k + b] + grad[1, 2 * k + b]
+            lean[a, b] = gains[a] * value / (xx + yy)
+    return True
+
+
+@njit(cache=True)
+def _backward(factor, forward, k, out):  # type: ignore[no-untyped-def]
+    """Solve Lᵀ out = forward, the diagonal of L given by its reciprocals; in place if need be."""
+    for back in range(k):
+        i = k - 1 - back
+        value = forward[i]
+        for n in range(i + 1, k):
+            value -= factor[n, i] * out[n]
+        out[i] = value * factor[i, i]
+
+
+@njit(nogil=True, cache=True)
+def solve_windows(  # type: ignore[no-untyped-def]
+    start, stop, lines, number, slots, partial, cells, counts, able, gram, mixed, ramp,
+    cell, ridge, cover, shift, info, r2, lean,
+):  # fmt: skip
+    """Shift, information, r² and leaning of every window whose cells the target covers enough."""
+    rows, cols = number.shape
+    d, k = cells.shape[2], lean.shape[2]
+    g = np.empty((d, d))
+    own_gram, own_mixed, own_ramp = np.empty((d - 3, d - 3)), np.empty((3, d - 3)), np.empty((3, 3))
+    line, t, slope = np.empty(d + 1), np.empty(d - 3), np.empty(3)
+    answer, gains, here = np.empty(6), np.empty(k), np.empty((k, k))
+    work = (
+        np.empty((k, k)),
+        np.empty(k),
+        np.empty((2, k)),
+        np.empty((2, d - 3)),
+        np.empty(2),
+    )
+    for r in range(start, stop):
+        for c in range(cols):
+            n, full, whole = 0.0, 0.0, True
+            line[:] = 0.0
+            for a in range(max(r - 1, 0), min(r + 2, rows)):
+                for b in range(max(c - 1, 0), min(c + 2, cols)):
+                    weight = _tent(r, c, a, b)
+                    full += weight * cell * cell
+                    whole = whole and number[a, b] == counts[a, b]
+                    if number[a, b] > 0:
+                        n += weight * number[a, b]
+                        line += weight * lines[a, b]
+            if n < cover * full or n < 3 * (k + 5):
+                continue
+            if whole:
+                if able[r, c] == 0.0:
+                    continue
+                sums, mix, factor = gram[r, c], mixed[r, c], ramp[r, c]
+            else:
+                g[:] = 0.0
+                for a in range(max(r - 1, 0), min(r + 2, rows)):
+                    for b in range(max(c - 1, 0), min(c + 2, cols)):
+                        if number[a, b] > 0:
+                            weight = _tent(r, c, a, b)
+                            slot = slots[a, b]
+                            g += weight * (cells[a, b] if slot < 0 else partial[slot])
+                if not _free(g, d, r, c, n, own_gram, own_mixed, own_ramp):
+                    continue
+                sums, mix, factor = own_gram, own_mixed, own_ramp
+            line[1] -= (c + 0.5) * line[0]
+            line[2] -= (r + 0.5) * line[0]
+            _substitute(factor, 3, line, slope)
+            total = line[d] - (line[0] * slope[0] + line[1] * slope[1] + line[2] * slope[2])
+            for j in range(d - 3):
+                t[j] = line[3 + j] - (
+                    slope[0] * mix[0, j] + slope[1] * mix[1, j] + slope[2] * mix[2, j]
+                )
+            if not (
+                total > 1e-12 * n
+                and _gauss_newton(sums, t, k, ridge, total, gains, answer, here, work)
+            ):
+                continue
+            noise = max(answer[5], 1e-9 * total) / max(n - k - 5, 1.0)
+            shift[r, c, 0] = answer[0]
+            shift[r, c, 1] = answer[1]
+            info[r, c, 0, 0] = answer[2] / noise
+            info[r, c, 0, 1] = answer[3] / noise
+            info[r, c, 1, 0] = answer[3] / noise
+            info[r, c, 1, 1] = answer[4] / noise
+            r2[r, c] = 1.0 - answer[5] / total
+            lean[r, c] = here
