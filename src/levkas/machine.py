@@ -103,6 +103,8 @@ def steady_libraries() -> Iterator[None]:
     another on a busy machine. That number is one for the whole process, and compiled parallel loops
     may end the process where two threads enter them at once: hence one at a time.
     """
+    # Read when compiled parallel loops first start: threads that wait must not spin, others work.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     import cv2
     import numba
     from threadpoolctl import threadpool_limits

@@ -14,9 +14,10 @@ from levkas.database.catalogue import (
     write_catalogue,
 )
 from levkas.database.credits import Credits
-from levkas.database.layers import Layer, centres_of, round_sigma, write_layer
+from levkas.database.layers import Layer, centres_of, write_layer
 from levkas.database.spectral_tiff import read_stiff, write_stiff
 from levkas.files import hash_file, hash_tree, write_json
+from levkas.rounding import round_sigma
 
 
 def cube_of(bands, *, seed=0, sigma=True, shape=(60, 80)):

@@ -3,7 +3,7 @@ import pytest
 from scipy import ndimage
 
 from levkas.registration.chromatic import fit_chromatic, still
-from levkas.registration.initial import _inverted, _mirrored, start
+from levkas.registration.initial import KeyPictures, _inverted, _mirrored, start
 from levkas.registration.ladder import RUNGS, climb
 from levkas.registration.models import Observations, fit_polynomial, fit_similarity, temper
 from levkas.registration.prediction import condense, rooted
@@ -142,7 +142,7 @@ def test_key_points_find_mirrored_turned_and_inverted_pictures():
     rng = RNG(7)
     picture = texture(rng, (260, 320), 2.0) + 0.5 * texture(rng, (260, 320), 5.0)
     other = np.ascontiguousarray(-np.rot90(picture[:, ::-1]))
-    found = start([picture], [other])
+    found = start(KeyPictures([picture]), KeyPictures([other]))
     assert found is not None and found.mirrored
     # rot90 of the mirror: (x, y) → (y, x)
     points = lattice(6, (300.0, 240.0)) + 8
@@ -158,7 +158,7 @@ def test_descriptor_permutations_are_involutions():
 def test_unrelated_pictures_have_no_start():
     rng = RNG(9)
     a, b = (texture(rng, (260, 320), 2.0) for _ in range(2))
-    assert start([a], [b]) is None
+    assert start(KeyPictures([a]), KeyPictures([b])) is None
 
 
 def test_principal_images_span_their_bands_and_leanings_sum_to_one():

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.codes import CodesRefused, check_codes, doubt_codes, spread
-from levkas.building.native import Native
+from levkas.building.native import GROUP, ROWS, Native
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.gaps import close_gaps, describe_gaps, gaps_of
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.cube import Cube, Flag
-from levkas.database.layers import round_sigma
 from levkas.problems import Problem, Refused
 from levkas.readers.frames import Facts, UnreadableCapture, read_facts, read_frame
+from levkas.rounding import round_root, round_values
 
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
@@ -268,13 +268,8 @@ def cube_of(
     """Return values, flags and sigma of one sensor; what could not be said is 0 and flagged."""
     sigma = None
     if variance is not None:
-        sigma = (
-            np.sqrt(np.maximum(variance, 0), out=variance)
-            if variance.dtype == np.float32
-            else np.sqrt(variance)
-        )
-    if sigma is not None:
-        sigma = round_sigma(sigma, out=sigma if sigma.dtype == np.float32 else None)
+        sigma = round_root(variance, out=variance if variance.dtype == np.float32 else None)
+    values = round_values(values, out=values if values.dtype == np.float32 else None)
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)
@@ -408,17 +403,29 @@ def develop_bands(bench: Bench, notes: list[str]) -> Cube:
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     variance: np.ndarray | None = np.empty(shape, np.float32)
     quantity = "reflectance"
-    for i, band in enumerate(bands):
-        flat = _band(bench, band.label, float(reflectances[i]), noise)
-        notes.extend(flat.notes)
-        quantity = flat.quantity
-        _check_shape(bench, band.label, flat.values.shape, shape[:2])
-        values[..., i], flags[..., i] = flat.values, flat.flags
-        if variance is not None and flat.variance is not None:
-            variance[..., i] = flat.variance
+    for start in range(0, len(bands), GROUP):
+        group = []
+        for i, band in enumerate(bands[start : start + GROUP], start):
+            flat = _band(bench, band.label, float(reflectances[i]), noise)
+            notes.extend(flat.notes)
+            quantity = flat.quantity
+            _check_shape(bench, band.label, flat.values.shape, shape[:2])
+            group.append(flat)
+        _interleave([flat.values for flat in group], values, start)
+        _interleave([flat.flags for flat in group], flags, start)
+        variances = [flat.variance for flat in group if flat.variance is not None]
+        if variance is not None and len(variances) == len(group):
+            _interleave(variances, variance, start)
         else:
             variance = None
     return cube_of(bench, values, flags, variance, quantity)
+
+
+def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:
+    """Copy planes to a cube's bands from `start` on, in one passage over its memory."""
+    for y in range(0, len(cube), ROWS):
+        rows = np.stack([plane[y : y + ROWS] for plane in planes])
+        cube[y : y + ROWS, :, start : start + len(planes)] = np.moveaxis(rows, 0, 2)
 
 
 def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None) -> Calibrated:

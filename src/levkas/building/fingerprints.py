@@ -17,15 +17,23 @@ CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic",
 )  # fmt: skip
 CODE = {
-    "calibrate": ("calibration", "readers", "building/developing.py", "building/whiteboard.py"),
+    "calibrate": (
+        "calibration",
+        "readers",
+        "rounding.py",
+        "building/developing.py",
+        "building/whiteboard.py",
+    ),
     "register": (
         "registration",
         "building/registering.py",
         "transforms.py",
         "spline.py",
+        "lanes.py",
         "map_kernels.py",
     ),
     "resample": (
+        "rounding.py",
         "warping.py",
         "warping_kernels.py",
         "pixelmap.py",

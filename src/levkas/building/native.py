@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.cube import Band, Cube, Flag
+from levkas.machine import count_threads
 from levkas.registration.images import BandImage
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
+    from concurrent.futures import Executor
     from pathlib import Path
 
     from levkas.building.places import Places
@@ -20,6 +23,9 @@ if TYPE_CHECKING:
 
 UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
 """Pixels that registration must not lean on; single defects were replaced well enough for it."""
+GROUP, ROWS = 8, 16
+"""Bands that are gathered in one passage over some rows, in which they lie innermost."""
+PACKED_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -60,21 +66,12 @@ class Native:
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it, in memory of its own."""
-        from levkas.database.spectral_tiff import planes_of
-
-        return [
-            BandImage(
-                band.label,
-                band.wavelength,
-                values,
-                np.isfinite(values) & ((flags & UNRELIABLE) == 0),
-                sensor,
-            )
-            for sensor, cube in self.cubes.items()
-            for band, values, flags in zip(
-                cube.bands, planes_of(cube.values), planes_of(cube.flags), strict=True
-            )
-        ]
+        with ThreadPoolExecutor(count_threads()) as pool:
+            return [
+                BandImage(band.label, band.wavelength, values, valid, sensor)
+                for sensor, cube in self.cubes.items()
+                for band, (values, valid) in zip(cube.bands, _pictures(cube, pool), strict=True)
+            ]
 
     def without_sigma(self) -> Native:
         """Return the cubes without sigma: it is on the disk, and only resampling asks for it."""
@@ -87,6 +84,63 @@ class Native:
             if label in cube.labels:
                 return [cube.values.shape[1], cube.values.shape[0]]
         raise KeyError(label)
+
+
+def _pictures(cube: Cube, pool: Executor) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the values of every band and where they can be relied on, both (height, width)."""
+    height, width, count = cube.values.shape
+
+    def work(start: int) -> tuple[np.ndarray, np.ndarray]:
+        values = np.empty((min(GROUP, count - start), height, width), np.float32)
+        valid = np.empty(values.shape, bool)
+        for y in range(0, height, ROWS):
+            part = cube.values[y : y + ROWS, :, start : start + GROUP]
+            flags = cube.flags[y : y + ROWS, :, start : start + GROUP]
+            values[:, y : y + ROWS] = np.moveaxis(part, 2, 0)
+            known = np.isfinite(part) & ((flags & UNRELIABLE) == 0)
+            valid[:, y : y + ROWS] = np.moveaxis(known, 2, 0)
+        return values, valid
+
+    for values, valid in pool.map(work, range(0, count, GROUP)):
+        yield from zip(values, valid, strict=True)
+
+
+class PackedSigma:
+    """Sigma of a cube kept small in memory, bit for bit, until resampling asks for it."""
+
+    def __init__(self, sigma: np.ndarray) -> None:
+        self._shape = sigma.shape
+        with ThreadPoolExecutor(count_threads()) as pool:
+            parts = (sigma[y : y + PACKED_ROWS] for y in range(0, len(sigma), PACKED_ROWS))
+            self._parts = list(pool.map(_pack, parts))
+
+    def unpack(self) -> np.ndarray:
+        """Return sigma as it was, float32, in memory of its own."""
+        import imagecodecs
+
+        sigma = np.empty(self._shape, np.float32)
+
+        def fill(number: int) -> None:
+            rows = sigma[number * PACKED_ROWS : (number + 1) * PACKED_ROWS]
+            imagecodecs.blosc_decode(self._parts[number], out=rows.reshape(-1).view(np.uint8).data)
+
+        with ThreadPoolExecutor(count_threads()) as pool:
+            list(pool.map(fill, range(len(self._parts))))
+        return sigma
+
+
+def _pack(part: np.ndarray) -> bytes:
+    import imagecodecs
+
+    packed = imagecodecs.blosc_encode(
+        np.ascontiguousarray(part, np.float32).tobytes(),
+        level=5,
+        compressor="lz4",
+        shuffle="bitshuffle",
+        typesize=4,
+        numthreads=1,
+    )
+    return bytes(packed)
 
 
 def least_bytes(cube: Cube) -> int:

@@ -6,9 +6,9 @@ import base64
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from math import nan
+from math import nan, prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from levkas.problems import Problem, Refused
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.building.native import Native
+    from levkas.building.native import Native, PackedSigma
     from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from levkas.discovery import Capture
     from levkas.gridding import Grid
     from levkas.registration import BandImage, Registration
+    from levkas.registration.levkas import Reference
 
     Grey = tuple[np.ndarray, np.ndarray]
 
@@ -68,8 +69,10 @@ class ObjectBuild:
     digests: dict[Key, str] = field(default_factory=dict)
     _images: list[BandImage] | None = None
     _own: Registration | None = None
+    _ready: Reference | None = None
     _grid: tuple[Grid, float | None, tuple[float, float, float, float] | None] | None = None
     _grey: tuple[np.ndarray, np.ndarray] | None = None
+    _sigmas: dict[str, PackedSigma] = field(default_factory=dict)
     _hashing: bool = False
     _checked: bool = False
     _being_written: list[tuple[Capture, str, Future[Step]]] = field(default_factory=list)
@@ -95,7 +98,7 @@ class ObjectBuild:
 
     def _all(self) -> Iterator[Step]:
         broken: Refused | None = None
-        for capture in self.captures:
+        for capture in self._largest_first():
             if broken is not None and capture is not self.reference:
                 yield _refused(self.keys(capture)["calibrate"], broken)
                 continue
@@ -112,11 +115,15 @@ class ObjectBuild:
                 broken = NoReference(_no_reference(self.name, capture.layer, failed))
         yield from self._written()
 
+    def _largest_first(self) -> list[Capture]:
+        """The reference, then the others by size: little is left to write when all else is done."""
+        return [self.reference, *sorted(self.captures[1:], key=_samples, reverse=True)]
+
     def _hash_ahead(self) -> None:
         """Hash the frames of all captures beside the work; what fails is met again when it is due."""
         if not self._hashing:
             self._hashing = True
-            for capture in self.captures:
+            for capture in self._largest_first():
                 self._hasher.submit(
                     fingerprints.of_calibration, self.campaign, capture, self.ledger.hashes
                 )
@@ -286,7 +293,7 @@ class ObjectBuild:
         why: str,
     ) -> Future[Step]:
         from levkas.building.developing import develop
-        from levkas.building.native import Native, least_bytes, write_native
+        from levkas.building.native import Native, PackedSigma, least_bytes, write_native
         from levkas.building.scans import is_streamed, open_scan
         from levkas.building.streaming import write_scan
         from levkas.files import require_space
@@ -294,6 +301,12 @@ class ObjectBuild:
         streamed = is_streamed(capture, self.campaign)
         made = (open_scan if streamed else develop)(capture, self.campaign, self.shelf)
         native.append(made.without_sigma())
+        if isinstance(made, Native):
+            self._sigmas = {
+                name: PackedSigma(cube.sigma)
+                for name, cube in made.cubes.items()
+                if cube.sigma is not None
+            }
 
         def write() -> Step:
             credits = self._credits(made.captured or "")
@@ -328,10 +341,12 @@ class ObjectBuild:
 
         started = time.monotonic()
         here = self._native(capture, native)
-        options = self.campaign.registration_of(capture.camera)
+        options = dict(self.campaign.registration_of(capture.camera))
         own = None if capture is self.reference else self._own_registration()
         registration, refused = None, None
         grid, sampling, region = self._frame(native if capture is self.reference else [])
+        if options.get("method", "levkas") == "levkas":
+            options["ready"] = partial(self._ready_reference, native, region, own)
         try:
             registration = registering.register_capture(
                 here,
@@ -345,6 +360,9 @@ class ObjectBuild:
             refused = error
         if capture is self.reference and registration is not None:
             self._own = registration
+            self._settle()
+        if self._ready is not None:
+            self._ready.rest()
         record = registering.record_of(
             registration,
             refused,
@@ -429,8 +447,13 @@ class ObjectBuild:
             return self._write(
                 key, partial(self._stream, here, capture, layer, decision, grid, keep), wait=True
             )
-        sigma = partial(read_sigma, capture, self.places)
-        cube = resample(here, self._transforms(capture), grid, sigma)
+
+        def sigma_of(sensor: str) -> np.ndarray | None:
+            packed = self._sigmas.pop(sensor, None)
+            return packed.unpack() if packed else read_sigma(capture, self.places, sensor)
+
+        cube = resample(here, self._transforms(capture), grid, sigma_of)
+        self._sigmas = {}
         encoded = self.campaign.cameras[capture.camera].kind == "image"
         del here
 
@@ -502,6 +525,33 @@ class ObjectBuild:
         if self._images is None:
             self._images = self._native(self.reference, native).images()
         return self._images
+
+    def _ready_reference(
+        self,
+        native: list[Native | Scan],
+        region: tuple[float, float, float, float] | None,
+        own: Registration | None,
+    ) -> Reference:
+        """The reference made ready for all captures; its single bands go once it is registered."""
+        from levkas.registration.levkas import Reference
+
+        if self._ready is None:
+            images = self._reference_images(native if own is None else [])
+            self._ready = Reference(images, self._reference_band(), region)
+            if own is not None:
+                self._settle()
+        return self._ready
+
+    def _settle(self) -> None:
+        methods = {self.campaign.registration_of(c.camera).get("method") for c in self.captures}
+        if self._ready is not None and methods <= {None, "levkas"}:
+            self._ready.settle(self._own_registration().transforms)
+            # Bands share their memory with others that are not needed any more.
+            anchor = self._ready.anchor
+            self._ready.anchor = replace(
+                anchor, values=anchor.values.copy(), valid=anchor.valid.copy()
+            )
+            self._ready.siblings, self._images = [], [self._ready.anchor]
 
     def _own_registration(self) -> Registration:
         """The reference camera's own registration, from this run or from its record."""
@@ -621,3 +671,14 @@ def _verdict_problems(
             fix=verdict["next_step"] or None,
         ),
     )
+
+
+def _samples(capture: Capture) -> int:
+    """Return the samples of a capture's frames, 0 where none can be read."""
+    from levkas.readers.frames import read_facts
+
+    try:
+        shapes = [read_facts(sensor.object[0].path).shape for sensor in capture.sensors]
+    except Refused:
+        return 0
+    return sum(prod(s[:2]) * len(f.bands) for s, f in zip(shapes, capture.sensors, strict=True))

@@ -73,7 +73,7 @@ def resample(
 
     `sigma_of` gives the sigma of a sensor, and gives it away.
     """
-    from levkas.database.layers import round_sigma
+    from levkas.rounding import round_root, round_values
     from levkas.transforms import Composed
     from levkas.warping import warp
 
@@ -87,8 +87,8 @@ def resample(
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         found = warped.variance
         if found is not None:
-            found = round_sigma(np.sqrt(found, out=found), out=found)
-        parts.append((warped.values, warped.flags, found))
+            found = round_root(found, out=found)
+        parts.append((round_values(warped.values, out=warped.values), warped.flags, found))
     values, flags, sigmas = zip(*parts, strict=True)
     known = [s for s in sigmas if s is not None]
     return Cube(

@@ -11,7 +11,6 @@ import numpy as np
 from levkas.building.native import UNRELIABLE
 from levkas.calibration.lines import LineField
 from levkas.cube import Cube
-from levkas.database.layers import SIGMA_DROP
 from levkas.machine import count_threads
 from levkas.registration.images import BandImage
 
@@ -158,7 +157,7 @@ class Scan:
         raw = self.bench.checked(raw, self.bench.sensor.object[0])
         if raw.dtype in (np.uint8, np.uint16):
             made = self.field.develop(
-                raw, saturation=self.bench.saturation, drop=SIGMA_DROP, threads=count_threads()
+                raw, saturation=self.bench.saturation, threads=count_threads()
             )
             return Cube(*made, self.bands, self.quantity)
         flat = flatten(

@@ -11,10 +11,10 @@ import numpy as np
 
 from levkas.building.resampling import count_flags, grey_of
 from levkas.cube import Cube, Flag
-from levkas.database.layers import round_sigma
 from levkas.files import spooling
 from levkas.pixelmap import PixelMap, lay
 from levkas.problems import Problem, Refused
+from levkas.rounding import round_root, round_values
 from levkas.transforms import Affine, Composed
 from levkas.warping import source_rows, warp
 
@@ -163,8 +163,9 @@ def _resampled(
     )
     sigma = warped.variance
     if sigma is not None:
-        sigma = round_sigma(np.sqrt(sigma, out=sigma), out=sigma)
-    return Cube(warped.values, warped.flags, sigma, scan.bands, scan.quantity)
+        sigma = round_root(sigma, out=sigma)
+    values = round_values(warped.values, out=warped.values)
+    return Cube(values, warped.flags, sigma, scan.bands, scan.quantity)
 
 
 def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int]) -> int:

@@ -38,7 +38,7 @@ def fill_share(out, signal, measured, freedom, share, gain, read):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def develop_lines(
-    start, stop, raw, dark, lit, scale, shares, base, noise, limits, drop, values, flags, sigma
+    start, stop, raw, dark, lit, scale, shares, base, noise, limits, drops, values, flags, sigma
 ):
     """Fill rows `start` to `stop` of values, flags and, where its size says so, sigma.
 
@@ -54,18 +54,22 @@ def develop_lines(
         Flags that hold for all lines.
     noise : (gain, read, share of a shot, 1 where one dark serves both)
     limits : (saturation, clipped at black), codes
-    drop : int
-        Mantissa bits of sigma that are rounded away.
+    drops : (int, int)
+        Mantissa bits of values and of sigma that are rounded away.
     values, flags, sigma : (lines·samples·bands,)
     """
     samples, bands = raw.shape[1:]
     high, low = limits
     gain, read, share, shared = noise
-    half = np.uint32(1 << (drop - 1))
-    keep = np.uint32((0xFFFFFFFF << drop) & 0xFFFFFFFF)
+    half = np.uint32(1 << (drops[1] - 1))
+    keep = np.uint32((0xFFFFFFFF << drops[1]) & 0xFFFFFFFF)
+    half_step = np.uint32(1 << (drops[0] - 1))
+    kept = np.uint32((0xFFFFFFFF << drops[0]) & 0xFFFFFFFF)
     codes = np.empty(TILE * bands, np.float32)
     spread = np.empty(bands, np.float32)
     bits = spread.view(np.uint32)
+    value = np.empty(bands, np.float32)
+    value_bits = value.view(np.uint32)
     white_share, dark_share, square = shares[0], shares[1], shares[2]
     for y in range(start, stop):
         for x0 in range(0, samples, TILE):
@@ -82,7 +86,7 @@ def develop_lines(
                 for b in range(bands):
                     signal = np.float64(look(codes, c + b)) - look(dark, i + b)
                     r = signal / look(lit, i + b)
-                    put(values, to + b, np.float32(r * look(scale, i + b)))
+                    put(value, b, np.float32(r * look(scale, i + b)))
                     if sigma.size:
                         model = read + gain * max(signal, 0.0)
                         total = share * (PRIOR * model / PRIOR) + r * r * look(white_share, i + b)
@@ -92,6 +96,10 @@ def develop_lines(
                             total += look(dark_share, i + b)
                         part = np.float32(total * look(square, i + b))
                         put(spread, b, np.sqrt(max(part, np.float32(0))))
+                for b in range(bands):
+                    put(value_bits, b, (look(value_bits, b) + half_step) & kept)
+                for b in range(bands):
+                    put(values, to + b, look(value, b))
                 if sigma.size:
                     for b in range(bands):
                         put(bits, b, (look(bits, b) + half) & keep)

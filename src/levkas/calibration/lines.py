@@ -13,6 +13,7 @@ from levkas.calibration.layout import as_marks
 from levkas.calibration.templates import Template
 from levkas.calibration.whites import check_white, reflectance_table
 from levkas.cube import Flag
+from levkas.rounding import SIGMA_DROP, VALUE_DROP
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -95,7 +96,7 @@ class LineField:
         return cls(shape, quantity, notes, noise is not None, tables)
 
     def develop(
-        self, raw: np.ndarray, *, saturation: float | None, drop: int, threads: int
+        self, raw: np.ndarray, *, saturation: float | None, threads: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Calibrate lines, (lines, samples, bands), uint8 or uint16, of any strides.
 
@@ -111,10 +112,11 @@ class LineField:
         sigma = np.empty(raw.shape if self.has_sigma else (0, 0, 0), np.float32)
         flat = (values.reshape(-1), flags.reshape(-1), sigma.reshape(-1))
         limits = (np.inf if saturation is None else float(saturation), BLACK_CLIP)
+        drops = (VALUE_DROP, SIGMA_DROP)
         edges = np.linspace(0, len(raw), min(threads, len(raw)) + 1).astype(int)
 
         def work(part: tuple[int, int]) -> None:
-            kernel(*part, raw, *self._tables, limits, drop, *flat)
+            kernel(*part, raw, *self._tables, limits, drops, *flat)
 
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)))

@@ -17,15 +17,12 @@ from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
 from levkas.database.store import layer_name, write_layer_store
 from levkas.files import hash_file, remove
+from levkas.rounding import SIGMA_DROP, is_rounded, round_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.cube import Band, Cube
-
-SIGMA_DROP = 23 - 11
-"""Mantissa bits that sigma keeps, 2.4e-4 relative: nobody knows it better, and it halves the file."""
-ROUNDING_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -214,34 +211,6 @@ def describe_bands(bands: Sequence[Band], facts: dict[str, Any]) -> str:
 
 def rounded(cube: Cube) -> Cube:
     """Return the cube with sigma as it is stored."""
-    if cube.sigma is None or _is_rounded(cube.sigma):
+    if cube.sigma is None or is_rounded(cube.sigma, SIGMA_DROP):
         return cube
     return replace(cube, sigma=round_sigma(cube.sigma))
-
-
-def round_sigma(sigma: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarray:
-    """Round float32 to 11 bits of mantissa; NaN and infinity stay.
-
-    `out` may be `sigma` itself.
-
-    Examples
-    --------
-    >>> round_sigma(np.float32([0.1, np.inf])).tolist()
-    [0.100006103515625, inf]
-    """
-    half, keep = np.uint32(1 << (SIGMA_DROP - 1)), np.uint32(0xFFFFFFFF << SIGMA_DROP & 0xFFFFFFFF)
-    result = np.empty(sigma.shape, np.float32) if out is None else out
-    for row in range(0, len(sigma), ROUNDING_ROWS):  # a cube's worth of temporaries is too much
-        part = np.ascontiguousarray(sigma[row : row + ROUNDING_ROWS], np.float32)
-        rounded = ((part.view(np.uint32) + half) & keep).view(np.float32)
-        result[row : row + ROUNDING_ROWS] = np.where(np.isfinite(part), rounded, part)
-    return result
-
-
-def _is_rounded(sigma: np.ndarray) -> bool:
-    rest = np.uint32((1 << SIGMA_DROP) - 1)
-    for row in range(0, len(sigma), ROUNDING_ROWS):
-        part = np.ascontiguousarray(sigma[row : row + ROUNDING_ROWS], np.float32)
-        if ((part.view(np.uint32) & rest != 0) & np.isfinite(part)).any():
-            return False
-    return True

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from levkas import __version__
 from levkas.database.credits import Credits
+from levkas.database.predicting import predict_rows
 from levkas.database.tiff_pages import TiffRefused, open_pages
 from levkas.files import replacing
 from levkas.icc import srgb_profile
@@ -32,6 +33,8 @@ WAVELENGTHS, METADATA, LABEL, XMP, COPYRIGHT, ARTIST = 65000, 65111, 65001, 700,
 STRIP_BYTES = 1 << 18
 LEVEL = 1
 """Of libdeflate: on noisy float32 as small as level 6 and half again as fast (benchmarks/)."""
+AHEAD = 8
+"""Planes that are compressed ahead: as many as are gathered at a time."""
 CLASSIC_LIMIT = 4_000_000_000
 PREDICTORS = {"f": 3, "u": 2, "i": 2}
 
@@ -212,23 +215,26 @@ def _checked(
 def _compressed(
     planes: Iterable[np.ndarray], rows: int, threads: int | None
 ) -> Generator[list[bytes], None, None]:
-    """Yield the encoded strips of each plane; one plane is compressed while another is written."""
-    ready: deque[list[bytes]] = deque()
+    """Yield the encoded strips of each plane; some are compressed while others are gathered."""
+    begun: deque[list[Future[bytes]]] = deque()
     with ThreadPoolExecutor(threads or count_threads(2)) as pool:
         for plane in planes:
             cuts = range(0, len(plane), rows)
-            jobs = [pool.submit(encode_strip, plane[y : y + rows]) for y in cuts]
-            if ready:
-                yield ready.popleft()
-            ready.append([job.result() for job in jobs])
-        yield from ready
+            # Copies: who hands out planes may use the same memory for the next one.
+            begun.append([pool.submit(encode_strip, plane[y : y + rows].copy()) for y in cuts])
+            if len(begun) > AHEAD:
+                yield [job.result() for job in begun.popleft()]
+        while begun:
+            yield [job.result() for job in begun.popleft()]
 
 
 def encode_strip(strip: Any) -> bytes:
     """Predict and deflate one strip, (rows, width)."""
     import imagecodecs
 
-    if strip.dtype.kind == "f":
+    if strip.dtype == np.float32 and strip.dtype.isnative:
+        strip = predict_rows(strip)
+    elif strip.dtype.kind == "f":
         strip = imagecodecs.floatpred_encode(strip, axis=-1)
     elif strip.dtype.itemsize > 1:
         strip = imagecodecs.delta_encode(strip, axis=-1)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from levkas.registration.models import temper
 from levkas.registration.refinement import Windows
@@ -151,37 +152,53 @@ def _system(
     shift = windows.shift if common is None else windows.shift - common
     goal = (design @ earlier).T - shift[used]
     information, residual = _reweighted(design, goal, windows.information[used])
-    pulled = _pulled(design, information)
-    matrix = pulled[0].T @ design[0] + pulled[1].T @ design[1]
-    gradients = pulled[0] * residual[:, :1] + pulled[1] * residual[:, 1:]
-    blocks = _blocks(windows.centres[used])
+    matrix, right = _normal(design, information, goal, count)
     size = min(count, _size("similarity"))
-    summed = np.zeros((blocks.max() + 1, size))
-    np.add.at(summed, blocks, gradients[:, :size])
+    summed = _gradients(design, information, residual, _blocks(windows.centres[used]), size)
     scatter = np.trace(np.linalg.pinv(matrix[:size, :size]) @ (summed.T @ summed))
     deflate = max(float(scatter) / size, 1.0)
-    return matrix / deflate, (pulled[0].T @ goal[:, 0] + pulled[1].T @ goal[:, 1]) / deflate
-
-
-def _pulled(design: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Λ times the design, row by row, x and y."""
-    a, b, c = information[:, 0, :1], information[:, 0, 1:], information[:, 1, 1:]
-    return a * design[0] + b * design[1], b * design[0] + c * design[1]
+    return matrix / deflate, right / deflate
 
 
 def _reweighted(
     design: np.ndarray, goal: np.ndarray, information: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    lean = design[..., : _size("similarity")]
+    size = _size("similarity")
+    lean = np.ascontiguousarray(design[..., :size])
     current, residual = information, goal
     for _ in range(6):
-        pulled = _pulled(lean, current)
-        matrix = pulled[0].T @ lean[0] + pulled[1].T @ lean[1]
-        right = pulled[0].T @ goal[:, 0] + pulled[1].T @ goal[:, 1]
-        residual = goal - (lean @ _solve(matrix, right)).T
+        residual = goal - (lean @ _solve(*_normal(lean, current, goal, lean.shape[2]))).T
         floored, weights = temper(residual, information)
         current = floored * weights[:, None, None]
     return current, residual
+
+
+@njit(nogil=True, cache=True)
+def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
+    """Normal matrix and right side of `design`, (2, n, count), under weights of 2 x 2."""
+    matrix, right = np.zeros((count, count)), np.zeros(count)
+    for n in range(design.shape[1]):
+        a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
+        for i in range(count):
+            x = a * design[0, n, i] + b * design[1, n, i]
+            y = b * design[0, n, i] + c * design[1, n, i]
+            for j in range(count):
+                matrix[i, j] += x * design[0, n, j] + y * design[1, n, j]
+            right[i] += x * goal[n, 0] + y * goal[n, 1]
+    return matrix, right
+
+
+@njit(nogil=True, cache=True)
+def _gradients(design, information, residual, blocks, size):  # type: ignore[no-untyped-def]
+    """What the windows of each block pull at the first `size` amounts, (blocks, size)."""
+    summed = np.zeros((blocks.max() + 1, size))
+    for n in range(design.shape[1]):
+        a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
+        for i in range(size):
+            x = a * design[0, n, i] + b * design[1, n, i]
+            y = b * design[0, n, i] + c * design[1, n, i]
+            summed[blocks[n], i] += x * residual[n, 0] + y * residual[n, 1]
+    return summed
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -193,7 +210,7 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 def _blocks(points: np.ndarray) -> np.ndarray:
     low, high = points.min(0), points.max(0)
     block = ((points - low) / max(float((high - low).max()) / BLOCKS, 1e-9)).astype(int)
-    return np.unique(block[:, 0] * 1000 + block[:, 1], return_inverse=True)[1].reshape(-1)
+    return np.asarray(block[:, 0] * (BLOCKS + 1) + block[:, 1])
 
 
 def _amounts(

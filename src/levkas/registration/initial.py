@@ -7,11 +7,13 @@ descriptor is a permutation of its entries, so that all four cases cost one dete
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.machine import count_threads
 from levkas.transforms import Homography, Polynomial, Transform
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ LONG_SIDE_PX = 1000
 KEY_POINTS = 4000
 RATIO = 0.92
 MOST_PAIRS = 8
+MOST_THREADS = 2
 SURE_SHARE = 0.3
 LEAST_LIKENESS = 0.8
 REACH_PX = 3.0
@@ -54,31 +57,42 @@ class _Points:
     descriptors: NDArray[np.float32]
 
 
-def start(
-    reference: Sequence[np.ndarray],
-    target: Sequence[np.ndarray],
-    *,
-    within: np.ndarray | None = None,
-) -> Start | None:
+def start(reference: KeyPictures, target: KeyPictures) -> Start | None:
     """Return the map that key points agree on, or None where they do not.
 
-    Parameters
-    ----------
-    reference, target : sequences of ndarray, (h, w), float32
-        Grey images of either camera (all of one size within a camera), NaN where invalid. The
-        first of each is tried first, then all pairs of them.
-    within : ndarray, (h, w), bool, optional
-        Where key points of the reference count; they are found in the whole picture all the same.
+    The first picture of each is tried first, then all pairs of them.
     """
     for side in (LONG_SIDE_PX, 2 * LONG_SIDE_PX):
-        ours, theirs = _Detector(reference, side, within), _Detector(target, side, None)
-        for pairs in ([(0, 0)], _other_pairs(len(reference), len(target))):
+        ours, theirs = reference.at(side), target.at(side)
+        for pairs in ([(0, 0)], _other_pairs(len(reference.greys), len(target.greys))):
             found = _attempt(ours, theirs, pairs)
             if found is not None:
                 return found
-        if max(max(i[0].shape) for i in (reference, target)) <= side:
+        if max(max(pictures.greys[0].shape) for pictures in (reference, target)) <= side:
             break
     return None
+
+
+class KeyPictures:
+    """Grey pictures of one camera, and their key points, found when they are first asked for.
+
+    Parameters
+    ----------
+    greys : sequence of ndarray, (h, w), float32
+        All of one size, NaN where invalid.
+    within : ndarray, (h, w), bool, optional
+        Where key points count; they are found in the whole picture all the same.
+    """
+
+    def __init__(self, greys: Sequence[np.ndarray], within: np.ndarray | None = None) -> None:
+        self.greys, self.within = greys, within
+        self._sides: dict[int, _Detector] = {}
+
+    def at(self, side: int) -> _Detector:
+        """Return the key points of pictures made so small that their longer side is `side` px."""
+        if side not in self._sides:
+            self._sides[side] = _Detector(self.greys, side, self.within)
+        return self._sides[side]
 
 
 class _Detector:
@@ -116,7 +130,7 @@ def _other_pairs(ours: int, theirs: int) -> list[tuple[int, int]]:
 def _attempt(ours: _Detector, theirs: _Detector, pairs: Sequence[tuple[int, int]]) -> Start | None:
     best: tuple[int, Start, tuple[int, int]] | None = None
     for mirrored in (False, True) if pairs else ():
-        found = [_pair(ours[i], theirs[j], mirrored) for i, j in pairs]
+        found = _pairs(ours, theirs, pairs, mirrored)
         p, q = _unique(*(np.concatenate([pair[k] for pair in found]) for k in (0, 1)))
         fitted = _consensus(p, q, mirrored, ours.shape)
         if fitted is None:
@@ -130,6 +144,17 @@ def _attempt(ours: _Detector, theirs: _Detector, pairs: Sequence[tuple[int, int]
     if best is None:
         return None
     return _rematch(best[1], ours[best[2][0]], theirs[best[2][1]], ours.shape)
+
+
+def _pairs(
+    ours: _Detector, theirs: _Detector, pairs: Sequence[tuple[int, int]], mirrored: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Match all pairs of pictures, two at a time where there are several."""
+    with ThreadPoolExecutor(count_threads(MOST_THREADS)) as pool:
+        wanted = [(ours, i) for i in sorted({i for i, _ in pairs})]
+        wanted += [(theirs, j) for j in sorted({j for _, j in pairs})]
+        list(pool.map(lambda one: one[0][one[1]], wanted))
+        return list(pool.map(lambda ij: _pair(ours[ij[0]], theirs[ij[1]], mirrored), pairs))
 
 
 def _detect(image: np.ndarray, side: int) -> _Points:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,9 +12,68 @@ from levkas.transforms import Transform
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage
+    from levkas.registration.prediction import Scene
 
 MOST_PREDICTING = 12
 MOST_GREYS = 4
+
+
+class Reference:
+    """The reference camera made ready, once for all cameras that are registered to it.
+
+    Parameters
+    ----------
+    bands : sequence of BandImage
+    band : str
+        Label of the band that defines reference px.
+    region : (x, y, width, height), reference px, optional
+        Where the object lies; nothing outside is used.
+    """
+
+    def __init__(
+        self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None
+    ) -> None:
+        from levkas.registration.initial import KeyPictures
+        from levkas.registration.pictures import images_of
+        from levkas.registration.silhouette import find_object
+
+        self.anchor = next(image for image in bands if image.label == band)
+        self.siblings = [image for image in bands if image.sensor == self.anchor.sensor]
+        self.images = images_of(bands)
+        greys = _Greys([self.images[image.label] for image in self.siblings])
+        self._within = _inside(region, self.anchor.values.shape) & find_object(greys[0])
+        self.keys, self._greys = KeyPictures(greys, self._within), greys
+        self._scene: Scene | None = None
+
+    def object_in(self, band: BandImage) -> np.ndarray:
+        """Return a band's picture, NaN where the object is not."""
+        return np.where(self._within, self.images[band.label], np.float32(np.nan))
+
+    def predicting(self) -> list[BandImage]:
+        """Return at most 12 bands, evenly over the wavelengths, the anchor among them."""
+        return _spread(self.siblings, self.anchor)
+
+    def scene(self, transforms: Mapping[str, Transform]) -> Scene:
+        """Return what predicts other bands; `transforms` of the reference camera's own bands."""
+        from levkas.registration.prediction import Scene, registered
+
+        if self._scene is None:
+            bands = self.predicting()
+            masked = {band.label: self.object_in(band) for band in bands}
+            known = {band.label: transforms[band.label] for band in bands}
+            self._scene = Scene(registered(masked, known, self.anchor.values.shape))
+        return self._scene
+
+    def rest(self) -> None:
+        """Let go of what one camera alone needs and the next one can make again."""
+        if self._scene is not None:
+            self._scene.forget()
+
+    def settle(self, transforms: Mapping[str, Transform]) -> None:
+        """Make all that other cameras need of the single bands, and let go of these."""
+        self.scene(transforms)
+        self._greys.settle()
+        self.images = {}
 
 
 def register_levkas(
@@ -27,6 +86,7 @@ def register_levkas(
     region: Sequence[float] | None = None,
     rng: np.random.Generator | None = None,
     reference_transforms: Mapping[str, Transform] | None = None,
+    ready: Callable[[], Reference] | None = None,
 ) -> Registration:
     """Register every band of `target` to the reference band.
 
@@ -44,6 +104,8 @@ def register_levkas(
         Not drawn from: the method is deterministic.
     reference_transforms : mapping of label to Transform, optional
         Of the reference camera's own bands, from its own registration: saves measuring them again.
+    ready : callable, optional
+        Returns the reference made ready: saves preparing it for every camera.
 
     Returns
     -------
@@ -56,33 +118,27 @@ def register_levkas(
         (``E_WINDOWS``).
     """
     from levkas.registration.assessment import assess
+    from levkas.registration.initial import KeyPictures
     from levkas.registration.pictures import images_of
-    from levkas.registration.prediction import Scene, registered
     from levkas.registration.sensors import align_sensor
     from levkas.registration.siblings import align_own
-    from levkas.registration.silhouette import find_object
 
-    anchor = next(image for image in reference if image.label == reference_band)
-    siblings = [image for image in reference if image.sensor == anchor.sensor]
-    own, images = target is reference, images_of(reference)
-    greys = _Greys([images[image.label] for image in siblings])
-    within = _inside(region, anchor.values.shape) & find_object(greys[0])
-    masked = {i.label: np.where(within, images[i.label], np.nan) for i in siblings}
-    first, predicting = None, siblings if own else _spread(siblings, anchor)
+    base = ready() if ready else Reference(reference, reference_band, region)
+    own, anchor = target is reference, base.anchor
+    first = None
     if reference_transforms is None or own:
-        first = align_own(predicting, masked, anchor)
-        known: Mapping[str, Transform] = first.transforms
-    else:
-        known = {image.label: reference_transforms[image.label] for image in predicting}
+        bands = base.siblings if own else base.predicting()
+        first = align_own(bands, {band.label: base.object_in(band) for band in bands}, anchor)
+        reference_transforms = first.transforms
     sensors = [first] if own and first is not None else []
     names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
     if names:
-        scene = Scene(registered(masked, known, anchor.values.shape))
-        pictures = images if own else images_of(target)
+        scene = base.scene(reference_transforms)
+        pictures = base.images if own else images_of(target)
         for name in names:
             bands = [image for image in target if image.sensor == name]
-            theirs = _Greys([pictures[band.label] for band in bands])
-            sensors.append(align_sensor(bands, pictures, scene, greys, theirs, within=within))
+            theirs = KeyPictures(_Greys([pictures[band.label] for band in bands]))
+            sensors.append(align_sensor(bands, pictures, scene, base.keys, theirs))
     return assess(sensors, [image.label for image in target])
 
 
@@ -119,6 +175,12 @@ class _Greys(Sequence[np.ndarray]):
 
     def __len__(self) -> int:
         return len(self._groups)
+
+    def settle(self) -> None:
+        """Make all of them, and let go of the bands."""
+        for i in range(len(self)):
+            self[i]
+        self._images = []
 
     def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):

@@ -44,23 +44,23 @@ def _mended(image: np.ndarray) -> np.ndarray:
     kernel = np.ones((side, side), np.uint8)
     framed = np.pad(hole.view(np.uint8), side, constant_values=1)
     opened = np.asarray(cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel))
-    small = np.argwhere(hole & (opened[side:-side, side:-side] == 0))
+    small = np.flatnonzero(hole & (opened[side:-side, side:-side] == 0))
     reach = 3 * LARGE_HOLE // 2
     taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (LARGE_HOLE / 2)) ** 2)
     mended = image.copy()
-    mended[small[:, 0], small[:, 1]] = _means_around(image, small, taps)
+    mended.reshape(-1)[small] = _means_around(image, small, taps)
     return mended
 
 
 @njit(nogil=True, cache=True)
 def _means_around(image, places, taps):  # type: ignore[no-untyped-def]
-    """Weighted mean of what is valid about each (row, column); NaN where nothing is."""
+    """Weighted mean of what is valid about each place, counted row by row; NaN where nothing is."""
     height, width = image.shape
     reach = len(taps) // 2
     out = np.empty(len(places), np.float32)
     for n in range(len(places)):
         total, weight = 0.0, 0.0
-        row, column = places[n]
+        row, column = places[n] // width, places[n] % width
         for y in range(max(row - reach, 0), min(row + reach + 1, height)):
             for x in range(max(column - reach, 0), min(column + reach + 1, width)):
                 if np.isfinite(image[y, x]):

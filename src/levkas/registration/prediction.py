@@ -131,7 +131,8 @@ def rooted(image: np.ndarray) -> np.ndarray:
         return image
     low, high = np.percentile(known, (2, 99))
     low = min(float(low), 0.0)
-    return np.asarray(_roots(image, low, max(float(high) - low, 1e-12)))
+    scale = 1.0 / max(float(high) - low, 1e-12)
+    return np.asarray(_roots(image, np.float32(low), np.float32(scale)))
 
 
 @njit(nogil=True, cache=True)
@@ -152,14 +153,13 @@ def _some(image, most):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _roots(image, low, span):  # type: ignore[no-untyped-def]
+def _roots(image, low, scale):  # type: ignore[no-untyped-def]
     out = np.empty(image.shape, np.float32)
-    for i in range(image.shape[0]):
-        for j in range(image.shape[1]):
-            scaled = (image[i, j] - low) / span
-            if scaled < -0.5 * TOE:
-                scaled = -0.5 * TOE
-            out[i, j] = np.sqrt(scaled + TOE)
+    toe, least = np.float32(TOE), np.float32(-0.5 * TOE)
+    flat, into = image.reshape(-1), out.reshape(-1)
+    for i in range(len(flat)):
+        scaled = (flat[i] - low) * scale
+        into[i] = np.sqrt((least if scaled < least else scaled) + toe)
     return out
 
 
@@ -229,6 +229,10 @@ class Scene:
     def shape(self) -> tuple[int, int]:
         """(height, width) of the reference frame."""
         return self.palette.images.shape[1], self.palette.images.shape[2]
+
+    def forget(self) -> None:
+        """Let go of the predictors, which are larger than what they are made of."""
+        self._ready.clear()
 
     def predictor(self, step: int = 1) -> Predictor:
         """Return the predictor on a grid of `step` reference px."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from levkas.problems import Problem
 from levkas.registration.chromatic import Chromatic, fit_chromatic, still
-from levkas.registration.initial import Start, plausible, start
+from levkas.registration.initial import KeyPictures, Start, plausible, start
 from levkas.registration.ladder import Rung, climb
 from levkas.registration.models import Observations
 from levkas.registration.prediction import Scene, cell_px, compared, sampled
@@ -81,10 +81,8 @@ def align_sensor(
     bands: Sequence[BandImage],
     images: Mapping[str, np.ndarray],
     scene: Scene,
-    greys: Sequence[np.ndarray],
-    theirs: Sequence[np.ndarray],
-    *,
-    within: np.ndarray | None = None,
+    ours: KeyPictures,
+    theirs: KeyPictures,
 ) -> Sensor:
     """Register the bands of one sensor of another camera to the scene.
 
@@ -95,17 +93,15 @@ def align_sensor(
     images : mapping of label to ndarray
         As `images_of` gives them.
     scene : Scene
-    greys, theirs : sequence of ndarray
-        Grey pictures of the reference and of the sensor, for key points.
-    within : ndarray, bool, optional
-        Where key points of the reference count.
+    ours, theirs : KeyPictures
+        Of the reference and of the sensor.
 
     Raises
     ------
     RegistrationRefused
         ``E_MATCHES``, ``E_WINDOWS`` or ``E_FOLD``.
     """
-    found = start(greys, theirs, within=within)
+    found = start(ours, theirs)
     if found is None:
         raise RegistrationRefused(
             Problem(
