@@ -91,6 +91,13 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     assert np.array_equal(flags & Flag.OUTSIDE, whole.flags & Flag.OUTSIDE)
     assert np.nanmax(np.abs(values - whole.values)) < 1e-4
     assert np.nanmax(np.abs(sigma / np.sqrt(whole.variance) - 1)) < 1e-3
+    for tile in ("11", "whole"):  # neither a part of a strip nor a multiple of it
+        monkeypatch.setenv("LEVKAS_TILE", tile)
+        others = list(streaming.resample_scan(scan, maps, size, spool=tmp_path))
+        assert len(others) != len(blocks)
+        assert np.array_equal(np.concatenate([b.values for b in others]), values, equal_nan=True)
+        assert np.array_equal(np.concatenate([b.flags for b in others]), flags)
+        assert np.array_equal(np.concatenate([b.sigma for b in others]), sigma, equal_nan=True)
     assert not list(tmp_path.iterdir())
 
 
@@ -135,17 +142,25 @@ def test_rows_are_written_as_the_whole_is(tmp_path, step):
     assert made.entry.bands == 12 and all(path.is_file() for path in made.files)
 
 
-def test_a_campaign_with_a_streamed_scan_is_built(simulated, tmp_path, monkeypatch):
-    shutil.copytree(simulated, tmp_path / "campaign")
+@pytest.mark.parametrize("white", [True, False], ids=["reflectance", "counts"])
+def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
+    simulated, tmp_path, monkeypatch, white
+):
+    campaign = tmp_path / "campaign"
+    shutil.copytree(simulated, campaign)
+    if not white:
+        text = (campaign / "campaign.toml").read_text()
+        lines = [line for line in text.splitlines() if not line.startswith("white")]
+        (campaign / "campaign.toml").write_text("\n".join(lines))
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
     monkeypatch.setattr(streaming, "HELD_BYTES", 3_000_000)
-    report = summarise(build(tmp_path / "campaign"))
-    assert report.ok, report.text
-    trees = [hash_tree(tmp_path / "campaign/database")]
-    monkeypatch.setattr(scans, "BLOCK_SAMPLES", 10_000)
-    assert summarise(build(tmp_path / "campaign", output=tmp_path / "again")).ok
-    trees.append(hash_tree(tmp_path / "again"))
-    assert trees[0] == trees[1]
+    trees = []
+    for tile in ("", "23", "whole"):
+        monkeypatch.setenv("LEVKAS_TILE", tile)
+        report = summarise(build(campaign, output=tmp_path / f"database{tile}"))
+        assert report.ok, report.text
+        trees.append(hash_tree(tmp_path / f"database{tile}"))
+    assert trees[0] == trees[1] == trees[2]
     assert any("v10" in name and "native" in name for name in trees[0])
 
 

@@ -476,7 +476,7 @@ class ObjectBuild:
         keep: Callable[..., Step],
     ) -> Step:
         """Resample and write a scan some rows at a time."""
-        from levkas.building.streaming import Passing, resample_scan
+        from levkas.building.streaming import Passing, resample_scan, white_of
         from levkas.database.spooling import write_rows
         from levkas.transforms import Composed
 
@@ -491,6 +491,7 @@ class ObjectBuild:
             quantity=scan.quantity,
             sigma=scan.has_sigma,
             verdict=decision,
+            white=white_of(scan),
             before=partial(self.ledger.forget, key),
         )
         return keep(made.entry, made.files, passing.grey, passing.flags)

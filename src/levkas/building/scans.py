@@ -12,7 +12,7 @@ from levkas.building.native import UNRELIABLE
 from levkas.calibration.lines import LineField
 from levkas.cube import Cube
 from levkas.database.layers import SIGMA_DROP
-from levkas.machine import count_threads
+from levkas.machine import count_threads, tile_rows
 from levkas.registration.images import BandImage
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ STREAMED_SAMPLES = 400_000_000
 """A cube of more samples is streamed. A constant, not a share of the memory that happens to be
 there: which way a scan goes shows in its bytes."""
 BLOCK_SAMPLES = 8_000_000
-"""Calibrated at once."""
+"""Calibrated at once, where $LEVKAS_TILE does not say how many lines."""
 LOOKED_AT_PX = 1_000_000
 """Most pixels of a band as registration sees it."""
 
@@ -128,7 +128,7 @@ class Scan:
     def lines(self, start: int, stop: int) -> Cube:
         """Calibrate lines `start` to `stop`; the same values for any block that they are part of."""
         samples, bands = self.shape[1:]
-        step = max(1, BLOCK_SAMPLES // (samples * bands))
+        step = lines_at_once(self.shape)
         first = self._block(start, min(start + step, stop))
         if start + step >= stop:
             return first
@@ -145,8 +145,7 @@ class Scan:
 
     def blocks(self) -> Iterator[Cube]:
         """Yield all lines, some at a time."""
-        samples, bands = self.shape[1:]
-        step = max(1, BLOCK_SAMPLES // (samples * bands))
+        step = lines_at_once(self.shape)
         for start in range(0, self.shape[0], step):
             yield self._block(start, min(start + step, self.shape[0]))
 
@@ -274,6 +273,12 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
     )
 
 
+def lines_at_once(shape: tuple[int, int, int]) -> int:
+    """Return how many lines of a scan, (lines, samples, bands), are calibrated at a time."""
+    lines, samples, bands = shape
+    return tile_rows(BLOCK_SAMPLES // (samples * bands), lines)
+
+
 def _line_blocks(frame: Any) -> Iterator[np.ndarray]:
     from levkas.building.developing import read_cube
     from levkas.readers.envi import open_envi
@@ -284,6 +289,6 @@ def _line_blocks(frame: Any) -> Iterator[np.ndarray]:
         return
     opened = open_envi(frame.path)
     lines, samples, bands = opened.facts.shape
-    step = max(1, BLOCK_SAMPLES // (samples * bands))
+    step = lines_at_once((lines, samples, bands))
     for start in range(0, lines, step):
         yield opened.read_lines(start, min(start + step, lines))

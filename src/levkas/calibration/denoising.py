@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
+from levkas.machine import tile_rows
 from levkas.problems import Problem
 
 CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
@@ -168,7 +169,8 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
     subspace : Subspace, optional
         Known one, of a larger scan; default: found here.
     lines : int
-        Rows that are held at a time beside the result.
+        Rows that are held at a time beside the result, where $LEVKAS_TILE does not say how many;
+        the result is the same for any number.
 
     Returns
     -------
@@ -182,6 +184,7 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
     """
     from levkas.calibration.projecting import project
 
+    lines = tile_rows(lines, len(values))
     starts = range(0, len(values), lines)
     if subspace is None:
         subspace = find_subspace(values[y : y + lines] for y in starts)
@@ -194,7 +197,10 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
         spectra[good] = kept
         result[y : y + lines] = spectra.reshape(result[y : y + lines].shape)
         away = removed.astype(np.float64)
-        squares += np.sum(away**2, axis=0)
+        every = np.zeros(spectra.shape)
+        every[good] = away**2
+        for line in every.reshape(-1, *values.shape[1:]):  # so that any blocks give one sum
+            squares += line.sum(0)
         count += len(away)
         lost = np.sqrt(np.mean((away / subspace.noise) ** 2, axis=1))
         most = max(most, float(lost.max(initial=0.0)))

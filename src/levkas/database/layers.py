@@ -17,6 +17,7 @@ from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
 from levkas.database.store import layer_name, write_layer_store
 from levkas.files import hash_file, remove, together
+from levkas.machine import tile_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 SIGMA_DROP = 23 - 11
 """Mantissa bits that sigma keeps, 2.4e-4 relative: nobody knows it better, and it halves the file."""
 ROUNDING_ROWS = 64
+"""At a time, where $LEVKAS_TILE says nothing else."""
 
 
 @dataclass(frozen=True)
@@ -238,10 +240,11 @@ def round_sigma(sigma: np.ndarray, *, out: np.ndarray | None = None) -> np.ndarr
     """
     half, keep = np.uint32(1 << (SIGMA_DROP - 1)), np.uint32(0xFFFFFFFF << SIGMA_DROP & 0xFFFFFFFF)
     result = np.empty(sigma.shape, np.float32) if out is None else out
-    for row in range(0, len(sigma), ROUNDING_ROWS):  # a cube's worth of temporaries is too much
-        part = np.ascontiguousarray(sigma[row : row + ROUNDING_ROWS], np.float32)
+    step = tile_rows(ROUNDING_ROWS, len(sigma))
+    for row in range(0, len(sigma), step):  # a cube's worth of temporaries is too much
+        part = np.ascontiguousarray(sigma[row : row + step], np.float32)
         rounded = ((part.view(np.uint32) + half) & keep).view(np.float32)
-        result[row : row + ROUNDING_ROWS] = np.where(np.isfinite(part), rounded, part)
+        result[row : row + step] = np.where(np.isfinite(part), rounded, part)
     return result
 
 

@@ -176,6 +176,7 @@ def write_rows(
     quantity: str,
     sigma: bool,
     verdict: str = "accept",
+    white: float | None = None,
     before: Callable[[], object] | None = None,
 ) -> RowsLayer:
     """Write a layer as `write_layer` does, its rows from top to bottom as they come.
@@ -187,6 +188,8 @@ def write_rows(
     size : (width, height) of the grid
     bands, quantity, sigma
         Of the layer; whether sigma is known.
+    white : float, optional
+        Count shown as white; default: by what is brightest in the first rows that come.
     before : callable, optional
         As of `levkas.files.together`.
 
@@ -202,7 +205,7 @@ def write_rows(
     picture = np.zeros((size[1], size[0], 3), np.uint8)
     root, row = database / "zarr" / f"{layer.object}.zarr", 0
     attributes = {"quantity": quantity, **layer.attributes(quantity)}
-    white = 1.0 if quantity == "reflectance" else 0.0
+    shown = 1.0 if quantity == "reflectance" else white
     with (
         together(before),
         SpooledTiffs(base, shape, sigma=sigma) as tiffs,
@@ -214,13 +217,12 @@ def write_rows(
             rows = rounded(block)
             tiffs.write_rows(rows)
             store.write_rows(rows.values, rows.flags, rows.sigma)
-            # Counts have no white: what is brightest in the first rows is taken for it.
-            white = white or counts_white(rows.values, rendering)
-            picture[row : row + len(rows.values)] = rendering(rows.values, white=white)
+            shown = counts_white(rows.values, rendering) if shown is None else shown
+            picture[row : row + len(rows.values)] = rendering(rows.values, white=shown)
             row += len(rows.values)
         text = rendering.description
         if quantity != "reflectance":
-            text += f"; counts, {white:g} shown as white"
+            text += f"; counts, {shown:g} shown as white"
         written = tiffs.finish(layer, bands, quantity, rgb=picture, rendering=text)
         png = base.with_name(base.name + ".png")
         scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
