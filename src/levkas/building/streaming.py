@@ -42,7 +42,7 @@ class ScanRefused(Refused):
 
 def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -> list[Path]:
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures of them."""
-    from levkas.building.scans import Reducer
+    from levkas.building.scans import Passage, Reducer
     from levkas.database.layers import Layer
     from levkas.database.spooling import SpooledTiffs
     from levkas.files import make_folder
@@ -53,7 +53,7 @@ def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -
     layer = Layer(capture.object, capture.camera, capture.setup, credits=credits)
     reducer = Reducer(scan)
     with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
-        for cube in scan.blocks():
+        for cube in Passage(scan):
             tiffs.write_rows(cube)
             reducer.add(cube)
         scan.pictures[:] = reducer.images()
