@@ -17,7 +17,13 @@ CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic",
 )  # fmt: skip
 CODE = {
-    "calibrate": ("calibration", "readers", "building/developing.py", "building/whiteboard.py"),
+    "calibrate": (
+        "calibration",
+        "readers",
+        "building/developing.py",
+        "building/scans.py",
+        "building/whiteboard.py",
+    ),
     "register": (
         "registration",
         "building/registering.py",
@@ -26,6 +32,7 @@ CODE = {
         "map_kernels.py",
     ),
     "resample": (
+        "building/streaming.py",
         "warping.py",
         "warping_kernels.py",
         "pixelmap.py",
