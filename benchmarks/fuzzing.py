@@ -2,8 +2,9 @@
 
     python benchmarks/fuzzing.py [SECONDS] [SEED]
 
-TIFF, PNG and JPEG frames, ENVI headers, campaign.toml and a JSON record, each with its data. Where atheris
-can be imported it drives the same readers by coverage (`python benchmarks/fuzzing.py atheris`); else, and
+TIFF, PNG and JPEG frames, ENVI headers, campaign.toml and a JSON record, each with its data; then, for as
+long again, camera raw: DNGs, whose decoder runs in a process of its own, forked here from one that has
+loaded LibRaw, and sometimes started as a build starts it. Where atheris can be imported it drives the same readers by coverage (`python benchmarks/fuzzing.py atheris`); else, and
 by default, a seeded loop of our own. Prints runs, distinct refusals, the slowest run, and everything that
 was neither a value nor a refusal.
 """
@@ -12,6 +13,8 @@ import contextlib
 import io
 import json
 import logging
+import struct
+import subprocess
 import sys
 import tempfile
 import time
@@ -25,10 +28,41 @@ import tifffile
 
 from levkas.campaign import load_campaign
 from levkas.problems import Refused
+from levkas.readers import raw
 from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.texts import read_json
 
 SLOW_S = 2.0
+STARTED_WHOLE = 50
+"""Every so-many-th camera raw is decoded by a new process."""
+FORKING = """
+import os, runpy, signal, struct, sys, tempfile
+import numpy, rawpy
+program = sys.argv[1]
+for line in sys.stdin:
+    path, what = line.rstrip("\\n").rsplit("|", 1)
+    with tempfile.TemporaryFile() as answer:
+        child = os.fork()
+        if not child:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            sys.argv = [program, path, what]
+            class Output:
+                class buffer:
+                    write = staticmethod(lambda data: answer.write(data))
+            sys.stdout = Output
+            import resource
+            limited = resource.setrlimit
+            resource.setrlimit = lambda kind, most: kind == resource.RLIMIT_FSIZE or limited(kind, most)
+            runpy.run_path(program, run_name="__main__")
+            answer.flush()
+            os._exit(0)
+        _, status = os.waitpid(child, 0)
+        answer.seek(0)
+        data = answer.read()
+        sys.__stdout__.buffer.write(struct.pack(">iI", os.waitstatus_to_exitcode(status), len(data)))
+        sys.__stdout__.buffer.write(data)
+        sys.__stdout__.buffer.flush()
+"""
 CAMPAIGN = b"""[campaign]
 title = "Two paintings"
 date = 2024-05-31
@@ -93,6 +127,57 @@ def seeds():
     yield "record.json", json.dumps(record).encode(), {}
 
 
+def raw_seeds():
+    """Return DNGs as `seeds` does, written with tifffile."""
+    codes = (np.arange(32 * 48, dtype=np.uint16) * 21 % 4096).reshape(32, 48)
+    levels = tuple(int(c) for c in np.round(np.linspace(0, 1, 200) ** 2 * 4095))
+    for name, mosaic, extra, options in (
+        ("plain", codes, [], {}),
+        ("strips", codes, [(33434, "2I", 1, (1, 4), True)], {"rowsperstrip": 8}),
+        ("tiles", codes, [], {"tile": (16, 16)}),
+        ("curve", codes % 200, [(50712, "H", 200, levels, True)], {}),
+        ("area", codes, [(50829, "I", 4, (2, 4, 30, 44), True)], {}),
+        ("order", codes, [], {"byteorder": ">"}),
+    ):
+        tags = [
+            (50706, "B", 4, (1, 4, 0, 0), True),
+            (50708, "s", 0, "Levkas test", True),
+            (33421, "H", 2, (2, 2), True),
+            (33422, "B", 4, (0, 1, 1, 2), True),
+            (50714, "H", 1, 64, True),
+            (50717, "I", 1, 4095, True),
+            (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+            (50778, "H", 1, 21, True),
+            (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
+            *extra,
+        ]
+        stream = io.BytesIO()
+        tifffile.imwrite(
+            stream, mosaic, photometric=32803, extratags=tags, metadata=None, **options
+        )
+        yield f"{name}.dng", stream.getvalue(), {}
+
+
+class Forking:
+    """In place of `subprocess` in `levkas.readers.raw`: the decoder without its second of starting."""
+
+    DEVNULL, PIPE = subprocess.DEVNULL, subprocess.PIPE
+    TimeoutExpired, count = subprocess.TimeoutExpired, 0
+
+    def __init__(self):
+        command = [sys.executable, "-c", FORKING, str(raw.PROGRAM)]
+        self.server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def run(self, command, **options):
+        self.count += 1
+        if self.count % STARTED_WHOLE == 0:
+            return subprocess.run(command, **options)
+        self.server.stdin.write(f"{command[-2]}|{command[-1]}\n".encode())
+        self.server.stdin.flush()
+        status, length = struct.unpack(">iI", self.server.stdout.read(8))
+        return subprocess.CompletedProcess(command, status, self.server.stdout.read(length))
+
+
 def read(path):
     """Read a file as the package would; raises Refused."""
     if path.suffix == ".toml":
@@ -134,8 +219,19 @@ def changed(data, rng):
 
 
 def main(seconds, seed):
-    """Run for some seconds; return how many runs ended otherwise than they should."""
-    rng, corpus = np.random.default_rng(seed), list(seeds())
+    """Run for some seconds a round; return how many runs ended otherwise than they should."""
+    odd = fuzz(list(seeds()), seconds, seed)
+    raw.subprocess = Forking()
+    try:
+        return odd + fuzz(list(raw_seeds()), seconds, seed)
+    finally:
+        raw.subprocess.server.stdin.close()
+        raw.subprocess.server.wait()
+
+
+def fuzz(corpus, seconds, seed):
+    """Change and read files of a corpus in turn, and print what came of it."""
+    rng = np.random.default_rng(seed)
     runs, read_well, refusals, kinds = Counter(), Counter(), Counter(), {}
     odd, slowest = {}, (0.0, "")
     started = time.perf_counter()

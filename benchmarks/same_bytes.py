@@ -1,12 +1,16 @@
 """One campaign built under other circumstances: the databases must be the same, byte for byte.
 
-    python benchmarks/same_bytes.py [FOLDER] [--plain]
+    python benchmarks/same_bytes.py [FOLDER] [--plain] [--matrix | --single]
 
-A mosaic camera, one of many bands and a line scan, simulated; other numbers of threads, order and
-dates of the files, folder, locale, time zone and day. FOLDER keeps the simulated campaign. With
-``--plain`` FOLDER is any campaign, and nothing is simulated.
+A mosaic camera, one of many bands and a line scan, simulated. First one circumstance at a time: other
+numbers of threads, order and dates of the files, folder, locale, time zone and day. Then (``--matrix``:
+this alone; ``--single``: not this) 1, 2 and 3 threads x 64, 97 and all rows at a time, each with its
+files made in an order of their own, in a folder, locale and time zone of their own; once with the scan
+held in memory, once with it streamed. FOLDER keeps the simulated campaign. With ``--plain`` FOLDER is
+any campaign, and nothing is simulated.
 """
 
+import hashlib
 import os
 import random
 import shutil
@@ -22,7 +26,7 @@ from levkas.simulation import simulate_campaign
 BUILD = """
 import datetime, os, random, sys, time
 
-days, order = int(sys.argv[3]), sys.argv[4]
+days, how = int(sys.argv[3]), sys.argv[4].split()
 if days:
     clock, true_time, true_ns = datetime.datetime, time.time, time.time_ns
     class Moved(clock):
@@ -35,7 +39,7 @@ if days:
     datetime.datetime = Moved
     time.time = lambda: true_time() + 86400 * days
     time.time_ns = lambda: true_ns() + 86400 * days * 10**9
-if order == "shuffled":
+if "shuffled" in how:
     listed, scanned = os.listdir, os.scandir
     def mixed(entries):
         entries = list(entries)
@@ -55,7 +59,9 @@ if order == "shuffled":
         close = __exit__
     os.listdir = lambda *place: mixed(listed(*place))
     os.scandir = lambda *place: Scan(mixed(scanned(*place)))
-from levkas.building import build, summarise
+from levkas.building import build, scans, streaming, summarise
+if "streamed" in how:
+    scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 3_000_000
 report = summarise(build(sys.argv[1], output=sys.argv[2]))
 print(report.text)
 sys.exit(not report.ok)
@@ -76,12 +82,31 @@ CIRCUMSTANCES: dict[str, tuple[dict[str, str], int, str]] = {
     ),
     "plain C locale, 9000 days ago": ({"LC_ALL": "C", "TZ": "America/Lima"}, -9000, ""),
 }
+PLACES = (("C", "UTC"), ("tr_TR.UTF-8", "Asia/Kathmandu"), ("C.UTF-8", "America/Lima"))
+THREADS, TILES = (1, 2, 3), ("64", "97", "whole")
+MATRIX: dict[str, tuple[dict[str, str], int, str]] = {"as it comes, streamed": ({}, 0, "streamed")}
+MATRIX |= {
+    f"{threads} threads, {tile} rows{', streamed' if streamed else ''}": (
+        {
+            "LEVKAS_THREADS": str(threads),
+            "NUMBA_NUM_THREADS": "3",
+            "LEVKAS_TILE": tile,
+            "LC_ALL": PLACES[(threads + row) % 3][0],
+            "TZ": PLACES[(threads + row) % 3][1],
+        },
+        100 * threads + row,
+        "shuffled streamed" if streamed else "shuffled",
+    )
+    for streamed in (False, True)
+    for threads in THREADS
+    for row, tile in enumerate(TILES)
+}
 
 
-def scatter(folder: Path, copy: Path) -> None:
+def scatter(folder: Path, copy: Path, seed: int) -> None:
     """Copy a campaign file by file in another order, with other dates."""
     files = [p for p in sorted(folder.rglob("*")) if p.is_file()]
-    random.Random(3).shuffle(files)
+    random.Random(seed).shuffle(files)
     for number, path in enumerate(files):
         target = copy / path.relative_to(folder)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -91,10 +116,11 @@ def scatter(folder: Path, copy: Path) -> None:
 
 def run(folder: Path, output: Path, name: str) -> dict[str, str]:
     """Build in a process of its own, and return the hashes."""
-    more, days, how = CIRCUMSTANCES[name]
-    if how == "shuffled":
-        scatter(folder, output.with_name("elsewhere"))
-        folder = output.with_name("elsewhere")
+    more, days, how = {**CIRCUMSTANCES, **MATRIX}[name]
+    if "shuffled" in how:
+        elsewhere = output.with_name(f"{output.name} elsewhere")
+        scatter(folder, elsewhere, 3 + days)
+        folder = elsewhere
     command = [sys.executable, "-c", BUILD, str(folder), str(output), str(days), how]
     if how == "pinned":
         command[2] = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])" + BUILD
@@ -102,25 +128,44 @@ def run(folder: Path, output: Path, name: str) -> dict[str, str]:
     return hash_tree(output)
 
 
-def main(folder: Path, *, plain: bool) -> int:
+def tree_hash(found: dict[str, str]) -> str:
+    """Return one SHA-256 for all names and contents."""
+    return hashlib.sha256("".join(f"{n}\0{h}\n" for n, h in found.items()).encode()).hexdigest()
+
+
+def main(folder: Path, names: list[list[str]], *, plain: bool) -> int:
     if not plain and not (folder / "campaign.toml").is_file():
         for _ in simulate_campaign(folder, preset="small", scale=0.15, cameras=["d80", "v10"]):
             pass
+    failed = 0
+    for group in names:
+        failed += compare(folder, group)
+    return failed
+
+
+def compare(folder: Path, names: list[str]) -> int:
+    """Build under some circumstances; return how many gave another database than the first."""
     first: dict[str, str] = {}
     failed = 0
-    with tempfile.TemporaryDirectory() as room:
-        for number, name in enumerate(CIRCUMSTANCES):
-            start = time.perf_counter()
-            found = run(folder, Path(room) / f"database-{number}", name)
-            first = first or found
-            other = [n for n in {**first, **found} if first.get(n) != found.get(n)]
-            failed += bool(other)
-            told = f"{len(other)} of {len(first)} files differ: {other[:4]}" if other else "same"
-            print(f"{name}: {told}, {time.perf_counter() - start:.0f} s", flush=True)
+    for name in names:
+        start = time.perf_counter()
+        with tempfile.TemporaryDirectory() as room:
+            found = run(folder, Path(room) / "database", name)
+        first = first or found
+        other = [n for n in {**first, **found} if first.get(n) != found.get(n)]
+        failed += bool(other)
+        told = f"{len(other)} of {len(first)} files differ: {other[:4]}" if other else "same"
+        seconds = time.perf_counter() - start
+        print(f"{name}: {told}, {tree_hash(found)[:16]}, {seconds:.0f} s", flush=True)
     return failed
 
 
 if __name__ == "__main__":
     places = [a for a in sys.argv[1:] if not a.startswith("-")]
     where = Path(places[0]) if places else Path(tempfile.mkdtemp()) / "campaign"
-    sys.exit(main(where, plain="--plain" in sys.argv))
+    held = ["as it comes", *(name for name in MATRIX if "streamed" not in name)]
+    # What is streamed differs from what is held in the last bits of maps: two trees.
+    chosen = [list(CIRCUMSTANCES), held, [name for name in MATRIX if name not in held]]
+    chosen = chosen[1:] if "--matrix" in sys.argv else chosen
+    chosen = chosen[:1] if "--single" in sys.argv else chosen
+    sys.exit(main(where, chosen, plain="--plain" in sys.argv))

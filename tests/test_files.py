@@ -181,6 +181,63 @@ def test_sweep_spares_what_is_being_written(tmp_path):
     assert state(tmp_path) == {"a": b"x", "b/c": b"y"}
 
 
+def joint_job(folder, before=None):
+    with files.together(before):
+        files.write_bytes(folder / "a", NEW)
+        with files.publishing(folder / "set") as made:
+            made.write_bytes("b", NEW)
+            with files.replacing(made.path / "c") as handle:
+                handle.write(NEW)
+        files.remove(folder / "gone")
+        files.write_bytes(folder / "deep" / "d", NEW)
+
+
+JOINT = ("a", "set/b", "set/c", "deep/d")
+
+
+def joint_before(folder):
+    for name in (*JOINT, "gone"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(OLD)
+    return state(folder)
+
+
+def test_what_belongs_together_changes_together(tmp_path):
+    before, seen = joint_before(tmp_path), []
+
+    def look():
+        swept = files.sweep(tmp_path)
+        seen.append((swept, {n: d for n, d in state(tmp_path).items() if "partial" not in n}))
+
+    joint_job(tmp_path, look)
+    assert seen == [([], before)]
+    assert state(tmp_path) == dict.fromkeys(JOINT, NEW)
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
+def test_a_disk_that_refuses_one_of_several_files_leaves_all_as_they_were(
+    tmp_path, monkeypatch, number
+):
+    joint_before(tmp_path / "first")
+    steps, taking = steps_of(joint_job, tmp_path / "first", monkeypatch), 0
+    for at in range(len(steps)):
+        folder, names = tmp_path / str(at), []
+        before = joint_before(folder)
+        with monkeypatch.context() as patch:
+            fail = Fail(at, number)
+            patch.setattr(files, "fault", fail)
+            with pytest.raises(WriteRefused):
+                joint_job(folder, lambda names=names: names.append("before"))
+        left = state(folder)
+        if not names:
+            assert left == before
+            continue
+        taking += 1  # names are being taken: each is the old or the new one
+        assert all(left[n] in (OLD, NEW) for n in JOINT)
+        assert set(left) <= {*JOINT, "gone"}
+    assert 0 < taking < len(steps) / 2
+
+
 def test_two_writers_of_one_folder_both_succeed(tmp_path):
     def publish(value):
         for _ in range(30):

@@ -1,10 +1,12 @@
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from levkas import validation
 from levkas.cli import app
 from levkas.cube import Band, Cube
 from levkas.database.catalogue import DatabaseRefused, Entry, write_catalogue
@@ -249,6 +251,20 @@ def test_a_bag_is_checked_with_its_tag_files(database, tmp_path):
         str(bag / "bagit.txt"),
         str(bag / "data/objects/icon1/icon1_vis.tif"),
     }
+
+
+def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkeypatch):
+    asked = []
+
+    class Pool(ThreadPoolExecutor):
+        def __init__(self, count):
+            asked.append(count)
+            super().__init__(count)
+
+    monkeypatch.setattr(validation, "ThreadPoolExecutor", Pool)
+    monkeypatch.setenv("LEVKAS_THREADS", "5")
+    assert validate(database).ok and validate(database, threads=1).ok
+    assert asked == [5, 1]
 
 
 def test_a_folder_that_is_no_database_is_refused(tmp_path):

@@ -209,7 +209,10 @@ def validate(
     database: Annotated[
         Path, typer.Argument(help="Database folder, or one of the same kind by others.")
     ],
-    threads: Annotated[int, typer.Option(help="Files hashed at a time.", min=1)] = 2,
+    threads: Annotated[
+        int | None,
+        typer.Option(help="Files hashed at a time; else as many as threads may work.", min=1),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find every damage of a database and name the file."""

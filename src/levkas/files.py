@@ -1,8 +1,9 @@
 """All writing of the package: nothing stands under a final name before it is whole and on the disk.
 
 A file is written under a temporary name in its own folder, synced, renamed, and the folder synced.
-A folder is built aside under `name.partial-…`, synced once as a whole, and renamed. What a killed
-run leaves behind bears a partial name, is never read, and `sweep` takes it away.
+A folder is built aside under `name.partial-…`, synced once as a whole, and renamed. What belongs
+`together` takes its names when all of it is on the disk. What a killed run leaves behind bears a
+partial name, is never read, and `sweep` takes it away.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import os
 import re
 import secrets
 import shutil
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +42,8 @@ REFUSED = {
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR),
     *(errno.EISDIR, errno.ENOENT, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP),
 }
+DISK_CODES = frozenset({"E_DISK_FULL", "E_IO", "E_UNWRITABLE"})
+"""Of the problems of a `WriteRefused`."""
 
 
 class WriteRefused(Refused):
@@ -161,6 +166,9 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
         require_space(path.parent, bytes_needed, path=path)
     raw = _open_partial(path, bytes_needed)
     handle = io.BufferedRandom(raw, BUFFER_BYTES)
+    # What stands in a folder that is partial itself needs no patience.
+    within = any(PARTIAL.fullmatch(part) for part in path.parent.parts)
+    waiting = None if within else _waiting.get()
     try:
         with _refusing(path, bytes_needed, only_of=Path(raw.name)):
             yield handle
@@ -168,8 +176,11 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
             handle.flush()
             fault("fsync", path)
             os.fsync(raw.fileno())
-            fault("rename", path)
-            Path(raw.name).replace(path)
+            if waiting is None:
+                fault("rename", path)
+                Path(raw.name).replace(path)
+            else:
+                waiting.append(_Waiting(path, Path(raw.name), os.dup(raw.fileno())))
     except BaseException:
         raw.discarding = True
         with contextlib.suppress(OSError):
@@ -177,7 +188,8 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
         raise
     finally:
         handle.close()
-    _sync_folder(path.parent)
+    if waiting is None:
+        _sync_folder(path.parent)
 
 
 @contextlib.contextmanager
@@ -278,19 +290,24 @@ def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator
     if bytes_needed is not None:
         require_space(path.parent, bytes_needed, path=path)
     partial, descriptor = _make_partial(path)
+    waiting = _waiting.get()
     try:
         with _refusing(path, bytes_needed, only_of=partial):
             yield Folder(partial, path)
         with _refusing(path, bytes_needed):
             fault("sync", path)
             _sync_file_system(descriptor)
-            _take_place(partial, path)
+            if waiting is None:
+                _take_place(partial, path)
+            else:
+                waiting.append(_Waiting(path, partial, os.dup(descriptor), is_folder=True))
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
     finally:
         os.close(descriptor)
-    _sync_folder(path.parent)
+    if waiting is None:
+        _sync_folder(path.parent)
 
 
 def _make_partial(path: Path) -> tuple[Path, int]:
@@ -337,6 +354,91 @@ def _exchange(one: Path, other: Path) -> bool:
     return call is not None and call(here, bytes(one), here, bytes(other), exchange) == 0
 
 
+# --- what belongs together --------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """What waits for its name, or, without a partial path, for its end.
+
+    The descriptor holds the lock that keeps `sweep` away.
+    """
+
+    path: Path
+    partial: Path | None = None
+    descriptor: int | None = None
+    is_folder: bool = False
+
+    def settle(self) -> None:
+        with _refusing(self.path, None):
+            if self.partial is None:
+                remove(self.path)
+            elif self.is_folder:
+                _take_place(self.partial, self.path)
+            else:
+                fault("rename", self.path)
+                self.partial.replace(self.path)
+
+    def drop(self) -> None:
+        if self.partial is not None and self.is_folder:
+            shutil.rmtree(self.partial, ignore_errors=True)
+        elif self.partial is not None:
+            with contextlib.suppress(OSError):
+                self.partial.unlink()
+
+    def close(self) -> None:
+        if self.descriptor is not None:
+            os.close(self.descriptor)
+
+
+_waiting: ContextVar[list[_Waiting] | None] = ContextVar("waiting", default=None)
+
+
+@contextlib.contextmanager
+def together(before: Callable[[], object] | None = None) -> Iterator[None]:
+    """Let what this thread writes in the block take its names only when the block ends well.
+
+    Whatever may fill the disk is then done: where a file of several fails, all are what they were.
+    What `remove` is given in the block goes then too.
+
+    Parameters
+    ----------
+    before : callable, optional
+        Called once when all is on the disk and nothing has its name: the place to drop a record of
+        what stands there until then.
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses the block, or a name.
+
+    Notes
+    -----
+    A process that ends while names are taken leaves some of the new and some of the old files.
+    """
+    waiting: list[_Waiting] = []
+    token = _waiting.set(waiting)
+    done = 0
+    try:
+        try:
+            yield
+        finally:
+            _waiting.reset(token)
+        if before is not None:
+            before()
+        for done, one in enumerate(waiting, 1):  # noqa: B007 -- how far it came
+            one.settle()
+        for folder in sorted({one.path.parent for one in waiting}):
+            _sync_folder(folder)
+    except BaseException:
+        for one in waiting[max(done - 1, 0) :]:
+            one.drop()
+        raise
+    finally:
+        for one in waiting:
+            one.close()
+
+
 def _discard(path: Path) -> None:
     fault("remove", path)
     while path.is_dir() and not path.is_symlink():
@@ -362,6 +464,9 @@ def make_folder(path: str | Path) -> None:
 def remove(path: str | Path) -> None:
     """Take a file or a folder away; nothing happens where there is none."""
     path = Path(path)
+    if (waiting := _waiting.get()) is not None:
+        waiting.append(_Waiting(path))
+        return
     with _refusing(path, None):
         if path.is_dir() and not path.is_symlink():
             gone = _partial(path)

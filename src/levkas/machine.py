@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-VARIABLE = "LEVKAS_THREADS"
+VARIABLE, TILE = "LEVKAS_THREADS", "LEVKAS_TILE"
 LEAST_MEMORY, LEAST_DISK = 4e9, 10e9
 
 
@@ -74,6 +74,26 @@ def count_threads(most: int | None = None) -> int:
     told = os.environ.get(VARIABLE, "").strip()
     count = int(told) if told.isdecimal() and int(told) > 0 else _processors()
     return count if most is None else min(count, most)
+
+
+def tile_rows(chosen: int, whole: int) -> int:
+    """Return how many rows are worked on at a time: $LEVKAS_TILE, else what the caller has `chosen`.
+
+    Parameters
+    ----------
+    chosen : int
+        By the memory that a block of rows takes.
+    whole : int
+        All rows there are: what ``LEVKAS_TILE=whole`` gives, and never less than what is returned.
+
+    Examples
+    --------
+    >>> tile_rows(256, 100)
+    100
+    """
+    told = os.environ.get(TILE, "").strip()
+    rows = int(told) if told.isdecimal() and int(told) > 0 else chosen
+    return max(1, whole if told == "whole" else min(rows, whole))
 
 
 def _processors() -> int:
@@ -159,7 +179,7 @@ def find_disk(folder: Path) -> Finding:
 def find_threads() -> Finding:
     """Say how many threads can run at a time, and which variables limit the libraries."""
     names = (
-        *(VARIABLE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+        *(VARIABLE, TILE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
         "MKL_NUM_THREADS",
     )
     told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]

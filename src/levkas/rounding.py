@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from levkas.machine import tile_rows
+
 MANTISSA = 23
 VALUE_DROP = MANTISSA - 15
 SIGMA_DROP = MANTISSA - 11
@@ -55,9 +57,10 @@ def is_rounded(values: np.ndarray, drop: int) -> bool:
 def _rounded(values: np.ndarray, drop: int, out: np.ndarray | None, root: bool) -> np.ndarray:
     result = np.empty(values.shape, np.float32) if out is None else out
     half, keep = np.uint32(1 << (drop - 1)), np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
-    for row in range(0, len(values), ROWS):  # a cube's worth of temporaries is too much
-        part = np.ascontiguousarray(values[row : row + ROWS], np.float32)
-        into = result[row : row + ROWS]
+    step = tile_rows(ROWS, len(values))
+    for row in range(0, len(values), step):  # a cube's worth of temporaries is too much
+        part = np.ascontiguousarray(values[row : row + step], np.float32)
+        into = result[row : row + step]
         made = into if into.flags.c_contiguous else np.empty_like(part)
         _round(part.reshape(-1), made.reshape(-1), half, keep, root)
         if made is not into:

@@ -32,6 +32,7 @@ from levkas.database.manifest import (
     read_manifest,
 )
 from levkas.files import hash_file
+from levkas.machine import count_threads
 from levkas.problems import Problem
 
 BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
@@ -100,7 +101,7 @@ class ValidationReport:
 def validate(
     database: str | Path,
     *,
-    threads: int = 2,
+    threads: int | None = None,
     draw: Callable[[Iterable[Checked]], list[Checked]] = list,
 ) -> ValidationReport:
     """Check a whole database.
@@ -109,8 +110,8 @@ def validate(
     ----------
     database : path
         A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag.
-    threads : int
-        For hashing.
+    threads : int, optional
+        For hashing; default: `levkas.machine.count_threads`.
     draw : callable
         Consumes the steps; the command line draws them.
 
@@ -137,7 +138,7 @@ def validate(
     return ValidationReport(root, len([s for s in steps if s.name]), tuple(problems), trusted)
 
 
-def check_files(database: str | Path, *, threads: int = 2) -> Iterator[Checked]:
+def check_files(database: str | Path, *, threads: int | None = None) -> Iterator[Checked]:
     """Yield every file as it is checked, then what is missing, too many, or does not agree.
 
     Raises DatabaseRefused where there is no database at all.
@@ -145,10 +146,11 @@ def check_files(database: str | Path, *, threads: int = 2) -> Iterator[Checked]:
     root = Path(database)
     manifest = _find_manifest(root)
     names = list_files(root)
+    count = threads or count_threads()
     if manifest is not None and not manifest.problems:
-        yield from _by_hash(root, manifest, names, threads)
+        yield from _by_hash(root, manifest, names, count)
     else:
-        yield from _by_structure(root, manifest, names, threads)
+        yield from _by_structure(root, manifest, names, count)
 
 
 def _find_manifest(root: Path) -> Manifest | None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.machine import count_threads
+from levkas.machine import count_threads, tile_rows
 from levkas.pixelmap import (
     COARSE,
     Lattice,
@@ -298,7 +298,8 @@ def _in_threads(work: Callable[[int, int], int], rows: tuple[int, int], threads:
     Threads of our own around kernels without the interpreter's lock: numba's parallel loops end the
     process where two threads enter them at once.
     """
-    step = min(64, max(1, ceil((rows[1] - rows[0]) / (4 * threads))))
+    count = rows[1] - rows[0]
+    step = tile_rows(min(64, max(1, ceil(count / (4 * threads)))), count)
     starts = range(rows[0], rows[1], step)
     if threads == 1 or len(starts) == 1:
         return sum(work(start, min(start + step, rows[1])) for start in starts)
@@ -323,7 +324,8 @@ def _run_lattice(
     count = frame.bands if lattice.count is None else lattice.count
     blocks = [rows]
     if lattice.table is None:
-        step = max(1, BLOCK_BYTES // (80 * shape[1] * len(lattice.transforms)))
+        chosen = BLOCK_BYTES // (80 * shape[1] * len(lattice.transforms))
+        step = tile_rows(chosen, rows[1] - rows[0])
         blocks = [(r, min(r + step, rows[1])) for r in range(rows[0], rows[1], step)]
     absent = 0
     for block in blocks:

@@ -42,6 +42,7 @@ from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
 from levkas.files import hash_tree, to_json
 from levkas.problems import Refused
+from levkas.validation import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn")
@@ -354,6 +355,50 @@ def test_after_a_fault_all_is_whole_and_a_second_build_gives_the_same_bytes(scen
     for at in spread(len(scene.steps) - 2 * shift - 5, POINTS):
         outcome = strike(scene, at, kind)
         assert outcome.struck and outcome.well, (at, kind, outcome)
+
+
+def struck_while_written(scene, name, kind, step="write"):
+    """Build a scene with a fault where a file is written for the first time; return the report."""
+    scene.set()
+    fault, reports = Fault(0, kind), []
+
+    def strike(what, path):
+        if not fault.struck and what == step and Path(path).name == name:
+            fault.at = fault.count + 1
+        fault(what, path)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files, "fault", strike)
+        with contextlib.suppress(Refused):
+            reports.append(summarise(build(scene.campaign, output=scene.output)))
+    assert fault.struck
+    return reports[0] if reports else None
+
+
+@pytest.mark.parametrize("kind", ["full", "failing"])
+def test_a_layer_whose_stage_the_disk_refused_stays_what_it_was(scenes, kind, tmp_path):
+    scene = scenes["over"]
+    report = struck_while_written(scene, "panel_photo.flags.tif", kind)
+    found = hash_tree(scene.output)
+    changed = {n for n in found | scene.before if found.get(n) != scene.before.get(n)}
+    if kind == "full":  # then nothing can be written any more
+        assert not changed
+    else:
+        assert changed <= {*TOLD, "manifest-sha256.txt"}
+        assert "panel/photo: the layer of an earlier build stays" in report.warnings
+        assert not report.ok
+    assert validate(scene.output).ok
+    assert not list(mend(scene))
+
+
+def test_a_layer_older_than_the_reference_beside_it_does_not_stay(scenes):
+    scene = scenes["over"]
+    report = struck_while_written(scene, "panel_irr.flags.tif", "failing")
+    assert not report.warnings
+    assert not (scene.output / "objects/panel/panel_irr.tif").exists()
+    assert (scene.output / "objects/panel/panel_photo.tif").exists()
+    assert validate(scene.output).ok
+    assert not list(mend(scene))
 
 
 def test_a_fault_that_is_never_reached_changes_nothing(scenes):

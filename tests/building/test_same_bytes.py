@@ -7,7 +7,7 @@ import pytest
 
 from levkas.building import build, summarise
 from levkas.files import hash_tree
-from levkas.machine import count_threads
+from levkas.machine import count_threads, tile_rows
 
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks/same_bytes.py"
 
@@ -31,15 +31,25 @@ def plate(make_plates, tmp_path_factory):
 @pytest.mark.parametrize(
     "name",
     [
-        "1 thread",
-        "3 threads",
-        "files in another order, of other dates, elsewhere",
+        "1 threads, 64 rows",
+        "2 threads, whole rows",
+        "3 threads, 97 rows",
         "Turkish, Kathmandu, 400 days on",
     ],
 )
 def test_the_bytes_are_the_same(name, plate, other_ways, tmp_path):
     folder, expected = plate
     assert other_ways.run(folder, tmp_path / "database", name) == expected
+
+
+def test_one_variable_says_how_many_rows(monkeypatch):
+    monkeypatch.setenv("LEVKAS_TILE", "97")
+    assert (tile_rows(256, 1000), tile_rows(256, 90)) == (97, 90)
+    monkeypatch.setenv("LEVKAS_TILE", "whole")
+    assert tile_rows(256, 1000) == 1000
+    for nonsense in ("", "0", "-1", "many"):
+        monkeypatch.setenv("LEVKAS_TILE", nonsense)
+        assert (tile_rows(256, 1000), tile_rows(0, 1000)) == (256, 1)
 
 
 def test_one_variable_says_how_many_threads(monkeypatch):

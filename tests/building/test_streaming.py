@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from levkas import files
-from levkas.building import build, scans, streaming, summarise
+from levkas.building import build, registering, scans, streaming, summarise
 from levkas.building.developing import develop
 from levkas.building.scans import is_streamed, open_scan
 from levkas.building.shelf import Shelf
+from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign import load_campaign
 from levkas.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
@@ -91,6 +92,13 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     assert np.array_equal(flags & Flag.OUTSIDE, whole.flags & Flag.OUTSIDE)
     assert np.nanmax(np.abs(values - whole.values)) < 1e-4
     assert np.nanmax(np.abs(sigma / np.sqrt(whole.variance) - 1)) < 1e-3
+    for tile in ("11", "whole"):  # neither a part of a strip nor a multiple of it
+        monkeypatch.setenv("LEVKAS_TILE", tile)
+        others = list(streaming.resample_scan(scan, maps, size, spool=tmp_path))
+        assert len(others) != len(blocks)
+        assert np.array_equal(np.concatenate([b.values for b in others]), values, equal_nan=True)
+        assert np.array_equal(np.concatenate([b.flags for b in others]), flags)
+        assert np.array_equal(np.concatenate([b.sigma for b in others]), sigma, equal_nan=True)
     assert not list(tmp_path.iterdir())
 
 
@@ -135,17 +143,41 @@ def test_rows_are_written_as_the_whole_is(tmp_path, step):
     assert made.entry.bands == 12 and all(path.is_file() for path in made.files)
 
 
-def test_a_campaign_with_a_streamed_scan_is_built(simulated, tmp_path, monkeypatch):
-    shutil.copytree(simulated, tmp_path / "campaign")
+@pytest.fixture(scope="module")
+def registers():
+    """`register_capture`, which gives what it gave before for the same pictures: they take longest."""
+    real, known = registering.register_capture, {}
+
+    def register(native, *rest):
+        pictures = [(i.label, i.values.tobytes(), i.valid.tobytes()) for i in native.images()]
+        key = hash(tuple(pictures))
+        if key not in known:
+            known[key] = real(native, *rest)
+        return known[key]
+
+    return register
+
+
+@pytest.mark.parametrize("white", [True, False], ids=["reflectance", "counts"])
+def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
+    simulated, tmp_path, monkeypatch, registers, white
+):
+    monkeypatch.setattr(registering, "register_capture", registers)
+    campaign = tmp_path / "campaign"
+    shutil.copytree(simulated, campaign)
+    if not white:
+        text = (campaign / "campaign.toml").read_text()
+        lines = [line for line in text.splitlines() if not line.startswith("white")]
+        (campaign / "campaign.toml").write_text("\n".join(lines))
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
     monkeypatch.setattr(streaming, "HELD_BYTES", 3_000_000)
-    report = summarise(build(tmp_path / "campaign"))
-    assert report.ok, report.text
-    trees = [hash_tree(tmp_path / "campaign/database")]
-    monkeypatch.setattr(scans, "BLOCK_SAMPLES", 10_000)
-    assert summarise(build(tmp_path / "campaign", output=tmp_path / "again")).ok
-    trees.append(hash_tree(tmp_path / "again"))
-    assert trees[0] == trees[1]
+    trees = []
+    for tile in ("", "23", "whole"):
+        monkeypatch.setenv("LEVKAS_TILE", tile)
+        report = summarise(build(campaign, output=tmp_path / f"database{tile}"))
+        assert report.ok, report.text
+        trees.append(hash_tree(tmp_path / f"database{tile}"))
+    assert trees[0] == trees[1] == trees[2]
     assert any("v10" in name and "native" in name for name in trees[0])
 
 
@@ -156,3 +188,94 @@ def test_a_full_disk_is_foreseen_before_a_stage_writes(simulated, tmp_path, monk
     assert first.code == "E_DISK_FULL" and first.found == "50000 bytes free"
     assert int(str(first.expected).split()[0]) > 100_000
     assert not list((tmp_path / "database").rglob("*.tif"))
+
+
+KEYS = """
+[campaign]
+reference = "scan"
+[cameras.scan]
+kind = "cube"
+files = "{target}.hdr"
+MORE
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 0.9 }
+objects = ["panel"]
+"""
+
+
+def write_scan(folder, cubes, more=""):
+    """Write dark, white and panel, (lines, samples, bands) of any type, as ENVI files."""
+    for name, cube in cubes.items():
+        lines, samples, bands = cube.shape
+        (folder / f"{name}.raw").write_bytes(cube.transpose(0, 2, 1).tobytes())
+        (folder / f"{name}.hdr").write_text(
+            f"ENVI\nsamples = {samples}\nlines = {lines}\nbands = {bands}\ninterleave = bil\n"
+            f"data type = {12 if cube.dtype == np.uint16 else 4}\nbyte order = 0\n"
+            f"wavelength = {{{', '.join(str(400 + 8 * b) for b in range(bands))}}}\n"
+        )
+    (folder / "campaign.toml").write_text(KEYS.replace("MORE", more))
+    campaign = load_campaign(folder)
+    (capture,), _ = find_captures(campaign)
+    shelf = Shelf(folder, None, shared=False)
+    return open_scan(capture, campaign, shelf), lambda: develop(capture, campaign, shelf)
+
+
+def levels(dtype, shape=(30, 20, 5)):
+    rng = np.random.default_rng(2)
+    known = {"dark": 100, "white": 3100, "panel": 1600}
+    return {n: rng.normal(v, 5, shape).round().astype(dtype) for n, v in known.items()}
+
+
+def passed(scan):
+    blocks = list(scans.Passage(scan))
+    arrays = zip(*((b.values, b.flags, b.sigma) for b in blocks), strict=True)
+    return Cube(*(np.concatenate(parts) for parts in arrays), scan.bands, scan.quantity)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint16])
+@pytest.mark.parametrize("spoilt", [("panel",), ("white",), ("dark",), ("dark", "white", "panel")])
+def test_values_that_are_no_numbers_are_flagged_and_counted_as_in_a_whole_cube(
+    tmp_path, monkeypatch, dtype, spoilt
+):
+    cubes = levels(dtype)
+    for number, name in enumerate(spoilt):
+        cubes[name] = cubes[name].astype(np.float32) if name != "panel" else cubes[name]
+        if cubes[name].dtype.kind == "f":
+            cubes[name][4, 3 + number, 2] = [np.nan, np.inf, -np.inf][number]
+    scan, whole = write_scan(tmp_path, cubes)
+    monkeypatch.setenv("LEVKAS_TILE", "7")
+    found, native = passed(scan), whole()
+    assert same(found, native.cubes[""])
+    assert scan.warnings == native.warnings
+    counted = [w for w in scan.warnings if "no finite number" in w]
+    assert bool(counted) == (spoilt != ("panel",) or dtype == np.float32)
+    lost = found.flags & (Flag.DEFECT | Flag.OUTSIDE) == Flag.DEFECT | Flag.OUTSIDE
+    assert not counted or f"scan: {lost.sum()} value" in counted[0]
+
+
+def test_a_band_of_a_scan_without_a_finite_value_is_refused(tmp_path):
+    cubes = levels(np.float32)
+    cubes["panel"][..., 3] = np.nan
+    scan, whole = write_scan(tmp_path, cubes)
+    for develop_it in (whole, lambda: passed(scan)):
+        with pytest.raises(CalibrationRefused, match=r"band 4.*no finite value") as refused:
+            develop_it()
+        assert "panel.hdr" in refused.value.problems[0].file
+
+
+def test_hysime_of_a_streamed_scan_is_that_of_the_whole_cube(tmp_path, monkeypatch):
+    rng, at = np.random.default_rng(3), np.linspace(0, 1, 60)
+    spectra = np.array([np.exp(-(((at - c) / 0.15) ** 2)) + 0.1 for c in np.linspace(0, 1, 5)])
+    signal = 3000 * rng.dirichlet(np.full(5, 0.5), (40, 50)) @ spectra
+    cubes = levels(np.uint16, (40, 50, 60))
+    cubes["panel"] = (100 + signal + rng.normal(0, 8, signal.shape)).round().astype(np.uint16)
+    cubes["white"] = cubes["white"].astype(np.float32)
+    cubes["white"][0, 9, 9] = np.nan
+    scan, whole = write_scan(tmp_path, cubes, 'denoise = "hysime"')
+    monkeypatch.setenv("LEVKAS_TILE", "7")
+    found, native = passed(scan), whole()
+    assert same(found, native.cubes[""])
+    assert scan.warnings == native.warnings
+    assert any("hysime kept 5 of 60" in text for text in scan.warnings)
+    assert np.array_equal(scan.lines(3, 25).values, found.values[3:25])

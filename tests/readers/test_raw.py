@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from levkas.problems import Refused
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 RNG = np.random.default_rng(5)
@@ -61,6 +64,24 @@ def test_only_the_visible_area_is_read(tmp_path):
     path = write_dng(tmp_path / "a.dng", MOSAIC, extra=extra)
     assert np.array_equal(read_frame(path), MOSAIC[2:62, 4:94])
     assert read_facts(path).shape == (60, 90)
+
+
+@settings(max_examples=5, deadline=None)  # each takes two decoders a start of their own
+@given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6))
+def test_a_mutated_dng_gives_a_mosaic_or_our_refusal(tmp_path_factory, changes):
+    path = write_dng(tmp_path_factory.mktemp("mutated") / "frame.dng", MOSAIC[:16, :24])
+    data = bytearray(path.read_bytes())
+    for place, value in changes:
+        data[int(place * min(len(data) - 1, 700))] = value  # tags stand first
+    path.write_bytes(data)
+    for read in (read_facts, read_frame):
+        try:
+            got = read(path)
+        except Refused as refused:
+            assert str(path) in str(refused)
+            assert all(problem.file and problem.fix for problem in refused.problems)
+        else:
+            assert len(got.shape) == 2 and min(got.shape) > 0 and got.dtype == "uint16"
 
 
 @pytest.mark.parametrize("share", [0.0, 0.99])

@@ -72,7 +72,7 @@ class Bench:
             try:
                 return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
             except CalibrationRefused as refused:
-                raise type(refused)(*(_placed(p, frames) for p in refused.problems)) from None
+                raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
         if not kept:
             return self.whole(make(), frames)
@@ -98,7 +98,7 @@ class Bench:
         try:
             return close_gaps(template)
         except CalibrationRefused as refused:
-            raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
+            raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
 
     def templates(self, frames: Sequence[FrameRef]) -> list[Template]:
         """Average frames exposure by exposure, shortest first."""
@@ -219,7 +219,7 @@ def read_cube(frame: FrameRef) -> np.ndarray:
     return values if values.ndim == 3 else values[..., None]
 
 
-def _placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
+def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     """Name the folder of the frames where the kernels, which know no files, could not."""
     names = ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else "")
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
@@ -233,17 +233,20 @@ def flatten(
         flat = flat_field(shot, dark or None, white, black=bench.black, **more)
     except CalibrationRefused as refused:
         frames = bench.sensor.white or bench.sensor.object
-        raise CalibrationRefused(*(_placed(p, frames) for p in refused.problems)) from None
+        raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
     lost = gaps_of(shot, *dark, white)
     if lost is None:
         return flat
     labels: list[str] = list(more.get("labels") or ())
     lost = np.broadcast_to(lost, flat.values.shape)
     note = describe_gaps(lost, labels[0] if len(labels) == 1 else bench.camera.name)
-    # Where frames are not mended from their neighbours, the value is gone.
-    values = np.where(lost, np.float32(np.nan), flat.values) if bench.unmended else flat.values
+    values, variance = flat.values, flat.variance
+    if bench.unmended:  # not replaced from its neighbours: the value is gone
+        values = np.where(lost, np.float32(np.nan), values)
+        variance = None if variance is None else np.where(lost, np.float32(np.nan), variance)
     flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
-    return replace(flat, values=values, flags=flags, notes=(*flat.notes, note))
+    notes = (*flat.notes, note)
+    return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
 
 
 def _noise(
@@ -565,14 +568,10 @@ def _describe_seam(number: int, seam: Seam) -> str:
 
 def _denoised(bench: Bench, values: np.ndarray, notes: list[str]) -> np.ndarray:
     """Project a cube on its signal subspace (HySime), and say what that took away."""
-    from levkas.calibration.denoising import denoise
+    from levkas.calibration.denoising import denoise, describe_removed
 
     made = denoise(values)
-    share = float(np.median(made.removed / np.maximum(made.subspace.noise, 1e-12)))
-    notes.append(
-        f"hysime kept {made.subspace.k} of {values.shape[2]} dimensions and removed {share:.2f} times "
-        f"the noise in the median band, up to {made.removed_most:.1f} times at single pixels"
-    )
+    notes.append(describe_removed(made.subspace, made.removed, made.removed_most))
     return made.values
 
 

@@ -22,6 +22,7 @@ CODE = {
         "readers",
         "rounding.py",
         "building/developing.py",
+        "building/scans.py",
         "building/whiteboard.py",
     ),
     "register": (
@@ -34,6 +35,7 @@ CODE = {
     ),
     "resample": (
         "rounding.py",
+        "building/streaming.py",
         "warping.py",
         "warping_kernels.py",
         "pixelmap.py",

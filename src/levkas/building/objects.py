@@ -16,6 +16,7 @@ import numpy as np
 from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key, Ledger
+from levkas.building.standing import Standing, is_of_the_disk
 from levkas.building.steps import Step
 from levkas.machine import give_back_memory, steady_libraries
 from levkas.problems import Problem, Refused
@@ -75,7 +76,11 @@ class ObjectBuild:
     _sigmas: dict[str, PackedSigma] = field(default_factory=dict)
     _hashing: bool = False
     _checked: bool = False
-    _being_written: list[tuple[Capture, str, Future[Step]]] = field(default_factory=list)
+    _standing: Standing = field(init=False)
+    _being_written: list[tuple[Capture, Future[Step]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._standing = Standing(self.ledger)
 
     @property
     def reference(self) -> Capture:
@@ -154,6 +159,7 @@ class ObjectBuild:
         What a stage made is read in full and checked before a later one that is due reads it.
         """
         plan: dict[str, Planned] = {}
+        self._standing.note(self.keys(capture).values())
         for stage, key in self.keys(capture).items():
             prints = self._prints(capture, stage)
             self.digests[key] = digest(prints)
@@ -183,7 +189,7 @@ class ObjectBuild:
                 yield Step(key, "running", why)
             ended = self._attempt(stage, key, prints, capture, native, why) if why else None
             if isinstance(ended, Future):
-                self._being_written.append((capture, stage, ended))
+                self._being_written.append((capture, ended))
                 if stage == "calibrate" or capture is not self.reference:
                     continue
             failed = False
@@ -193,22 +199,20 @@ class ObjectBuild:
             if failed or isinstance(ended, Future):
                 return
             step = ended or self._fresh(key)
-            yield step
             if step.state in ("refused", "failed"):
-                self._withdraw(capture, after=stage)
+                yield self._lost(capture, step)
                 return
+            yield step
 
     def _written(self, *, of: Capture | None = None, but: Capture | None = None) -> Iterator[Step]:
         """Wait for what is being written, and yield how those stages ended."""
         for waiting in list(self._being_written):
-            capture, stage, job = waiting
+            capture, job = waiting
             if (of is not None and capture is not of) or capture is but:
                 continue
             self._being_written.remove(waiting)
             step = job.result()
-            yield step
-            if step.state == "refused":
-                self._withdraw(capture, after=stage)
+            yield self._lost(capture, step) if step.state == "refused" else step
 
     def _prints(self, capture: Capture, stage: str) -> dict[str, Any]:
         if stage == "calibrate":
@@ -239,7 +243,6 @@ class ObjectBuild:
     ) -> Step | Future[Step]:
         """Do a stage; what it makes may still be being written when this returns."""
         self.ledger.forget(CATALOGUE)  # what it lists is about to change
-        self.ledger.forget(key)
         stages: dict[str, Callable[..., Step | Future[Step]]] = {
             "calibrate": self._calibrate,
             "register": self._register,
@@ -250,14 +253,20 @@ class ObjectBuild:
             with steady_libraries():
                 return stages[stage](key, prints, capture, native, why)
         except Refused as refused:
-            return _refused(key, refused)
+            return self._failed(key, refused)
+
+    def _failed(self, key: Key, refused: Refused) -> Step:
+        """Return the step of a refused stage; what it made before stays where only the disk refused."""
+        if not is_of_the_disk(refused.problems):
+            self.ledger.forget(key)
+        return _refused(key, refused)
 
     def _write(self, key: Key, write: Callable[[], Step], *, wait: bool = False) -> Future[Step]:
         def attempt() -> Step:
             try:
                 return write()
             except Refused as refused:
-                return _refused(key, refused)
+                return self._failed(key, refused)
 
         job = self._writer.submit(attempt)
         if wait:
@@ -296,7 +305,7 @@ class ObjectBuild:
         from levkas.building.native import Native, PackedSigma, least_bytes, write_native
         from levkas.building.scans import is_streamed, open_scan
         from levkas.building.streaming import write_scan
-        from levkas.files import require_space
+        from levkas.files import require_space, together
 
         streamed = is_streamed(capture, self.campaign)
         made = (open_scan if streamed else develop)(capture, self.campaign, self.shelf)
@@ -310,12 +319,13 @@ class ObjectBuild:
 
         def write() -> Step:
             credits = self._credits(made.captured or "")
-            if isinstance(made, Native):
-                for cube in made.cubes.values():
-                    require_space(self.places.output, least_bytes(cube))
-                files = write_native(made, capture, self.places, credits)
-            else:
-                files = write_scan(made, capture, self.places, credits)
+            with together(partial(self.ledger.forget, key)):
+                if isinstance(made, Native):
+                    for cube in made.cubes.values():
+                        require_space(self.places.output, least_bytes(cube))
+                    files = write_native(made, capture, self.places, credits)
+                else:
+                    files = write_scan(made, capture, self.places, credits)
             notes = {
                 "quantity": made.quantity,
                 "warnings": list(made.warnings),
@@ -335,7 +345,7 @@ class ObjectBuild:
         why: str,
     ) -> Step:
         from levkas.building import registering
-        from levkas.files import make_folder, remove, write_json, write_text
+        from levkas.files import make_folder, remove, together, write_json, write_text
         from levkas.registration import RegistrationRefused
         from levkas.reporting.figures import draw_trace
 
@@ -378,14 +388,19 @@ class ObjectBuild:
             self.places.registration(self.name, capture.layer),
             self.places.matches(self.name, capture.layer),
         )
+        for waiting, job in self._being_written:
+            # A registration of frames that could not be written would stand beside older ones.
+            if waiting is capture and (calibrated := job.result()).state == "refused":
+                return calibrated
         make_folder(path.parent)
-        write_json(path, record)
-        files = [path]
-        if registration is not None:
-            write_text(table, registering.table_of(registration))
-            files.append(table)
-        elif table.is_file():
-            remove(table)
+        with together(partial(self.ledger.forget, key)):
+            write_json(path, record)
+            files = [path]
+            if registration is not None:
+                write_text(table, registering.table_of(registration))
+                files.append(table)
+            elif table.is_file():
+                remove(table)
         problems = _verdict_problems(record, capture, refused)
         figures = []
         if registration is not None:
@@ -445,7 +460,9 @@ class ObjectBuild:
 
         if isinstance(here, Scan):
             return self._write(
-                key, partial(self._stream, here, capture, layer, decision, grid, keep), wait=True
+                key,
+                partial(self._stream, key, here, capture, layer, decision, grid, keep),
+                wait=True,
             )
 
         def sigma_of(sensor: str) -> np.ndarray | None:
@@ -460,7 +477,12 @@ class ObjectBuild:
         def write() -> Step:
             require_space(self.places.output, 2 * least_bytes(cube))  # as TIFF and as Zarr
             entry, files = write_layer(
-                self.places.output, layer, cube, verdict=decision, encoded=encoded
+                self.places.output,
+                layer,
+                cube,
+                verdict=decision,
+                encoded=encoded,
+                before=partial(self.ledger.forget, key),
             )
             return keep(entry, files, grey_of(cube.values, cube.flags), count_flags(cube.flags))
 
@@ -468,6 +490,7 @@ class ObjectBuild:
 
     def _stream(
         self,
+        key: Key,
         scan: Scan,
         capture: Capture,
         layer: Layer,
@@ -476,7 +499,7 @@ class ObjectBuild:
         keep: Callable[..., Step],
     ) -> Step:
         """Resample and write a scan some rows at a time."""
-        from levkas.building.streaming import Passing, resample_scan
+        from levkas.building.streaming import Passing, resample_scan, white_of
         from levkas.database.spooling import write_rows
         from levkas.transforms import Composed
 
@@ -491,10 +514,26 @@ class ObjectBuild:
             quantity=scan.quantity,
             sigma=scan.has_sigma,
             verdict=decision,
+            white=white_of(scan),
+            before=partial(self.ledger.forget, key),
         )
         return keep(made.entry, made.files, passing.grey, passing.flags)
 
-    def _withdraw(self, capture: Capture, *, after: str) -> None:
+    def _lost(self, capture: Capture, step: Step) -> Step:
+        """Withdraw a layer whose stage was refused, or say that the older one stays.
+
+        It stays where only the disk refused, and where nothing of this build stands beside it yet.
+        """
+        keys = [key for c in (self.reference, capture) for key in self.keys(c).values()]
+        if is_of_the_disk(step.problems):
+            if self._standing.holds(keys):
+                told = f"{self.name}/{capture.layer}: the layer of an earlier build stays"
+                return replace(step, warnings=(*step.warnings, told))
+            self.ledger.forget(step.key)
+        self._withdraw(capture)
+        return step
+
+    def _withdraw(self, capture: Capture) -> None:
         """Take away what an earlier build published of a layer that is refused now."""
         from levkas.files import remove
 

@@ -184,7 +184,7 @@ def _page(
     steps: list[Step],
 ) -> Iterator[Step]:
     from levkas.building.pages import report_of
-    from levkas.files import make_folder, write_text
+    from levkas.files import make_folder, together, write_text
 
     key = Key(name, stage="report")
     layers = {k.layer + " " + k.stage: v for k, v in mine.digests.items()}
@@ -200,10 +200,10 @@ def _page(
     page = places.folder(name) / "report.html"
     facts = places.folder(name) / "object.toml"
     try:
-        ledger.forget(key)
         make_folder(page.parent)
-        write_text(page, report_of(campaign, places, ledger, name, mine.captures, steps))
-        write_text(facts, _object_toml(campaign, name))
+        with together(lambda: ledger.forget(key)):
+            write_text(page, report_of(campaign, places, ledger, name, mine.captures, steps))
+            write_text(facts, _object_toml(campaign, name))
     except Refused as error:
         yield Step(key, "refused", error.problems[0].message, problems=error.problems)
         return

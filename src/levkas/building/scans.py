@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.native import UNRELIABLE
+from levkas.calibration.denoising import describe_removed
+from levkas.calibration.gaps import describe_lost, gaps_of, no_values
 from levkas.calibration.lines import LineField
-from levkas.cube import Cube
-from levkas.machine import count_threads
+from levkas.calibration.templates import CalibrationRefused
+from levkas.cube import Cube, Flag
+from levkas.machine import count_threads, tile_rows
 from levkas.registration.images import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from levkas.building.developing import Bench
+    from levkas.calibration.denoising import Projecting, Subspace
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
     from levkas.campaign import Campaign
@@ -29,7 +33,7 @@ STREAMED_SAMPLES = 400_000_000
 """A cube of more samples is streamed. A constant, not a share of the memory that happens to be
 there: which way a scan goes shows in its bytes."""
 BLOCK_SAMPLES = 8_000_000
-"""Calibrated at once."""
+"""Calibrated at once, where $LEVKAS_TILE does not say how many lines."""
 LOOKED_AT_PX = 1_000_000
 """Most pixels of a band as registration sees it."""
 
@@ -39,7 +43,7 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
     from levkas.readers.frames import read_facts
 
     camera = campaign.cameras[capture.camera]
-    if camera.kind != "cube" or camera.scan == "mirror" or camera.denoise:
+    if camera.kind != "cube" or camera.scan == "mirror":
         return False
     frames = capture.sensors[0].object
     if len(frames) != 1 or capture.camera == campaign.reference.camera:
@@ -61,8 +65,14 @@ class Scan:
     noise : NoiseModel or None
     reflectance : float or ndarray
         Of the white.
-    aligns, captured, warnings
+    where : str
+        Object and layer, for warnings.
+    aligns, captured
         As of `Native`.
+    doubts : tuple of str
+        Warnings that are known before a line is read.
+    told : list of str
+        Warnings that `Passage` adds when all lines have been seen.
     """
 
     opened: EnviFile
@@ -71,10 +81,17 @@ class Scan:
     white: Template | None
     noise: NoiseModel | None
     reflectance: Any
+    where: str
     captured: str | None = None
-    warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     aligns: Mapping[str, object] = field(default_factory=dict)
     pictures: list[BandImage] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """As of `Native`."""
+        return (*self.doubts, *self.told)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -95,7 +112,7 @@ class Scan:
     @property
     def has_sigma(self) -> bool:
         """Whether the noise is known."""
-        return self.lines(0, 1).sigma is not None
+        return self._flat(self._raw(0, 1)).sigma is not None
 
     @cached_property
     def field(self) -> LineField:
@@ -109,6 +126,15 @@ class Scan:
             noise=self.noise,
             labels=[band.label for band in self.bands],
         )
+
+    @cached_property
+    def subspace(self) -> Subspace | None:
+        """The signal subspace of the whole scan where HySime is asked for; found in one passage."""
+        from levkas.calibration.denoising import find_subspace
+
+        if not self.bench.camera.denoise:
+            return None
+        return find_subspace(_as_numbers(self._flat(raw)) for raw in self.raw_blocks())
 
     @property
     def factor(self) -> int:
@@ -127,7 +153,7 @@ class Scan:
     def lines(self, start: int, stop: int) -> Cube:
         """Calibrate lines `start` to `stop`; the same values for any block that they are part of."""
         samples, bands = self.shape[1:]
-        step = max(1, BLOCK_SAMPLES // (samples * bands))
+        step = lines_at_once(self.shape)
         first = self._block(start, min(start + step, stop))
         if start + step >= stop:
             return first
@@ -144,17 +170,35 @@ class Scan:
 
     def blocks(self) -> Iterator[Cube]:
         """Yield all lines, some at a time."""
-        samples, bands = self.shape[1:]
-        step = max(1, BLOCK_SAMPLES // (samples * bands))
+        return (self.calibrated(raw) for raw in self.raw_blocks())
+
+    def raw_blocks(self) -> Iterator[np.ndarray]:
+        """Yield all lines as they are in the file."""
+        step = lines_at_once(self.shape)
         for start in range(0, self.shape[0], step):
-            yield self._block(start, min(start + step, self.shape[0]))
+            yield self._raw(start, min(start + step, self.shape[0]))
+
+    def calibrated(self, raw: np.ndarray, projecting: Projecting | None = None) -> Cube:
+        """Calibrate raw lines; `projecting` gathers what HySime takes away."""
+        from levkas.calibration.denoising import Projecting
+
+        cube = self._flat(raw)
+        if self.subspace is None:
+            return cube
+        projected = (projecting or Projecting(self.subspace))(_as_numbers(cube))
+        return replace(cube, values=np.where(np.isnan(projected), cube.values, projected))
 
     def _block(self, start: int, stop: int) -> Cube:
+        return self.calibrated(self._raw(start, stop))
+
+    def _raw(self, start: int, stop: int) -> np.ndarray:
+        raw = self.opened.read_lines(start, stop, turned=False)
+        return self.bench.checked(raw, self.bench.sensor.object[0])
+
+    def _flat(self, raw: np.ndarray) -> Cube:
         from levkas.building.developing import cube_of, flatten
         from levkas.calibration.templates import average
 
-        raw = self.opened.read_lines(start, stop, turned=False)
-        raw = self.bench.checked(raw, self.bench.sensor.object[0])
         if raw.dtype in (np.uint8, np.uint16):
             made = self.field.develop(
                 raw, saturation=self.bench.saturation, threads=count_threads()
@@ -179,6 +223,55 @@ class Scan:
                 reducer.add(cube)
             self.pictures.extend(reducer.images())
         return self.pictures
+
+
+def _as_numbers(cube: Cube) -> np.ndarray:
+    """Return the values, NaN where there is none: `developing.cube_of` writes 0 there."""
+    return np.where(cube.flags & np.uint8(Flag.OUTSIDE), np.float32(np.nan), cube.values)
+
+
+class Passage:
+    """All lines of a scan, calibrated once, and what is to be told of them.
+
+    To be iterated over once; `Scan.told` has the warnings then.
+    """
+
+    def __init__(self, scan: Scan) -> None:
+        from levkas.calibration.denoising import Projecting
+
+        self._scan = scan
+        self._lost = np.zeros(scan.shape[2], np.int64)
+        self._projecting = Projecting(scan.subspace) if scan.subspace else None
+
+    def __iter__(self) -> Iterator[Cube]:
+        """Yield some lines at a time.
+
+        Raises CalibrationRefused where a band has no finite value at all.
+        """
+        templates = gaps_of(self._scan.dark, self._scan.white)
+        for raw in self._scan.raw_blocks():
+            lost = np.zeros((1, 1, 1), bool) if raw.dtype.kind in "ui" else ~np.isfinite(raw)
+            if templates is not None:
+                lost = lost | templates
+            if lost.any():
+                self._lost += np.broadcast_to(lost, raw.shape).sum((0, 1))
+            yield self._scan.calibrated(raw, self._projecting)
+        self._tell()
+
+    def _tell(self) -> None:
+        from levkas.building.developing import placed
+
+        bench, shape = self._scan.bench, self._scan.shape
+        every = shape[0] * shape[1]
+        if (empty := np.flatnonzero(self._lost == every)).size:
+            refused = no_values(int(empty[0]), shape)
+            raise CalibrationRefused(*(placed(p, bench.sensor.object) for p in refused.problems))
+        notes = []
+        if count := int(self._lost.sum()):
+            notes.append(describe_lost(count, every * shape[2], bench.camera.name))
+        if (made := self._projecting) is not None:
+            notes.append(describe_removed(made.subspace, made.removed, made.most))
+        self._scan.told[:] = [f"{self._scan.where}: {note}" for note in notes]
 
 
 def _with_gaps(shot: Template) -> Template:
@@ -267,10 +360,17 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
         white,
         line_noise(bench, dark, white),
         white_reflectance(campaign, sensor.bands),
+        where,
         facts.captured,
         tuple(f"{where}: {doubt}" for doubt in doubts_of(bench)),
         {sensor.name: sensor.align},
     )
+
+
+def lines_at_once(shape: tuple[int, int, int]) -> int:
+    """Return how many lines of a scan, (lines, samples, bands), are calibrated at a time."""
+    lines, samples, bands = shape
+    return tile_rows(BLOCK_SAMPLES // (samples * bands), lines)
 
 
 def _line_blocks(frame: Any) -> Iterator[np.ndarray]:
@@ -283,6 +383,6 @@ def _line_blocks(frame: Any) -> Iterator[np.ndarray]:
         return
     opened = open_envi(frame.path)
     lines, samples, bands = opened.facts.shape
-    step = max(1, BLOCK_SAMPLES // (samples * bands))
+    step = lines_at_once((lines, samples, bands))
     for start in range(0, lines, step):
         yield opened.read_lines(start, min(start + step, lines))

@@ -12,11 +12,12 @@ import numpy as np
 from levkas.building.resampling import count_flags, grey_of
 from levkas.cube import Cube, Flag
 from levkas.files import spooling
+from levkas.machine import tile_rows
 from levkas.pixelmap import PixelMap, lay
 from levkas.problems import Problem, Refused
 from levkas.rounding import round_root, round_values
 from levkas.transforms import Affine, Composed
-from levkas.warping import source_rows, warp
+from levkas.warping import Warped, source_rows, warp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -32,6 +33,7 @@ HELD_BYTES = 300_000_000
 """Of calibrated lines and of grid rows, together; the next ones are read meanwhile."""
 SAMPLE_BYTES = 9
 MOST_ROWS, LEAST_ROWS, TURNED_ROWS = 256, 8, 32
+"""Of the grid: in a strip whose maps are laid at once, and in a piece on the disk."""
 
 
 class ScanRefused(Refused):
@@ -40,7 +42,7 @@ class ScanRefused(Refused):
 
 def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -> list[Path]:
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures of them."""
-    from levkas.building.scans import Reducer
+    from levkas.building.scans import Passage, Reducer
     from levkas.database.layers import Layer
     from levkas.database.spooling import SpooledTiffs
     from levkas.files import make_folder
@@ -51,7 +53,7 @@ def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -
     layer = Layer(capture.object, capture.camera, capture.setup, credits=credits)
     reducer = Reducer(scan)
     with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
-        for cube in scan.blocks():
+        for cube in Passage(scan):
             tiffs.write_rows(cube)
             reducer.add(cube)
         scan.pictures[:] = reducer.images()
@@ -81,13 +83,27 @@ class Passing:
         return np.concatenate(self.mean), np.concatenate(self.seen)
 
 
+def white_of(scan: Scan) -> float | None:
+    """Return the count that pictures of a scan show as white; None for reflectance, where it is 1.
+
+    It is found in the picture of the whole scan, whatever rows come first.
+    """
+    from levkas.colour import counts_white, find_rendering
+
+    if scan.quantity == "reflectance":
+        return None
+    seen = [np.where(i.valid, i.values, np.float32(np.nan))[::4, ::4] for i in scan.images()]
+    return counts_white(np.stack(seen, -1), find_rendering(scan.bands), step=1)
+
+
 def resample_scan(
     scan: Scan, maps: Sequence[Transform], size: tuple[int, int], *, spool: Path
 ) -> Iterator[Cube]:
     """Yield the grid's rows from top to bottom, each pixel and band interpolated once.
 
-    Where the scan lies on its side, columns are interpolated and turned by way of a file. What is
-    done together follows from sizes and maps alone, never from the machine.
+    Where the scan lies on its side, columns are interpolated and turned by way of a file. The strips
+    that maps are laid on follow from sizes and maps alone, never from the machine: so the values are
+    the same for any number of rows that are worked on at a time (a strip, or $LEVKAS_TILE).
 
     Parameters
     ----------
@@ -124,58 +140,103 @@ def resample_scan(
     yield from _turned(_in_rows(scan, sideways, across, columns), scan, size[1], spool)
 
 
+@dataclass(frozen=True, eq=False)
+class _Tile:
+    """Rows of the grid that are worked on at once.
+
+    `parts` are the strips that they lie in: its first row, its maps, and the rows within it.
+    """
+
+    top: int
+    stop: int
+    low: int
+    high: int
+    parts: tuple[tuple[int, PixelMap, tuple[int, int]], ...]
+
+
 def _in_rows(
-    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], rows: int
+    scan: Scan, maps: Sequence[Transform], size: tuple[int, int], strip: int
 ) -> Iterator[Cube]:
     width, height = size
-    tops = range(0, height, rows)
+    step = tile_rows(strip, height)
+    tops = range(0, height, step)
+    laid: dict[int, PixelMap] = {}
 
-    def read(top: int) -> tuple[PixelMap, int, Cube | None]:
-        pixel_map, low, high = _lay(scan, maps, (min(rows, height - top), width), top)
-        return pixel_map, low, scan.lines(low, high) if low < high else None
+    def read(top: int) -> tuple[_Tile, Cube | None]:
+        tile = _tile(scan, maps, size, (top, min(top + step, height)), strip, laid)
+        return tile, scan.lines(tile.low, tile.high) if tile.low < tile.high else None
 
     # The lines of the next rows are calibrated while these are written.
     with ThreadPoolExecutor(1, thread_name_prefix="ahead") as ahead:
         coming = ahead.submit(read, 0)
         for top in tops:
-            pixel_map, low, lines = coming.result()
-            if top + rows < height:
-                coming = ahead.submit(read, top + rows)
-            shape = (min(rows, height - top), width)
+            tile, lines = coming.result()
+            if top + step < height:
+                coming = ahead.submit(read, top + step)
             if lines is None:
-                yield _nothing(scan, *shape)
+                yield _nothing(scan, tile.stop - tile.top, width)
             else:
-                yield _resampled(scan, lines, pixel_map, shape, low)
+                yield _resampled(scan, lines, tile, width)
             del lines
 
 
-def _resampled(
-    scan: Scan, lines: Cube, pixel_map: PixelMap, shape: tuple[int, int], low: int
-) -> Cube:
+def _tile(
+    scan: Scan,
+    maps: Sequence[Transform],
+    size: tuple[int, int],
+    rows: tuple[int, int],
+    strip: int,
+    laid: dict[int, PixelMap],
+) -> _Tile:
+    """Lay the maps of the strips that some rows lie in; `laid` has those of the tile before."""
+    width, height = size
+    (top, stop), parts, spans = rows, [], []
+    for first in range(top - top % strip, stop, strip):
+        last = min(first + strip, height)
+        if first not in laid:
+            laid[first] = _lay(maps, (last - first, width), first)
+        within = max(top, first) - first, min(stop, last) - first
+        shape = (last - first, width)
+        spans.append(source_rows(laid[first], shape, within, scan.shape[0]))
+        parts.append((first, laid[first], within))
+    for gone in [first for first in laid if first != parts[-1][0]]:
+        del laid[gone]
+    spans = [span for span in spans if span[0] < span[1]]
+    low, high = (min(s[0] for s in spans), max(s[1] for s in spans)) if spans else (0, 0)
+    return _Tile(top, stop, low, high, tuple(parts))
+
+
+def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
+    shape = (tile.stop - tile.top, width, scan.shape[2])
     variance = None if lines.sigma is None else np.square(lines.sigma, out=lines.sigma)
-    warped = warp(
-        lines.values,
-        pixel_map,
-        shape,
-        flags=lines.flags,
-        variance=variance,
-        held=(low, scan.shape[0]),
-    )
-    sigma = warped.variance
+    values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    sigma = None if variance is None else np.empty(shape, np.float32)
+    for first, pixel_map, rows in tile.parts:
+        here = slice(first + rows[0] - tile.top, first + rows[1] - tile.top)
+        warp(
+            lines.values,
+            pixel_map,
+            pixel_map.shape,
+            flags=lines.flags,
+            variance=variance,
+            rows=rows,
+            held=(tile.low, scan.shape[0]),
+            out=Warped(values[here], flags[here], None if sigma is None else sigma[here]),
+        )
     if sigma is not None:
         sigma = round_root(sigma, out=sigma)
-    values = round_values(warped.values, out=warped.values)
-    return Cube(values, warped.flags, sigma, scan.bands, scan.quantity)
+    return Cube(round_values(values, out=values), flags, sigma, scan.bands, scan.quantity)
 
 
 def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int]) -> int:
-    """Return how many grid rows are done together; 0 where even a few need too many lines."""
+    """Return how many grid rows make a strip; 0 where even a few need too many lines."""
     width, height = size
     _, samples, bands = scan.shape
     rows = min(MOST_ROWS, height)
     while True:
         tops = {0, (height - rows) // 2, height - rows}
-        spans = [_lay(scan, maps[:1], (rows, width), top)[1:] for top in tops]
+        laid = [_lay(maps[:1], (rows, width), top) for top in tops]
+        spans = [source_rows(one, (rows, width), (0, rows), scan.shape[0]) for one in laid]
         held = max(high - low for low, high in spans) * samples + rows * width
         if held * bands * SAMPLE_BYTES <= HELD_BYTES:
             return rows
@@ -186,13 +247,13 @@ def _rows_at_once(scan: Scan, maps: Sequence[Transform], size: tuple[int, int]) 
 
 def _turned(columns: Iterator[Cube], scan: Scan, height: int, spool: Path) -> Iterator[Cube]:
     """Put columns on the disk in pieces, and yield rows."""
-    bands = scan.shape[2]
+    bands, step = scan.shape[2], tile_rows(TURNED_ROWS, height)
     pieces: list[list[tuple[int, tuple[int, int, int], bool]]] = []
     with spooling(spool, "turned.spool") as handle:
         for block in columns:
             row: list[tuple[int, tuple[int, int, int], bool]] = []
-            for top in range(0, height, TURNED_ROWS):
-                part = slice(top, min(top + TURNED_ROWS, height))
+            for top in range(0, height, step):
+                part = slice(top, min(top + step, height))
                 arrays = [block.values, block.flags]
                 arrays += [] if block.sigma is None else [block.sigma]
                 shape = (part.stop - top, len(block.values), bands)
@@ -227,17 +288,13 @@ def _read_piece(
     return values, flags, take(np.float32) if noisy else None
 
 
-def _lay(
-    scan: Scan, maps: Sequence[Transform], shape: tuple[int, int], top: int
-) -> tuple[PixelMap, int, int]:
-    """Lay the maps on some rows, and say from which lines these come."""
+def _lay(maps: Sequence[Transform], shape: tuple[int, int], top: int) -> PixelMap:
+    """Lay the maps on some rows from `top` on."""
     down = Affine(np.array([[1.0, 0, 0], [0, 1, top]]))
     shifted: dict[int, Transform] = {}
     for one in maps:
         shifted.setdefault(id(one), Composed(down, one))
-    pixel_map = lay([shifted[id(one)] for one in maps], shape)
-    low, high = source_rows(pixel_map, shape, (0, shape[0]), scan.shape[0])
-    return pixel_map, low, high
+    return lay([shifted[id(one)] for one in maps], shape)
 
 
 def _nothing(scan: Scan, rows: int, width: int) -> Cube:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
+from levkas.machine import tile_rows
 from levkas.problems import Problem
 
 CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
@@ -168,7 +169,8 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
     subspace : Subspace, optional
         Known one, of a larger scan; default: found here.
     lines : int
-        Rows that are held at a time beside the result.
+        Rows that are held at a time beside the result, where $LEVKAS_TILE does not say how many;
+        the result is the same for any number.
 
     Returns
     -------
@@ -180,25 +182,64 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
     CalibrationRefused
         As `find_subspace`.
     """
-    from levkas.calibration.projecting import project
-
+    lines = tile_rows(lines, len(values))
     starts = range(0, len(values), lines)
     if subspace is None:
         subspace = find_subspace(values[y : y + lines] for y in starts)
-    result = np.array(values, np.float32)
-    squares, count, most = np.zeros(values.shape[2]), 0, 0.0
+    result, projecting = np.empty(values.shape, np.float32), Projecting(subspace)
     for y in starts:
-        spectra = _spectra(result[y : y + lines])
+        result[y : y + lines] = projecting(values[y : y + lines])
+    return Denoised(result, subspace, projecting.removed, projecting.most)
+
+
+class Projecting:
+    """Projects blocks of lines on a subspace, and gathers what that takes away.
+
+    Parameters
+    ----------
+    subspace : Subspace
+
+    Attributes
+    ----------
+    most : float
+        As `Denoised.removed_most`, of all blocks so far.
+    """
+
+    def __init__(self, subspace: Subspace) -> None:
+        self.subspace, self.most = subspace, 0.0
+        self._squares, self._count = np.zeros(len(subspace.noise)), 0
+
+    @property
+    def removed(self) -> np.ndarray:
+        """As `Denoised.removed`, of all blocks so far."""
+        return np.asarray(np.sqrt(self._squares / max(self._count, 1)))
+
+    def __call__(self, block: np.ndarray) -> np.ndarray:
+        """Return lines, (lines, samples, bands), projected; spectra with NaN as they are."""
+        from levkas.calibration.projecting import project
+
+        spectra = np.array(_spectra(block))
         good = np.isfinite(spectra).all(1)
-        kept, removed = project(np.ascontiguousarray(spectra[good]), subspace.basis)
+        kept, removed = project(np.ascontiguousarray(spectra[good]), self.subspace.basis)
         spectra[good] = kept
-        result[y : y + lines] = spectra.reshape(result[y : y + lines].shape)
         away = removed.astype(np.float64)
-        squares += np.sum(away**2, axis=0)
-        count += len(away)
-        lost = np.sqrt(np.mean((away / subspace.noise) ** 2, axis=1))
-        most = max(most, float(lost.max(initial=0.0)))
-    return Denoised(result, subspace, np.sqrt(squares / max(count, 1)), most)
+        every = np.zeros(spectra.shape)
+        every[good] = away**2
+        for line in every.reshape(block.shape):  # so that any blocks give one sum
+            self._squares += line.sum(0)
+        self._count += len(away)
+        lost = np.sqrt(np.mean((away / self.subspace.noise) ** 2, axis=1))
+        self.most = max(self.most, float(lost.max(initial=0.0)))
+        return spectra.reshape(block.shape)
+
+
+def describe_removed(subspace: Subspace, removed: np.ndarray, most: float) -> str:
+    """Say what a projection took away, from the fields of `Denoised`."""
+    share = float(np.median(removed / np.maximum(subspace.noise, 1e-12)))
+    return (
+        f"hysime kept {subspace.k} of {len(subspace.noise)} dimensions and removed {share:.2f} times "
+        f"the noise in the median band, up to {most:.1f} times at single pixels"
+    )
 
 
 def _spectra(block: np.ndarray) -> np.ndarray:

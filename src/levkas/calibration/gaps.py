@@ -69,10 +69,14 @@ def describe_gaps(lost: np.ndarray, label: str = "") -> str:
     >>> describe_gaps(np.array([True, False, False, False]), "550 nm")
     '550 nm: 1 value (25 %) is no finite number in a frame: flagged as defect'
     """
-    count = int(np.count_nonzero(lost))
+    return describe_lost(int(np.count_nonzero(lost)), lost.size, label)
+
+
+def describe_lost(count: int, total: int, label: str = "") -> str:
+    """Say that `count` values of `total` were lost."""
     many = "values" if count > 1 else "value"
     verb, what = ("are", "defects") if count > 1 else ("is", "defect")
-    share = 100 * count / lost.size
+    share = 100 * count / total
     start = f"{label}: " if label else ""
     return f"{start}{count} {many} ({share:.2g} %) {verb} no finite number in a frame: flagged as {what}"
 
@@ -85,18 +89,23 @@ def _filled(values: np.ndarray, lost: np.ndarray) -> np.ndarray:
     for band in range(planes.shape[2]):
         plane, gone = planes[..., band], marks[..., band]
         if gone.all():
-            raise CalibrationRefused(_empty(band, planes.shape))
+            raise no_values(band, planes.shape)
         plane[gone] = np.median(plane[~gone])
     return filled
 
 
-def _empty(band: int, shape: tuple[int, ...]) -> Problem:
+def no_values(band: int, shape: tuple[int, ...]) -> CalibrationRefused:
+    """Return the refusal of a band, of frames (height, width, bands), without a finite value."""
     several = shape[2] > 1
-    return Problem(
-        "E_VALUE",
-        f"band {band + 1} of the frames has no finite value" if several else "no value is finite",
-        field="pixels",
-        found=f"{shape[1]} x {shape[0]} values, each NaN or infinite in some frame",
-        expected="finite numbers",
-        fix="Export the frame again, or leave it out of `files`.",
+    return CalibrationRefused(
+        Problem(
+            "E_VALUE",
+            f"band {band + 1} of the frames has no finite value"
+            if several
+            else "no value is finite",
+            field="pixels",
+            found=f"{shape[1]} x {shape[0]} values, each NaN or infinite in some frame",
+            expected="finite numbers",
+            fix="Export the frame again, or leave it out of `files`.",
+        )
     )

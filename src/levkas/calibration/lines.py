@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.flatfield import _constant, _pair_darks, _Side
+from levkas.calibration.gaps import gaps_of
 from levkas.calibration.layout import as_marks
 from levkas.calibration.templates import Template
 from levkas.calibration.whites import check_white, reflectance_table
@@ -79,6 +80,8 @@ class LineField:
         sides = lit_side, _Side.of_dark(under), _Side.of_dark(white_under)
         means = [_spread(side.mean, shape).astype(np.float64) for side in sides]
         lit = means[0] - means[2]
+        if (lost := gaps_of(dark, white)) is not None:
+            lit[_spread(lost, shape)] = np.nan  # as where the white is not above dark
         gain, read = (-1.0, 0.0) if noise is None else (noise.gain, noise.read_variance)
         signals = (lit, np.zeros_like(lit), np.zeros_like(lit))
         shares = np.empty((3, lit.size))
@@ -103,7 +106,8 @@ class LineField:
         Returns
         -------
         values, flags, sigma : ndarray like `raw`, float32, uint8, float32 or None
-            Where the white is not above dark, the value is 0 and flagged DEFECT and OUTSIDE.
+            Where the white is not above dark, or a template lost its value, the value is 0 and
+            flagged DEFECT and OUTSIDE.
         """
         from levkas.calibration.line_kernels import develop_lines
 

@@ -16,11 +16,11 @@ from levkas.database.credits import Credits
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
 from levkas.database.store import layer_name, write_layer_store
-from levkas.files import hash_file, remove
+from levkas.files import hash_file, remove, together
 from levkas.rounding import SIGMA_DROP, is_rounded, round_sigma
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from levkas.cube import Band, Cube
 
@@ -80,6 +80,7 @@ def write_layer(
     white: float | None = None,
     zarr: bool = True,
     threads: int | None = None,
+    before: Callable[[], object] | None = None,
 ) -> tuple[Entry, tuple[Path, ...]]:
     """Write all files of one registered layer.
 
@@ -97,6 +98,8 @@ def write_layer(
         Whether the Zarr layer is written too.
     threads : int, optional
         For compression; the bytes are the same for any number.
+    before : callable, optional
+        As of `levkas.files.together`.
 
     Returns
     -------
@@ -108,20 +111,24 @@ def write_layer(
     Raises
     ------
     WriteRefused
-        Where the disk refuses; each file is then the old one or the new one.
+        Where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
     database = Path(database)
     picture, description = preview(cube, sensitivity=sensitivity, encoded=encoded, white=white)
     cube = rounded(cube)
     base = database / "objects" / layer.object / layer.stem
-    written = write_tiffs(base, layer, cube, rgb=picture, rendering=description, threads=threads)
     png = base.with_name(base.name + ".png")
+    root = database / "zarr" / f"{layer.object}.zarr"
     scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
-    write_preview(png, picture, description=description, px_per_mm=scale)
-    written.append(png)
+    with together(before):
+        written = write_tiffs(
+            base, layer, cube, rgb=picture, rendering=description, threads=threads
+        )
+        write_preview(png, picture, description=description, px_per_mm=scale)
+        written.append(png)
+        if zarr:
+            write_layer_store(root, layer.name, cube, attributes=layer.attributes(cube.quantity))
     if zarr:
-        root = database / "zarr" / f"{layer.object}.zarr"
-        write_layer_store(root, layer.name, cube, attributes=layer.attributes(cube.quantity))
         written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
     height, width, count = cube.values.shape
     entry = entry_of_layer(layer, (height, width, count), cube.quantity, verdict, written[0])

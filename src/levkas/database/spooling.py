@@ -22,10 +22,10 @@ from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_l
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import encode_strip, planes_of, strip_rows, write_encoded_pages
 from levkas.database.store import writing_layer
-from levkas.files import spooling
+from levkas.files import spooling, together
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from levkas.cube import Band, Cube
 
@@ -176,6 +176,8 @@ def write_rows(
     quantity: str,
     sigma: bool,
     verdict: str = "accept",
+    white: float | None = None,
+    before: Callable[[], object] | None = None,
 ) -> RowsLayer:
     """Write a layer as `write_layer` does, its rows from top to bottom as they come.
 
@@ -186,11 +188,15 @@ def write_rows(
     size : (width, height) of the grid
     bands, quantity, sigma
         Of the layer; whether sigma is known.
+    white : float, optional
+        Count shown as white; default: by what is brightest in the first rows that come.
+    before : callable, optional
+        As of `levkas.files.together`.
 
     Raises
     ------
     WriteRefused
-        Where the disk refuses.
+        Where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
     database = Path(database)
     base = database / "objects" / layer.object / layer.stem
@@ -199,8 +205,9 @@ def write_rows(
     picture = np.zeros((size[1], size[0], 3), np.uint8)
     root, row = database / "zarr" / f"{layer.object}.zarr", 0
     attributes = {"quantity": quantity, **layer.attributes(quantity)}
-    white = 1.0 if quantity == "reflectance" else 0.0
+    shown = 1.0 if quantity == "reflectance" else white
     with (
+        together(before),
         SpooledTiffs(base, shape, sigma=sigma) as tiffs,
         writing_layer(
             root, layer.name, shape=shape, bands=bands, attributes=attributes, sigma=sigma
@@ -210,17 +217,16 @@ def write_rows(
             rows = rounded(block)
             tiffs.write_rows(rows)
             store.write_rows(rows.values, rows.flags, rows.sigma)
-            # Counts have no white: what is brightest in the first rows is taken for it.
-            white = white or counts_white(rows.values, rendering)
-            picture[row : row + len(rows.values)] = rendering(rows.values, white=white)
+            shown = counts_white(rows.values, rendering) if shown is None else shown
+            picture[row : row + len(rows.values)] = rendering(rows.values, white=shown)
             row += len(rows.values)
         text = rendering.description
         if quantity != "reflectance":
-            text += f"; counts, {white:g} shown as white"
+            text += f"; counts, {shown:g} shown as white"
         written = tiffs.finish(layer, bands, quantity, rgb=picture, rendering=text)
-    png = base.with_name(base.name + ".png")
-    scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
-    write_preview(png, picture, description=text, px_per_mm=scale)
-    written.append(png)
+        png = base.with_name(base.name + ".png")
+        scale = None if isnan(layer.px_per_mm) else layer.px_per_mm
+        write_preview(png, picture, description=text, px_per_mm=scale)
+        written.append(png)
     written += sorted(p for p in (root / layer.name).rglob("*") if p.is_file())
     return RowsLayer(entry_of_layer(layer, shape, quantity, verdict, written[0]), tuple(written))
