@@ -327,7 +327,11 @@ def _merged(bench: Bench, shots: list[Template], darks: list[Template]) -> Templ
                 fix="Declare `bits` or `saturation`.",
             )
         )
-    return merge_exposures(shots, darks, saturation=bench.saturation, black=bench.black).template
+    pattern = bench.sensor.pattern
+    more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
+    return merge_exposures(
+        shots, darks, saturation=bench.saturation, black=bench.black, **more
+    ).template
 
 
 def _white(
