@@ -1,0 +1,437 @@
+"""Photon transfer: what a sensor is, from darks and lit stacks, in the terms of EMVA 1288.
+
+Noise over time grows with the light, var = K·(mean − dark) + var of the dark, so that its slope K is
+counts per electron and turns all else into electrons. What stays from shot to shot is fixed pattern:
+DSNU in the dark, PRNU in the light. Intervals are those of a bootstrap over blocks of pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from levkas.calibration.blocks import Blocks
+from levkas.calibration.clipping import DarkLevel
+from levkas.calibration.curves import Levels
+from levkas.calibration.templates import CalibrationRefused
+from levkas.problems import Problem
+
+SLOPE_TO = 0.7  # of saturation: EMVA 1288's range for the gain
+PRNU_RANGE = (0.15, 0.9)
+LINE_RANGE = (0.05, 0.95)
+DRAWS = 200
+LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise
+FEWEST_BLOCKS = 8
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number and the range in which it lies with 95 % confidence.
+
+    >>> print(Interval(5.0, 4.9, 5.1))
+    5 (4.9–5.1)
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} ({self.low:.4g}–{self.high:.4g})"
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Counts without light at one exposure.
+
+    Parameters
+    ----------
+    level, temporal, fixed : ndarray, (blocks,), or float
+        Mean, variance of one shot with rounding, variance from sensel to sensel; NaN if not known.
+    exposure_s : float, optional
+    errors : tuple of float
+        Standard errors of the three where they are no blocks.
+    """
+
+    level: np.ndarray | float
+    temporal: np.ndarray | float
+    fixed: np.ndarray | float
+    exposure_s: float | None = None
+    errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of_blocks(cls, blocks: Blocks) -> Dark:
+        """Return a dark that was not clipped, without the blocks that hold hot sensels."""
+        sound = np.where(np.isfinite(blocks.spatial), 0.0, np.nan)
+        fixed = blocks.spatial - blocks.temporal / blocks.shots
+        return cls(blocks.mean + sound, blocks.temporal + sound, fixed, blocks.exposure_s)
+
+    @classmethod
+    def of_clipped(cls, level: DarkLevel, exposure_s: float | None = None) -> Dark:
+        """Return a dark that was clipped and fitted as censored."""
+        errors = (
+            level.black_error,
+            2 * level.noise * level.noise_error,
+            2 * level.fixed * level.fixed_error if level.fixed == level.fixed else 0.0,
+        )
+        return cls(level.black, level.noise**2 + 1 / 12, level.fixed**2, exposure_s, errors)
+
+
+@dataclass(frozen=True)
+class PhotonTransfer:
+    """A sensor, or one colour of it; None is what these stacks cannot say.
+
+    Parameters
+    ----------
+    gain : Interval
+        Counts per electron: EMVA's overall system gain K.
+    black : Interval
+        Counts of a dark, at no time where the darks have several.
+    dark_noise : Interval, optional
+        Temporal dark noise, electrons, rounding taken out.
+    dark_current : Interval, optional
+        Electrons a second.
+    dsnu : Interval, optional
+        Electrons: EMVA's DSNU₁₂₈₈, of the shortest dark.
+    prnu : Interval, optional
+        Share of the signal: PRNU₁₂₈₈. Texture of the white counts.
+    full_well : Interval
+        Electrons at saturation: the saturation capacity.
+    linearity_error : Interval, optional
+        Deviation from EMVA's line, rms over 5–95 % of saturation, relative.
+    dynamic_range : Interval, optional
+        Full well over the signal whose SNR is one.
+    snr : Interval
+        At saturation, shot noise alone: the root of the full well.
+    levels : int
+        Stacks of light that took part.
+    notes : tuple of str
+    """
+
+    gain: Interval
+    black: Interval
+    dark_noise: Interval | None
+    dark_current: Interval | None
+    dsnu: Interval | None
+    prnu: Interval | None
+    full_well: Interval
+    linearity_error: Interval | None
+    dynamic_range: Interval | None
+    snr: Interval
+    levels: int
+    notes: tuple[str, ...] = ()
+
+
+def measure_sensor(
+    darks: Sequence[Dark],
+    whites: Sequence[Blocks],
+    scenes: Sequence[Blocks] = (),
+    *,
+    saturation: float,
+    rng: np.random.Generator,
+    levels: Levels | None = None,
+    reached: bool = True,
+    draws: int = DRAWS,
+) -> PhotonTransfer:
+    """Fit one channel of a sensor to its stacks.
+
+    Parameters
+    ----------
+    darks : sequence of Dark
+        Of one exposure, or of several for the dark current.
+    whites : sequence of Blocks
+        An even, lit surface; at several exposures for linearity.
+    scenes : sequence of Blocks
+        Anything still: it adds levels to the gain.
+    saturation : float
+        Counts.
+    rng : Generator
+        Of the bootstrap.
+    levels : Levels, optional
+        Of the raw codes: rounding on a compression curve is taken out.
+    reached : bool
+        Whether any frame saturates; else the full well is a lower bound, and said to be.
+    draws : int
+
+    Returns
+    -------
+    found : PhotonTransfer
+
+    Raises
+    ------
+    CalibrationRefused
+        E_TEMPLATE_MISSING without a dark, E_SHOTS without two shots of anything lit,
+        E_WHITE_SATURATED where nothing lit is below 70 % of saturation, E_WHITE_DARK where it is no
+        brighter than the dark.
+
+    Notes
+    -----
+    Gain: line through the dark's own point, weighted by 1/variance², over 0–70 % of saturation
+    (EMVA 1288, 6.5). Noise, DSNU and PRNU within blocks, so that shading is no non-uniformity.
+    """
+    lit = [*whites, *scenes]
+    _check(darks, lit, saturation)
+    rounding = levels or Levels(0, 0, 0)
+    count = len(lit[0].mean)
+
+    def estimate(weights: np.ndarray, shift: np.ndarray) -> dict[str, float]:
+        return _estimate(darks, whites, scenes, saturation, rounding, weights, shift)
+
+    best = estimate(np.ones(count), np.zeros((len(darks), 3)))
+    drawn: dict[str, list[float]] = {name: [] for name in best}
+    for _ in range(draws):
+        weights = rng.multinomial(count, np.full(count, 1 / count)).astype(float)
+        again = estimate(weights, rng.standard_normal((len(darks), 3)))
+        for name, value in again.items():
+            drawn[name].append(value)
+    found = {name: _interval(value, drawn[name]) for name, value in best.items()}
+    notes = _notes(best, lit, whites, reached)
+    wanted = {f.name for f in fields(PhotonTransfer)}
+    given = {name: value for name, value in found.items() if name in wanted}
+    return PhotonTransfer(**given, levels=len(lit), notes=notes)  # type: ignore[arg-type]
+
+
+def _interval(value: float, drawn: Sequence[float]) -> Interval | None:
+    if not np.isfinite(value):
+        return None
+    half = 1.96 * float(np.nanstd(drawn))
+    return Interval(value, value - half, value + half)
+
+
+def _notes(
+    best: dict[str, float], lit: Sequence[Blocks], whites: Sequence[Blocks], reached: bool
+) -> tuple[str, ...]:
+    told = []
+    if not reached:
+        told.append("no shot saturates: the full well is what the converter's top code would hold")
+    if best["dark_variance"] < LEAST_QUANTISED:
+        told.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
+    if len({b.exposure_s for b in whites}) < 3:
+        told.append("linearity needs whites of three exposures or more")
+    if sum(b.shots > 1 for b in lit) < 5:
+        told.append(f"{sum(b.shots > 1 for b in lit)} levels of light; EMVA 1288 asks for more")
+    return tuple(told)
+
+
+def _estimate(
+    darks: Sequence[Dark],
+    whites: Sequence[Blocks],
+    scenes: Sequence[Blocks],
+    saturation: float,
+    rounding: Levels,
+    weights: np.ndarray,
+    shift: np.ndarray,
+) -> dict[str, float]:
+    """Return every number from blocks drawn `weights` times, fitted darks moved by their errors."""
+    dim = [_Moved(dark, weights, s) for dark, s in zip(darks, shift, strict=True)]
+    order = sorted(range(len(dim)), key=lambda i: darks[i].exposure_s or 0.0)
+    first = dim[order[0]]
+    black, current = _dark_line([dim[i] for i in order])
+    under = _matching(dim, current)
+    room = saturation - first.level
+    quiet = first.temporal - float(rounding.quantisation(first.level))
+    gain, intercept = _gain([*whites, *scenes], under, room, quiet, rounding, weights)
+    quiet = max(intercept if np.isnan(quiet) else quiet, 0.0)
+    dark_noise = np.sqrt(quiet) / gain
+    full_well = room / gain
+    prnu = _prnu(whites, under, room, (gain, quiet, first.fixed), rounding, weights)
+    least = np.sqrt(dark_noise**2 + 0.25) + 0.5
+    return {
+        "gain": gain,
+        "black": black,
+        "dark_noise": dark_noise,
+        "dark_current": current / gain,
+        "dsnu": np.sqrt(max(first.fixed, 0.0)) / gain if np.isfinite(first.fixed) else np.nan,
+        "prnu": prnu,
+        "full_well": full_well,
+        "linearity_error": _linearity(whites, under, room, weights),
+        "dynamic_range": full_well / least,
+        "snr": np.sqrt(max(full_well, 0.0)),
+        "dark_variance": first.temporal,
+    }
+
+
+class _Moved:
+    """One dark as one draw sees it: weighted means, and its level block by block."""
+
+    def __init__(self, dark: Dark, weights: np.ndarray, shift: np.ndarray) -> None:
+        parts = (dark.level, dark.temporal, dark.fixed)
+        self.level, self.temporal, self.fixed = (
+            _mean(part, weights) + error * move
+            for part, error, move in zip(parts, dark.errors, shift, strict=True)
+        )
+        self.under = dark.level if isinstance(dark.level, np.ndarray) else self.level
+        self.exposure_s = dark.exposure_s
+
+
+def _mean(values: np.ndarray | float, weights: np.ndarray) -> float:
+    if not isinstance(values, np.ndarray):
+        return float(values)
+    known = np.isfinite(values) & (weights > 0)
+    return float(np.average(values[known], weights=weights[known])) if known.any() else np.nan
+
+
+def _dark_line(darks: Sequence[_Moved]) -> tuple[float, float]:
+    """Return black at no time and counts a second; NaN a second where times do not differ by half."""
+    times = np.array([d.exposure_s if d.exposure_s else np.nan for d in darks])
+    level = np.array([d.level for d in darks])
+    known = np.isfinite(times) & np.isfinite(level)
+    if np.count_nonzero(known) < 2 or times[known].max() < 2 * times[known].min():
+        return float(level[0]), float("nan")
+    slope, start = np.polyfit(times[known], level[known], 1)
+    return float(start), float(slope)
+
+
+def _matching(
+    darks: Sequence[_Moved], current: float
+) -> Callable[[float | None], np.ndarray | float]:
+    """Return what gives the counts without light at an exposure: the nearest dark, brought to it."""
+    timed = [d for d in darks if d.exposure_s]
+
+    def under(exposure_s: float | None) -> np.ndarray | float:
+        if not exposure_s or not timed:
+            return darks[0].under
+        near = min(timed, key=lambda d: abs(np.log(d.exposure_s / exposure_s)))
+        rest = (exposure_s - near.exposure_s) * current
+        return near.under + (rest if np.isfinite(rest) else 0.0)
+
+    return under
+
+
+def _gain(
+    lit: Sequence[Blocks],
+    under: Callable[[float | None], np.ndarray | float],
+    room: float,
+    quiet: float,
+    rounding: Levels,
+    weights: np.ndarray,
+) -> tuple[float, float]:
+    """Return the slope of variance over signal, and its intercept where the dark's is not known."""
+    rows = []
+    for b in (b for b in lit if b.shots > 1):
+        signal = b.mean - under(b.exposure_s)
+        variance = b.temporal - rounding.quantisation(b.mean)
+        used = np.isfinite(signal + variance) & (signal < SLOPE_TO * room) & (weights > 0)
+        freedom = np.full(used.sum(), b.shots - 1.0) * weights[used]
+        rows.append((signal[used], variance[used], freedom, rounding.quantisation(b.mean)[used]))
+    x, y, freedom, rounded = (np.concatenate(part) for part in zip(*rows, strict=True))
+    known = np.isfinite(quiet)
+    gain, intercept = 0.0, quiet if known else 0.0
+    expected = np.maximum(y.mean() * np.ones_like(y), 1e-9)
+    for _ in range(ROUNDS):
+        w = freedom / expected**2
+        if known:
+            gain = float(np.sum(w * x * (y - quiet)) / np.sum(w * x * x))
+        else:
+            root = np.sqrt(w)
+            design = np.stack([x, np.ones_like(x)], 1) * root[:, None]
+            gain, intercept = (float(v) for v in np.linalg.lstsq(design, y * root, rcond=None)[0])
+        expected = np.maximum(gain * np.maximum(x, 0) + intercept + rounded, 1 / 12)
+    return gain, intercept
+
+
+def _prnu(
+    whites: Sequence[Blocks],
+    under: Callable[[float | None], np.ndarray | float],
+    room: float,
+    dark: tuple[float, float, float],
+    rounding: Levels,
+    weights: np.ndarray,
+) -> float:
+    """Return the spread of the response, the temporal share and the dark's own pattern taken out."""
+    gain, quiet, pattern = dark
+    above, below = 0.0, 0.0
+    for b in whites:
+        signal = b.mean - under(b.exposure_s)
+        over_time = b.temporal
+        if b.shots == 1:
+            over_time = gain * signal + quiet + rounding.quantisation(b.mean)
+        fixed = b.spatial - over_time / b.shots - (pattern if np.isfinite(pattern) else 0.0)
+        used = np.isfinite(signal + fixed)
+        used &= (signal > PRNU_RANGE[0] * room) & (signal < PRNU_RANGE[1] * room)
+        above += float(np.sum(weights[used] * fixed[used]))
+        below += float(np.sum(weights[used] * signal[used] ** 2))
+    return float(np.sqrt(max(above, 0.0) / below)) if below > 0 else float("nan")
+
+
+def _linearity(
+    whites: Sequence[Blocks],
+    under: Callable[[float | None], np.ndarray | float],
+    room: float,
+    weights: np.ndarray,
+) -> float:
+    """Return the rms deviation of whites from the line Σ(Δy/y)² → least over 5–95 % of saturation."""
+    timed = [b for b in whites if b.exposure_s]
+    if len({b.exposure_s for b in timed}) < 3:
+        return float("nan")
+    signals = [b.mean - under(b.exposure_s) for b in timed]
+    inside = [np.isfinite(s) & (s < LINE_RANGE[1] * room) for s in signals]
+    chosen = [i for i, ok in enumerate(inside) if ok.mean() > 0.5]
+    if len(chosen) < 3:
+        return float("nan")
+    common = np.all([inside[i] for i in chosen], axis=0) & (weights > 0)
+    if not common.any():
+        return float("nan")
+    y = np.array([np.average(signals[i][common], weights=weights[common]) for i in chosen])
+    t = np.array([timed[i].exposure_s for i in chosen], float)
+    used = y > LINE_RANGE[0] * room
+    if len(set(t[used])) < 3:
+        return float("nan")
+    design = np.stack([t[used], np.ones(used.sum())], 1) / y[used, None]
+    solved = np.linalg.lstsq(design, np.ones(used.sum()), rcond=None)[0]
+    return float(np.sqrt(np.mean((design @ solved - 1) ** 2)))
+
+
+def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> None:
+    """Refuse stacks that cannot tell a gain, with what to capture instead."""
+    if not darks:
+        raise _refusal(
+            "E_TEMPLATE_MISSING",
+            "there is no dark",
+            0,
+            "two shots or more",
+            "Capture two darks with the lens covered, at the exposure of the white.",
+        )
+    repeated = [b for b in lit if b.shots > 1]
+    if not repeated:
+        raise _refusal(
+            "E_SHOTS",
+            "noise over time cannot be told from one shot of each scene",
+            f"{len(lit)} lit scenes, one shot each" if lit else "nothing lit",
+            "two shots or more of one scene, nothing moved between them",
+            "Capture the white twice or more at one exposure, and two darks.",
+        )
+    dark = float(np.nanmean(darks[0].level)) if np.any(np.isfinite(darks[0].level)) else np.nan
+    means = np.concatenate([b.mean for b in repeated])
+    if np.count_nonzero(np.isfinite(means)) < FEWEST_BLOCKS:
+        raise _refusal(
+            "E_WHITE_SATURATED",
+            "no part of what is lit is free of saturated pixels",
+            f"{np.count_nonzero(np.isfinite(means))} usable blocks",
+            f"{FEWEST_BLOCKS} or more",
+            "Capture the white with a shorter exposure: its peak at 85 % of saturation.",
+        )
+    if np.nanmedian(means) <= dark:
+        raise _refusal(
+            "E_WHITE_DARK",
+            "the white is no brighter than the dark",
+            f"median {np.nanmedian(means):.1f} counts lit, {dark:.1f} dark",
+            "more light than none",
+            "Look whether dark and white are swapped, or the lamp was off.",
+        )
+    below = np.count_nonzero(means - dark < SLOPE_TO * (saturation - dark))
+    if below < FEWEST_BLOCKS:
+        raise _refusal(
+            "E_WHITE_SATURATED",
+            "everything lit lies above 70 % of saturation",
+            f"{below} usable blocks",
+            f"{FEWEST_BLOCKS} or more",
+            "Capture the white at half the exposure too.",
+        )
+
+
+def _refusal(code: str, message: str, found: object, expected: str, fix: str) -> CalibrationRefused:
+    return CalibrationRefused(Problem(code, message, found=found, expected=expected, fix=fix))
