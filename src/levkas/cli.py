@@ -310,6 +310,9 @@ def doctor(
     raise typer.Exit(0 if report.ok else 1)
 
 
+from levkas import cli_radiometry  # noqa: E402, F401  (it adds its command to `app`)
+
+
 def main() -> None:
     """Run the command line."""
     app()

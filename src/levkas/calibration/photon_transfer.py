@@ -25,6 +25,7 @@ DRAWS = 200
 LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise
 FEWEST_BLOCKS = 8
 ROUNDS = 3
+POINTS = 24
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,8 @@ class PhotonTransfer:
     levels : int
         Stacks of light that took part.
     notes : tuple of str
+    points : tuple of (signal, variance)
+        Of the photon transfer curve, counts above dark and counts², rounding taken out.
     """
 
     gain: Interval
@@ -123,6 +126,7 @@ class PhotonTransfer:
     snr: Interval
     levels: int
     notes: tuple[str, ...] = ()
+    points: tuple[tuple[float, float], ...] = ()
 
 
 def measure_sensor(
@@ -191,7 +195,26 @@ def measure_sensor(
     notes = _notes(best, lit, whites, reached)
     wanted = {f.name for f in fields(PhotonTransfer)}
     given = {name: value for name, value in found.items() if name in wanted}
-    return PhotonTransfer(**given, levels=len(lit), notes=notes)  # type: ignore[arg-type]
+    points = _points(darks, lit, rounding)
+    return PhotonTransfer(**given, levels=len(lit), notes=notes, points=points)  # type: ignore[arg-type]
+
+
+def _points(
+    darks: Sequence[Dark], lit: Sequence[Blocks], rounding: Levels
+) -> tuple[tuple[float, float], ...]:
+    """Return means of groups of blocks of like signal, over all lit stacks."""
+    weights = np.ones(len(lit[0].mean))
+    dim = [_Moved(dark, weights, np.zeros(3)) for dark in darks]
+    under = _matching(dim, _dark_line(dim)[1])
+    repeated = [b for b in lit if b.shots > 1]
+    signal = np.concatenate([b.mean - under(b.exposure_s) for b in repeated])
+    variance = np.concatenate([b.temporal - rounding.quantisation(b.mean) for b in repeated])
+    order = np.argsort(signal)
+    order = order[np.isfinite(signal + variance)[order]]
+    parts = np.array_split(order, min(POINTS, max(1, len(order) // 4)))
+    return tuple(
+        (float(signal[p].mean()), float(variance[p].mean())) for p in parts if len(p)
+    )
 
 
 def _interval(value: float, drawn: Sequence[float]) -> Interval | None:

@@ -223,9 +223,8 @@ def _report(sensor: Sensor, rng: np.random.Generator) -> SensorReport:
     """Measure every channel of a sensor; what is refused for all is said once."""
     facts = describe_frame(sensor.bench.sensor.object[0].path)
     bits = sensor.bench.camera.bits or facts.bits
-    facts = replace(
-        facts, bits=bits, white=sensor.bench.saturation, black=sensor.bench.black, pattern=_pattern(sensor)
-    )
+    white, black = _white_level(sensor), sensor.bench.black
+    facts = replace(facts, bits=bits, white=white, black=black, pattern=_pattern(sensor))
     channels, problems = {}, []
     for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):
         try:
@@ -233,7 +232,7 @@ def _report(sensor: Sensor, rng: np.random.Generator) -> SensorReport:
                 sensor.darks.get(channel, []),
                 sensor.whites.get(channel, []),
                 sensor.scenes.get(channel, []),
-                saturation=sensor.bench.saturation or facts.full,
+                saturation=facts.full,
                 rng=rng,
                 levels=sensor.levels,
                 reached=sensor.reached,
@@ -260,6 +259,17 @@ def _report(sensor: Sensor, rng: np.random.Generator) -> SensorReport:
     )
 
 
+def _white_level(sensor: Sensor) -> float | None:
+    """Saturation as declared; where only the storage tells, what the top code needs, and say so."""
+    bench, top = sensor.bench, sensor.levels.highest
+    declared = bench.camera.saturation or bench.camera.bits or bench.facts.saturation
+    if declared or not top or top > (bench.saturation or 0) / 4:
+        return bench.saturation
+    guess = float(2 ** max(8, top.bit_length()) - 1)
+    sensor.notes.append(f"neither `bits` nor `saturation` is declared: taken for {guess:.0f}")
+    return guess
+
+
 def _pattern(sensor: Sensor) -> str | None:
     rows = sensor.bench.sensor.pattern
     return None if rows is None else " / ".join(" ".join(row) for row in rows)
@@ -274,7 +284,7 @@ def _cell(interval: Interval | None, factor: float) -> str:
 
 
 def _plain(found: PhotonTransfer) -> dict[str, Any]:
-    made: dict[str, Any] = {"levels": found.levels, "notes": list(found.notes)}
+    made: dict[str, Any] = {"levels": found.levels, "points": found.points}
     for key, title, unit, factor in ROWS:
         interval = getattr(found, key)
         made[key] = interval and {

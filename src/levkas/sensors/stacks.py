@@ -10,7 +10,7 @@ import numpy as np
 
 from levkas.building.developing import Bench, exposure_of, read_cube
 from levkas.calibration.blocks import Blocks, block_statistics
-from levkas.calibration.clipping import fit_clipped_dark, is_clipped
+from levkas.calibration.clipping import DarkLevel, fit_clipped_dark, is_clipped
 from levkas.calibration.curves import MOST_CODES, Levels, count_codes, find_levels
 from levkas.calibration.drift import Drift, Light, measure_drift
 from levkas.calibration.linearity import Linearity, check_linearity
@@ -91,10 +91,11 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
 def _gather_frames(
     sensor: Sensor, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
 ) -> None:
-    bands = _chosen_bands(frames)
+    bands, bench = _chosen_bands(frames), sensor.bench
     darks = _by_exposure(f for f in frames.dark if f.band in (None, *bands))
     levels = {key: _dark(sensor, shots) for key, shots in darks.items()}
     _put_darks(sensor, levels)
+    hidden = bool(darks) and not any(levels.values())
     histogram = np.zeros(MOST_CODES, np.int64)
     for kind, name, shots in (
         *((sensor.whites, "white", f) for f in _by_exposure(frames.white).values()),
@@ -111,6 +112,8 @@ def _gather_frames(
         for channel, found in blocks.items():
             kind.setdefault(channel, []).append(found)
     sensor.levels = find_levels(histogram)
+    if not sensor.darks and (hidden or bench.black is not None):
+        _put_black(sensor, 0.0 if bench.black is None else bench.black)
     _scaling(sensor, objects, bands, levels)
 
 
@@ -139,7 +142,7 @@ def _dark(sensor: Sensor, shots: Sequence[FrameRef]) -> dict[str, Dark]:
     if first.dtype.kind == "u" and is_clipped(first):
         return _clipped_dark(sensor, shots, time)
     stack = bench.average(list(shots))
-    return {k: Dark.of_blocks(b) for k, b in _blocks(stack, bench).items()}
+    return {k: Dark.of_blocks(b) for k, b in _blocks(stack, bench, dark=True).items()}
 
 
 def _clipped_dark(
@@ -148,21 +151,22 @@ def _clipped_dark(
     """Fit a clipped dark as censored; where it tells nothing, say so and leave it out."""
     frames = list(sensor.bench.read(shots[:4]))
     rows = max(1, min(frames[0].shape[0], MOST_CLIPPED // max(1, frames[0].shape[1])))
-    found: dict[str, Dark] = {}
+    where = f"darks of {time:g} s" if time else "darks"
+    found: dict[str, DarkLevel] = {}
     for channel, planes in _channels([f[:rows] for f in frames], sensor.bench).items():
         try:
-            level = fit_clipped_dark(planes)
+            found[channel] = fit_clipped_dark(planes)
         except CalibrationRefused as refused:
-            problem = replace(refused.problems[0], file=str(shots[0].path))
-            sensor.notes.append(str(problem))
+            problem = refused.problems[0]
+            if not any(problem.message in note for note in sensor.notes):
+                sensor.notes.append(f"{where}: {problem}")
             return {}
-        found[channel] = Dark.of_clipped(level, time)
-        sensor.notes.append(
-            f"darks{f' of {time:g} s' if time else ''}{f' in {channel}' if channel else ''} were clipped "
-            f"at zero ({level.zeros:.0%} of the pixels): black {level.black:.2f} ± {level.black_error:.2f}, "
-            "fitted as censored"
-        )
-    return found
+    told = [f"{c} {d.black:.2f} ± {d.black_error:.2f}".strip() for c, d in found.items()]
+    sensor.notes.append(
+        f"{where} were clipped at zero ({next(iter(found.values())).zeros:.0%} of the pixels) and are "
+        f"fitted as censored: black {', '.join(told)}"
+    )
+    return {channel: Dark.of_clipped(level, time) for channel, level in found.items()}
 
 
 def _channels(frames: Sequence[np.ndarray], bench: Bench) -> dict[str, list[np.ndarray]]:
@@ -193,6 +197,13 @@ def _put_darks(sensor: Sensor, levels: dict[Key, dict[str, Dark]]) -> None:
                 sensor.darks.setdefault(channel, []).append(dark)
 
 
+def _put_black(sensor: Sensor, black: float) -> None:
+    """Where no dark can be used, the noise without light is the intercept of the lit stacks."""
+    sensor.notes.append(f"no dark can be used: black is taken for {black:g} DN")
+    for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):
+        sensor.darks[channel] = [Dark(black, float("nan"), float("nan"))]
+
+
 def _lit(
     sensor: Sensor, name: str, shots: Sequence[FrameRef], levels: dict[Key, dict[str, Dark]]
 ) -> tuple[dict[str, Blocks], np.ndarray]:
@@ -217,13 +228,18 @@ def _lit(
     return {k: _shifted(b, k, shots[0].band, levels) for k, b in blocks.items()}, histogram
 
 
-def _blocks(stack: Template, bench: Bench, drift: Drift | None = None) -> dict[str, Blocks]:
-    """Reduce a stack by the camera's channels; a tunable filter has one, whatever the mosaic."""
+def _blocks(
+    stack: Template, bench: Bench, drift: Drift | None = None, *, dark: bool = False
+) -> dict[str, Blocks]:
+    """Reduce a stack by the camera's channels; a tunable filter has one, whatever the mosaic.
+
+    Some zeros do not spoil a dark: the share of them was looked at before.
+    """
     pattern = bench.sensor.pattern
-    dark = bench.black or 0.0
     if stack.mean.ndim == 3:
         stack = _flat_bands(stack)
-    found = block_statistics(stack, pattern, drift=drift, dark=dark)
+    level = bench.black or 0.0
+    found = block_statistics(stack, pattern, drift=drift, dark=level, clipped=dark)
     if pattern is not None and bench.camera.kind == "bands":
         parts = list(found.values())
         joined = (
@@ -295,7 +311,7 @@ def _gather_lines(sensor: Sensor, frames: SensorFrames) -> None:
     if sensor.bench.camera.scan == "mirror":
         sensor.notes.append("a mirror scanner's templates are frames: not told here")
         return
-    histogram = np.zeros(MOST_CODES, np.int64)
+    histogram, level = np.zeros(MOST_CODES, np.int64), 0.0
     for kind, shots in (("dark", frames.dark), ("white", frames.white)):
         light = Light()
         lines = (line for frame in shots for line in read_cube(frame))
@@ -304,9 +320,11 @@ def _gather_lines(sensor: Sensor, frames: SensorFrames) -> None:
         stack = average(light.watch(lines), saturation=sensor.bench.saturation)
         sensor.reached |= bool(np.mean(stack.saturated) > 1e-3)
         if kind == "dark":
-            sensor.darks[CHANNEL] = [Dark.of_blocks(block_statistics(stack)[""])]
+            found = block_statistics(stack, clipped=True)[""]
+            sensor.darks[CHANNEL] = [Dark.of_blocks(found)]
+            level = float(np.nanmean(found.mean))
             continue
-        drift = measure_drift(light.cells, float(np.nanmean(sensor.darks[CHANNEL][0].level)) if sensor.darks else 0.0)
+        drift = measure_drift(light.cells, level)
         if drift is not None:
             sensor.light.append(("white, line by line", drift))
         found = block_statistics(stack, drift=drift)[""]
