@@ -311,6 +311,9 @@ def doctor(
 
 
 from levkas import cli_radiometry  # noqa: E402, F401  (it adds its command to `app`)
+from levkas.cli_plan import plan_app  # noqa: E402  (it takes its options and reports from here)
+
+app.add_typer(plan_app, name="plan")
 
 
 def main() -> None:

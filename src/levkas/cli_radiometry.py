@@ -14,7 +14,8 @@ from levkas.cli import Json, _refusing, _report, app
 @_refusing("radiometry")
 def radiometry(
     path: Annotated[
-        Path, typer.Argument(help="Campaign (folder or campaign.toml), a frame, or a folder of frames.")
+        Path,
+        typer.Argument(help="Campaign (folder or campaign.toml), a frame, or a folder of frames."),
     ],
     cameras: Annotated[
         list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")

@@ -149,7 +149,9 @@ def _around(rate: np.ndarray, known: np.ndarray, period: tuple[int, int]) -> np.
     kernel[::rows, ::columns] = 1
     kernel[rows, columns] = 0
     total, count = (
-        cv2.filter2D(np.ascontiguousarray(a, np.float32), -1, kernel, borderType=cv2.BORDER_CONSTANT)
+        cv2.filter2D(
+            np.ascontiguousarray(a, np.float32), -1, kernel, borderType=cv2.BORDER_CONSTANT
+        )
         for a in (np.where(known, rate, 0), known)
     )
     return (total / np.maximum(count, 1)).reshape(rate.shape)

@@ -212,9 +212,7 @@ def _points(
     order = np.argsort(signal)
     order = order[np.isfinite(signal + variance)[order]]
     parts = np.array_split(order, min(POINTS, max(1, len(order) // 4)))
-    return tuple(
-        (float(signal[p].mean()), float(variance[p].mean())) for p in parts if len(p)
-    )
+    return tuple((float(signal[p].mean()), float(variance[p].mean())) for p in parts if len(p))
 
 
 def _interval(value: float, drawn: Sequence[float]) -> Interval | None:

@@ -13,7 +13,13 @@ from levkas.calibration.linearity import Linearity
 from levkas.calibration.photon_transfer import Interval, PhotonTransfer, measure_sensor
 from levkas.calibration.templates import CalibrationRefused
 from levkas.problems import Problem, Refused
-from levkas.sensors.facts import FrameFacts, describe_files, describe_frame, describe_levels, facts_table
+from levkas.sensors.facts import (
+    FrameFacts,
+    describe_files,
+    describe_frame,
+    describe_levels,
+    facts_table,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -196,7 +202,9 @@ def examine_campaign(
     for name in cameras or campaign.cameras:
         own = [c for c in captures if c.camera == name]
         if not own:
-            said = [p for (_, camera, _), r in refusals.items() if camera == name for p in r.problems]
+            said = [
+                p for (_, camera, _), r in refusals.items() if camera == name for p in r.problems
+            ]
             yield _unknown(name, said or [_unseen(name, campaign.path)])
             continue
         yield from _examine_camera(campaign, [c for c in own if c.setup == own[0].setup], name, rng)
@@ -240,7 +248,11 @@ def _report(sensor: Sensor, rng: np.random.Generator) -> SensorReport:
         except CalibrationRefused as refused:
             folder = str(sensor.bench.sensor.object[0].path.parent)
             problems += [
-                replace(p, message=f"{sensor.camera} {sensor.name}".strip() + f": {p.message}", file=folder)
+                replace(
+                    p,
+                    message=f"{sensor.camera} {sensor.name}".strip() + f": {p.message}",
+                    file=folder,
+                )
                 for p in refused.problems
             ]
     told = [note for found in channels.values() for note in found.notes]
@@ -313,10 +325,17 @@ def _sensor_text(sensor: SensorReport) -> str:
     if sensor.channels:
         rows = sensor.rows()
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines += ["  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines += [
+            "  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        ]
     for name, drift in sensor.light:
-        flicker = "" if drift.flicker != drift.flicker else f", flicker {100 * drift.flicker:.2f} % rms"
-        lines.append(f"  light of {name}: drift {100 * drift.drift:+.2f} %{flicker}, {len(drift.scales)} shots")
+        flicker = (
+            "" if drift.flicker != drift.flicker else f", flicker {100 * drift.flicker:.2f} % rms"
+        )
+        lines.append(
+            f"  light of {name}: drift {100 * drift.drift:+.2f} %{flicker}, {len(drift.scales)} shots"
+        )
     for name, found in sensor.linearity:
         lines.append(
             f"  linearity of {name}: {100 * found.rms:.2f} % rms, black fitted {found.offset:+.2f} DN "
@@ -340,12 +359,21 @@ def _no_levels() -> Levels:
 
 
 def _unseen(camera: str, file: Path) -> Problem:
-    return Problem("E_NO_FRAMES", f"{camera}: no frame of any object", str(file), f"cameras.{camera}.files")
+    return Problem(
+        "E_NO_FRAMES", f"{camera}: no frame of any object", str(file), f"cameras.{camera}.files"
+    )
 
 
 def _check_names(wanted: Sequence[str] | None, known: Sequence[str], file: Path) -> None:
     for name in wanted or ():
         if name not in known:
             raise Refused(
-                Problem("E_VALUE", f"there is no camera {name}", str(file), "cameras", name, ", ".join(known))
+                Problem(
+                    "E_VALUE",
+                    f"there is no camera {name}",
+                    str(file),
+                    "cameras",
+                    name,
+                    ", ".join(known),
+                )
             )

@@ -182,7 +182,7 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
         E_NO_FRAMES where no frame stands there.
     """
     path = Path(path)
-    files = _frames_below(path) if path.is_dir() else [path]
+    files = frames_below(path) if path.is_dir() else [path]
     read: list[tuple[Facts, Codes | None]] = []
     problems: list[Problem] = []
     for file in files[:MOST_FRAMES]:
@@ -203,7 +203,9 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
     if len(files) > MOST_FRAMES:
         left = len(files) - MOST_FRAMES
         problems.append(
-            Problem("E_TOO_MANY", f"{left} frames were not looked at", file=str(path), found=len(files))
+            Problem(
+                "E_TOO_MANY", f"{left} frames were not looked at", file=str(path), found=len(files)
+            )
         )
     counted = [codes for _, codes in read if codes is not None]
     one_kind = len({(told.dtype, told.model) for told, _ in read}) == 1
@@ -216,7 +218,7 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
     return [_facts(*each, top) for each in read], find_levels(total), problems
 
 
-def _frames_below(folder: Path) -> list[Path]:
+def frames_below(folder: Path) -> list[Path]:
     """Return the files below a folder that are frames by name and first bytes."""
     found = []
     for file in sorted(p for p in folder.rglob("*") if p.is_file()):
@@ -232,10 +234,24 @@ def _frames_below(folder: Path) -> list[Path]:
 
 def facts_table(frames: Sequence[FrameFacts], root: Path) -> str:
     """Return a table of frames for people, a line each."""
-    head = ("file", "size", "bits", "black", "white", "pattern", "codes", "clipped", "zeros", "time", "ISO")
+    head = (
+        "file",
+        "size",
+        "bits",
+        "black",
+        "white",
+        "pattern",
+        "codes",
+        "clipped",
+        "zeros",
+        "time",
+        "ISO",
+    )
     rows = [head, *(_row(frame, root) for frame in frames)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    return "\n".join(
+        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
 
 
 def _row(frame: FrameFacts, root: Path) -> tuple[str, ...]:

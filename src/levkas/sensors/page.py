@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT = 460, 300
 LEFT, BOTTOM, TOP, RIGHT = 52, 40, 14, 12
 INKS = ("var(--a)", "var(--b)", "var(--c)", "var(--d)")
+OWN_INK = {"R": "var(--b)", "G": "var(--c)", "B": "var(--a)"}
 
 
 def write_page(found: Examination, path: str | Path) -> Path:
@@ -67,7 +68,10 @@ def _section(sensor: SensorReport) -> dict[str, Any]:
         "notes": sensor.notes,
         "transfer": draw_transfer(sensor.channels),
         "snr": draw_snr(sensor.channels),
-        "light": [(n, len(d.scales), share(d.drift), share(d.flicker)) for n, d in sensor.light],
+        "light": [
+            (n, len(d.scales), share(d.drift), share(d.flicker).lstrip("+"))
+            for n, d in sensor.light
+        ],
         "linearity": [
             (n, f"{100 * f.rms:.2f} %", share(f.worst), f"{f.offset:+.2f}")
             for n, f in sensor.linearity
@@ -85,10 +89,13 @@ def draw_transfer(channels: dict[str, PhotonTransfer]) -> str:
     place = _place((0.0, right), (0.0, high))
     parts = [_frame(place, (0.0, right), (0.0, high), "signal, DN", "variance, DN²")]
     for i, (name, found) in enumerate(drawn.items()):
-        ink = INKS[i % len(INKS)]
+        ink = _ink(i, name)
         quiet = found.dark_noise.value if found.dark_noise else 0.0
         start = (quiet * found.gain.value) ** 2
-        ends = [place(x, start + found.gain.value * x) for x in (0.0, min(right, (high - start) / found.gain.value))]
+        ends = [
+            place(x, start + found.gain.value * x)
+            for x in (0.0, min(right, (high - start) / found.gain.value))
+        ]
         parts.append(_line(ends, ink))
         parts += [_dot(*place(*point), ink) for point in found.points]
         parts.append(_key(i, name, ink))
@@ -104,9 +111,13 @@ def draw_snr(channels: dict[str, PhotonTransfer]) -> str:
     decades = (0.0, float(np.log10(full)))
     high = 5 * float(np.ceil(10 * np.log10(np.sqrt(full)) / 5))
     place = _place(decades, (0.0, high))
-    parts = [_frame(place, decades, (0.0, high), "exposure, log₁₀ of photo-electrons", "SNR, dB (10 log₁₀)")]
+    parts = [
+        _frame(
+            place, decades, (0.0, high), "exposure, log₁₀ of photo-electrons", "SNR, dB (10 log₁₀)"
+        )
+    ]
     for i, (name, found) in enumerate(drawn.items()):
-        ink = INKS[i % len(INKS)]
+        ink = _ink(i, name)
         read = found.dark_noise.value if found.dark_noise else 0.0
         exposure = np.geomspace(1, found.full_well.value, 80)
         for prnu, dashes in ((found.prnu.value if found.prnu else 0.0, ""), (0.0, "5 4")):
@@ -116,6 +127,11 @@ def draw_snr(channels: dict[str, PhotonTransfer]) -> str:
             parts.append(_line([place(x, y) for x, y in points], ink, dashes))
         parts.append(_key(i, name, ink))
     return _svg(parts, "signal-to-noise ratio over exposure")
+
+
+def _ink(i: int, name: str) -> str:
+    """Red, green and blue channels are drawn in their colour."""
+    return OWN_INK.get(name.rstrip("0123456789").upper(), INKS[i % len(INKS)])
 
 
 Place = Callable[[float, float], tuple[float, float]]

@@ -145,9 +145,7 @@ def _dark(sensor: Sensor, shots: Sequence[FrameRef]) -> dict[str, Dark]:
     return {k: Dark.of_blocks(b) for k, b in _blocks(stack, bench, dark=True).items()}
 
 
-def _clipped_dark(
-    sensor: Sensor, shots: Sequence[FrameRef], time: float | None
-) -> dict[str, Dark]:
+def _clipped_dark(sensor: Sensor, shots: Sequence[FrameRef], time: float | None) -> dict[str, Dark]:
     """Fit a clipped dark as censored; where it tells nothing, say so and leave it out."""
     frames = list(sensor.bench.read(shots[:4]))
     rows = max(1, min(frames[0].shape[0], MOST_CLIPPED // max(1, frames[0].shape[1])))
@@ -181,9 +179,7 @@ def _channels(frames: Sequence[np.ndarray], bench: Bench) -> dict[str, list[np.n
         phases = split(frame, *size)
         for name, flat in made.items():
             flat.append(
-                np.concatenate(
-                    [p.ravel() for n, p in zip(names, phases, strict=True) if n == name]
-                )
+                np.concatenate([p.ravel() for n, p in zip(names, phases, strict=True) if n == name])
             )
     return made
 
@@ -336,4 +332,6 @@ def _gather_lines(sensor: Sensor, frames: SensorFrames) -> None:
             if cube.dtype in (np.uint8, np.uint16):
                 histogram += count_codes([cube])
     sensor.levels = find_levels(histogram)
-    sensor.notes.append("line scanner: every line is a shot; texture of the white board counts as noise")
+    sensor.notes.append(
+        "line scanner: every line is a shot; texture of the white board counts as noise"
+    )
