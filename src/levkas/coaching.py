@@ -241,9 +241,10 @@ def _noise(
     """Fit the noise to what is there; from one shot only an upper bound can be had."""
     if dark is not None and dark.mean.shape != shot.stack.mean.shape:
         dark = None
-    if shot.stack.count > 1 and (noise := fit_noise([shot.stack], dark, black=black)) is not None:
-        if noise.gain > 0:
-            return noise, []
+    stacks = [s for s in (shot.stack, dark) if s is not None and s.count > 1]
+    noise = fit_noise(stacks, dark, black=black) if shot.stack.count > 1 else None
+    if noise is not None and noise.gain > 0:
+        return noise, []
     single = None
     if shot.stack.mean.ndim == 2:
         single = fit_noise_single([shot.stack], [None], dark, black=black, pattern=pattern)

@@ -81,8 +81,8 @@ def block_statistics(
     planes = (split(a, rows, columns) for a in (stack.mean, variance, bad))
     shared = common_variance(drift.scales) if drift is not None else 0.0
     found: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    for channel, *parts in zip(which, *planes, strict=True):
-        found[names[channel]].append(_phase(*parts, side, stack.count))
+    for channel, mean, spread, marks in zip(which, *planes, strict=True):
+        found[names[channel]].append(_phase(mean, spread, marks, side, stack.count))
     made = {}
     for name, phases in found.items():
         mean, temporal, spatial = np.concatenate(phases, axis=1)

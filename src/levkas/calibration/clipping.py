@@ -119,8 +119,8 @@ def fit_clipped_dark(frames: Sequence[np.ndarray]) -> DarkLevel:
     found, error = np.full(4, np.nan), np.full(4, np.nan)
     found[free], error[free] = made.x, errors
     noise, fixed = np.exp(found[1]), np.exp(found[2])
-    numbers = found[0], noise, fixed, error[0], noise * error[1], fixed * error[2]
-    return DarkLevel(*(float(n) for n in numbers), zeros)
+    numbers = found[0], noise, fixed, error[0], noise * error[1], fixed * error[2], zeros
+    return DarkLevel(*(float(n) for n in numbers))
 
 
 def _check_informative(frames: Sequence[np.ndarray], zeros: float) -> None:

@@ -170,7 +170,7 @@ def _points(
     low, high = USED[0] * saturation, USED[1] * saturation
     fits = usable & (signal < high)
     longest = len(times) - 1 - np.argmax(fits[::-1], 0)
-    known = fits.any(0)
+    known = np.asarray(fits.any(0))
     rate = np.take_along_axis(signal, longest[None], 0)[0] / times[longest]
     key = np.where(known, _around(rate, known, period), 0).astype(np.float32)
     # Where even the shortest exposure is full nothing is foretold but that it is.

@@ -310,13 +310,13 @@ def _matching(
     darks: Sequence[_Moved], current: float
 ) -> Callable[[float | None], np.ndarray | float]:
     """Return what gives the counts without light at an exposure: the nearest dark, brought to it."""
-    timed = [d for d in darks if d.exposure_s]
+    timed = [(float(d.exposure_s), d) for d in darks if d.exposure_s]
 
     def under(exposure_s: float | None) -> np.ndarray | float:
         if not exposure_s or not timed:
             return darks[0].under
-        near = min(timed, key=lambda d: abs(np.log(d.exposure_s / exposure_s)))
-        rest = (exposure_s - near.exposure_s) * current
+        time, near = min(timed, key=lambda item: abs(np.log(item[0] / exposure_s)))
+        rest = (exposure_s - time) * current
         return near.under + (rest if np.isfinite(rest) else 0.0)
 
     return under

@@ -238,26 +238,23 @@ def _blocks(
     found = block_statistics(stack, pattern, drift=drift, dark=level, clipped=dark)
     if pattern is not None and bench.camera.kind == "bands":
         parts = list(found.values())
-        joined = (
+        mean, temporal, spatial = (
             np.concatenate([getattr(b, n) for b in parts]) for n in ("mean", "temporal", "spatial")
         )
-        return {"": Blocks(*joined, stack.count, stack.exposure_s)}
+        return {"": Blocks(mean, temporal, spatial, stack.count, stack.exposure_s)}
     return found
 
 
 def _flat_bands(stack: Template) -> Template:
     """Lay the samples of a pixel side by side: each is a sensel of its own."""
     high = stack.mean.shape[0]
-    parts = (
-        None if a is None else np.ascontiguousarray(a.transpose(0, 2, 1)).reshape(high, -1)
-        for a in (stack.mean, stack.variance)
-    )
-    mean, variance = parts
-    marks = (
-        np.ascontiguousarray(m.transpose(0, 2, 1)).reshape(high, -1)
-        for m in (stack.saturated, stack.black)
-    )
-    return Template(cast(np.ndarray, mean), variance, stack.count, *marks, stack.exposure_s)
+
+    def flat(array: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(array.transpose(0, 2, 1)).reshape(high, -1)
+
+    variance = None if stack.variance is None else flat(stack.variance)
+    marks = flat(stack.saturated), flat(stack.black)
+    return Template(flat(stack.mean), variance, stack.count, *marks, stack.exposure_s)
 
 
 def _level(levels: dict[Key, dict[str, Dark]], band: str | None, time: float | None) -> float:
