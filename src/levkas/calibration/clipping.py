@@ -182,7 +182,7 @@ def _loss(numbers: np.ndarray, edges: np.ndarray, table: np.ndarray, *, alone: b
     share = np.diff(below, axis=1, prepend=0.0)
     weights = weights / weights.sum()
     likely = weights @ share if alone else (share * weights[:, None]).T @ share
-    odd = 1 / (1 + np.exp(-outliers))
+    odd = 1 / (1 + np.exp(-np.clip(outliers, -40, 40)))
     return -float(np.sum(table * np.log((1 - odd) * likely + odd / table.size + 1e-300)))
 
 

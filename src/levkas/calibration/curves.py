@@ -17,7 +17,7 @@ FEWEST_LEVELS = 64  # that a curve can be told from
 WINDOW = 24  # gaps whose mean is one point of the fit
 FILLED = 4  # pixels that a level must have: a rare one may stand beside one that was not met
 MISFIT = 0.05  # of the gaps, in four windows of five
-RECURS = 4  # times that the smallest gap must be met
+RECURS = 2  # times that the smallest gap must be met
 STRETCHED = 1.4  # spacing of the widest part over the narrowest from which it is called a curve
 
 
