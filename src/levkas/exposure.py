@@ -196,7 +196,7 @@ def advise(
     >>> white = read_channel(np.full((64, 64), 1000.0), black=0.0, saturation=4000.0)
     >>> told = advise(white, Sensor(full_well=44_000.0), exposure_s=0.1)
     >>> round(told.target, 2), round(told.time_s, 2), told.snr_then > told.snr_now
-    (0.9, 0.36, True)
+    (0.91, 0.36, True)
     """
     full_well = reading.room / sensor.gain
     level = reading.mean if is_white else reading.peak

@@ -70,7 +70,8 @@ class Levels:
 
     def between(self, low: float, high: float) -> int:
         """Return how many codes the camera can have from `low` to `high`, both included."""
-        return round(self._index(high) - self._index(low)) + 1
+        half = 0.5 if self.curved else 0.0  # where the curve ends is known to about a code
+        return int(self._index(high) + half) - int(self._index(low) + half) + 1
 
     def _index(self, value: float) -> float:
         if not self.curved or value <= self.knee:
