@@ -18,7 +18,7 @@ def reference() -> str:
         "prints one object: `levkas`, `command`, `ok`, `problems`, and what it reports.",
         "",
     ]
-    for name, command in sorted(group.commands.items()):
+    for name, command in _with_subcommands(group):
         context = Context(
             command, info_name=f"levkas {name}", terminal_width=96, max_content_width=96
         )
@@ -31,6 +31,16 @@ def reference() -> str:
             "",
         ]
     return "\n".join(line.rstrip() for line in parts)
+
+
+def _with_subcommands(group: typer.main.TyperGroup) -> list:
+    """Return (name, command) sorted, those of a group right after it: ``plan exposure``."""
+    found = []
+    for name, command in sorted(group.commands.items()):
+        found.append((name, command))
+        inner = sorted(getattr(command, "commands", {}).items())
+        found += [(f"{name} {sub}", below) for sub, below in inner]
+    return found
 
 
 if __name__ == "__main__":

@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from levkas.noise import Sensor, crossover_exposures, snr_ceiling_db, snr_db
+from levkas.noise import Sensor, crossover_exposures, sample_values, snr_ceiling_db, snr_db
 
 PIXELS = 640 * 480
 REGIMES = {"dark and read-out": "#e8e8ee", "shot noise": "#f6eeda", "PRNU": "#e6f0e6"}
 
 
 def sampled_snr_db(exposure: float, sensor: Sensor, rng: np.random.Generator) -> float:
-    signal = rng.poisson(exposure, PIXELS) * (1 + rng.normal(0, sensor.prnu, PIXELS))
-    dark = rng.poisson(sensor.dark, PIXELS) * (1 + rng.normal(0, sensor.dsnu, PIXELS))
-    values = signal + dark + rng.normal(0, sensor.read, PIXELS)  # Eq. (2)
+    values = sample_values(exposure, sensor, PIXELS, rng)  # Eq. (2)
     return 10 * float(np.log10(values.mean() / values.std()))  # Eq. (1)
 
 

@@ -7,7 +7,9 @@ from levkas.noise import (
     Sensor,
     crossover_exposures,
     dynamic_range_db,
+    dynamic_range_stops,
     noise_variance,
+    sample_values,
     snr_ceiling_db,
     snr_db,
 )
@@ -43,13 +45,25 @@ def test_dynamic_range_is_the_papers_or_emvas():
 
 @pytest.mark.parametrize("exposure", [0.0, 40.0, 900.0, 20_000.0])
 def test_closed_form_agrees_with_sampling_of_equation_2(exposure):
-    rng = np.random.default_rng(3)
-    n = 400_000
-    e = rng.poisson(exposure, n) * (1 + rng.normal(0, PAPER.prnu, n))
-    d = rng.poisson(PAPER.dark, n) * (1 + rng.normal(0, PAPER.dsnu, n))
-    values = e + d + rng.normal(0, PAPER.read, n)
+    values = sample_values(exposure, PAPER, 400_000, np.random.default_rng(3))
     # A sample variance of n normal values scatters by sqrt(2/n) = 0.22 %; four of these.
     assert values.var() == pytest.approx(float(noise_variance(exposure, PAPER)), rel=0.009)
+
+
+@pytest.mark.parametrize("subtracted", [False, True])
+def test_sampled_snr_is_the_closed_forms_to_a_twentieth_of_a_decibel(subtracted):
+    rng = np.random.default_rng(4)
+    for exposure in np.geomspace(10, 45_000, 12):
+        values = sample_values(exposure, PAPER, 640 * 480, rng)
+        mean = values.mean() - (PAPER.dark if subtracted else 0)
+        expected = snr_db(exposure, PAPER, subtract_dark=subtracted)
+        assert 10 * np.log10(mean / values.std()) == pytest.approx(expected, abs=0.05)
+
+
+def test_dynamic_range_in_stops():
+    # 45,000 / 32 = 1406 = 2^10.46; EMVA's least signal is 8.09 electrons: 2^12.44.
+    assert dynamic_range_stops(PAPER, floor=32) == pytest.approx(10.46, abs=0.01)
+    assert dynamic_range_stops(PAPER) == pytest.approx(12.44, abs=0.01)
 
 
 def test_a_negative_spread_is_refused():

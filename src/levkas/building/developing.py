@@ -234,6 +234,7 @@ def flatten(
     except CalibrationRefused as refused:
         frames = bench.sensor.white or bench.sensor.object
         raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+    flat = _with_movement(bench, flat, shot, dark, more.get("noise"))
     lost = gaps_of(shot, *dark, white)
     if lost is None:
         return flat
@@ -247,6 +248,26 @@ def flatten(
     flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
     notes = (*flat.notes, note)
     return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
+
+
+def _with_movement(
+    bench: Bench, flat: Calibrated, shot: Template, dark: list[Template], noise: NoiseModel | None
+) -> Calibrated:
+    """Flag what moved between the object's shots, and say how much of it did."""
+    from levkas.calibration.moving import find_moved
+
+    if shot.count < 2 or noise is None or noise.source != "temporal":
+        return flat
+    rows = bench.sensor.pattern or ((None,),)
+    # One number for the dark: a hot sensel's current counts as light, as it does for its noise.
+    level = float(np.median(dark[0].mean)) if dark else bench.black or 0.0
+    moved = find_moved(shot, noise, level, period=(len(rows), len(rows[0])))
+    share = float(np.mean(moved))
+    if not share:
+        return flat
+    note = f"{bench.camera.name}: {100 * share:.2g} % of the pixels moved between shots, flagged"
+    flags = np.where(moved, flat.flags | np.uint8(Flag.MOVED), flat.flags)
+    return replace(flat, flags=flags, notes=(*flat.notes, note))
 
 
 def _noise(
@@ -325,7 +346,11 @@ def _merged(bench: Bench, shots: list[Template], darks: list[Template]) -> Templ
                 fix="Declare `bits` or `saturation`.",
             )
         )
-    return merge_exposures(shots, darks, saturation=bench.saturation, black=bench.black).template
+    pattern = bench.sensor.pattern
+    more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
+    return merge_exposures(
+        shots, darks, saturation=bench.saturation, black=bench.black, **more
+    ).template
 
 
 def _white(

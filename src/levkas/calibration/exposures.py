@@ -14,7 +14,7 @@ import numpy as np
 from levkas.calibration.darks import MatchedDark, match_dark
 from levkas.calibration.gaps import gaps_of
 from levkas.calibration.layout import as_marks, as_rows
-from levkas.calibration.linearity import Linearity, check_linearity
+from levkas.calibration.linearity import PERIOD, Linearity, check_linearity
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.problems import Problem
@@ -79,6 +79,7 @@ def merge_exposures(
     noise: NoiseModel | None = None,
     limit: float = NONLINEAR,
     fit_offset: bool | None = None,
+    period: tuple[int, int] = PERIOD,
 ) -> Merged:
     """Merge exposures of one still scene into counts a second.
 
@@ -97,6 +98,8 @@ def merge_exposures(
     fit_offset : bool, optional
         Fit and subtract an offset common to all exposures. None: only where the darks were
         clipped at black over more than half of their pixels, and so say little about it.
+    period : (rows, columns)
+        Of a mosaic's pattern.
 
     Returns
     -------
@@ -125,7 +128,7 @@ def merge_exposures(
         offered = [darks] if isinstance(darks, Template) else list(darks or ())
         fit_offset = bool(offered) and all(np.mean(dark.black) > 0.5 for dark in offered)
     scaling = check_linearity(
-        timed, darks, saturation=saturation, black=black, fit_offset=fit_offset
+        timed, darks, saturation=saturation, black=black, fit_offset=fit_offset, period=period
     )
     if scaling.points and scaling.rms > limit:
         raise CalibrationRefused(_does_not_scale(scaling, limit))
@@ -200,7 +203,7 @@ def _does_not_scale(scaling: Linearity, limit: float) -> Problem:
         "the exposures do not scale",
         field="exposures",
         found=f"rms deviation {scaling.rms:.1%}, worst {scaling.worst:+.1%} "
-        f"at {scaling.worst_at_s:g} s",
+        f"at {scaling.worst_at_s:g} s and {scaling.worst_level:.0f} counts",
         expected=f"at most {limit:.1%} rms",
         fix='Check exposure times and black level, or set exposures = "best".',
     )

@@ -1,0 +1,125 @@
+"""Stacks of shots in small blocks: the signal, its noise over time, and what is fixed from sensel to sensel.
+
+Within a block of one colour phase a fitted plane takes shading and vignetting out. Blocks, not pixels,
+are what a bootstrap draws again: neighbours may share dust, banding and texture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from levkas.calibration.drift import Drift, common_variance
+from levkas.calibration.patterns import channel_names, channel_table, split
+from levkas.calibration.templates import Template
+
+SIDE = 16  # pixels of one phase
+STRAY = 7.0  # sigmas of a block at which a pixel is a defect: one in 10^12 by chance
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """One stack, block by block of one channel; NaN where a block cannot be used.
+
+    Parameters
+    ----------
+    mean : ndarray, (n,)
+        Counts.
+    temporal : ndarray, (n,)
+        Mean variance of one shot over time, without what the lamp does to all pixels alike, counts².
+    spatial : ndarray, (n,)
+        Variance of the stack's mean about a plane, counts².
+    shots : int
+    exposure_s : float, optional
+    """
+
+    mean: np.ndarray
+    temporal: np.ndarray
+    spatial: np.ndarray
+    shots: int
+    exposure_s: float | None = None
+
+
+def block_statistics(
+    stack: Template,
+    pattern: str | Sequence[Sequence[str]] | None = None,
+    *,
+    drift: Drift | None = None,
+    dark: float = 0.0,
+    clipped: bool = False,
+    side: int = SIDE,
+) -> dict[str, Blocks]:
+    """Reduce a stack to blocks, channel by channel.
+
+    Parameters
+    ----------
+    stack : Template, (h, w)
+        Two shots or more for a variance over time; of one, `temporal` is NaN.
+    pattern : str or rows of names, optional
+        Of a mosaic; phases of one channel are put together. None: one channel named "".
+    drift : Drift, optional
+        Of the light in these shots: its share of the variance is taken out.
+    dark : float
+        Counts without light, for that.
+    clipped : bool
+        Use blocks with pixels at black too: the caller knows what to do with them.
+    side : int
+        Of a block, in pixels of one phase.
+
+    Returns
+    -------
+    blocks : dict of Blocks
+        By channel; the n-th block is the same place in every stack of that shape.
+    """
+    rows, columns = (1, 1) if pattern is None else channel_table(pattern).shape
+    names = ("",) if pattern is None else channel_names(pattern)
+    which = np.zeros(1, int) if pattern is None else channel_table(pattern).ravel()
+    bad = stack.saturated if clipped else stack.saturated | stack.black
+    variance = stack.variance if stack.variance is not None else np.full_like(stack.mean, np.nan)
+    planes = (split(a, rows, columns) for a in (stack.mean, variance, bad))
+    shared = common_variance(drift.scales) if drift is not None else 0.0
+    found: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    for channel, mean, spread, marks in zip(which, *planes, strict=True):
+        found[names[channel]].append(_phase(mean, spread, marks, side, stack.count))
+    made = {}
+    for name, phases in found.items():
+        mean, temporal, spatial = np.concatenate(phases, axis=1)
+        temporal = temporal - shared * np.maximum(mean - dark, 0) ** 2
+        made[name] = Blocks(mean, temporal, spatial, stack.count, stack.exposure_s)
+    return made
+
+
+def _phase(
+    mean: np.ndarray, variance: np.ndarray, bad: np.ndarray, side: int, shots: int
+) -> np.ndarray:
+    """Return mean, temporal and spatial variance of each block, (3, n)."""
+    high, wide = (n // side for n in mean.shape)
+
+    def blocks(plane: np.ndarray) -> np.ndarray:
+        whole = plane[: high * side, : wide * side].reshape(high, side, wide, side)
+        return whole.transpose(0, 2, 1, 3).reshape(high * wide, side * side)
+
+    pixels = blocks(mean).astype(np.float64)
+    ramp = (np.arange(side) - (side - 1) / 2).repeat(side)
+    across = ramp.reshape(side, side).T.ravel()
+    centre = pixels.mean(1)
+    rest = pixels - centre[:, None]
+    for slope in (ramp, across):
+        rest -= np.outer(rest @ slope / (slope @ slope), slope)
+    spatial = np.sum(rest**2, 1) / (side * side - 3)
+    over_time = blocks(variance).mean(1, dtype=np.float64)
+    usual = np.sqrt(_typical(spatial))
+    stray = np.abs(rest).max(1) > STRAY * np.maximum(usual, 0.3 / np.sqrt(shots))
+    lost = blocks(bad).any(1)
+    spatial[stray] = np.nan
+    found = np.stack([centre, over_time, spatial])
+    found[:, lost | ~np.isfinite(centre)] = np.nan
+    return found
+
+
+def _typical(values: np.ndarray) -> np.ndarray:
+    """Return what is usual around each block: a dark corner is less noisy than the middle."""
+    known = values[np.isfinite(values)]
+    return np.maximum(np.median(known), values * 0) if len(known) else values

@@ -1,0 +1,397 @@
+"""Exposure advice from frames: a white, or the object, taken once, tells which time to set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isnan, log10, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
+from levkas.calibration.patterns import channel_names, channel_table, split
+from levkas.calibration.templates import Template, average
+from levkas.exposure import (
+    Advice,
+    Reading,
+    advise,
+    judge_iso,
+    limiting,
+    read_channel,
+    safe_mean,
+    snr_at,
+)
+from levkas.noise import Sensor
+from levkas.problems import Problem, Refused
+from levkas.readers.frames import Facts, read_facts, read_frame
+
+TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
+FAINT = 0.002  # of saturation: less tells no time
+PRNU = 0.01  # where nothing tells it
+SHADES = " ▁▂▃▄▅▆▇█"
+
+
+class NoAdvice(Refused):
+    """Frames from which no exposure can be told."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Frames of one band at one exposure."""
+
+    name: str
+    wavelength: float
+    exposure_s: float | None
+    iso: float | None
+    stack: Template
+
+
+@dataclass(frozen=True)
+class Coached:
+    """Advice for one band or one camera.
+
+    Parameters
+    ----------
+    shot : Shot
+        The longest that does not clip.
+    advices : list of Advice
+        One a channel.
+    sensor : Sensor
+        As fitted, or assumed, for the SNR.
+    iso_advice : str
+    notes : list of str
+    is_white : bool
+        Whether the frames show a white.
+    """
+
+    shot: Shot
+    advices: list[Advice]
+    sensor: Sensor
+    iso_advice: str
+    notes: list[str]
+    is_white: bool = True
+
+    @property
+    def first(self) -> Advice:
+        """The channel that saturates first; its time is everyone's."""
+        return limiting(self.advices)[0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for `--json`."""
+        first, poorest = limiting(self.advices)
+        return {
+            "name": self.shot.name,
+            "wavelength": None if isnan(self.shot.wavelength) else self.shot.wavelength,
+            "exposure_s": self.shot.exposure_s,
+            "recommended_s": first.time_s,
+            "recommended_factor": first.factor,
+            "target": first.target,
+            "saturates_first": first.reading.channel,
+            "poorest": poorest.reading.channel,
+            "iso": self.iso_advice,
+            "channels": [self._channel(advice) for advice in self.advices],
+            "notes": self.notes,
+        }
+
+    def _channel(self, advice: Advice) -> dict[str, Any]:
+        reading = advice.reading
+        then = snr_at(advice, self.sensor, self.first.factor)
+        return {
+            "channel": reading.channel,
+            "mean": reading.mean,
+            "peak": reading.peak,
+            "stops_to_saturation": reading.stops_left,
+            "clipped": reading.clipped,
+            "unevenness": reading.unevenness,
+            "histogram": reading.histogram.tolist(),
+            "snr_now": advice.snr_now,
+            "snr_at_recommended": then,
+            "snr_at_recommended_db": 10 * log10(then) if then > 0 else None,
+            "own_time_s": advice.time_s,
+        }
+
+
+def coach(
+    frames: Sequence[str | Path],
+    darks: Sequence[str | Path] = (),
+    *,
+    pattern: str | Sequence[Sequence[str]] | None = None,
+    black: float | None = None,
+    saturation: float | None = None,
+    exposure_s: float | None = None,
+    is_white: bool = True,
+) -> list[Coached]:
+    """Say how long to expose, from frames of a white or of the object itself.
+
+    Parameters
+    ----------
+    frames : sequence of path
+        Files or folders. Those that name one wavelength are one band; of several exposures the
+        longest unclipped counts; equal ones are a stack, and tell the noise.
+    darks : sequence of path
+        At whatever exposure; their mean is the black.
+    pattern : str or rows of names, optional
+        Of a mosaic; default the file's own.
+    black, saturation : float, optional
+        Counts; default the file's own, else 0 and the full scale.
+    exposure_s : float, optional
+        Of every frame, where neither names (25ms, 0.5s) nor headers tell.
+    is_white : bool
+        False: the frames show the object, and its peak is kept below saturation.
+
+    Returns
+    -------
+    coached : list of Coached
+        By wavelength, then name.
+
+    Raises
+    ------
+    NoAdvice
+        E_WHITE_SATURATED where every exposure of a band clips, E_WHITE_DARK where none stands above
+        black, with the time to try.
+    Refused
+        UnreadableCapture.
+    """
+    files = [f for path in frames for f in _files(Path(path))]
+    if not files:
+        raise NoAdvice(
+            Problem(
+                "E_NO_FRAMES", "there is no frame", expected="frames of a white, or of the object"
+            )
+        )
+    facts = read_facts(files[0])
+    dark = average([read_frame(f) for path in darks for f in _files(Path(path))]) if darks else None
+    level = (
+        float(np.median(dark.mean)) if dark else black if black is not None else facts.black or 0.0
+    )
+    full = saturation or facts.saturation or _full_scale(facts, files)
+    pattern = pattern or facts.pattern
+    bands: dict[tuple[float, str], list[Shot]] = {}
+    for shot in _shots(files, full, exposure_s):
+        bands.setdefault((shot.wavelength, shot.name), []).append(shot)
+    order = sorted(
+        bands, key=lambda key: (isnan(key[0]), key[0] if key[0] == key[0] else 0, key[1])
+    )
+    return [_coach_band(bands[key], dark, level, full, pattern, is_white) for key in order]
+
+
+def _coach_band(
+    shots: list[Shot],
+    dark: Template | None,
+    black: float,
+    full: float,
+    pattern: str | Sequence[Sequence[str]] | None,
+    is_white: bool,
+) -> Coached:
+    readings = [(shot, _readings(shot, black, full, pattern)) for shot in shots]
+    clear = [(s, r) for s, r in readings if max(c.clipped for c in r) <= TOLERATED]
+    if not clear:
+        raise NoAdvice(_clipped(min(readings, key=lambda item: item[0].exposure_s or 0.0)))
+    shot, channels = max(clear, key=lambda item: item[1][0].mean)
+    if max(c.peak for c in channels) < FAINT * (full - black):
+        raise NoAdvice(_too_faint(shot, channels))
+    noise, notes = _noise(shot, dark, black, pattern)
+    sensor = Sensor(
+        dark=0.0,
+        read=float(np.sqrt(noise.read_variance)) / noise.gain,
+        prnu=PRNU,
+        dsnu=0.0,
+        gain=noise.gain,
+    )
+    advices = [
+        advise(c, sensor, exposure_s=shot.exposure_s, is_white=is_white, wavelength=shot.wavelength)
+        for c in channels
+    ]
+    iso = judge_iso(
+        limiting(advices)[0].stops, dark_noise_dn=float(np.sqrt(noise.read_variance)), iso=shot.iso
+    )
+    if shot.exposure_s is None:
+        notes.append("the exposure is not known: multiply the one that was set")
+    return Coached(shot, advices, sensor, iso, notes, is_white)
+
+
+def _readings(
+    shot: Shot, black: float, full: float, pattern: str | Sequence[Sequence[str]] | None
+) -> list[Reading]:
+    """Read each channel; of several phases of one, the brighter counts."""
+    values = np.where(shot.stack.saturated, np.maximum(shot.stack.mean, full), shot.stack.mean)
+    if values.ndim == 3:
+        names = "RGB" if values.shape[2] == 3 else [str(i) for i in range(values.shape[2])]
+        planes = [(name, values[..., i]) for i, name in enumerate(names)]
+    elif pattern is None:
+        planes = [("", values)]
+    else:
+        table, known = channel_table(pattern), channel_names(pattern)
+        phases = zip(table.ravel(), split(values, *table.shape), strict=True)
+        planes = [(known[channel], phase) for channel, phase in phases]
+    found: dict[str, Reading] = {}
+    for name, plane in planes:
+        reading = read_channel(plane, black=black, saturation=full, channel=name)
+        if name not in found or reading.peak > found[name].peak:
+            found[name] = reading
+    return list(found.values())
+
+
+def _noise(
+    shot: Shot, dark: Template | None, black: float, pattern: str | Sequence[Sequence[str]] | None
+) -> tuple[NoiseModel, list[str]]:
+    """Fit the noise to what is there; from one shot only an upper bound can be had."""
+    if dark is not None and dark.mean.shape != shot.stack.mean.shape:
+        dark = None
+    stacks = [s for s in (shot.stack, dark) if s is not None and s.count > 1]
+    noise = fit_noise(stacks, dark, black=black) if shot.stack.count > 1 else None
+    if noise is not None and noise.gain > 0:
+        return noise, []
+    single = None
+    if shot.stack.mean.ndim == 2:
+        single = fit_noise_single([shot.stack], [None], dark, black=black, pattern=pattern)
+    if single is None or single.gain <= 0:
+        # 8 bits of a usual sensor; the advice on time does not hang on it, the SNR does.
+        top = float(np.max(shot.stack.mean))
+        assumed = NoiseModel(max(top, 1.0) / 20_000, 1.0, "spatial")
+        return assumed, ["noise could not be told: 20,000 electrons are assumed at the peak"]
+    note = "one shot only: the SNR is a lower bound, for texture counts as noise; two shots tell it"
+    return single, [note]
+
+
+def _shots(files: Sequence[Path], full: float, exposure_s: float | None) -> list[Shot]:
+    """Put frames of one wavelength, exposure and size together."""
+    groups: dict[tuple[str, float, float | None, tuple[int, ...]], list[Path]] = {}
+    told: dict[Path, Facts] = {}
+    for file in files:
+        facts = told[file] = read_facts(file)
+        wavelength, time = _from_name(file.name)
+        name = f"{wavelength:g} nm" if wavelength == wavelength else file.parent.name
+        key = (name, wavelength, exposure_s or time or facts.exposure_s, facts.shape)
+        found = next((k for k in groups if k[0] == key[0] and k[2:] == key[2:]), key)
+        groups.setdefault(found, []).append(file)
+    return [
+        Shot(
+            name,
+            wavelength,
+            time,
+            told[members[0]].iso,
+            average((read_frame(m) for m in members), saturation=full, exposure_s=time),
+        )
+        for (name, wavelength, time, _), members in groups.items()
+    ]
+
+
+def _from_name(name: str) -> tuple[float, float | None]:
+    """Return wavelength in nm and exposure in s, as a file's name has them.
+
+    >>> _from_name("d1_disks_550nm_25ms_0004.tif"), _from_name("white.tif")
+    ((550.0, 0.025), (nan, None))
+    """
+    wavelength = re.search(r"(?<![\d.])(\d{3,4}(?:\.\d+)?) ?nm(?![a-z])", name, re.IGNORECASE)
+    time = re.search(r"(?<![\d.])(\d+(?:\.\d+)?) ?(us|µs|ms|s)(?![a-z])", name, re.IGNORECASE)
+    unit = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
+    seconds = float(time[1]) * unit[time[2].lower()] if time else None
+    return (float(wavelength[1]) if wavelength else nan), seconds
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    from levkas.sensors.facts import frames_below
+
+    return frames_below(path)
+
+
+def _full_scale(facts: Facts, files: Sequence[Path]) -> float:
+    """Return the full scale of what the brightest of some frames needs."""
+    if facts.bits and facts.bits != 8 * np.dtype(facts.dtype).itemsize:
+        return float(2**facts.bits - 1)
+    top = max(int(np.max(read_frame(f))) for f in files[:12])
+    return float(2 ** max(8, top.bit_length()) - 1)
+
+
+def _clipped(reading: tuple[Shot, list[Reading]]) -> Problem:
+    shot, channels = reading
+    worst = max(channels, key=lambda c: c.clipped)
+    time = f"{shot.exposure_s / 4:g} s" if shot.exposure_s else "a quarter of the time"
+    return Problem(
+        "E_WHITE_SATURATED",
+        f"{shot.name}: every exposure clips",
+        field=worst.channel or None,
+        found=f"{worst.clipped:.1%} of the pixels at saturation in the shortest",
+        expected=f"at most {TOLERATED:.1%}",
+        fix=f"Capture it at {time} and ask again: where it clips, how far is not seen.",
+    )
+
+
+def _too_faint(shot: Shot, channels: list[Reading]) -> Problem:
+    return Problem(
+        "E_WHITE_DARK",
+        f"{shot.name}: nothing stands above black",
+        found=f"peak {max(c.peak for c in channels):.1f} counts above it",
+        expected=f"{FAINT * channels[0].room:.0f} or more",
+        fix="Look whether the lamp was on, then capture it ten times longer.",
+    )
+
+
+def advice_text(coached: Sequence[Coached]) -> str:
+    """Return advice for people: channels, histogram, time, why, and ISO."""
+    lines: list[str] = []
+    for found in coached:
+        first, poorest = limiting(found.advices)
+        shot = found.shot
+        time = f"{shot.exposure_s:g} s" if shot.exposure_s else "unknown time"
+        lines.append(f"{shot.name}: {time}, {shot.stack.count} shots")
+        lines += [_channel_line(found, advice) for advice in found.advices]
+        then = f"{first.time_s:.3g} s" if first.time_s else f"{first.factor:.2f} times as long"
+        lines.append(
+            f"  set {then} ({first.stops:+.2f} stops): brings {first.reading.channel or 'it'} to "
+            f"{100 * first.target:.0f} % of saturation"
+        )
+        if len(found.advices) > 1 and isnan(shot.wavelength):
+            behind = np.log2(first.reading.mean / max(poorest.reading.mean, 1e-9))
+            lines.append(
+                f"  {first.reading.channel} saturates first; {poorest.reading.channel} gets {behind:.1f} stops "
+                "less light: a regulating filter or a lamp richer there would even them out"
+            )
+        lines.append(f"  ISO: {found.iso_advice}")
+        lines += [f"  note: {note}" for note in found.notes]
+    lines.append(_why(coached[0]))
+    if len(coached) > 1 and all(c.first.time_s for c in coached):
+        total = sum(c.first.time_s or 0.0 for c in coached)
+        slow = max(coached, key=lambda c: c.first.time_s or 0.0)
+        lines.append(
+            f"all {len(coached)} bands: {total:.3g} s a series; {slow.shot.name} takes longest, "
+            f"{slow.first.time_s:.3g} s"
+        )
+    return "\n".join(lines)
+
+
+def _why(found: Coached) -> str:
+    """Return where the target comes from, with its numbers."""
+    first = found.first
+    full_well = first.reading.room / found.sensor.gain
+    usual = safe_mean(full_well, prnu=found.sensor.prnu)
+    told = (
+        f"why {100 * first.target:.0f} %: f = 1/[(1 + z√(1/(f·FW) + PRNU²))(1 + U/2)(1 + drift)], so that one "
+        f"pixel in a million clips (z 4.75) with FW {full_well:,.0f} e⁻, PRNU {100 * found.sensor.prnu:g} % "
+        "assumed, a lamp that drifts by 1 %"
+    )
+    if not found.is_white:
+        return f"{told}; the object's own peak is kept there, U = 0"
+    return (
+        f"{told}, and light that varies by U = {100 * first.reading.unevenness:.0f} % over the field; "
+        f"at 10 % it would be {100 * usual:.0f} %"
+    )
+
+
+def _channel_line(found: Coached, advice: Advice) -> str:
+    reading = advice.reading
+    bars = np.add.reduceat(reading.histogram, np.arange(0, len(reading.histogram), 2))
+    height = np.ceil(8 * np.sqrt(bars / max(bars.max(), 1))).astype(int)
+    drawn = "".join(SHADES[h] for h in height)
+    then = snr_at(advice, found.sensor, found.first.factor)
+    return (
+        f"  {reading.channel or 'all':4} |{drawn}| mean {100 * reading.mean / reading.room:5.1f} %, "
+        f"{reading.stops_left:5.2f} stops left, clipped {100 * reading.clipped:.2f} %, "
+        f"SNR {advice.snr_now:.0f} now, {then:.0f} then ({10 * log10(max(then, 1e-9)):.1f} dB)"
+    )

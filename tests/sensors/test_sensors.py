@@ -1,0 +1,149 @@
+"""Campaigns and folders through `levkas radiometry`."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from levkas.cli import app
+from levkas.problems import Refused
+from levkas.sensors import examine_with_seed
+from levkas.sensors.facts import describe_files, describe_frame
+from levkas.sensors.page import render_page
+
+CAMPAIGN = """
+[campaign]
+reference = {{ camera = "cam" }}
+[cameras.cam]
+kind = "mosaic"
+pattern = "RGGB"
+files = "raw/{{target}}_{{shot}}.tif"
+bits = 12
+{more}
+[targets]
+dark = "dark"
+white = {{ names = "white", reflectance = 0.98 }}
+objects = ["panel"]
+"""
+
+
+def make(folder, *, shots=3, black=64.0, more="", gain=0.1, read=2.0):
+    """A campaign of one camera whose gain, noise and PRNU are known."""
+    rng, fixed = np.random.default_rng(1), np.random.default_rng(2)
+    shape = (256, 384)
+    response = 1 + 0.02 * fixed.standard_normal(shape)
+    scene = np.linspace(0.1, 0.9, shape[1]) * np.ones((shape[0], 1))
+    (folder / "raw").mkdir(parents=True)
+    for target, electrons in (("dark", 0.0), ("white", 28_000.0), ("panel", 28_000.0 * scene)):
+        for shot in range(shots):
+            light = rng.poisson(electrons * response, shape) * gain
+            raw = np.rint(light + rng.normal(black, read, shape)).clip(0, 4095)
+            name = folder / "raw" / f"{target}_{shot}.tif"
+            tifffile.imwrite(name, raw.astype(np.uint16), photometric="minisblack")
+    (folder / "campaign.toml").write_text(CAMPAIGN.format(more=more))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return make(tmp_path_factory.mktemp("radiometry") / "campaign")
+
+
+def test_a_campaign_tells_its_camera(folder):
+    found = examine_with_seed(folder)
+    (sensor,) = found.sensors
+    assert found.ok and list(sensor.channels) == ["R", "G", "B"]
+    for channel in sensor.channels.values():
+        assert channel.gain.value == pytest.approx(0.1, rel=0.03)
+        assert channel.dark_noise.value == pytest.approx(20.0, rel=0.03)
+        assert channel.prnu.value == pytest.approx(0.02, rel=0.03)
+        assert channel.black.value == pytest.approx(64.0, abs=0.05)
+    assert [name for name, _ in sensor.light] == ["white", "panel"]
+    assert not any(drift.noticed for _, drift in sensor.light)
+
+
+def test_clipped_darks_are_recognised_and_said(tmp_path):
+    (sensor,) = examine_with_seed(make(tmp_path / "c", black=0.0)).sensors
+    assert any("clipped at zero" in note for note in sensor.notes)
+    for channel in sensor.channels.values():
+        assert channel.black.value == pytest.approx(0.0, abs=0.05)
+        assert channel.dark_noise.value == pytest.approx(20.0, rel=0.03)
+
+
+def test_one_shot_of_each_is_refused_with_what_to_capture(tmp_path):
+    found = examine_with_seed(make(tmp_path / "c", shots=1))
+    assert [p.code for p in found.problems] == ["E_SHOTS"]
+    assert "twice or more" in found.problems[0].fix
+    told = CliRunner().invoke(app, ["radiometry", str(tmp_path / "c")])
+    assert told.exit_code == 1
+
+
+def test_an_unknown_camera_is_named_with_the_known_ones(folder):
+    with pytest.raises(Refused, match=r"no camera cma.*expected: cam"):
+        examine_with_seed(folder, cameras=["cma"])
+
+
+def test_the_command_writes_nothing_unless_asked(folder, tmp_path):
+    before = sorted(p for p in folder.rglob("*"))
+    told = CliRunner().invoke(app, ["radiometry", str(folder)])
+    assert told.exit_code == 0, told.output
+    assert "system gain K" in told.output and "stops, log₂" in told.output
+    assert sorted(p for p in folder.rglob("*")) == before
+    page = tmp_path / "report" / "cameras.html"
+    report = json.loads(
+        CliRunner().invoke(app, ["radiometry", str(folder), "-o", str(page), "--json"]).output
+    )
+    assert report["page"] == str(page)
+    (camera,) = report["cameras"]
+    gain = camera["channels"][0]["gain"]
+    assert gain["low"] < gain["value"] < gain["high"] and gain["unit"] == "DN/e⁻"
+    text = page.read_text()
+    assert "photon transfer curve" in text and "//" not in text
+
+
+def test_the_same_seed_gives_the_same_page(folder):
+    one, two = (render_page(examine_with_seed(folder, seed=3)) for _ in range(2))
+    assert one == two
+
+
+def test_raw_facts_of_a_frame(folder):
+    facts = describe_frame(folder / "raw" / "white_0.tif")
+    assert (facts.size, facts.bits, facts.zeros) == ("384 x 256", 12, 0.0)
+    assert facts.levels.count < 1000 and not facts.levels.curved
+
+
+def test_facts_of_a_folder_name_what_cannot_be_read(folder, tmp_path):
+    good = (folder / "raw" / "white_0.tif").read_bytes()
+    (tmp_path / "a.tif").write_bytes(good)
+    (tmp_path / "b.tif").write_bytes(good[: len(good) // 2])
+    (tmp_path / "notes.txt").write_text("no frame")
+    frames, levels, problems = describe_files(tmp_path)
+    assert len(frames) == 1 and levels.count == frames[0].levels.count
+    assert [p.file for p in problems] == [str(tmp_path / "b.tif")]
+
+
+def test_a_folder_without_frames_is_refused(tmp_path):
+    (tmp_path / "notes.txt").write_text("no frame")
+    told = CliRunner().invoke(app, ["radiometry", str(tmp_path)])
+    assert told.exit_code == 1
+    assert "E_NO_FRAMES" in told.output
+
+
+def test_twelve_bits_at_the_upper_end_of_sixteen_are_seen(real_data):
+    facts = describe_frame(real_data / "rededge-5lens" / "IMG_0000_1.tif")
+    assert facts.levels.spacing == 16
+    assert (facts.black, facts.white, facts.iso) == (4800, 65520, 100)
+    assert "4096 of" in facts.curve
+
+
+def test_a_foreign_simulated_camera_comes_back(two_paintings, tmp_path):
+    raw = two_paintings / "raw" / "d80"
+    text = CAMPAIGN.format(more="").replace("raw/{target}_{shot}", f"{raw}/{{target}}/DSC_{{shot}}")
+    (tmp_path / "campaign.toml").write_text(text.replace("panel", "icon1"))
+    (sensor,) = examine_with_seed(tmp_path).sensors
+    for channel in sensor.channels.values():
+        # 12 bits over 25,000 electrons above black 64: 0.161 counts each; PRNU of 1.2 %.
+        assert channel.gain.value == pytest.approx(4031 / 25_000, rel=0.03)
+        assert channel.prnu.value == pytest.approx(0.012, rel=0.03)

@@ -1,0 +1,165 @@
+"""The coach: a simulated white through known exposures, and what it advises."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from levkas.cli import app
+from levkas.coaching import NoAdvice, advice_text, coach
+from levkas.exposure import advise, judge_iso, limiting, read_channel, safe_mean
+from levkas.noise import Sensor
+
+SENSOR = Sensor(dark=0.0, read=10.0, prnu=0.01, dsnu=0.0, gain=0.1, black=64.0)
+TILT = np.linspace(0.95, 1.05, 256) * np.ones((192, 1))
+
+
+def white(rate, time, rng, *, colours=(1.0, 1.0, 1.0, 1.0)):
+    """A white of `rate` counts a second through a 2x2 mosaic, 10 % uneven."""
+    counts = rate * time * TILT
+    counts *= np.tile(np.reshape(colours, (2, 2)), (96, 128))
+    response = 1 + SENSOR.prnu * np.random.default_rng(9).standard_normal(counts.shape)
+    lit = rng.poisson(counts / SENSOR.gain * response) * SENSOR.gain
+    raw = np.rint(lit + rng.normal(64, SENSOR.read * SENSOR.gain, counts.shape))
+    return np.clip(raw, 0, 4095).astype(np.uint16)
+
+
+def write(folder, name, frame):
+    folder.mkdir(exist_ok=True)
+    tifffile.imwrite(folder / name, frame, photometric="minisblack")
+
+
+def test_the_papers_85_percent():
+    # RADIOMETRY: PRNU 1.9 %, 10 % non-uniformity, 1 % drift, one pixel in a million.
+    assert 0.854 <= safe_mean(12_000) <= safe_mean(45_000) <= 0.863
+
+
+@pytest.mark.parametrize("chance", [1e-3, 1e-4])
+def test_the_safe_mean_saturates_as_rarely_as_it_says(chance):
+    rng, full = np.random.default_rng(1), 30_000
+    share = safe_mean(full, prnu=0.019, unevenness=0.1, drift=0.01, chance=chance)
+    brightest = share * full * 1.05 * 1.01 * (1 + rng.normal(0, 0.019, 2_000_000))
+    clipped = np.mean(rng.poisson(brightest) > full)
+    # Shot noise is taken at the mean, not at the brightest place: a little more than `chance`.
+    assert 0.5 * chance < clipped < 2 * chance
+
+
+def test_stops_left_and_clipped_share_by_hand():
+    frame = np.full((64, 64), 1064.0)
+    frame[0, :16] = 4095
+    found = read_channel(frame, black=64.0, saturation=4095.0)
+    assert found.clipped == 16 / 4096
+    assert found.stops_left == 0.0
+    assert read_channel(frame[1:], black=64.0, saturation=4064.0).stops_left == 2.0
+
+
+def test_following_the_advice_brings_the_white_there_and_clips_nothing():
+    rng = np.random.default_rng(2)
+    first = read_channel(white(5000, 0.1, rng), black=64.0, saturation=4095.0)
+    told = advise(first, SENSOR, exposure_s=0.1)
+    second = read_channel(white(5000, told.time_s, rng), black=64.0, saturation=4095.0)
+    assert second.mean / second.room == pytest.approx(told.target, rel=0.01)
+    assert second.clipped == 0
+    assert 0 < second.stops_left < 0.15
+
+
+def test_predicted_snr_is_what_the_longer_exposure_has():
+    rng = np.random.default_rng(3)
+    told = advise(
+        read_channel(white(5000, 0.1, rng), black=64.0, saturation=4095.0), SENSOR, exposure_s=0.1
+    )
+    frame = white(5000, told.time_s, rng).astype(float) - 64
+    flat = frame / (5000 * told.time_s * TILT)
+    assert flat.mean() / flat.std() == pytest.approx(told.snr_then, rel=0.02)
+
+
+def test_an_object_brighter_than_the_white_is_kept_below_saturation():
+    rng = np.random.default_rng(4)
+    frame = white(5000, 0.1, rng)
+    frame[:12] = np.minimum(4095, 64 + 3 * (frame[:12].astype(int) - 64))  # gold
+    reading = read_channel(frame, black=64.0, saturation=4095.0)
+    of_white, of_object = (advise(reading, SENSOR, is_white=w) for w in (True, False))
+    assert of_object.factor < 0.6 * of_white.factor
+    assert of_object.factor * reading.peak < reading.room
+
+
+def test_the_channel_that_saturates_first_and_the_poorest():
+    rng = np.random.default_rng(5)
+    frame = white(20_000, 0.1, rng, colours=(0.5, 1.0, 1.0, 0.25))
+    readings = [
+        read_channel(frame[y::2, x::2], black=64.0, saturation=4095.0, channel=name)
+        for name, y, x in (("R", 0, 0), ("G", 0, 1), ("B", 1, 1))
+    ]
+    first, poorest = limiting([advise(r, SENSOR) for r in readings])
+    assert (first.reading.channel, poorest.reading.channel) == ("G", "B")
+
+
+def test_iso_helps_only_where_rounding_hides_the_shadows():
+    assert judge_iso(1.5, dark_noise_dn=0.2).startswith("No: expose 1.5 stops")
+    assert judge_iso(0.0, dark_noise_dn=0.2).startswith("Only if")
+    assert judge_iso(0.0, dark_noise_dn=2.0).startswith("No: the white fills")
+    assert "2.0 stops longer" in judge_iso(0.0, dark_noise_dn=2.0, iso=400)
+
+
+def test_bands_of_a_tunable_filter_get_a_time_each(tmp_path):
+    rng = np.random.default_rng(6)
+    for band, rate in ((450, 800), (550, 8000), (650, 20_000)):
+        for shot in "ab":
+            write(tmp_path / "white", f"{band}nm_100ms_{shot}.tif", white(rate, 0.1, rng))
+    for shot in "ab":
+        write(tmp_path / "dark", f"{shot}.tif", white(0, 0.1, rng))
+    found = coach([tmp_path / "white"], [tmp_path / "dark"], saturation=4095)
+    assert [c.shot.wavelength for c in found] == [450, 550, 650]
+    assert [c.shot.exposure_s for c in found] == [0.1] * 3
+    full = 4095 - 64
+    for c, rate in zip(found, (800, 8000, 20_000), strict=True):
+        assert c.first.time_s * rate / full == pytest.approx(c.first.target, rel=0.01)
+        assert c.sensor.gain == pytest.approx(0.1, rel=0.05)
+    assert "450 nm takes longest" in advice_text(found)
+
+
+def test_the_longest_exposure_that_does_not_clip_is_read(tmp_path):
+    rng = np.random.default_rng(7)
+    for ms in (50, 200, 800):
+        write(tmp_path / "w", f"550nm_{ms}ms.tif", white(10_000, ms / 1000, rng))
+    (found,) = coach([tmp_path / "w"], black=64.0)
+    assert found.shot.exposure_s == 0.2
+
+
+def test_frames_that_tell_no_time_are_refused_with_what_to_try(tmp_path):
+    rng = np.random.default_rng(8)
+    write(tmp_path / "over", "550nm_400ms.tif", white(90_000, 0.4, rng))
+    with pytest.raises(NoAdvice, match=r"0\.1 s") as refused:
+        coach([tmp_path / "over"])
+    assert refused.value.problems[0].code == "E_WHITE_SATURATED"
+    write(tmp_path / "off", "550nm_400ms.tif", white(0, 0.4, rng))
+    with pytest.raises(NoAdvice, match="lamp") as refused:
+        coach([tmp_path / "off"], black=64.0, saturation=4095)
+    assert refused.value.problems[0].code == "E_WHITE_DARK"
+
+
+def test_the_command_says_it_as_table_and_json(tmp_path):
+    rng = np.random.default_rng(10)
+    for shot in "ab":
+        frame = white(20_000, 0.1, rng, colours=(0.5, 1.0, 1.0, 0.25))
+        write(tmp_path / "w", f"{shot}.tif", frame)
+    asked = ["plan", "exposure", str(tmp_path / "w"), "--pattern", "RGGB", "--time", "0.1"]
+    told = CliRunner().invoke(app, [*asked, "--black", "64"])
+    assert told.exit_code == 0
+    assert "G saturates first; B gets" in told.output
+    assert "why " in told.output and "ISO: " in told.output
+    report = json.loads(CliRunner().invoke(app, [*asked, "--black", "64", "--json"]).output)
+    (band,) = report["bands"]
+    assert band["saturates_first"] == "G"
+    assert band["recommended_s"] == pytest.approx(0.1 * band["recommended_factor"])
+    assert len(band["channels"]) == 3
+
+
+def test_a_real_filter_wheel_wants_the_longest_time_where_it_is_darkest(real_data):
+    found = coach([real_data / "filterwheel-disks" / "frames"], pattern="GBRG", is_white=False)
+    times = {c.shot.wavelength: c.first.time_s for c in found}
+    # 400 nm is dim: 26 s; 550 nm, the brightest, 34 ms: looked at beside the frames.
+    assert 20 < times[400.0] < 33
+    assert 0.03 < times[550.0] < 0.04
