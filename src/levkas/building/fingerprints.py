@@ -17,7 +17,15 @@ CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic",
 )  # fmt: skip
 CODE = {
-    "calibrate": ("calibration", "readers", "building/developing.py", "building/whiteboard.py"),
+    "calibrate": (
+        "calibration",
+        "readers",
+        "building/developing.py",
+        "building/whiteboard.py",
+        "building/measuring.py",
+        "radiometry/light.py",
+        "radiometry/sharpness.py",
+    ),
     "register": (
         "registration",
         "building/registering.py",
@@ -37,8 +45,10 @@ CODE = {
         "colour.py",
         "database",
         "transforms.py",
+        "radiometry/glare.py",
+        "radiometry/ranges.py",
     ),
-    "report": ("reporting", "evaluation.py", "building/pages.py"),
+    "report": ("reporting", "evaluation.py", "building/pages.py", "building/radiometry_pages.py"),
 }
 
 
@@ -94,14 +104,16 @@ def of_registration(
 
 
 def of_resampling(
-    campaign: Campaign, capture: Capture, registered: str, reference: str
+    campaign: Campaign, capture: Capture, registered: str, reference: str, *, default: str = ""
 ) -> dict[str, Any]:
-    """The registration, the grid, and what the files say of the object."""
+    """The registration, the grid, what the files say of the object, and the default lighting's layer."""
     prints: dict[str, Any] = {
         "code": code_version(*CODE["resample"]),
         "registration": registered,
         "registration of the reference": reference,
     }
+    if default:
+        prints["layer under the default setup"] = default
     for key, value in (campaign.grid.model_dump() if campaign.grid else {}).items():
         prints[f"grid.{key}"] = value
     for key, value in _facts(campaign, capture.object).items():
