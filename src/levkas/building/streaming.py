@@ -88,7 +88,7 @@ class Passing:
         return np.concatenate(self.mean), np.concatenate(self.seen)
 
     def ranges(self, bands: Sequence[Band]) -> list[dict[str, Any]]:
-        """As `measuring.ranges_of` gives it, of every so-manieth pixel."""
+        """As `measuring.ranges_of` gives it, of every sixteenth pixel a side."""
         values, flags = (np.concatenate([getattr(c, n) for c in self.thin]) for n in ("values", "flags"))
         sigmas = [cube.sigma for cube in self.thin if cube.sigma is not None]
         sigma = np.concatenate(sigmas) if len(sigmas) == len(self.thin) else None
@@ -96,7 +96,7 @@ class Passing:
 
 
 def _thinned(cube: Cube) -> Cube:
-    """Every so-manieth pixel of some rows, in memory of its own."""
+    """Every sixteenth pixel a side of some rows, in memory of its own."""
     rows = np.s_[::THINNED, ::THINNED]
     sigma = None if cube.sigma is None else cube.sigma[rows].copy()
     return Cube(
