@@ -492,7 +492,9 @@ class ObjectBuild:
             return None
         from levkas.database.spectral_tiff import read_tiff_pages
 
-        paths = [self.places.layer(self.name, capture.camera, kind=k) for k in (".tif", ".flags.tif")]
+        paths = [
+            self.places.layer(self.name, capture.camera, kind=k) for k in (".tif", ".flags.tif")
+        ]
         if not all(path.is_file() for path in paths):
             return None
         values, flags = (read_tiff_pages(path) for path in paths)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.building.fingerprints import keys_of
-from levkas.reporting.page import CloseUps, CloseUpRow, embed_png
+from levkas.reporting.page import CloseUpRow, CloseUps, embed_png
 from levkas.reporting.radiometry import RadiometryRow, describe_layer
 
 if TYPE_CHECKING:
@@ -77,7 +77,9 @@ def choose_places(pictures: Sequence[np.ndarray]) -> tuple[int, list[tuple[int, 
     height, width = stack.shape[1:]
     side = max(8, min(SIDE, height // 3, width // 3))
     apart = np.ptp(stack, axis=0)
-    detail = np.abs(np.diff(stack[0], axis=1, append=0)) + np.abs(np.diff(stack[0], axis=0, append=0))
+    detail = np.abs(np.diff(stack[0], axis=1, append=0)) + np.abs(
+        np.diff(stack[0], axis=0, append=0)
+    )
     detail[:, -1] = detail[-1] = 0
     corners: list[tuple[int, int]] = []
     for number in range(PLACES):
@@ -97,7 +99,9 @@ def _highest(of: np.ndarray, side: int, taken: Sequence[tuple[int, int]]) -> tup
         for x in range(0, of.shape[1] - side + 1, step):
             if any(abs(x - a) < side and abs(y - b) < side for a, b in taken):
                 continue
-            value = total[y + side, x + side] - total[y, x + side] - total[y + side, x] + total[y, x]
+            value = (
+                total[y + side, x + side] - total[y, x + side] - total[y + side, x] + total[y, x]
+            )
             if value > best:
                 best, found = float(value), (x, y)
     return found

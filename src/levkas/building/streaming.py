@@ -89,7 +89,9 @@ class Passing:
 
     def ranges(self, bands: Sequence[Band]) -> list[dict[str, Any]]:
         """As `measuring.ranges_of` gives it, of every sixteenth pixel a side."""
-        values, flags = (np.concatenate([getattr(c, n) for c in self.thin]) for n in ("values", "flags"))
+        values, flags = (
+            np.concatenate([getattr(c, n) for c in self.thin]) for n in ("values", "flags")
+        )
         sigmas = [cube.sigma for cube in self.thin if cube.sigma is not None]
         sigma = np.concatenate(sigmas) if len(sigmas) == len(self.thin) else None
         return ranges_of(values, flags, sigma, bands)
@@ -99,9 +101,7 @@ def _thinned(cube: Cube) -> Cube:
     """Every sixteenth pixel a side of some rows, in memory of its own."""
     rows = np.s_[::THINNED, ::THINNED]
     sigma = None if cube.sigma is None else cube.sigma[rows].copy()
-    return Cube(
-        cube.values[rows].copy(), cube.flags[rows].copy(), sigma, cube.bands, cube.quantity
-    )
+    return Cube(cube.values[rows].copy(), cube.flags[rows].copy(), sigma, cube.bands, cube.quantity)
 
 
 def resample_scan(

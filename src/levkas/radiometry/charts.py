@@ -49,9 +49,7 @@ class Chart:
     @property
     def patches(self) -> tuple[str, ...]:
         """Names, row by row from the top left: letter of the column, number of the row."""
-        return tuple(
-            f"{chr(65 + c)}{r + 1}" for r in range(self.rows) for c in range(self.columns)
-        )
+        return tuple(f"{chr(65 + c)}{r + 1}" for r in range(self.rows) for c in range(self.columns))
 
     @property
     def centres(self) -> np.ndarray:
@@ -127,7 +125,9 @@ class Reference(NamedTuple):
     def at(self, wavelengths: np.ndarray) -> np.ndarray:
         """Return reflectances at some wavelengths, (n, k); NaN beyond what was measured."""
         rows = [np.interp(wavelengths, self.wavelengths, s) for s in self.spectra]
-        inside = (wavelengths >= self.wavelengths[0] - 5) & (wavelengths <= self.wavelengths[-1] + 5)
+        inside = (wavelengths >= self.wavelengths[0] - 5) & (
+            wavelengths <= self.wavelengths[-1] + 5
+        )
         return np.where(inside, np.array(rows), np.nan)
 
 
@@ -168,7 +168,9 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> Reference:
     missing = [patch for patch in chart.patches if patch not in names]
     if missing:
         raise _bad_reference(
-            file, f"no {', '.join(missing[:5])}", f"a column for each of {len(chart.patches)} patches"
+            file,
+            f"no {', '.join(missing[:5])}",
+            f"a column for each of {len(chart.patches)} patches",
         )
     try:
         table = np.array([[float(cell) for cell in row] for row in rows[1:]])
@@ -274,6 +276,36 @@ def place_patches(
     return areas
 
 
+def parse_corners(text: str) -> np.ndarray:
+    """Return four corners from ``x,y,x,y,x,y,x,y``, (4, 2).
+
+    Raises
+    ------
+    ChartRefused
+        ``E_VALUE``.
+
+    Examples
+    --------
+    >>> parse_corners("0,0,10,0,10,8,0,8").tolist()[2]
+    [10.0, 8.0]
+    """
+    try:
+        corners = np.array([float(part) for part in text.replace(";", ",").split(",")])
+        return corners.reshape(4, 2)
+    except ValueError:
+        raise ChartRefused(
+            Problem(
+                "E_VALUE",
+                "the corners cannot be read",
+                field="--corners",
+                found=text,
+                expected="eight numbers: x,y,x,y,x,y,x,y",
+                fix="Centres of the corner patches, clockwise from the first: dark skin, bluish "
+                "green, black, white of the Classic.",
+            )
+        ) from None
+
+
 def _check_convex(corners: np.ndarray) -> None:
     edges = np.roll(corners, -1, 0) - corners
     turns = edges[:, 0] * np.roll(edges, -1, 0)[:, 1] - edges[:, 1] * np.roll(edges, -1, 0)[:, 0]
@@ -312,9 +344,7 @@ def pixels_of(area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.ceil(area.min(0)).astype(int), np.floor(area.max(0)).astype(int)
     x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     edges = np.roll(area, -1, 0) - area
-    sides = [
-        ex * (y - ay) - ey * (x - ax) for (ax, ay), (ex, ey) in zip(area, edges, strict=True)
-    ]
+    sides = [ex * (y - ay) - ey * (x - ax) for (ax, ay), (ex, ey) in zip(area, edges, strict=True)]
     inside = np.all([s >= -1e-9 for s in sides], 0) | np.all([s <= 1e-9 for s in sides], 0)
     return y[inside], x[inside]
 

@@ -13,6 +13,9 @@ from levkas.radiometry.charts import pixels_of
 if TYPE_CHECKING:
     from levkas.radiometry.blur import Preblur
 
+SATURATED = 0.01
+"""Share of a patch's pixels that may saturate: single hot sensels do."""
+
 
 @dataclass(frozen=True, eq=False)
 class PatchTable:
@@ -38,8 +41,8 @@ class PatchTable:
 
     @property
     def snr(self) -> np.ndarray:
-        """Mean over noise, linear; NaN where a patch saturates or is not above dark."""
-        good = (self.mean > 0) & (self.noise > 0) & (self.saturated == 0)
+        """Mean over noise, linear; NaN where over 1 % of a patch saturates, or it is not above dark."""
+        good = (self.mean > 0) & (self.noise > 0) & (self.saturated <= SATURATED)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(good, self.mean / self.noise, np.nan)
 

@@ -139,9 +139,7 @@ def light_map(
     return _svg(cells + lines + middle + box, "light on the white", wide, tall)
 
 
-def _contours(
-    levels: np.ndarray, across: float, down: float, contours: Sequence[float]
-) -> str:
+def _contours(levels: np.ndarray, across: float, down: float, contours: Sequence[float]) -> str:
     from skimage.measure import find_contours
 
     parts = []
@@ -150,7 +148,9 @@ def _contours(
             if len(path) < 5:
                 continue
             points = " ".join(f"{(c + 0.5) * across:.1f},{(r + 0.5) * down:.1f}" for r, c in path)
-            parts.append(f'<polyline points="{points}" fill="none" stroke="#1d1b16" stroke-width="1"/>')
+            parts.append(
+                f'<polyline points="{points}" fill="none" stroke="#1d1b16" stroke-width="1"/>'
+            )
             r, c = path[len(path) // 2]
             parts.append(
                 f'<text x="{(c + 0.5) * across:.1f}" y="{(r + 0.5) * down:.1f}" '
@@ -177,9 +177,7 @@ def picture_with_areas(
 
 
 def _svg(body: str, label: str, width: float = WIDTH, height: float = HEIGHT) -> str:
-    return (
-        f'<svg viewBox="0 0 {width:g} {height:.0f}" role="img" aria-label="{escape(label)}">{body}</svg>'
-    )
+    return f'<svg viewBox="0 0 {width:g} {height:.0f}" role="img" aria-label="{escape(label)}">{body}</svg>'
 
 
 def _sound(line: Line, log: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -103,7 +103,9 @@ def _focus(focus: Sequence[Mapping[str, Any]]) -> str:
     best, worst = (pick(known, key=lambda f: f["blur_px"]) for pick in (min, max))
     if best["blur_px"] == worst["blur_px"]:
         return f"{best['blur_px']:.2f} px"
-    return f"{best['blur_px']:.2f} px ({best['band']}) to {worst['blur_px']:.2f} px ({worst['band']})"
+    return (
+        f"{best['blur_px']:.2f} px ({best['band']}) to {worst['blur_px']:.2f} px ({worst['band']})"
+    )
 
 
 def _light(learnt: Mapping[str, Any]) -> str:
@@ -166,7 +168,9 @@ def _figures(
     blur = [f["blur_px"] for f in focus]
     if axis.startswith("wave") and len([b for b in blur if b is not None]) > 3:
         svg = plot([Line("blur", places, blur)], x=axis, y="blur of edges, px", from_zero=True)
-        caption = "Blur of the picture's own edges in native pixels; one band is in focus, others drift."
+        caption = (
+            "Blur of the picture's own edges in native pixels; one band is in focus, others drift."
+        )
         figures.append(Figure(svg, caption))
     return figures
 
@@ -182,9 +186,7 @@ def _places(labels: Sequence[str]) -> tuple[list[float], str]:
 # --- the camera's light -------------------------------------------------------------------------
 
 
-def draw_light(
-    record: Mapping[str, Any], levels: np.ndarray, label: str
-) -> list[Figure]:
+def draw_light(record: Mapping[str, Any], levels: np.ndarray, label: str) -> list[Figure]:
     """Return the map of a light field and its two profiles, as the paper's Figure 6b."""
     width, height = record["size"]
     x, y, across, down = record["rectangle"]
