@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
 from levkas.building import fingerprints
+from levkas.building.codes import spread
 from levkas.building.fingerprints import digest, keys_of
 from levkas.building.ledger import Key, Ledger, code_version
-from levkas.building.measuring import levels_of
+from levkas.building.measuring import FEW_BANDS, levels_of
 from levkas.building.steps import Step
 from levkas.problems import Problem, Refused
 
@@ -120,10 +121,11 @@ class CameraPages:
                 if "sensor" in told:
                     sensors.append(sensor_row(name, told["sensor"]))
                 fields = told.get("light", {})
-                for label, light in fields.items():
-                    lights.append(light_row(f"{name} {label}".strip(), light))
-                    if "refused" in light:
-                        notes.append(f"{label}: {light['refused']}")
+                for label in spread(list(fields), FEW_BANDS):
+                    lights.append(light_row(f"{name} {label}".strip(), fields[label]))
+                notes += [
+                    f"{b}: {light['refused']}" for b, light in fields.items() if "refused" in light
+                ]
                 drawn = [label for label, light in fields.items() if "levels" in light]
                 if drawn:
                     label = drawn[len(drawn) // 2]

@@ -48,7 +48,13 @@ CODE = {
         "radiometry/glare.py",
         "radiometry/ranges.py",
     ),
-    "report": ("reporting", "evaluation.py", "building/pages.py", "building/radiometry_pages.py"),
+    "report": (
+        "reporting",
+        "evaluation.py",
+        "building/pages.py",
+        "building/radiometry_pages.py",
+        "radiometry/places.py",
+    ),
 }
 
 

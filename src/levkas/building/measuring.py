@@ -22,6 +22,10 @@ FEW_BANDS = 5
 MOST_BANDS = 24
 """Bands of a camera whose focus is measured, evenly over all; neighbours are alike."""
 LEVELS = 65535
+QUANTISATION = 1 / 12
+"""Variance of rounding to whole counts."""
+CLIPPED = 0.02
+"""Share of zeros from which a dark was clipped, and its spread is not noise."""
 
 
 # --- the sensor ---------------------------------------------------------------------------------
@@ -37,17 +41,40 @@ def note_noise(
     """Note gain, noise in the dark and range of a sensor in `told`."""
     from levkas.radiometry.ranges import sensor_stops
 
-    if noise is None or noise.read_variance <= 0 or saturation is None:
+    if noise is None or saturation is None:
         return
     floor = float(np.mean(dark.mean)) if dark is not None else black
-    read = float(np.sqrt(noise.read_variance))
+    read, source = _noise_in_the_dark(dark), noise.source
+    if read is None and noise.read_variance > QUANTISATION * 1.01:
+        read = float(np.sqrt(noise.read_variance))
+    if read is None:  # the fit had one level only, and took rounding for all there is
+        return
     told["sensor"] = {
         "full": saturation - floor,
         "read_noise": read,
         "gain": float(noise.gain),
         "stops": sensor_stops(saturation - floor, read),
-        "source": noise.source,
+        "source": source,
     }
+
+
+def _noise_in_the_dark(dark: Template | None) -> float | None:
+    """Standard deviation of one dark shot, counts; None where there is none, or it was clipped.
+
+    Of a single dark the neighbours' differences, which leave out what is fixed and smooth.
+    """
+    if dark is None or dark.mean.size < 1000:
+        return None
+    if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > CLIPPED:
+        return None
+    if dark.count > 1 and dark.variance is not None:
+        found = float(np.median(dark.variance) if dark.count > 20 else np.mean(dark.variance))
+        found = max(found, QUANTISATION)
+    else:
+        apart = np.abs(np.diff(dark.mean.astype(float), axis=1)).ravel()
+        near = apart[apart <= np.quantile(apart, 0.995)]  # hot sensels are not noise
+        found = max(float(np.mean(near)) ** 2 * np.pi / 4, QUANTISATION)
+    return float(np.sqrt(found))
 
 
 # --- the light ----------------------------------------------------------------------------------

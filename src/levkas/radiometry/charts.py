@@ -250,15 +250,15 @@ def place_patches(
     matrix = _homography(chart.corners, corners)
     half = sampled / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
     areas = _project(matrix, (chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
-    beyond = ((areas < 0) | (areas > np.array(size) - 1.0)).any((1, 2))
+    beyond = np.any((areas < 0) | (areas > np.array(size) - 1.0), axis=(1, 2))
     if beyond.any():
-        names = [n for n, out in zip(chart.patches, beyond, strict=True) if out]
+        names = [chart.patches[i] for i in np.flatnonzero(beyond)]
         raise ChartRefused(
             Problem(
                 "E_CHART_FRAME",
                 "the chart is partly out of the frame",
                 found=f"{len(names)} patches beyond it: {', '.join(names[:6])}",
-                expected=f"all {len(names) if beyond.all() else len(chart.patches)} patches inside",
+                expected=f"all {len(chart.patches)} patches inside",
                 fix="Capture the whole chart, with a hand's breadth around it.",
             )
         )

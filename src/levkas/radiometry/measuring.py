@@ -172,10 +172,12 @@ def measure(
     tables = [
         measure_patches(s.cube.values, s.cube.flags, s.located.areas, shots=s.shots) for s in seen
     ]
-    joined = [
-        np.concatenate([getattr(t, n) for t in tables], 1) for n in ("mean", "noise", "saturated")
-    ]
-    table = PatchTable(*joined, tables[0].pixels, all(t.temporal for t in tables))
+    mean, noise, saturated = (
+        np.concatenate([getattr(t, part) for t in tables], 1)
+        for part in ("mean", "noise", "saturated")
+    )
+    temporal = all(t.temporal for t in tables)
+    table = PatchTable(mean, noise, saturated, tables[0].pixels, temporal)
     bands = tuple(band for s in seen for band in s.cube.bands)
     preblurs = [p for s in seen for p in _preblurs(s, s.sensor in mosaics)]
     wavelengths = np.array([band.wavelength for band in bands], float)

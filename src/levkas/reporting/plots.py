@@ -215,7 +215,8 @@ class _axis_scale:
 
     def __init__(self, low: float, high: float, start: float, end: float, log: bool) -> None:
         self.log, self.start, self.end = log, start, end
-        self.low, self.high = (np.log10(low), np.log10(high)) if log else (low, high)
+        self.low = float(np.log10(low)) if log else low
+        self.high = float(np.log10(high)) if log else high
 
     def __call__(self, value: np.ndarray | float) -> np.ndarray:
         v = np.log10(value) if self.log else np.asarray(value, float)
