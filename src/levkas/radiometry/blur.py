@@ -45,7 +45,7 @@ class Preblur(NamedTuple):
         return 10 * float(np.log10(self.factor))
 
 
-def find_preblur(noise: np.ndarray | Sequence[np.ndarray]) -> Preblur:
+def find_preblur(noise: np.ndarray | Sequence[np.ndarray], *, fitted: int = 1) -> Preblur:
     """Tell whether a camera blurred, from the noise of uniform areas.
 
     Parameters
@@ -53,6 +53,9 @@ def find_preblur(noise: np.ndarray | Sequence[np.ndarray]) -> Preblur:
     noise : ndarray, (h, w), or a sequence of them
         Raw differences of two shots, or what a fitted plane leaves of uniform patches; pooled,
         each by its own mean and weight. Never demosaiced values: these are correlated anyway.
+    fitted : int
+        Parameters that were fitted to each area: 1 for its mean, 3 for a plane. They take away
+        correlation with what they fit, which is put back.
 
     Returns
     -------
@@ -86,12 +89,23 @@ def find_preblur(noise: np.ndarray | Sequence[np.ndarray]) -> Preblur:
     correlation /= correlation[0, LAGS]
     pixels = int(pairs[0, LAGS])
     lag1 = float(correlation[0, LAGS + 1]), float(correlation[1, LAGS])
-    # 1/n is taken off by the mean of each area: of small patches that would hide a little blur.
     limit = max(SIGNIFICANT / np.sqrt(pixels), SMALLEST)
     if max(lag1) <= limit:
         return Preblur(False, lag1, 1.0, pixels)
-    total = correlation[0, LAGS] + 2 * (correlation[0, LAGS + 1 :].sum() + correlation[1:].sum())
+    reach = _reach(correlation, limit)
+    near = correlation[: reach + 1, LAGS - reach : LAGS + reach + 1]
+    total = 1 + 2 * (near[0, reach + 1 :].sum() + near[1:].sum())
+    # Of autocovariance a fit takes p S/n at every lag: total = (S − lags · p S/n)/(1 − p S/n).
+    share = fitted / (pixels / len(areas))
+    total /= max(1 - (2 * reach + 1) ** 2 * share + total * share, 0.1)
     return Preblur(True, lag1, float(np.sqrt(max(total, 1.0))), pixels)
+
+
+def _reach(correlation: np.ndarray, limit: float) -> int:
+    """Return the largest lag that still counts: past it there is only the scatter of the estimate."""
+    along = np.maximum(correlation[0, LAGS + 1 :], correlation[1:, LAGS])
+    below = np.flatnonzero(along < limit)
+    return int(below[0]) + 1 if len(below) else LAGS
 
 
 def _add_products(area: np.ndarray, sums: np.ndarray, pairs: np.ndarray) -> None:

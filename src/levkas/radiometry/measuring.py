@@ -211,7 +211,7 @@ def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
     found: list[Preblur | None] = []
     for planes in noise_planes(seen.cube.values, seen.located.areas, shots=seen.shots):
         try:
-            found.append(find_preblur(planes))
+            found.append(find_preblur(planes, fitted=3))
         except ValueError:  # patches too small for that
             found.append(None)
     return found
