@@ -50,9 +50,7 @@ def main(output: Path) -> Figure:
     for g, grey in zip(GREYS, np.linspace(0.75, 0, 6), strict=True):
         axes[3].plot(nm, table.snr_db[g], "o-", ms=3, color=str(grey), label=KIND.patches[g])
         axes[3].plot(nm, corrected[g], "--", color="#c62828", lw=1, label="corrected")
-    axes[3].set(
-        title="(d) (c) by patch; red: corrected", xlabel="wavelength (nm)", ylabel="SNR (dB)"
-    )
+    axes[3].set(title="(d) by patch; red: corrected", xlabel="wavelength (nm)", ylabel="SNR (dB)")
     figure.savefig(output, dpi=80)
     return figure
 

@@ -84,7 +84,7 @@ def light_field(
     --------
     >>> field = light_field(np.tile(np.linspace(0.8, 1.0, 480), (240, 1)))
     >>> field.levels.shape, field.rectangle, round(field.uniformity, 2)
-    ((24, 48), (180, 0, 240, 240), 0.8)
+    ((24, 48), (150, 0, 240, 240), 0.8)
     """
     plane = np.asarray(white, np.float64)
     if saturated is not None and np.mean(saturated) > 0.01:

@@ -18,7 +18,7 @@ from levkas.radiometry.charts import (
 
 LEAST_AGREEMENT = 0.9
 """Rank correlation of patch values with the published ones."""
-LONG_SIDES = (1400, 900, 2000)
+LONG_SIDES = (900, 1400, 2000)
 """Sizes, px, at which the detector is tried: it wants patches 30 px apart or more."""
 
 
