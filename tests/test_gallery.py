@@ -173,6 +173,7 @@ def test_the_light_on_a_white_is_drawn_with_its_rectangle(script, tmp_path):
 
 
 def test_close_ups_stand_setup_by_setup(script, tmp_path):
+    from levkas.database.catalogue import entry_of, write_catalogue
     from levkas.database.preview import write_preview
 
     folder = tmp_path / "database" / "objects" / "icon"
@@ -184,6 +185,9 @@ def test_close_ups_stand_setup_by_setup(script, tmp_path):
         write_preview(folder / f"{stem}.png", shown)
         plane = shown.astype(np.float32)
         levkas.write_stiff(folder / f"{stem}.tif", plane, [450, 550, 650], shown, "{}")
+    rows = [["icon", "a", setup, "3", "80", "60", "1", "reflectance", "accept", "0" * 64]
+            for setup in ("", "45-degree")]  # fmt: skip
+    write_catalogue(tmp_path / "database", [entry_of(row) for row in rows])
     figure = script("figure_4_setups").main(tmp_path / "database", tmp_path / "4.png")
     rows = [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()]
     assert rows == ["default setup", "45-degree"]
