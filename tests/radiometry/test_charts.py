@@ -48,14 +48,14 @@ needs_detector = pytest.mark.skipif(not hasattr(cv2, "mcc"), reason="this OpenCV
 
 
 @needs_detector
-@pytest.mark.parametrize("turn", [0, 2])  # the sampled areas have a quarter of the pitch to spare
+@pytest.mark.parametrize("turn", [0, 2])
 def test_a_chart_is_found_whichever_way_it_lies(turn):
     found = locate_chart(scene(turn=turn), WAVELENGTHS, CLASSIC, reference_of(CLASSIC))
     corners = true_corners()
     if turn:
         corners = np.array([399, 299]) - corners
     assert found.agreement > 0.98
-    assert np.linalg.norm(found.corners - corners, axis=1).max() < 0.1 * PITCH
+    assert np.linalg.norm(found.corners - corners, axis=1).max() < 1.5
 
 
 @needs_detector
@@ -199,3 +199,17 @@ def test_a_measure_says_all_and_changes_no_input():
     assert all(p.found for p in told.preblurs)
     lost = np.nanmedian(told.table.snr_db - told.snr_db)
     assert lost == pytest.approx(10 * np.log10(3), abs=0.5)
+
+
+@needs_detector
+def test_a_chart_of_140_patches_is_found():
+    chart, rng = CHARTS["ColorCheckerSG"], np.random.default_rng(6)
+    picture = np.full((660, 900, 3), 0.15, np.float32)
+    picture[60:600, 80:820] = 0.02
+    for i, (c, r) in enumerate(chart.centres.astype(int)):
+        y, x = 80 + 50 * r, 100 + 50 * c
+        picture[y + 4 : y + 46, x + 4 : x + 46] = chart.luminances[i] * np.array([1, 0.9, 0.8])
+    picture += 0.003 * rng.standard_normal(picture.shape).astype(np.float32)
+    found = locate_chart(picture, np.full(3, np.nan), chart)
+    # The detector alone is 11 px off.
+    assert np.abs(found.corners - (chart.corners * 50 + [124.5, 104.5])).max() < 2.5

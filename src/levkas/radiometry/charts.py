@@ -77,8 +77,8 @@ class Chart:
 
 CHARTS = {
     "ColorChecker24": Chart("ColorChecker24", 6, 4, (18, 19, 20, 21, 22, 23)),
-    # Row 5 to 6 of the SG's middle columns: E5 (white) … J5, then E6 … J6 (black).
-    "ColorCheckerSG": Chart("ColorCheckerSG", 14, 10, (60, 61, 62, 63, 64, 65, 79, 78, 77, 76, 75, 74)),
+    # E5 to J5 and E6 to J6 by brightness: E5 is the white, E6 the black.
+    "ColorCheckerSG": Chart("ColorCheckerSG", 14, 10, (60, 79, 61, 78, 62, 77, 63, 76, 64, 75, 65, 74)),
 }  # fmt: skip
 
 
