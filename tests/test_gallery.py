@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 import levkas
@@ -14,7 +15,14 @@ pytest.importorskip("matplotlib")
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
-MODULES = {"levkas", "levkas.noise", "levkas.registration", "levkas.reporting", "levkas.simulation"}
+MODULES = {
+    "levkas",
+    "levkas.noise",
+    "levkas.radiometry",
+    "levkas.registration",
+    "levkas.reporting",
+    "levkas.simulation",
+}
 
 
 @pytest.fixture(scope="module")
@@ -132,3 +140,56 @@ def test_previews_of_all_cameras_stand_side_by_side(script, tmp_path):
     assert decoded(tmp_path / "13.png").std() > 5
     assert [axes.get_title() for axes in figure.axes] == ["(a) a: 3 bands", "(b) b: 3 bands"]
     assert [int(axes.images[0].get_array()[0, 0, 0]) for axes in figure.axes] == [40, 130]
+
+
+def test_snr_grows_with_the_signal_and_the_blurring_filter_is_seen_through(script, tmp_path):
+    figure = script("figure_15_snr").main(tmp_path / "15.png")
+    assert decoded(tmp_path / "15.png").std() > 5
+    for axes in figure.axes[:3]:
+        for line in axes.lines:
+            x, y = line.get_xydata().T
+            assert np.corrcoef(np.log(x), y)[0, 1] > 0.97
+    measured, corrected = (
+        [line.get_ydata() for line in figure.axes[3].lines[k::2]] for k in (0, 1)
+    )
+    jump = [line[4] - line[5] for line in measured]  # 500 nm is blurred, 520 nm is not
+    assert np.mean(jump) > 4
+    mended = [line[4] - line[5] for line in corrected]
+    assert abs(np.mean(mended)) < 0.8
+    np.testing.assert_array_equal(measured[0][5:], corrected[0][5:])
+
+
+def test_the_light_on_a_white_is_drawn_with_its_rectangle(script, tmp_path):
+    y, x = np.mgrid[:120, :160]
+    white = 3000 * np.exp(-((x - 90) ** 2 + (y - 60) ** 2) / 30_000) + 60
+    for name, frame in (("dark", np.full(white.shape, 60)), ("white", white)):
+        tifffile.imwrite(tmp_path / f"{name}.tif", frame.astype(np.uint16))
+    out = tmp_path / "6b.png"
+    figure = script("figure_6b_light").main(out, tmp_path / "dark.tif", [tmp_path / "white.tif"])
+    assert decoded(out).std() > 5
+    box = figure.axes[0].patches[0]
+    middle = box.get_x() + box.get_width() / 2, box.get_y() + box.get_height() / 2
+    assert abs(middle[0] - 45) < 8 and abs(middle[1] - 30) < 8  # of one phase: half the pixels
+
+
+def test_close_ups_stand_setup_by_setup(script, tmp_path):
+    from levkas.database.catalogue import entry_of, write_catalogue
+    from levkas.database.preview import write_preview
+
+    folder = tmp_path / "database" / "objects" / "icon"
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(1)
+    levels = np.repeat(rng.integers(0, 99, (60, 80, 1), np.uint8), 3, 2)
+    for stem, lifted in (("icon_a", 0), ("icon_a_45-degree", 90)):
+        shown = levels + np.uint8(lifted)
+        write_preview(folder / f"{stem}.png", shown)
+        plane = shown.astype(np.float32)
+        levkas.write_stiff(folder / f"{stem}.tif", plane, [450, 550, 650], shown, "{}")
+    rows = [["icon", "a", setup, "3", "80", "60", "1", "reflectance", "accept", "0" * 64]
+            for setup in ("", "45-degree")]  # fmt: skip
+    write_catalogue(tmp_path / "database", [entry_of(row) for row in rows])
+    figure = script("figure_4_setups").main(tmp_path / "database", tmp_path / "4.png")
+    rows = [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()]
+    assert rows == ["default setup", "45-degree"]
+    first, second = (figure.axes[i].images[0].get_array() for i in (0, len(figure.axes) // 2))
+    assert (np.asarray(second, int) - np.asarray(first, int) == 90).all()

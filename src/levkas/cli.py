@@ -226,6 +226,53 @@ def validate(
     raise typer.Exit(0 if report.ok else 1)
 
 
+@app.command()
+@_refusing("chart")
+def chart(
+    subject: Annotated[
+        Path, typer.Argument(help="A campaign that declares charts, or a calibrated cube.")
+    ],
+    kind: Annotated[
+        str, typer.Option(help="Of the chart in a cube: ColorChecker24 or ColorCheckerSG.")
+    ] = "ColorChecker24",
+    cameras: Annotated[
+        list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
+    ] = None,
+    corners: Annotated[
+        str | None,
+        typer.Option(
+            help="Centres of the corner patches, x,y,x,y,x,y,x,y, clockwise from the first patch."
+        ),
+    ] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="CSV of the chart's spectra: wavelength, a column a patch.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Report page to write, HTML.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Find colour charts and measure signal-to-noise, blur, colour, tone and white balance."""
+    from levkas.building.charting import measure_charts
+    from levkas.radiometry.charts import parse_corners
+
+    report = measure_charts(
+        subject,
+        kind=kind,
+        cameras=cameras or (),
+        corners=parse_corners(corners) if corners else None,
+        reference=reference,
+    )
+    if output is not None:
+        from levkas.files import write_text
+
+        write_text(output, report.page(subject.name))
+    _report("chart", as_json, report.ok, report.problems, **report.to_dict())
+    if not as_json:
+        typer.echo(report.text)
+    raise typer.Exit(0 if report.ok else 1)
+
+
 @app.command(name="map")
 @_refusing("map")
 def map_points(

@@ -30,6 +30,7 @@ __all__ = [
     "Refusals",
     "SensorFrames",
     "find_captures",
+    "find_charts",
 ]
 
 
@@ -69,6 +70,28 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
                 captures.append(capture)
             except Refused as refused:
                 refusals[name, camera_name, setup] = refused
+    return captures, refusals
+
+
+def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+    """Find every capture of a declared chart, by the cameras and setups that took it.
+
+    Returns as `find_captures`; plain images, which are not calibrated, are left out.
+    """
+    survey = look(campaign)
+    captures: list[Capture] = []
+    refusals: Refusals = {}
+    for name in campaign.targets.charts:
+        for (camera, setup), frames in survey.frames.items():
+            if campaign.cameras[camera].kind == "image":
+                continue
+            if not any(frame.target == name for frame in frames):
+                continue
+            try:
+                sensors = frames_of_sensors(survey, name, campaign.cameras[camera], setup)
+                captures.append(Capture(name, camera, setup, sensors))
+            except Refused as refused:
+                refusals[name, camera, setup] = refused
     return captures, refusals
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,6 +42,8 @@ class Bench:
     sensor: SensorFrames
     facts: Facts
     shelf: Shelf
+    told: dict[str, Any] = field(default_factory=dict)
+    """What is learnt of sensor and light on the way, for the reports."""
 
     @property
     def saturation(self) -> float | None:
@@ -125,6 +127,7 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
     """
     camera = campaign.cameras[capture.camera]
     cubes, notes, captured = {}, [], None
+    learnt: dict[str, dict[str, Any]] = {}
     try:
         for sensor in capture.sensors:
             facts = read_facts(sensor.object[0].path)
@@ -132,12 +135,13 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
             bench = Bench(campaign, camera, sensor, facts, shelf)
             notes += doubts_of(bench)
             cubes[sensor.name] = DEVELOPERS[camera.kind](bench, notes)
+            learnt[sensor.name] = bench.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, shelf, refused)) from None
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
     told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
-    return Native(cubes, aligns, captured, told)
+    return Native(cubes, aligns, captured, told, learnt)
 
 
 def _all_problems(
@@ -274,16 +278,18 @@ def _noise(
     shots: list[Template], whites: list[Template | None], darks: list[Template], bench: Bench
 ) -> NoiseModel | None:
     """Noise of the sensor from stacks, or from single shots where there are no stacks."""
+    from levkas.building.measuring import note_noise
     from levkas.calibration.noise_fit import fit_noise, fit_noise_single
 
     dark = darks[0] if darks else None
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
     black = bench.black or 0.0
     fitted = fit_noise(stacks, dark, black=black) if stacks else None
-    if fitted is not None:
-        return fitted
-    pattern = bench.sensor.pattern
-    return fit_noise_single(shots, whites, dark, black=black, pattern=pattern)
+    if fitted is None:
+        pattern = bench.sensor.pattern
+        fitted = fit_noise_single(shots, whites, dark, black=black, pattern=pattern)
+    note_noise(bench.told, fitted, dark, black, bench.saturation)
+    return fitted
 
 
 def cube_of(
@@ -383,6 +389,7 @@ def _defects(darks: list[Template], white: Template | None, pattern: Any) -> np.
 
 def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
+    from levkas.building.measuring import note_light
     from levkas.calibration.defects import replace_defects
     from levkas.calibration.mosaic import demosaic
 
@@ -392,6 +399,8 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     white = _white(bench, sensor.white, darks, exposed.above_dark)
     noise = _noise(exposed.shots, [white] * len(exposed.shots), darks, bench)
     pattern = sensor.pattern
+    under = [] if exposed.above_dark else darks
+    note_light(bench.told, white, under, pattern, [b.label for b in sensor.bands])
     defects = _defects(darks, white, pattern)
     reflectance = white_reflectance(bench.campaign, sensor.bands)
     flat = flatten(
@@ -458,6 +467,7 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
 
 def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None) -> Calibrated:
     """One band of one file, or of one file an exposure."""
+    from levkas.building.measuring import note_light
     from levkas.calibration.defects import replace_defects
     from levkas.calibration.equalising import equalise_phases
 
@@ -466,6 +476,7 @@ def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None
     exposed = _exposed(bench, [f for f in sensor.object if f.band == label], darks)
     frames = _require(_of_band(sensor.white, label), bench, label)
     white = _white(bench, frames, darks, exposed.above_dark)
+    note_light(bench.told, white, [] if exposed.above_dark else darks, None, [label])
     flat = flatten(
         bench,
         exposed.shot,
@@ -537,6 +548,7 @@ def _noise_of_bands(bench: Bench) -> NoiseModel | None:
 
 def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
+    from levkas.building.measuring import note_light
     from levkas.calibration.scanning import average_lines, join_strips
 
     sensor, mirror = bench.sensor, bench.camera.scan == "mirror"
@@ -550,6 +562,7 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
 
     dark, white = template(sensor.dark), template(sensor.white)
     darks = [dark] if dark else []
+    note_light(bench.told, white, darks, None, [b.label for b in sensor.bands])
     reflectance = white_reflectance(bench.campaign, sensor.bands)
     noise = None if mirror else line_noise(bench, dark, white)
     strips = []

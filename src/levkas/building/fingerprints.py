@@ -24,6 +24,9 @@ CODE = {
         "building/developing.py",
         "building/scans.py",
         "building/whiteboard.py",
+        "building/measuring.py",
+        "radiometry/light.py",
+        "radiometry/sharpness.py",
     ),
     "register": (
         "registration",
@@ -47,8 +50,16 @@ CODE = {
         "colour.py",
         "database",
         "transforms.py",
+        "radiometry/glare.py",
+        "radiometry/ranges.py",
     ),
-    "report": ("reporting", "evaluation.py", "building/pages.py"),
+    "report": (
+        "reporting",
+        "evaluation.py",
+        "building/pages.py",
+        "building/radiometry_pages.py",
+        "radiometry/places.py",
+    ),
 }
 
 
@@ -104,14 +115,16 @@ def of_registration(
 
 
 def of_resampling(
-    campaign: Campaign, capture: Capture, registered: str, reference: str
+    campaign: Campaign, capture: Capture, registered: str, reference: str, *, default: str = ""
 ) -> dict[str, Any]:
-    """The registration, the grid, and what the files say of the object."""
+    """The registration, the grid, what the files say of the object, and the default lighting's layer."""
     prints: dict[str, Any] = {
         "code": code_version(*CODE["resample"]),
         "registration": registered,
         "registration of the reference": reference,
     }
+    if default:
+        prints["layer under the default setup"] = default
     for key, value in (campaign.grid.model_dump() if campaign.grid else {}).items():
         prints[f"grid.{key}"] = value
     for key, value in _facts(campaign, capture.object).items():

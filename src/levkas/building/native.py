@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,12 +41,15 @@ class Native:
     captured : str or None
         Date of the first frame that says one, ISO 8601.
     warnings : tuple of str
+    learnt : dict of str to dict
+        What was learnt of each sensor and its light on the way, for the reports.
     """
 
     cubes: dict[str, Cube]
     aligns: Mapping[str, object] = field(default_factory=dict)
     captured: str | None = None
     warnings: tuple[str, ...] = ()
+    learnt: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def bands(self) -> tuple[Band, ...]:

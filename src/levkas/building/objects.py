@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
     from levkas.campaign import Campaign
+    from levkas.cube import Cube
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer
@@ -222,7 +223,9 @@ class ObjectBuild:
             ends = self.digests[keys["calibrate"]], self.digests[base["calibrate"]]
             return fingerprints.of_registration(self.campaign, capture, *ends)
         ends = self.digests[keys["register"]], self.digests[base["register"]]
-        return fingerprints.of_resampling(self.campaign, capture, *ends)
+        default = self._default_of(capture)
+        other = "" if default is None else self.digests[self.keys(default)["resample"]]
+        return fingerprints.of_resampling(self.campaign, capture, *ends, default=other)
 
     def _fresh(self, key: Key) -> Step:
         notes = self.ledger.told(key)
@@ -302,6 +305,7 @@ class ObjectBuild:
         why: str,
     ) -> Future[Step]:
         from levkas.building.developing import develop
+        from levkas.building.measuring import focus_of
         from levkas.building.native import Native, PackedSigma, least_bytes, write_native
         from levkas.building.scans import is_streamed, open_scan
         from levkas.building.streaming import write_scan
@@ -330,6 +334,8 @@ class ObjectBuild:
                 "quantity": made.quantity,
                 "warnings": list(made.warnings),
                 "captured": made.captured or "",
+                "learnt": dict(made.learnt),
+                "focus": focus_of(made) if isinstance(made, Native) else [],
             }
             self.ledger.keep(key, prints, files, **notes)
             return Step(key, "done", why, warnings=made.warnings)
@@ -432,6 +438,7 @@ class ObjectBuild:
         native: list[Native | Scan],
         why: str,
     ) -> Future[Step]:
+        from levkas.building.measuring import flag_and_count, ranges_of
         from levkas.building.native import least_bytes, read_sigma
         from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
         from levkas.building.scans import Scan
@@ -449,11 +456,14 @@ class ObjectBuild:
         for folder in (self.places.folder(self.name), self.places.store(self.name)):
             make_folder(folder)
 
-        def keep(entry: Entry, files: Iterable[Path], grey: Grey, flags: np.ndarray) -> Step:
+        def keep(
+            entry: Entry, files: Iterable[Path], grey: Grey, flags: np.ndarray, **more: Any
+        ) -> Step:
             notes = {
                 **self._similarity(capture, grey),
                 "flags": describe_flags(flags),
                 "entry": entry.to_row(),
+                **more,
             }
             self.ledger.keep(key, prints, files, **notes)
             return Step(key, "done", why)
@@ -473,6 +483,7 @@ class ObjectBuild:
         self._sigmas = {}
         encoded = self.campaign.cameras[capture.camera].kind == "image"
         del here
+        glare = flag_and_count(cube, self._default_setup(capture, cube))
 
         def write() -> Step:
             require_space(self.places.output, 2 * least_bytes(cube))  # as TIFF and as Zarr
@@ -484,7 +495,9 @@ class ObjectBuild:
                 encoded=encoded,
                 before=partial(self.ledger.forget, key),
             )
-            return keep(entry, files, grey_of(cube.values, cube.flags), count_flags(cube.flags))
+            ranges = ranges_of(cube.values, cube.flags, cube.sigma, cube.bands)
+            grey = grey_of(cube.values, cube.flags)
+            return keep(entry, files, grey, count_flags(cube.flags), glare=glare, ranges=ranges)
 
         return self._write(key, write)
 
@@ -517,7 +530,33 @@ class ObjectBuild:
             white=white_of(scan),
             before=partial(self.ledger.forget, key),
         )
-        return keep(made.entry, made.files, passing.grey, passing.flags)
+        more = {"glare": passing.glare, "ranges": passing.ranges(scan.bands)}
+        return keep(made.entry, made.files, passing.grey, passing.flags, **more)
+
+    def _default_setup(self, capture: Capture, cube: Cube) -> tuple[np.ndarray, np.ndarray] | None:
+        """Values and flags of the same camera under its default lighting, where they were published."""
+        default = self._default_of(capture)
+        if default is None or cube.quantity != "reflectance":
+            return None
+        from levkas.database.spectral_tiff import read_tiff_pages
+
+        paths = [
+            self.places.layer(self.name, capture.camera, kind=k) for k in (".tif", ".flags.tif")
+        ]
+        if not all(path.is_file() for path in paths):
+            return None
+        values, flags = (read_tiff_pages(path) for path in paths)
+        deep = cube.values.shape
+        if values.size != cube.values.size or flags.size != cube.flags.size:
+            return None
+        return values.reshape(deep), flags.reshape(deep)
+
+    def _default_of(self, capture: Capture) -> Capture | None:
+        """The same camera's capture under its default setup, None for that itself."""
+        if not capture.setup:
+            return None
+        mine = (c for c in self.captures if c.camera == capture.camera and not c.setup)
+        return next(mine, None)
 
     def _lost(self, capture: Capture, step: Step) -> Step:
         """Withdraw a layer whose stage was refused, or say that the older one stays.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
 from levkas.building.fingerprints import keys_of
+from levkas.building.radiometry_pages import close_ups, radiometry_rows
 from levkas.reporting.page import (
     Figure,
     LayerReport,
@@ -60,6 +61,8 @@ def report_of(
             mm_per_px=sampling,
             footer=f"Levkas {__version__}. Object {name}; every figure is in pixels of the reference band unless it says otherwise.",
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
+            radiometry=radiometry_rows(ledger, captures),
+            setups=close_ups(places, captures),
         )
     )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.building import fingerprints
+from levkas.building.camera_pages import CameraPages
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key, Ledger
 from levkas.building.objects import CATALOGUE, NoReference, ObjectBuild
@@ -59,7 +60,10 @@ def build(
     ledger = Ledger(places.kept, places.output)
     names = list(dict.fromkeys([c.object for c in captures] + [key[0] for key in refusals]))
     shelf = Shelf(places.kept / "templates", ledger.hashes, shared=len(names) > 1)
-    total = STAGES_A_CAPTURE * len(captures) + len(refusals) + len(names) + 1
+    # What cameras told is gathered from all objects: a build of some leaves their pages alone.
+    cameras = None if objects else CameraPages(campaign, places, ledger, captures)
+    pages = len(cameras.cameras) if cameras else 0
+    total = STAGES_A_CAPTURE * len(captures) + len(refusals) + len(names) + pages + 1
     done = 0
     for name in names:
         mine = [c for c in captures if c.object == name]
@@ -80,6 +84,9 @@ def build(
                 )
                 done += 1 + skipped
             yield replace(step, done=done, total=total)
+    for step in cameras.run(shelf) if cameras else ():
+        done += step.finished
+        yield replace(step, done=done, total=total)
     yield replace(_write_catalogue(places, ledger, captures, names), done=total, total=total)
     ledger.hashes.save()
 
@@ -99,6 +106,7 @@ def status(path: str | Path, *, output: str | Path | None = None) -> BuildReport
             campaign, places, ledger, shelf, name, [c for c in captures if c.object == name]
         )
         steps += mine.states()
+    steps += CameraPages(campaign, places, ledger, captures).states()
     return summarise(steps, places.output)
 
 

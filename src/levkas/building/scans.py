@@ -142,6 +142,11 @@ class Scan:
         lines, samples, _ = self.shape
         return max(1, int(np.ceil(np.sqrt(lines * samples / LOOKED_AT_PX))))
 
+    @property
+    def learnt(self) -> dict[str, dict[str, Any]]:
+        """What was learnt of the sensor, as of `Native`."""
+        return {self.bench.sensor.name: self.bench.told}
+
     def without_sigma(self) -> Scan:
         """Return the scan itself: it holds nothing."""
         return self
@@ -336,6 +341,7 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
     Raises Refused as `developing.develop` does.
     """
     from levkas.building.developing import Bench, doubts_of, line_noise
+    from levkas.building.measuring import note_light
     from levkas.building.whiteboard import white_reflectance
     from levkas.calibration.scanning import average_lines
     from levkas.readers.envi import open_envi
@@ -352,6 +358,7 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
         return bench.whole(average_lines(blocks, saturation=bench.saturation), frames)
 
     dark, white = template(sensor.dark), template(sensor.white)
+    note_light(bench.told, white, [dark] if dark else [], None, [b.label for b in sensor.bands])
     where = f"{capture.object}/{capture.layer}"
     return Scan(
         open_envi(sensor.object[0].path),

@@ -5,12 +5,13 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import ceil
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from levkas.building.measuring import add_counts, flag_and_count, ranges_of
 from levkas.building.resampling import count_flags, grey_of
-from levkas.cube import Cube, Flag
+from levkas.cube import Band, Cube, Flag
 from levkas.files import spooling
 from levkas.machine import tile_rows
 from levkas.pixelmap import PixelMap, lay
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 HELD_BYTES = 300_000_000
 """Of calibrated lines and of grid rows, together; the next ones are read meanwhile."""
 SAMPLE_BYTES = 9
+THINNED = 16
+"""Of a large scan every sixteenth pixel a side is kept in mind for its range and noise."""
 MOST_ROWS, LEAST_ROWS, TURNED_ROWS = 256, 8, 32
 """Of the grid: in a strip whose maps are laid at once, and in a piece on the disk."""
 
@@ -62,15 +65,21 @@ def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -
 
 @dataclass
 class Passing:
-    """What is noted of a layer's rows while they pass by: grey, where all was seen, and flags."""
+    """What is noted of a layer's rows while they pass by: grey, where all was seen, flags, glare."""
 
     mean: list[np.ndarray] = field(default_factory=list)
     seen: list[np.ndarray] = field(default_factory=list)
     flags: np.ndarray = field(default_factory=lambda: np.zeros(256, np.int64))
+    glare: dict[str, int] = field(default_factory=dict)
+    thin: list[Cube] = field(default_factory=list)
+    _rows: int = 0
 
     def noting(self, blocks: Iterable[Cube]) -> Iterator[Cube]:
-        """Pass the rows on."""
+        """Flag glare in the rows, and pass them on."""
         for cube in blocks:
+            add_counts(self.glare, flag_and_count(cube, whole=False))
+            self.thin.append(_thinned(cube, -self._rows % THINNED))
+            self._rows += len(cube.values)
             mean, seen = grey_of(cube.values, cube.flags)
             self.mean.append(mean)
             self.seen.append(seen)
@@ -81,6 +90,22 @@ class Passing:
     def grey(self) -> tuple[np.ndarray, np.ndarray]:
         """As `resampling.grey_of` gives it for all rows."""
         return np.concatenate(self.mean), np.concatenate(self.seen)
+
+    def ranges(self, bands: Sequence[Band]) -> list[dict[str, Any]]:
+        """As `measuring.ranges_of` gives it, of every sixteenth pixel a side."""
+        values, flags = (
+            np.concatenate([getattr(c, n) for c in self.thin]) for n in ("values", "flags")
+        )
+        sigmas = [cube.sigma for cube in self.thin if cube.sigma is not None]
+        sigma = np.concatenate(sigmas) if len(sigmas) == len(self.thin) else None
+        return ranges_of(values, flags, sigma, bands)
+
+
+def _thinned(cube: Cube, first: int) -> Cube:
+    """Every sixteenth pixel a side of some rows, from the row `first` on, in memory of its own."""
+    rows = np.s_[first::THINNED, ::THINNED]
+    sigma = None if cube.sigma is None else cube.sigma[rows].copy()
+    return Cube(cube.values[rows].copy(), cube.flags[rows].copy(), sigma, cube.bands, cube.quantity)
 
 
 def white_of(scan: Scan) -> float | None:

@@ -61,6 +61,23 @@ class LayerReport:
 
 
 @dataclass(frozen=True)
+class CloseUpRow:
+    """One setup's close-ups, as data addresses."""
+
+    name: str
+    pictures: Sequence[str]
+
+
+@dataclass(frozen=True)
+class CloseUps:
+    """Close-ups of one camera under all its setups."""
+
+    camera: str
+    places: Sequence[str]
+    rows: Sequence[CloseUpRow]
+
+
+@dataclass(frozen=True)
 class ObjectReport:
     """Everything on the page of one object."""
 
@@ -72,15 +89,21 @@ class ObjectReport:
     mm_per_px: str = ""
     footer: str = ""
     views: Sequence[dict[str, str]] = field(default=())
+    radiometry: Sequence[Any] = ()
+    setups: Sequence[CloseUps] = ()
 
 
-def render_report(page: ObjectReport) -> str:
-    """Return the page as HTML; every text from outside is escaped."""
+def render_report(page: Any, template: str = "report.html") -> str:
+    """Return a page as HTML by one of the templates here; every text from outside is escaped."""
     import jinja2
 
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    text = resources("levkas.reporting").joinpath("report.html").read_text(encoding="utf-8")
-    return environment.from_string(text).render(page=page)
+    def read(name: str) -> str:
+        return resources("levkas.reporting").joinpath(name).read_text(encoding="utf-8")
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(template).render(page=page)
 
 
 def embed_png(data: bytes) -> str:

@@ -1,0 +1,181 @@
+"""The report page of every camera: what its captures told of sensor and light, and its charts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from levkas import __version__
+from levkas.building import fingerprints
+from levkas.building.codes import spread
+from levkas.building.fingerprints import digest, keys_of
+from levkas.building.ledger import Key, Ledger, code_version
+from levkas.building.measuring import FEW_BANDS, levels_of
+from levkas.building.steps import Step
+from levkas.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from levkas.building.places import Places
+    from levkas.building.shelf import Shelf
+    from levkas.campaign import Campaign
+    from levkas.discovery import Capture
+    from levkas.radiometry.measuring import ChartMeasure
+
+CODE = (
+    "reporting", "radiometry", "building/camera_pages.py", "building/charting.py",
+)  # fmt: skip
+
+
+class CameraPages:
+    """The pages of a campaign's cameras; plain images, where nothing is calibrated, have none.
+
+    Parameters
+    ----------
+    captures : list of Capture
+        Of all objects.
+    """
+
+    def __init__(
+        self, campaign: Campaign, places: Places, ledger: Ledger, captures: list[Capture]
+    ) -> None:
+        from levkas.discovery import find_charts
+
+        self.campaign, self.places, self.ledger = campaign, places, ledger
+        self.captures = captures
+        self.charts: list[Capture] = []
+        self.refusals: dict[str, list[Problem]] = {}
+        if campaign.targets.charts:
+            self.charts, refusals = find_charts(campaign)
+            for (_, camera, _), refused in refusals.items():
+                self.refusals.setdefault(camera, []).extend(refused.problems)
+        seen = {c.camera for c in captures if campaign.cameras[c.camera].kind != "image"}
+        self.cameras = [name for name in campaign.cameras if name in seen]
+
+    def states(self) -> list[Step]:
+        """Say of every page whether it is fresh or stale."""
+        steps = []
+        for camera in self.cameras:
+            key = _key(camera)
+            why = self.ledger.why_stale(key, self._prints(camera))
+            steps.append(Step(key, "stale" if why else "fresh", why))
+        return steps
+
+    def run(self, shelf: Shelf) -> Iterator[Step]:
+        """Write the pages that are stale."""
+        for camera in self.cameras:
+            key, prints = _key(camera), self._prints(camera)
+            why = self.ledger.why_stale(key, prints)
+            if not why:
+                yield Step(key, "fresh", warnings=tuple(self.ledger.told(key).get("warnings", ())))
+                continue
+            yield Step(key, "running", why)
+            yield self._write(camera, key, prints, why, shelf)
+
+    def _write(self, camera: str, key: Key, prints: dict[str, Any], why: str, shelf: Shelf) -> Step:
+        from levkas.files import make_folder, write_text
+
+        measures, problems = self._measured(camera, shelf)
+        page = self.places.output / "cameras" / camera / "report.html"
+        try:
+            self.ledger.forget(key)
+            make_folder(page.parent)
+            write_text(page, self._page(camera, measures, problems))
+        except Refused as error:
+            return Step(key, "refused", error.problems[0].message, problems=error.problems)
+        # A chart that cannot be measured is no fault of the objects: said, not refused.
+        warnings = tuple(str(problem) for problem in problems)
+        self.ledger.keep(key, prints, [page], warnings=list(warnings))
+        return Step(key, "done", why, warnings=warnings)
+
+    def _measured(self, camera: str, shelf: Shelf) -> tuple[list[ChartMeasure], list[Problem]]:
+        from levkas.building.charting import develop_chart, measure_capture, problems_of
+        from levkas.radiometry.charts import chart_of, reference_of
+
+        measures, problems = [], list(self.refusals.get(camera, ()))
+        for capture in self.charts:
+            if capture.camera != camera:
+                continue
+            name = f"{capture.object}/{capture.layer}"
+            try:
+                chart = chart_of(self.campaign.targets.charts[capture.object])
+                made = develop_chart(capture, self.campaign, shelf)
+                light = self._uniformity(camera, capture.setup)
+                measures.append(
+                    measure_capture(name, made, chart, reference_of(chart), uniformity=light)
+                )
+            except Refused as refused:
+                problems += problems_of(name, capture, refused)
+        return measures, problems
+
+    def _page(
+        self, camera: str, measures: Sequence[ChartMeasure], problems: Sequence[Problem]
+    ) -> str:
+        from levkas.reporting.camera import CameraReport, light_row, render_camera, sensor_row
+        from levkas.reporting.charts import describe_chart
+        from levkas.reporting.radiometry import draw_light
+
+        sensors, lights, figures, notes = [], [], [], []
+        for setup, learnt in self._learnt(camera).items():
+            for sensor, told in learnt.items():
+                name = " ".join(part for part in (setup, sensor) if part)
+                if "sensor" in told:
+                    sensors.append(sensor_row(name, told["sensor"]))
+                fields = told.get("light", {})
+                for label in spread(list(fields), FEW_BANDS):
+                    lights.append(light_row(f"{name} {label}".strip(), fields[label]))
+                notes += [
+                    f"{b}: {light['refused']}" for b, light in fields.items() if "refused" in light
+                ]
+                drawn = [label for label, light in fields.items() if "levels" in light]
+                if drawn:
+                    label = drawn[len(drawn) // 2]
+                    what = f"{name} {label}".strip()
+                    figures += draw_light(fields[label], levels_of(fields[label]), what)
+        return render_camera(
+            CameraReport(
+                title=camera,
+                subtitle=self.campaign.campaign.title,
+                sensors=sensors,
+                lights=lights,
+                light_notes=notes,
+                figures=figures,
+                charts=[describe_chart(m) for m in measures],
+                problems=[{"code": p.code, "text": str(p)} for p in problems],
+                footer=f"Levkas {__version__}. Camera {camera}; places are in its native pixels.",
+            )
+        )
+
+    def _learnt(self, camera: str) -> dict[str, dict[str, Any]]:
+        """What the first capture of each setup told, by setup."""
+        found: dict[str, dict[str, Any]] = {}
+        for capture in self.captures:
+            if capture.camera == camera and capture.setup not in found:
+                told = self.ledger.told(keys_of(capture)["calibrate"]).get("learnt", {})
+                if any(told.values()):
+                    found[capture.setup] = told
+        return found
+
+    def _uniformity(self, camera: str, setup: str) -> float | None:
+        """Least over greatest light of the worst channel."""
+        learnt = self._learnt(camera).get(setup, {})
+        fields = [light for told in learnt.values() for light in told.get("light", {}).values()]
+        return min((f["uniformity"] for f in fields if "uniformity" in f), default=None)
+
+    def _prints(self, camera: str) -> dict[str, Any]:
+        prints: dict[str, Any] = {
+            "code": code_version(*CODE),
+            "campaign.title": self.campaign.campaign.title,
+            "learnt of sensor and light": digest(self._learnt(camera)),
+            "charts refused": [str(p) for p in self.refusals.get(camera, ())],
+        }
+        for capture in self.charts:
+            if capture.camera == camera:
+                name = f"chart {capture.object}/{capture.layer}"
+                made = fingerprints.of_calibration(self.campaign, capture, self.ledger.hashes)
+                prints[name] = digest(made)
+                prints[f"{name} kind"] = self.campaign.targets.charts[capture.object]
+        return prints
+
+
+def _key(camera: str) -> Key:
+    return Key("", camera, stage="camera")

@@ -1,0 +1,215 @@
+"""What a build measures of sensors, light and layers on the way, as plain records for the reports."""
+
+from __future__ import annotations
+
+import base64
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from levkas.building.native import Native
+    from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.templates import Template
+    from levkas.cube import Band, Cube
+    from levkas.radiometry.light import LightField
+
+FEW_BANDS = 5
+"""Bands of a line scan or photograph whose light is looked at."""
+MOST_BANDS = 24
+"""Bands of a camera whose focus is measured, evenly over all; neighbours are alike."""
+LEVELS = 65535
+QUANTISATION = 1 / 12
+"""Variance of rounding to whole counts."""
+CLIPPED = 0.02
+"""Share of zeros from which a dark was clipped, and its spread is not noise."""
+
+
+# --- the sensor ---------------------------------------------------------------------------------
+
+
+def note_noise(
+    told: dict[str, Any],
+    noise: NoiseModel | None,
+    dark: Template | None,
+    black: float,
+    saturation: float | None,
+) -> None:
+    """Note gain, noise in the dark and range of a sensor in `told`."""
+    from levkas.radiometry.ranges import sensor_stops
+
+    if noise is None or saturation is None:
+        return
+    floor = float(np.mean(dark.mean)) if dark is not None else black
+    read, source = _noise_in_the_dark(dark), noise.source
+    if read is None and noise.read_variance > QUANTISATION * 1.01:
+        read = float(np.sqrt(noise.read_variance))
+    if read is None:  # the fit had one level only, and took rounding for all there is
+        return
+    told["sensor"] = {
+        "full": saturation - floor,
+        "read_noise": read,
+        "gain": float(noise.gain),
+        "stops": sensor_stops(saturation - floor, read),
+        "source": source,
+    }
+
+
+def _noise_in_the_dark(dark: Template | None) -> float | None:
+    """Standard deviation of one dark shot, counts; None where there is none, or it was clipped.
+
+    Of a single dark the neighbours' differences, which leave out what is fixed and smooth.
+    """
+    if dark is None or dark.mean.size < 1000:
+        return None
+    if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > CLIPPED:
+        return None
+    if dark.count > 1 and dark.variance is not None:
+        found = float(np.median(dark.variance) if dark.count > 20 else np.mean(dark.variance))
+        found = max(found, QUANTISATION)
+    else:
+        apart = np.abs(np.diff(dark.mean.astype(float), axis=1)).ravel()
+        near = apart[apart <= np.quantile(apart, 0.995)]  # hot sensels are not noise
+        found = max(float(np.mean(near)) ** 2 * np.pi / 4, QUANTISATION)
+    return float(np.sqrt(found))
+
+
+# --- the light ----------------------------------------------------------------------------------
+
+
+def note_light(
+    told: dict[str, Any],
+    white: Template | None,
+    darks: Sequence[Template],
+    pattern: Any,
+    labels: Sequence[str],
+) -> None:
+    """Note how even the light is on the white, channel by channel, in `told`.
+
+    A white that cannot say, because it saturates, is noted with its reason.
+    """
+    from levkas.radiometry.light import LightRefused, light_field
+
+    if white is None:
+        return
+    light = told.setdefault("light", {})
+    for label, plane, saturated, period in _planes(white, darks, pattern, labels):
+        try:
+            field = light_field(plane, saturated=saturated)
+        except LightRefused as refused:
+            light[label] = {"refused": str(refused.problems[0])}
+            continue
+        light[label] = record_light(field, period)
+
+
+def _planes(
+    white: Template, darks: Sequence[Template], pattern: Any, labels: Sequence[str]
+) -> list[tuple[str, np.ndarray, np.ndarray, tuple[int, int]]]:
+    """(label, counts above dark, saturated, period) of every channel; of a mosaic its first phase."""
+    from levkas.building.codes import spread
+    from levkas.calibration.darks import match_dark
+    from levkas.calibration.patterns import channel_names, channel_table
+
+    under = match_dark(list(darks) or None, white.exposure_s).mean
+    if white.mean.ndim == 3:
+        above, full = white.mean - under, white.saturated
+        chosen = spread(range(len(labels)), FEW_BANDS)
+        return [(labels[i], above[..., i], full[..., i], (1, 1)) for i in chosen]
+    if pattern is None:
+        return [(labels[0], white.mean - under, white.saturated, (1, 1))]
+    table = channel_table(pattern)
+    rows, columns = table.shape
+    found = []
+    for i, _ in enumerate(channel_names(pattern)):
+        y, x = (int(n) for n in np.argwhere(table == i)[0])
+        phase = np.s_[y::rows, x::columns]
+        dark = under if under.size == 1 else np.broadcast_to(under, white.mean.shape)[phase]
+        plane = white.mean[phase] - dark
+        found.append((labels[i], plane, white.saturated[phase], (columns, rows)))
+    return found
+
+
+def record_light(field: LightField, period: tuple[int, int] = (1, 1)) -> dict[str, Any]:
+    """Return a light field as a record; `period` is of the mosaic that the plane was taken from."""
+    levels = np.round(field.levels * LEVELS).astype("<u2")
+    x, y, width, height = field.rectangle
+    across, down = period
+    return {
+        "levels": base64.b64encode(levels.tobytes()).decode("ascii"),
+        "shape": list(levels.shape),
+        "step": [field.step * across, field.step * down],
+        "size": [field.size[0] * across, field.size[1] * down],
+        "rectangle": [x * across, y * down, width * across, height * down],
+        "drop": field.drop,
+        "uniformity": field.uniformity,
+        "share": field.share,
+    }
+
+
+def levels_of(record: Mapping[str, Any]) -> np.ndarray:
+    """Return the levels of a recorded light field, (rows, columns), 0 … 1."""
+    stored = np.frombuffer(base64.b64decode(record["levels"]), "<u2")
+    return stored.reshape(record["shape"]) / LEVELS
+
+
+# --- focus --------------------------------------------------------------------------------------
+
+
+def focus_of(native: Native) -> list[dict[str, Any]]:
+    """Return the blur of the sharpest edges, band by band, before anything is resampled."""
+    from levkas.radiometry.sharpness import band_sharpness
+
+    found = []
+    for cube in native.cubes.values():
+        step = max(1, -(-len(cube.bands) // MOST_BANDS))
+        for one in band_sharpness(cube.values, cube.labels, step=step):
+            found.append({"band": one.band, "blur_px": _number(one.blur_px), "edges": one.edges})
+    return found
+
+
+# --- a layer on the grid ------------------------------------------------------------------------
+
+
+def flag_and_count(
+    cube: Cube, other: tuple[np.ndarray, np.ndarray] | None = None, *, whole: bool = True
+) -> dict[str, int]:
+    """Set GLARE in the flags of reflectance, and return pixels by sign, and how many were seen.
+
+    `other` are values and flags of the same camera under its default setup, on the same grid;
+    `whole` tells whether the cube is all of the layer.
+    """
+    from levkas.cube import Flag
+    from levkas.radiometry.glare import find_glare, flag_glare
+
+    seen = int(np.count_nonzero(((cube.flags & Flag.OUTSIDE) == 0).all(-1)))
+    if cube.quantity != "reflectance":
+        return {"seen": seen}
+    glare = find_glare(cube.values, cube.flags, cube.sigma, other=other, whole=whole)
+    flag_glare(cube.flags, glare.mask)
+    return {"seen": seen, **glare.counts()}
+
+
+def add_counts(total: dict[str, int], more: Mapping[str, int]) -> None:
+    """Add the counts of some rows to those of the rows before."""
+    for name, count in more.items():
+        total[name] = total.get(name, 0) + count
+
+
+def ranges_of(
+    values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None, bands: Sequence[Band]
+) -> list[dict[str, Any]]:
+    """Return range, noise and signal-to-noise of every band of a layer."""
+    from levkas.radiometry.ranges import scene_ranges
+
+    found = scene_ranges(values, flags, sigma, [band.label for band in bands])
+    return [{name: _number(value) for name, value in one._asdict().items()} for one in found]
+
+
+def _number(value: Any) -> Any:
+    """Return what JSON has a word for; of floats five digits."""
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if isfinite(value) else None
+    return value

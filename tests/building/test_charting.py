@@ -1,0 +1,128 @@
+"""A chart before two small cameras: declared, found, measured, reported; refused where it is cut off."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from levkas.building import build, status, summarise
+from levkas.building.charting import measure_charts
+from levkas.cli import app
+from levkas.problems import Refused
+from levkas.radiometry.charts import CHARTS, reference_of
+
+CLASSIC = CHARTS["ColorChecker24"]
+NM = np.arange(420, 721, 60)
+KEYS = """
+[campaign]
+title = "A chart"
+reference = { camera = "vis", band = "540 nm" }
+[cameras.vis]
+kind = "bands"
+files = "raw/{target}/{wavelength}nm_{shot}.tif"
+bits = 12
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 1.0 }
+charts = { macbeth = "ColorChecker24" }
+objects = ["panel"]
+"""
+CORNERS = "75,65,275,65,275,185,75,185"
+
+
+def chart_picture(shift=0):
+    spectra = reference_of(CLASSIC).at(NM.astype(float))
+    picture = np.full((250, 350, len(NM)), 0.15)
+    for i, (c, r) in enumerate(CLASSIC.centres.astype(int)):
+        y, x = 45 + 40 * r, 55 + 40 * c + shift
+        picture[y + 3 : y + 37, max(0, x + 3) : max(0, x + 37)] = spectra[i]
+    return picture
+
+
+def panel_picture():
+    rng = np.random.default_rng(7)
+    blocks = rng.uniform(0.05, 0.8, (25, 35, 1)) * rng.uniform(0.6, 1, (1, 1, len(NM)))
+    return np.kron(blocks, np.ones((10, 10, 1)))
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    folder, rng = tmp_path_factory.mktemp("charts"), np.random.default_rng(1)
+    y, x = np.mgrid[:250, :350]
+    light = 3200 * np.exp(-((x - 175) ** 2 + (y - 125) ** 2) / 2e5)
+    scenes = {
+        "dark": np.zeros((250, 350, len(NM))),
+        "white": np.ones((250, 350, len(NM))),
+        "macbeth": chart_picture(),
+        "panel": panel_picture(),
+    }
+    for name, scene in scenes.items():
+        (folder / "raw" / name).mkdir(parents=True)
+        for i, nm in enumerate(NM):
+            for shot in range(2):
+                level = 60 + light * scene[..., i]
+                noisy = level + np.sqrt(4 + 0.2 * (level - 60)) * rng.standard_normal(level.shape)
+                frame = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
+                tifffile.imwrite(folder / "raw" / name / f"{nm}nm_{shot}.tif", frame)
+    (folder / "campaign.toml").write_text(KEYS)
+    return folder
+
+
+def test_a_chart_of_a_campaign_is_measured_from_two_shots(campaign):
+    corners = np.array(CORNERS.split(","), float).reshape(4, 2)
+    report = measure_charts(campaign, corners=corners)
+    assert report.ok, report.problems
+    (made,) = report.measures
+    assert made.table.temporal and made.sightings[0].located.agreement > 0.99
+    # The white patch: gain 0.2, two shots of object and white; light falls off towards it.
+    signal = made.table.mean[18, 2] * 3200 * np.exp(-(100**2 + 60**2) / 2e5)
+    expected = np.sqrt(2 * signal**2 / (4 + 0.2 * signal))
+    assert made.table.snr[18, 2] == pytest.approx(expected, rel=0.1)
+    assert not any(p.found for p in made.preblurs)
+    assert made.rows[0].value < 6  # five bands of 60 nm cannot do better than a few
+    assert "macbeth/vis" in report.text
+
+
+def test_the_command_reports_and_writes_a_page(campaign, tmp_path):
+    page = tmp_path / "chart.html"
+    result = CliRunner().invoke(
+        app, ["chart", str(campaign), "--corners", CORNERS, "--json", "-o", str(page)]
+    )
+    record = json.loads(result.stdout)
+    assert result.exit_code == 0 and record["ok"]
+    assert len(record["charts"][0]["patches"]) == 24
+    html = page.read_text(encoding="utf-8")
+    assert "Chart: macbeth/vis" in html and html.count("<polygon") >= 24
+
+
+def test_a_chart_half_out_of_frame_is_refused_with_what_to_capture(campaign):
+    beyond = ",".join(str(float(v) - 200 * (i % 2 == 0)) for i, v in enumerate(CORNERS.split(",")))
+    result = CliRunner().invoke(app, ["chart", str(campaign), "--corners", beyond, "--json"])
+    (problem,) = json.loads(result.stdout)["problems"]
+    assert result.exit_code == 1 and problem["code"] == "E_CHART_FRAME"
+    assert "Capture the whole chart" in problem["fix"] and "macbeth" in problem["file"]
+
+
+def test_a_campaign_without_charts_and_an_unknown_camera_are_refused(campaign, tmp_path):
+    other = tmp_path / "campaign.toml"
+    other.write_text("\n".join(line for line in KEYS.splitlines() if "charts" not in line))
+    for path, cameras in ((other, ()), (campaign, ("nir",))):
+        with pytest.raises(Refused):
+            measure_charts(path, cameras=cameras)
+
+
+def test_a_build_writes_a_page_a_camera_and_leaves_it_alone_the_second_time(campaign):
+    report = summarise(build(campaign))
+    assert report.ok, report.problems
+    page = campaign / "database" / "cameras" / "vis" / "report.html"
+    html = page.read_text(encoding="utf-8")
+    assert "Light field" in html and "stops" in html.lower()
+    told = (campaign / "database/objects/panel/report.html").read_text(encoding="utf-8")
+    assert "Radiometry" in told
+    states = {s.key.stage: s.state for s in status(campaign).stages}
+    assert states["camera"] == "fresh"
+    again = [s for s in build(campaign) if s.finished]
+    assert {s.state for s in again} == {"fresh"}
+    assert again[-1].done == again[-1].total

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+
+from levkas.cube import Flag
+from levkas.radiometry.glare import find_glare, flag_glare
+from levkas.radiometry.places import choose_places
+from levkas.radiometry.ranges import scene_ranges, sensor_stops
+from levkas.radiometry.sharpness import band_sharpness, edge_blur
+
+
+def painting(seed=1, shape=(60, 80, 3)):
+    rng = np.random.default_rng(seed)
+    blocks = rng.uniform(0.03, 0.85, (shape[0] // 10, shape[1] // 10, shape[2]))
+    return np.kron(blocks, np.ones((10, 10, 1))).astype(np.float32)
+
+
+def clear(values):
+    return np.zeros(values.shape, np.uint8)
+
+
+def test_paint_is_no_glare():
+    paint = painting()
+    assert not find_glare(paint, clear(paint)).mask.any()
+    brighter = paint * np.float32(1.13)  # lamps at another angle: the Fresnel loss of varnish
+    assert not find_glare(brighter, clear(paint), other=(paint, clear(paint))).mask.any()
+
+
+def test_what_is_added_to_all_bands_is_glare_and_what_follows_the_paint_is_not():
+    paint = painting()
+    shown = paint.copy()
+    shown[10:30, 20:50] += 0.25
+    shown[40:50, :, 0] += 0.25  # one band alone: no mirror does that
+    found = find_glare(shown, clear(paint), other=(paint, clear(paint)))
+    truth = np.zeros(paint.shape[:2], bool)
+    truth[10:30, 20:50] = True
+    np.testing.assert_array_equal(found.mask, truth)
+
+
+def test_a_saturated_glint_is_found_whole_and_an_overexposed_shadow_is_not():
+    paint = np.minimum(painting(), 0.5)
+    flags = clear(paint)
+    paint[20:26, 20:26], flags[20:26, 20:26] = 1.4, Flag.SATURATED
+    flags[19:27, 19:27] = Flag.SATURATED  # interpolation has spread the flag to darker pixels
+    flags[40:50, 40:50] = Flag.SATURATED
+    found = find_glare(paint, flags)
+    assert found.saturated[19:27, 19:27].all() and not found.saturated[40:50, 40:50].any()
+
+
+def test_brighter_than_paint_is_white_or_metallic_beyond_the_noise():
+    paint = np.full((1, 4, 3), 0.5, np.float32)
+    paint[0, 1] = 1.1
+    paint[0, 2] = (1.6, 0.9, 0.4)
+    paint[0, 3] = 1.1
+    sigma = np.zeros_like(paint)
+    sigma[0, 3] = 0.05
+    found = find_glare(paint, clear(paint), sigma)
+    assert found.white.tolist() == [[False, True, False, False]]
+    assert found.metallic.tolist() == [[False, False, True, False]]
+
+
+def test_the_flag_is_set_in_every_band_and_leaves_others():
+    flags = np.full((2, 2, 3), Flag.NEAR, np.uint8)
+    flag_glare(flags, np.array([[True, False], [False, False]]))
+    assert (flags[0, 0] == Flag.NEAR | Flag.GLARE).all() and (flags[1] == Flag.NEAR).all()
+
+
+def test_range_of_a_scene_is_what_was_planted_and_noise_is_its_floor():
+    rng = np.random.default_rng(2)
+    values = np.exp2(rng.uniform(-7, 0, (200, 200, 1))).astype(np.float32)
+    flags = clear(values)
+    free = scene_ranges(values, flags, None, ["G"])[0]
+    assert free.stops == pytest.approx(7, abs=0.05) and np.isnan(free.snr)
+    noisy = scene_ranges(values, flags, np.full_like(values, 1 / 32), ["G"])[0]
+    assert noisy.stops == pytest.approx(5, abs=0.05)
+    assert noisy.noise == pytest.approx(1 / 32)
+    flags[:20] = Flag.SATURATED
+    assert scene_ranges(values, flags, None, ["G"])[0].clipped == pytest.approx(0.1)
+    assert np.isnan(sensor_stops(100, 0.0))
+
+
+@pytest.mark.parametrize("blur", [0.8, 1.5, 3.0])
+def test_blur_of_edges_is_what_was_planted_whatever_the_contrast(blur):
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(3)
+    scene = gaussian_filter(np.kron(rng.random((20, 20)), np.ones((24, 24))), blur)
+    # A pixel's own width adds a twelfth to the square.
+    true = np.sqrt(blur**2 + 1 / 12)
+    for contrast in (1.0, 0.1):
+        found, edges = edge_blur(0.3 + contrast * scene)
+        assert edges > 100 and found == pytest.approx(true, rel=0.1)
+
+
+def test_the_band_out_of_focus_is_the_softest_and_noise_has_no_focus():
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(4)
+    scene = np.kron(rng.random((16, 16)), np.ones((24, 24)))
+    stack = np.stack(
+        [gaussian_filter(scene, s) for s in (0.8, 2.0)] + [rng.random(scene.shape)], -1
+    )
+    sharp, soft, noise = band_sharpness(stack, ["550 nm", "410 nm", "noise"])
+    assert soft.blur_px > 2 * sharp.blur_px and np.isnan(noise.blur_px)
+    assert sharp.mtf50 > soft.mtf50
+
+
+def test_close_ups_are_where_lightings_differ_and_never_lap_over():
+    rng = np.random.default_rng(5)
+    first = np.repeat(rng.integers(0, 90, (200, 240, 1), np.uint8), 3, 2)
+    second = first.copy()
+    second[100:150, 20:70] = 255
+    side, corners = choose_places([first, second])
+    x, y = corners[0]
+    assert x <= 45 < x + side and y <= 125 < y + side
+    for i, (a, b) in enumerate(corners):
+        assert all(max(abs(a - c), abs(b - d)) >= side for c, d in corners[:i])
