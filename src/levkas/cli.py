@@ -310,6 +310,11 @@ def doctor(
     raise typer.Exit(0 if report.ok else 1)
 
 
+from levkas.cli_plan import plan_app  # noqa: E402  (it takes its options and reports from here)
+
+app.add_typer(plan_app, name="plan")
+
+
 def main() -> None:
     """Run the command line."""
     app()

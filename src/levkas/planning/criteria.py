@@ -7,6 +7,7 @@ agree with them, which a test holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import erfc, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -222,8 +223,6 @@ class Judge:
         self, places: np.ndarray, axes: np.ndarray, shares: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Share of relief out of reach, and contrast of matte relief, at the object's middle."""
-        from scipy.special import erfc
-
         away = np.linalg.norm(places, axis=2)
         towards = places / away[..., None]
         strength = shares * self.lobe(-(towards * axes).sum(2)) / away**2
@@ -232,7 +231,8 @@ class Judge:
         if not slope:
             return np.zeros(len(places)), np.ones(len(places))
         height = towards[..., 2] / np.maximum(np.hypot(towards[..., 0], towards[..., 1]), 1e-9)
-        turned = 0.5 * erfc(height / (slope * np.sqrt(2)))
+        turned = 0.5 * np.array([erfc(h / (slope * sqrt(2))) for h in height.ravel().tolist()])
+        turned = turned.reshape(height.shape)
         hidden = (flat * turned).sum(1) / flat.sum(1)
         slopes, weights = slope_nodes(slope, 20)
         normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], 1)

@@ -172,7 +172,7 @@ def load_setup(path: str | Path) -> Setup:
     """
     from levkas.planning.doubts import find_doubts
 
-    path = Path(path).resolve()
+    path = find_setup(path)
     bench = _validate(path)
     problems: list[Problem] = list(find_doubts(bench, str(path)))
     setup = _resolve(path, bench, problems)
@@ -186,10 +186,29 @@ def load_setup(path: str | Path) -> Setup:
     return setup
 
 
+def find_setup(path: str | Path) -> Path:
+    """Return the setup file that a path means: itself, or the only TOML file of a folder.
+
+    Raises
+    ------
+    PlanRefused
+        Where a folder holds none or several.
+    """
+    path = Path(path).resolve()
+    if not path.is_dir():
+        return path
+    found = sorted(path.glob("*.toml"))
+    if len(found) != 1:
+        raise PlanRefused(
+            wrong(str(path), "", "which setup file is meant?", f"{len(found)} in that folder",
+                  "one .toml file", "Name the file.")
+        )  # fmt: skip
+    return found[0]
+
+
 def _validate(path: Path) -> Bench:
     from pydantic import ValidationError
 
-    from levkas.declaring.messages import explain
     from levkas.declaring.toml import TomlRefused, read_toml
     from levkas.planning.tables import Bench
 
@@ -199,6 +218,8 @@ def _validate(path: Path) -> Bench:
     except TomlRefused as refused:
         raise PlanRefused(*refused.problems) from None
     except ValidationError as invalid:
+        from levkas.declaring.messages import explain
+
         problems = explain(record, invalid.errors(), Bench)
         fix = "docs/planning.md explains every key."
         raise PlanRefused(
