@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from levkas.cli import Json, _refusing, _report
-
 plan_app = typer.Typer(
     help="Plan the light before a lamp is hung.", no_args_is_help=True, rich_markup_mode=None
 )
+
+from levkas.cli import Json, _refusing, _report  # noqa: E402  (either may be imported first)
 
 SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
 Lighting = Annotated[

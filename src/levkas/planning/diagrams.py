@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from levkas.planning.light import BrightField, LightPlan
     from levkas.planning.setup import Setup
 
-WIDTH, TOP = 520.0, 34.0
+WIDTH, TOP = 400.0, 34.0
 
 
 def draw_bench(setup: Setup, plan: LightPlan) -> str:
@@ -22,16 +22,16 @@ def draw_bench(setup: Setup, plan: LightPlan) -> str:
     Wedges show from where a lamp would be mirrored into the camera: full colour the bent panel's
     mirror, pale what varnish facets add, and thin the walls of the recess.
     """
-    panels = []
-    offset = 0.0
+    panels, tallest = [], 0.0
     for axis, name, title in (
         (0, "width", "From above: along the width"),
         (1, "height", "From the side: along the height"),
     ):
         part, height = _view(setup, plan, axis, plan.fields[name], title)
-        panels.append(f'<g transform="translate(0,{offset:.0f})">{part}</g>')
-        offset += height
-    return svg(WIDTH, offset, panels, f"the bench of {plan.lighting.name}, to scale")
+        panels.append(f'<g transform="translate({axis * (WIDTH + 20):.0f},0)">{part}</g>')
+        tallest = max(tallest, height)
+    label = f"the bench of {plan.lighting.name}, to scale"
+    return svg(2 * WIDTH + 20, tallest, panels, label)
 
 
 def _view(
@@ -39,8 +39,9 @@ def _view(
 ) -> tuple[str, float]:
     places = [lamp.place[[axis, 2]] for lamp in plan.lighting.lamps]
     eye = eye_of(setup)[[axis, 2]]
-    reach = max(abs(float(p[0])) for p in [*places, eye])
-    reach = max(reach, 0.8 * float(eye[1]), setup.object.size_mm[axis]) * 1.12
+    # Both views have one scale.
+    reach = max(float(np.abs(lamp.place[:2]).max()) for lamp in plan.lighting.lamps)
+    reach = max(reach, 0.8 * float(eye[1]), setup.object.size_mm[axis]) * 1.08
     tall = max(float(p[1]) for p in [*places, eye]) * 1.08
     scale = min((WIDTH - 20) / 2 / reach, 330 / tall)
     ground = TOP + tall * scale + 6
@@ -59,6 +60,9 @@ def _view(
         if where in seen:
             continue
         seen.append(where)
+        if abs(lamp.place[1 - axis]) > 2 * abs(lamp.place[axis]):
+            parts += _aside(at, place)
+            continue
         target = lamp.place + lamp.axis * lamp.place[2] / max(-lamp.axis[2], 1e-6)
         parts += _lamp(at, place, target[[axis, 2]], lamp)
     parts.append(_scale_bar(scale, ground + 26))
@@ -116,6 +120,16 @@ def _lamp(at: object, place: np.ndarray, target: np.ndarray, lamp: object) -> li
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="9" fill="var(--lamp)"/>',
         f"<title>{escape(lamp.name)}</title>",  # type: ignore[attr-defined]
         text(x + away, y - 15, words, anchor=anchor),
+    ]
+
+
+def _aside(at: object, place: np.ndarray) -> list[str]:
+    """A lamp that stands before or behind the drawing's plane."""
+    x, y = at(float(place[0]), float(place[1]))  # type: ignore[operator]
+    return [
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="var(--card)" stroke="var(--lamp)" '
+        'stroke-width="2.5"/>',
+        text(x + 14, y + 4, f"lamps to the sides, {place[1] / 10:.0f} cm out"),
     ]
 
 

@@ -36,7 +36,7 @@ def draw_evenness(plan: LightPlan) -> str:
     parts += _cross(frame, x0, y0)
     parts.append(text(frame.left, 16, "light over its greatest value, %", css="head"))
     parts += _edges(frame)
-    profile = Frame(452, 26, 250, down, (-max(width, height) / 2, max(width, height) / 2), (low, 101))
+    profile = Frame(452, 40, 250, down - 14, (-max(width, height) / 2, max(width, height) / 2), (low, 101))
     parts += axes(profile, "mm from the middle", "%", about=(4, 5))
     for values, at, colour, name in (
         (share[middle[0]], surface.x, "--c1", "along the width"),
@@ -45,7 +45,7 @@ def draw_evenness(plan: LightPlan) -> str:
         parts.append(line(*profile.at(at, values), colour))
         row = 0 if colour == "--c1" else 1
         parts.append(
-            text(profile.left + 8, profile.top + profile.height - 24 + 15 * row, name, fill=colour)
+            text(profile.left + 84, 14 + 15 * row, name, fill=colour)
         )
     label = f"map of light, drop {100 * plan.drop:.1f} per cent"
     return svg(730, down + 72, parts, label)
