@@ -159,7 +159,7 @@ def lobe_reach_deg(roughness: float, share: float = 0.01) -> float:
     The facet's tilt is found where D falls to `share`; light is turned by twice that.
 
     >>> round(lobe_reach_deg(0.1))
-    33
+    35
     """
     tilt = np.radians(np.linspace(0, 45, 4501))
     a2 = roughness**2

@@ -18,7 +18,7 @@ def wrong(
     fix: str = EXPLAINED, code: str = "E_VALUE",
 ) -> Problem:  # fmt: skip
     """Return a value's problem."""
-    return Problem(code, message, file, field, found, expected, fix)
+    return Problem(code, message, file, field, _plain(found), expected, fix)
 
 
 def asked(file: str, field: str, found: Any, expected: Any, meant: str, fix: str = "") -> Problem:
@@ -29,4 +29,9 @@ def asked(file: str, field: str, found: Any, expected: Any, meant: str, fix: str
     """
     key = field.rpartition(".")[2]
     fix = fix or f"Write {key} in its unit; nothing is assumed."
-    return Problem("E_UNIT", f"is {meant} meant?", file, field, found, expected, fix)
+    return Problem("E_UNIT", f"is {meant} meant?", file, field, _plain(found), expected, fix)
+
+
+def _plain(value: Any) -> Any:
+    """A list as text: problems are compared, which lists cannot be."""
+    return str(value) if isinstance(value, list | tuple) else value
