@@ -6,7 +6,7 @@ import pytest
 from levkas.planning.criteria import Arrangement, Judge
 from levkas.planning.facets import facet_lobe, fresnel, lobe_reach_deg, specular, transmitted
 from levkas.planning.glare import glare, rough_texture
-from levkas.planning.irradiance import drop, irradiance
+from levkas.planning.irradiance import drop, illuminate
 from levkas.planning.light import bright_fields, compare_lightings, plan_light
 from levkas.planning.lobes import Lobe, lobe_exponent
 from levkas.planning.surface import sample_surface, tilt_deg
@@ -26,7 +26,7 @@ def pair(thing=FLAT, beam=None, *, angle=70.0, distance=2100.0, azimuth=0.0, aim
 
 def drop_of(lighting, thing=FLAT, lamps=slice(None)):
     surface = sample_surface(thing, recess=False)
-    return 100 * drop(irradiance(lighting.lamps[lamps], surface.points, surface.normals))
+    return 100 * drop(illuminate(lighting.lamps[lamps], surface.points, surface.normals))
 
 
 def test_ggx_gives_the_four_digits_that_mitsuba_gives():
@@ -197,7 +197,7 @@ def test_maps_and_the_judge_agree(bench):
     surface = sample_surface(thing, 9)
     shine = glare(thing, surface, lighting, np.array([0, 0, 1900.0]), Sheets())
     values = judge.values_of(arrangement)
-    lit = irradiance(lighting.lamps, surface.points, surface.normals)
+    lit = illuminate(lighting.lamps, surface.points, surface.normals)
     assert values["drop"] == pytest.approx(drop(lit), abs=1e-9)
     worst = (shine.varnish**8).mean() ** (1 / 8) / thing.darkest
     assert values["varnish"] == pytest.approx(worst, rel=1e-3)
@@ -212,7 +212,7 @@ def test_a_soft_light_of_no_size_is_a_point(bench):
     small = replace(lamp, size_mm=(0.1, 0.1))
     point = replace(lamp, size_mm=None)
     surface = sample_surface(FLAT, 9)
-    a, b = (irradiance([x], surface.points, surface.normals) for x in (small, point))
+    a, b = (illuminate([x], surface.points, surface.normals) for x in (small, point))
     np.testing.assert_allclose(a, b, rtol=1e-6)
 
 

@@ -21,9 +21,12 @@ _HOMES = {
     "write_report": "report",
     "render_sheet": "contact_sheet",
     "fit_lamps": "lamp_fit",
-    "irradiance": "irradiance",
+    "illuminate": "irradiance",
     "sample_surface": "surface",
     "specular": "facets",
+    "colour_temperature": "spectra",
+    "illuminant": "illuminants",
+    "GRID": "spectra",
 }
 __all__ = sorted(_HOMES)
 

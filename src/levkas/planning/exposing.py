@@ -14,7 +14,7 @@ import numpy as np
 
 from levkas.noise import Sensor, snr_db
 from levkas.planning.framing import magnification
-from levkas.planning.irradiance import irradiance
+from levkas.planning.irradiance import illuminate
 from levkas.planning.refusals import PlanRefused, wrong
 from levkas.planning.setup import load_setup
 from levkas.planning.spectra import GRID, LUMENS_PER_WATT, steps
@@ -104,7 +104,7 @@ def irradiance_spectrum(setup: Setup, lighting: Lighting) -> np.ndarray:
         Where nothing says how strong the light is.
     """
     up = np.array([0.0, 0.0, 1.0])
-    parts = [float(irradiance([lamp], np.zeros(3), up)) for lamp in lighting.lamps]
+    parts = [float(illuminate([lamp], np.zeros(3), up)) for lamp in lighting.lamps]
     if lighting.illuminance_lx is None and not all(x.measured for x in lighting.lamps):
         raise PlanRefused(
             wrong(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.planning.facets import AIR, facet_lobe, fresnel, gold_index
-from levkas.planning.irradiance import irradiance, light_of
+from levkas.planning.irradiance import illuminate, light_of
 from levkas.planning.texture import slope_nodes
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def glare(
     """
     flat = np.zeros_like(surface.normals)
     flat[..., 2] = 1
-    white = irradiance(lighting.lamps, surface.points, flat)
+    white = illuminate(lighting.lamps, surface.points, flat)
     found = []
     for coat, index in ((thing.varnish, None), (thing.gold, gold_index())):
         if coat is None:
@@ -101,7 +101,7 @@ def rough_texture(
     from levkas.planning.surface import Surface
 
     spots = Surface(np.zeros(1), np.zeros(1), np.zeros_like(normals), normals)
-    shading = irradiance(lighting.lamps, spots.points, normals)
+    shading = illuminate(lighting.lamps, spots.points, normals)
     total = paint * shading
     if thing.varnish is not None:
         index = thing.varnish.index / AIR

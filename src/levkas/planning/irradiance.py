@@ -37,7 +37,7 @@ def light_of(lamp: Lamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 1e6 * lamp.candela * shares * lobe / squared, towards
 
 
-def irradiance(lamps: Iterable[Lamp], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def illuminate(lamps: Iterable[Lamp], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Return the illuminance of points by all lamps, lux where their power is known.
 
     Parameters
@@ -57,7 +57,7 @@ def irradiance(lamps: Iterable[Lamp], points: np.ndarray, normals: np.ndarray) -
 
     >>> from levkas.planning.setup import Lamp
     >>> lamp = Lamp("a", np.array([0.0, 0.0, 1000.0]), np.array([0.0, 0.0, -1.0]))
-    >>> float(irradiance([lamp], np.zeros(3), np.array([0.0, 0.0, 1.0])))
+    >>> float(illuminate([lamp], np.zeros(3), np.array([0.0, 0.0, 1.0])))
     1.0
     """
     total = np.zeros(points.shape[:-1])

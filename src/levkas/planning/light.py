@@ -9,7 +9,7 @@ import numpy as np
 
 from levkas.planning.facets import lobe_reach_deg, transmitted
 from levkas.planning.glare import Glare, glare, rough_texture
-from levkas.planning.irradiance import drop, irradiance
+from levkas.planning.irradiance import drop, illuminate
 from levkas.planning.lobes import Lobe
 from levkas.planning.setup import Lamp, Lighting, aim_point
 from levkas.planning.surface import Surface, sample_surface, wall_deg
@@ -103,7 +103,7 @@ def plan_light(
     lighting = setup.lighting(name)
     thing, eye, sheets = setup.object, eye_of(setup), setup.bench.sheets
     surface = sample_surface(thing, columns)
-    lit = irradiance(lighting.lamps, surface.points, surface.normals)
+    lit = illuminate(lighting.lamps, surface.points, surface.normals)
     absolute = all(lamp.measured for lamp in lighting.lamps)
     if lighting.illuminance_lx is not None:
         middle = lit[lit.shape[0] // 2, lit.shape[1] // 2]
@@ -213,12 +213,12 @@ def _quick_value(plan: LightPlan, key: str) -> float:
 def _quick(setup: Setup, lighting: Lighting) -> dict[str, float]:
     thing = setup.object
     surface = sample_surface(thing, 21)
-    lit = irradiance(lighting.lamps, surface.points, surface.normals)
+    lit = illuminate(lighting.lamps, surface.points, surface.normals)
     shine = glare(thing, surface, lighting, eye_of(setup), setup.bench.sheets)
     texture = shading_contrast(lighting.lamps, thing.relief_slope) if thing.relief_slope else 0.0
     scale = 1.0
     if lighting.illuminance_lx is not None:
-        base = irradiance(setup.lighting(lighting.name).lamps, np.zeros(3), np.array([0, 0, 1.0]))
+        base = illuminate(setup.lighting(lighting.name).lamps, np.zeros(3), np.array([0, 0, 1.0]))
         scale = lighting.illuminance_lx / float(base)
     return {
         "drop": drop(lit), "varnish": _worst(shine.varnish), "gold": _worst(shine.gold),
