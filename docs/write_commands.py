@@ -18,7 +18,7 @@ def reference() -> str:
         "prints one object: `levkas`, `command`, `ok`, `problems`, and what it reports.",
         "",
     ]
-    for name, command in sorted(group.commands.items()):
+    for name, command in sorted(_flat(group.commands), key=lambda item: item[0]):
         context = Context(
             command, info_name=f"levkas {name}", terminal_width=96, max_content_width=96
         )
@@ -31,6 +31,15 @@ def reference() -> str:
             "",
         ]
     return "\n".join(line.rstrip() for line in parts)
+
+
+def _flat(commands: dict, before: str = "") -> list:
+    """Commands with those of groups under their own names: ``plan light``."""
+    found = []
+    for name, command in commands.items():
+        inner = getattr(command, "commands", None)
+        found += _flat(inner, f"{before}{name} ") if inner else [(before + name, command)]
+    return found
 
 
 if __name__ == "__main__":

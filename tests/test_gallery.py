@@ -14,9 +14,13 @@ pytest.importorskip("matplotlib")
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
-MODULES = {"levkas", "levkas.noise", "levkas.planning", "levkas.registration", "levkas.reporting"} | {
-    "levkas.simulation"
-}
+MODULES = {
+    "levkas",
+    "levkas.noise",
+    "levkas.planning",
+    "levkas.registration",
+    "levkas.reporting",
+} | {"levkas.simulation"}
 
 
 @pytest.fixture(scope="module")

@@ -58,10 +58,9 @@ def light(
 @_refusing("plan framing")
 def framing(setup: SetupPath, as_json: Json = False) -> None:
     """Field, working distance, sampling, depth of field and diffraction of every camera."""
+    from levkas.planning.framing import plan_framing
     from levkas.planning.saying import framing_text
     from levkas.planning.setup import load_setup
-
-    from levkas.planning.framing import plan_framing
 
     found = plan_framing(load_setup(setup))
     _report("plan framing", as_json, True, [], cameras=[f.to_dict() for f in found])

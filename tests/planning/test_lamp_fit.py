@@ -33,7 +33,9 @@ def test_a_measured_white_is_explained_within_1_5_per_cent(bench, seed):
     truth = measured(hung, bench.object.size_mm, np.random.default_rng(0))
     block = 126 // 24
     rows, columns = 96 // block, 126 // block
-    coarse = truth[: rows * block, : columns * block].reshape(rows, block, columns, block).mean((1, 3))
+    coarse = (
+        truth[: rows * block, : columns * block].reshape(rows, block, columns, block).mean((1, 3))
+    )
     ratio = coarse / coarse.mean() / (found.model / found.model.mean())
     assert np.sqrt(np.mean((ratio / ratio.mean() - 1) ** 2)) <= 0.015
 

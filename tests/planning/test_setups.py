@@ -84,7 +84,9 @@ def test_a_lamp_in_the_view_of_a_camera_is_refused(rewritten):
 )
 def test_a_camera_that_cannot_see_the_object_is_refused(rewritten, new, word):
     found = problems_of(rewritten(("distance_mm = 1900", new)))
-    assert any(p.field.startswith("cameras.d80") and word in f"{p.message} {p.expected}" for p in found)
+    assert any(
+        p.field.startswith("cameras.d80") and word in f"{p.message} {p.expected}" for p in found
+    )
 
 
 def test_a_spectrum_that_does_not_cover_a_sensitivity_is_refused(rewritten):
@@ -127,7 +129,9 @@ def test_wavelengths_in_micrometres_in_a_table_are_asked_about(rewritten):
     table = path.parent / "d80.csv"
     lines = table.read_text().splitlines()
     lines = [
-        line if not line[0].isdigit() else f"{float(line.split(',')[0]) / 1000:g},{line.split(',', 1)[1]}"
+        line
+        if not line[0].isdigit()
+        else f"{float(line.split(',')[0]) / 1000:g},{line.split(',', 1)[1]}"
         for line in lines
     ]
     table.write_text("\n".join(lines))
@@ -165,7 +169,7 @@ def test_the_paper_s_own_table_does_not_close(bench):
         )
         assert min(a / b for a, b in zip(again, (420, 320), strict=True)) == pytest.approx(1.08)
     assert found["d80"].covers and not found["d80"].contradictions
-    assert 640 * 480 / (420 * 320) == pytest.approx(2.3, abs=0.02)  # and not 4 samples a mm²
+    assert pytest.approx(2.3, abs=0.02) == 640 * 480 / (420 * 320)  # and not 4 samples a mm²
 
 
 def test_depth_of_field_and_diffraction_have_the_checked_numbers():
@@ -206,4 +210,6 @@ def test_colour_temperature_is_that_of_ohno():
         x, y, z = tristimulus(power)
         uv = np.array([4 * x, 6 * y]) / (x + 15 * y + 3 * z)
         theirs = colour.temperature.uv_to_CCT_Ohno2013(uv)
-        assert kelvin == pytest.approx(theirs[0], abs=3) and duv == pytest.approx(theirs[1], abs=1e-4)
+        assert kelvin == pytest.approx(theirs[0], abs=3) and duv == pytest.approx(
+            theirs[1], abs=1e-4
+        )

@@ -35,7 +35,7 @@ class Rendered:
 
 
 def render_sheet(
-    setup: Setup, path: str | Path, *, seed: int = 1, samples: int = 64, with_best: bool = True
+    setup: Setup, path: str | Path, *, seed: int = 1, samples: int = 16, with_best: bool = True
 ) -> Path:
     """Write the contact sheet of all setups of a file, and of the best pair of lamps.
 
@@ -47,7 +47,7 @@ def render_sheet(
     seed : int
         Of the painted motif and the search.
     samples : int
-        Rays a pixel.
+        Rays a pixel, a square power of two.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def render_sheet(
 
 
 def render_setups(
-    setup: Setup, *, seed: int = 1, samples: int = 64, with_best: bool = True,
+    setup: Setup, *, seed: int = 1, samples: int = 16, with_best: bool = True,
     variants: tuple[str, ...] = VARIANTS,
 ) -> Iterator[Rendered]:  # fmt: skip
     """Yield the pictures of one lighting after another."""
@@ -174,7 +174,7 @@ def _panel(mi: Any, thing: ObjectKeys, motif: Motif) -> Any:
         props=properties,
     )  # fmt: skip
     u = (np.arange(columns) + 0.5) / columns
-    v = 1 - (np.arange(rows) + 0.5) / rows
+    v = (np.arange(rows) + 0.5) / rows
     texcoords = np.stack(np.meshgrid(u, v), -1)
     found = mi.traverse(mesh)
     found["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()

@@ -131,7 +131,13 @@ class Judge:
         view = np.array([0.0, 0.0, eye_mm]) - self.points
         self.view = view / np.linalg.norm(view, axis=1, keepdims=True)
         self.bounds = np.array(
-            [(25.0, 86.0), (0.0, 90.0), (room.nearest_mm, room.farthest_mm), (-0.5, 1.0), (0.5, 0.8)]
+            [
+                (25.0, 86.0),
+                (0.0, 90.0),
+                (room.nearest_mm, room.farthest_mm),
+                (-0.5, 1.0),
+                (0.5, 0.8),
+            ]
         )
 
     def values(self, rows: np.ndarray) -> dict[str, np.ndarray]:

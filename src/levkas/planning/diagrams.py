@@ -93,7 +93,7 @@ def _panel(setup: Setup, axis: int, at: object) -> list[str]:
     if bent and thing.bend is not None:
         up = thing.bend.radius_mm * (np.cos(s / thing.bend.radius_mm) - 1)
     top = np.array([at(a, b) for a, b in zip(s, up, strict=True)])  # type: ignore[operator]
-    under = top[::-1] + [0, 7]
+    under = top[::-1] + np.array([0.0, 7.0])
     return [polygon(np.vstack([top, under]), "--ink", opacity=0.85)]
 
 

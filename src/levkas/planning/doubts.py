@@ -69,9 +69,7 @@ def _object(bench: Bench, file: str) -> Iterator[Problem]:
         )  # fmt: skip
 
 
-def _distance(
-    file: str, field: str, found: float, least: float, single: bool
-) -> Iterator[Problem]:
+def _distance(file: str, field: str, found: float, least: float, single: bool) -> Iterator[Problem]:
     if found < least:
         if found < 25:
             meant, unit = 1000 * found, "metres"

@@ -55,12 +55,12 @@ def text(
     """Return words at a place."""
     style = f' style="fill:var({fill})"' if fill else ""
     named = f' class="{css}"' if css else ""
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{named}{style}>{escape(words)}</text>'
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{named}{style}>{escape(words)}</text>'
+    )
 
 
-def line(
-    x: np.ndarray, y: np.ndarray, colour: str, *, width: float = 1.8, dash: str = ""
-) -> str:
+def line(x: np.ndarray, y: np.ndarray, colour: str, *, width: float = 1.8, dash: str = "") -> str:
     """Return a curve through points of the page."""
     pairs = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(np.ravel(x), np.ravel(y), strict=True))
     dashes = f' stroke-dasharray="{dash}"' if dash else ""
@@ -90,9 +90,7 @@ def nice_ticks(low: float, high: float, about: int = 5) -> list[float]:
     return [round(i * step, 10) for i in range(first, int(np.floor(high / step + 1e-9)) + 1)]
 
 
-def axes(
-    frame: Frame, x_label: str, y_label: str, *, about: tuple[int, int] = (6, 5)
-) -> list[str]:
+def axes(frame: Frame, x_label: str, y_label: str, *, about: tuple[int, int] = (6, 5)) -> list[str]:
     """Return grid, numbers and labels of a plot."""
     bottom, right = frame.top + frame.height, frame.left + frame.width
     parts = []

@@ -186,9 +186,9 @@ def _sensors(camera: Camera) -> dict[str, list[int]]:
 def _channel(camera: Camera, i: int, sensor: str, time_s: float, rate: float) -> Channel:
     keys = camera.keys
     electrons = rate * time_s
-    common = {"dark": keys.dark_e_per_s * time_s, "read": keys.read_e, "full_well": keys.full_well_e}
-    raw = Sensor(**common, prnu=keys.prnu)
-    flat = Sensor(**common, prnu=0.0, dsnu=0.0)
+    dark = keys.dark_e_per_s * time_s
+    raw = Sensor(dark, keys.read_e, keys.prnu, full_well=keys.full_well_e)
+    flat = Sensor(dark, keys.read_e, 0.0, 0.0, full_well=keys.full_well_e)
     held = min(electrons, keys.full_well_e)
     decibel = float(snr_db(held, flat))
     return Channel(
@@ -199,7 +199,11 @@ def _channel(camera: Camera, i: int, sensor: str, time_s: float, rate: float) ->
 
 
 def _notes(
-    setup: Setup, camera: Camera, lighting: Lighting, channels: tuple[Channel, ...], weakest: Channel
+    setup: Setup,
+    camera: Camera,
+    lighting: Lighting,
+    channels: tuple[Channel, ...],
+    weakest: Channel,
 ) -> list[str]:
     """Say what limits, saturates or beats."""
     told = []

@@ -120,8 +120,7 @@ def in_field(camera: Camera, point: np.ndarray, body_mm: float) -> bool:
     place = image_of(camera, point)
     if place is None:
         return False
-    right, down, forward = axes_of(camera)
-    depth = float((point - camera.place) @ forward)
+    depth = float((point - camera.place) @ axes_of(camera)[2])
     m = magnification(camera.keys.focal_mm, camera.distance_mm)
     grown = body_mm * m * camera.distance_mm / depth
     half = np.array(camera.keys.pixels) * camera.keys.pitch_um / 2000

@@ -49,7 +49,7 @@ def glare(
     flat = np.zeros_like(surface.normals)
     flat[..., 2] = 1
     white = illuminate(lighting.lamps, surface.points, flat)
-    found = []
+    found: list[np.ndarray | None] = []
     for coat, index in ((thing.varnish, None), (thing.gold, gold_index())):
         if coat is None:
             found.append(None)

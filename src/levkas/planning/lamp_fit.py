@@ -153,7 +153,7 @@ def moved_lighting(lighting: Lighting, shifts: np.ndarray) -> Lighting:
             lamp.azimuth_deg + s["azimuth"] * p[2],
             lamp.distance_mm * float(np.exp(s["distance"] * p[3])),
         )
-        axis = target + [s["aim"] * p[4], s["aim"] * p[5], 0] - place
+        axis = target + s["aim"] * np.array([p[4], p[5], 0.0]) - place
         lobe = lamp.lobe
         if lobe.table is None and lobe.exponent:
             lobe = Lobe(lobe.exponent * float(np.exp(s["beam"] * p[6])))

@@ -191,7 +191,9 @@ def say_levers(setup: Setup, plan: LightPlan) -> list[str]:
     rated = []
     for text, lighting in changes:
         other = _quick(setup, lighting)
-        evenness = f"the drop of light goes from {100 * plan.drop:.1f} to {100 * other['drop']:.1f} %"
+        evenness = (
+            f"the drop of light goes from {100 * plan.drop:.1f} to {100 * other['drop']:.1f} %"
+        )
         effects = [evenness]
         for key, word in (("varnish", "varnish"), ("gold", "gold")):
             before = _quick_value(plan, key)
@@ -247,13 +249,17 @@ def _changes(setup: Setup, lighting: Lighting) -> list[tuple[str, Lighting]]:
         ("Lamps at 45°", with_lamps([turned(x, 45.0 - x.angle_deg) for x in lamps])),
     ]
     if len(lamps) == 1:
-        other = replace(lamps[0], place=lamps[0].place * [-1, -1, 1], axis=lamps[0].axis * [-1, -1, 1])
+        other = replace(
+            lamps[0], place=lamps[0].place * [-1, -1, 1], axis=lamps[0].axis * [-1, -1, 1]
+        )
         told.append(("A second lamp opposite", with_lamps([lamps[0], other])))
     else:
         told.append((f"Only {lamps[0].name}", with_lamps([lamps[0]])))
         weaker = replace(lamps[0], candela=0.95 * lamps[0].candela)
         told.append(("One lamp 5 % weaker", with_lamps([weaker, *lamps[1:]])))
-        uneven = [replace(x, candela=x.candela * f) for x, f in zip(lamps, (1.4, 0.6), strict=False)]
+        uneven = [
+            replace(x, candela=x.candela * f) for x, f in zip(lamps, (1.4, 0.6), strict=False)
+        ]
         told.append(("Lamps at 70:30, for more relief", with_lamps([*uneven, *lamps[2:]])))
     for aim in ("far edge", "middle"):
         aimed = [_aimed(x, aim_point(aim, x.place, size)) for x in lamps]

@@ -27,7 +27,9 @@ def draw_evenness(plan: LightPlan) -> str:
     across = 330.0
     scale = across / width
     down = height * scale
-    frame = Frame(52, 26, across, down, (surface.x[0], surface.x[-1]), (surface.y[-1], surface.y[0]))
+    frame = Frame(
+        52, 26, across, down, (surface.x[0], surface.x[-1]), (surface.y[-1], surface.y[0])
+    )
     low = min(90.0, float(np.floor(share.min() / 2) * 2))
     parts = [_image(share, low, 100.0, WARM, frame)]
     parts += _level_lines(surface.x, surface.y, share, low, frame)
@@ -36,7 +38,9 @@ def draw_evenness(plan: LightPlan) -> str:
     parts += _cross(frame, x0, y0)
     parts.append(text(frame.left, 16, "light over its greatest value, %", css="head"))
     parts += _edges(frame)
-    profile = Frame(452, 40, 250, down - 14, (-max(width, height) / 2, max(width, height) / 2), (low, 101))
+    profile = Frame(
+        452, 40, 250, down - 14, (-max(width, height) / 2, max(width, height) / 2), (low, 101)
+    )
     parts += axes(profile, "mm from the middle", "%", about=(4, 5))
     for values, at, colour, name in (
         (share[middle[0]], surface.x, "--c1", "along the width"),
@@ -44,9 +48,7 @@ def draw_evenness(plan: LightPlan) -> str:
     ):
         parts.append(line(*profile.at(at, values), colour))
         row = 0 if colour == "--c1" else 1
-        parts.append(
-            text(profile.left + 84, 14 + 15 * row, name, fill=colour)
-        )
+        parts.append(text(profile.left + 84, 14 + 15 * row, name, fill=colour))
     label = f"map of light, drop {100 * plan.drop:.1f} per cent"
     return svg(730, down + 72, parts, label)
 
@@ -64,7 +66,9 @@ def _level_lines(
             if best is None or start[1] < best[1]:
                 best = start
         if best is not None:
-            parts.append(f'<path d="{"".join(path)}" stroke="#1d1b16" stroke-width="1.1" fill="none"/>')
+            parts.append(
+                f'<path d="{"".join(path)}" stroke="#1d1b16" stroke-width="1.1" fill="none"/>'
+            )
             a, b = frame.at(best[0], best[1])
             inside = (
                 float(np.clip(a, frame.left + 14, frame.left + frame.width - 14)),
@@ -87,7 +91,12 @@ def _edges(frame: Frame) -> list[str]:
     return [
         f'<rect x="{frame.left}" y="{frame.top}" width="{frame.width}" height="{frame.height:.1f}" '
         'fill="none" stroke="var(--ink)"/>',
-        text(frame.left + frame.width / 2, frame.top + frame.height + 18, f"{w:.0f} mm", anchor="middle"),
+        text(
+            frame.left + frame.width / 2,
+            frame.top + frame.height + 18,
+            f"{w:.0f} mm",
+            anchor="middle",
+        ),
         text(frame.left - 8, frame.top + frame.height / 2, f"{abs(h):.0f}", anchor="end"),
         text(frame.left - 8, frame.top + frame.height / 2 + 14, "mm", anchor="end"),
     ]
@@ -142,7 +151,9 @@ def draw_trade_off(curve: TradeOff, best_deg: float, current_deg: float | None =
     for (name, values), colour in zip(curve.criteria.items(), PALETTE, strict=True):
         if values.max() < 1e-6:
             continue
-        parts.append(f'<g clip-path="url(#trade)">{line(*frame.at(curve.angle_deg, values), colour)}</g>')
+        parts.append(
+            f'<g clip-path="url(#trade)">{line(*frame.at(curve.angle_deg, values), colour)}</g>'
+        )
         parts.append(
             f'<path d="M506 {40 + 21 * row}h18" stroke="var({colour})" stroke-width="2.4"/>'
         )
@@ -176,9 +187,7 @@ def draw_spectra(wavelengths: np.ndarray, curves: dict[str, np.ndarray], label: 
         )
         y = 40 + 21 * i
         dash = f' stroke-dasharray="{dashes[i]}"' if i in dashes else ""
-        parts.append(
-            f'<path d="M506 {y}h24" stroke="var({PALETTE[i]})" stroke-width="2.2"{dash}/>'
-        )
+        parts.append(f'<path d="M506 {y}h24" stroke="var({PALETTE[i]})" stroke-width="2.2"{dash}/>')
         parts.append(text(536, y + 4, name))
     return svg(720, 306, parts, label)
 
@@ -202,9 +211,7 @@ def draw_snr(exposures: list[CameraExposure]) -> str:
             for a, b, c in zip(x, y, exposure.channels, strict=True):
                 parts.append(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="5" fill="var({colour})"/>')
                 parts.append(text(float(a) + 7, float(b) - 6, c.name, fill=colour))
-        parts.append(
-            f'<path d="M506 {40 + 21 * i}h18" stroke="var({colour})" stroke-width="3"/>'
-        )
+        parts.append(f'<path d="M506 {40 + 21 * i}h18" stroke="var({colour})" stroke-width="3"/>')
         parts.append(text(530, 44 + 21 * i, f"{exposure.camera}; weakest {exposure.limiting}"))
     return svg(720, 306, parts, "signal over noise by wavelength")
 

@@ -98,7 +98,9 @@ def _power(lamp: Lamp, level: float, spectral: bool) -> Any:
     if not spectral:
         return {"type": "rgb", "value": [level] * 3}
     inside = (GRID >= 360) & (GRID <= 830)
-    pairs = list(zip(GRID[inside].tolist(), (level * lamp.spectrum[inside] * 300).tolist(), strict=True))
+    pairs = list(
+        zip(GRID[inside].tolist(), (level * lamp.spectrum[inside] * 300).tolist(), strict=True)
+    )
     return {"type": "spectrum", "value": pairs}
 
 
@@ -171,8 +173,6 @@ def camera_sheet(mi: Any, lighting: Lighting, eye: np.ndarray) -> dict[str, Any]
         axis = np.array([-along[1], along[0], 0.0])
     # The sheet's x passes; look_at puts x across `up` and the way it looks.
     up = np.cross(axis, [0.0, 0.0, 1.0])
-    if lighting.camera_polariser == "crossed":
-        up = axis if lamp.polariser == "p" else np.cross(axis, [0.0, 0.0, 1.0])
     place = eye - [0, 0, SHEET_MM]
     frame = mi.ScalarTransform4f().look_at(
         flipped(place), flipped(place - [0, 0, 1.0]), flipped(up)

@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from levkas.planning.setup import Lamp, Lighting, Setup
 
 
-def write_report(
-    path: str | Path, setup: Setup, name: str | None = None, *, seed: int = 1
-) -> Path:
+def write_report(path: str | Path, setup: Setup, name: str | None = None, *, seed: int = 1) -> Path:
     """Write the report of one lighting, beside all others of the setup file.
 
     Parameters

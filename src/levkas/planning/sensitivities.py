@@ -34,7 +34,8 @@ def place_camera(name: str, keys: CameraKeys, bench: Bench, root: Path, *, file:
                   expected="one of the two")
         )  # fmt: skip
     aim = np.zeros(3) if isinstance(keys.aim_mm, str) else np.array([*keys.aim_mm, 0.0])
-    place = aim + [0, 0, keys.distance_mm] if keys.place_mm is None else np.array(keys.place_mm)
+    before = np.array([0.0, 0.0, keys.distance_mm or 0.0])
+    place = aim + before if keys.place_mm is None else np.array(keys.place_mm)
     if keys.sensitivity is None:
         return Camera(name, keys, place, aim, *_bands(keys))
     w, table, labels = read_table(root / keys.sensitivity, field=f"{at}.sensitivity", file=file)

@@ -142,9 +142,7 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
         Where it says nothing or two things, cannot be read, or cannot be in nanometres.
     """
     field = f"spectra.{name}"
-    given = [
-        k for k in ("planck_k", "cie", "csv", "transmittance") if getattr(keys, k) is not None
-    ]
+    given = [k for k in ("planck_k", "cie", "csv", "transmittance") if getattr(keys, k) is not None]
     if len(given) != 1:
         raise PlanRefused(
             wrong(
@@ -164,7 +162,9 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
         found = illuminant(keys.cie)
         if found is None:
             raise PlanRefused(
-                wrong(file, f"{field}.cie", "there is no such illuminant", keys.cie, "A, D50, D65 …")
+                wrong(
+                    file, f"{field}.cie", "there is no such illuminant", keys.cie, "A, D50, D65 …"
+                )
             )
         return _on_grid(name, *found)
     assert keys.csv is not None
@@ -178,7 +178,9 @@ def _column(labels: list[str], wanted: str | None, file: str, field: str) -> int
         return 0
     if wanted not in labels:
         raise PlanRefused(
-            wrong(file, f"{field}.column", "no such column", wanted, ", ".join(labels) or "a header")
+            wrong(
+                file, f"{field}.column", "no such column", wanted, ", ".join(labels) or "a header"
+            )
         )
     return labels.index(wanted)
 

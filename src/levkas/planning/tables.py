@@ -217,7 +217,7 @@ class Bench(Table):
     object: ObjectKeys
     spectra: dict[str, SpectrumKeys] = Field(min_length=1)
     lamps: dict[str, LampKeys] = Field(min_length=1)
-    cameras: dict[str, CameraKeys] = {}
+    cameras: dict[str, CameraKeys] = Field(default_factory=dict)
     setups: dict[str, SetupKeys] = Field(min_length=1)
     sheets: Sheets = Sheets()
     session: Session = Session()

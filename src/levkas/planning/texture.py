@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from levkas.planning.setup import Lamp
 
+
 @cache
 def slope_nodes(spread: float, side: int = 48) -> tuple[np.ndarray, np.ndarray]:
     """Return slopes (p, q), (n, 2), and weights of sum 1 for a normal spread, to average over them.
