@@ -61,7 +61,7 @@ def draw_motif(thing: ObjectKeys, *, rng: np.random.Generator, px_per_mm: float 
     colour[face] = (0.62, 0.44, 0.28)
     folds = garment & (np.abs(np.mod(u * 0.9 + 0.55 * v + 6 * np.sin(v / 17), 34) - 17) < 3)
     colour[folds] = (0.80, 0.38, 0.28)
-    hatch = robe & ~garment & (np.mod(u + 0.9 * v, 9) < 1.3) & (v > 15) & (v < 110)
+    hatch = robe & ~garment & (np.mod(u + 0.9 * v, 9) < 1.3) & (v > 15) & (v < 96)
     gold[hatch & inner] = 1.0
     gold = gold * inner
     relief = _relief(rows, columns, px_per_mm, rng) * np.where(gold > 0, 0.5, 1.0)
@@ -70,7 +70,7 @@ def draw_motif(thing: ObjectKeys, *, rng: np.random.Generator, px_per_mm: float 
     edge = np.minimum(width / 2 - np.abs(x * unit), height / 2 - np.abs(y * unit))
     sunk = np.clip((edge - thing.border_mm) / thing.bevel_mm, 0, 1) * thing.recess_mm
     places = {
-        "gold": (-95.0, 38.0), "varnish": (70.0, -42.0), "garment": (60.0, 45.0),
+        "gold": (-95.0, 38.0), "varnish": (128.0, -32.0), "garment": (60.0, 45.0),
         "hatching": (50.0, -20.0),
     }  # fmt: skip
     details = {k: (a * unit, b * unit, 62.0 * unit) for k, (a, b) in places.items()}
