@@ -18,6 +18,7 @@ SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
 MODULES = {
     "levkas",
     "levkas.noise",
+    "levkas.planning",
     "levkas.radiometry",
     "levkas.registration",
     "levkas.reporting",
@@ -193,3 +194,36 @@ def test_close_ups_stand_setup_by_setup(script, tmp_path):
     assert rows == ["default setup", "45-degree"]
     first, second = (figure.axes[i].images[0].get_array() for i in (0, len(figure.axes) // 2))
     assert (np.asarray(second, int) - np.asarray(first, int) == 90).all()
+
+
+def test_the_bench_shows_its_lamps_in_the_dark_field(script, tmp_path):
+    figure = script("figure_5b_bench").main(tmp_path / "5b.png")
+    assert decoded(tmp_path / "5b.png").std() > 5
+    above, beside = figure.axes
+    assert "6°, with facets 42°" in above.get_title() and "14°" in beside.get_title()
+    lamps = [line.get_xydata()[0] for line in above.lines if line.get_label() == "lamp"]
+    angles = np.degrees(np.arctan2(*np.array(lamps).T))
+    np.testing.assert_allclose(np.sort(angles), [-70, 70], atol=0.01)
+
+
+def test_a_filter_brings_halogen_to_daylight(script, tmp_path):
+    figure = script("figure_6a_spectra").main(tmp_path / "6a.png")
+    drawn = curves(figure.axes[0])
+    named = {label.split(":")[0]: points[:, 1] for label, points in drawn.items()}
+    for one, other in (("behind the D50 filter", "CIE D50"), ("behind the D65 filter", "CIE D65")):
+        inside = slice(30, 165)  # 440 to 710 nm
+        assert np.abs(named[one] - named[other])[inside].mean() < 0.05
+    assert np.abs(named["halogen"] - named["CIE D50"]).mean() > 0.2
+
+
+def test_the_light_drops_by_less_than_ten_per_cent_in_the_frame(script, tmp_path):
+    figure = script("figure_6b_planned").main(tmp_path / "6b.png")
+    assert "drops by 7.7 %" in figure.axes[0].get_title()
+    along = curves(figure.axes[1])["along the width"]
+    assert along[:, 1].min() > 60 and abs(along[np.abs(along[:, 0]) < 5, 1].mean() - 98) < 3
+
+
+def test_sensitivities_are_drawn_channel_by_channel(script, tmp_path):
+    figure = script("figure_7_sensitivities").main(tmp_path / "7.png")
+    assert [len(axes.lines) for axes in figure.axes] == [51, 3, 7]
+    assert "weakest under the proposed light B2" in figure.axes[2].get_title(loc="left")

@@ -3,25 +3,85 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 plan_app = typer.Typer(
-    help="Plan exposures before anything is taken in earnest.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
+    help="Plan light, framing and exposure.", no_args_is_help=True, rich_markup_mode=None
 )
 
 from levkas.cli import Json, _refusing, _report  # noqa: E402  (either may be imported first)
+
+SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
+Lighting = Annotated[
+    str | None, typer.Option("--setup-name", "-s", help="One of its setups; the first without.")
+]
+
+
+@plan_app.command("light")
+@_refusing("plan light")
+def light(
+    setup: SetupPath,
+    name: Lighting = None,
+    optimise: Annotated[
+        bool, typer.Option("--optimise", help="Search the best places for two lamps.")
+    ] = False,
+    report: Annotated[
+        Path | None, typer.Option("--report", "-o", help="HTML page to write; prints on A4.")
+    ] = None,
+    render: Annotated[
+        Path | None,
+        typer.Option("--render", help="PNG of what a camera would see; needs levkas[render]."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the random starts.", min=0)] = 1,
+    as_json: Json = False,
+) -> None:
+    """Evenness, glare, relief and bright field of a lighting, and what each lever would change."""
+    from levkas.planning.saying import light_record, light_text
+
+    record = light_record(setup, name, optimised=optimise, seed=seed)
+    if report is not None:
+        from levkas.planning.report import write_report
+
+        record["report"] = str(write_report(report, record.setup, name, seed=seed))
+    if render is not None:
+        from levkas.planning.contact_sheet import render_sheet
+
+        record["render"] = str(render_sheet(record.setup, render, seed=seed))
+    _report("plan light", as_json, True, [], **record)
+    if not as_json:
+        typer.echo(light_text(record))
+
+
+@plan_app.command("framing")
+@_refusing("plan framing")
+def framing(setup: SetupPath, as_json: Json = False) -> None:
+    """Field, working distance, sampling, depth of field and diffraction of every camera."""
+    from levkas.planning.framing import plan_framing
+    from levkas.planning.saying import framing_text
+    from levkas.planning.setup import load_setup
+
+    found = plan_framing(load_setup(setup))
+    _report("plan framing", as_json, True, [], cameras=[f.to_dict() for f in found])
+    if not as_json:
+        typer.echo(framing_text(found))
 
 
 @plan_app.command("exposure")
 @_refusing("plan exposure")
 def exposure(
     frames: Annotated[
-        list[Path], typer.Argument(help="Frames of a white, or folders of them; a file a band.")
-    ],
+        list[Path] | None,
+        typer.Argument(help="Frames of a white, or folders of them; a file a band."),
+    ] = None,
+    setup: Annotated[
+        Path | None,
+        typer.Option(
+            "--setup", help="Setup file, or a folder with one; instead of frames, or too."
+        ),
+    ] = None,
+    name: Lighting = None,
     dark: Annotated[
         list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
     ] = None,
@@ -41,18 +101,34 @@ def exposure(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Which exposure to set, channel by channel or band by band, from frames; with SNR and ISO."""
-    from levkas.coaching import advice_text, coach
+    """Which exposure to set: from frames, channel by channel or band by band, with SNR and ISO.
 
-    found = coach(
-        frames,
-        dark or (),
-        pattern=pattern,
-        black=black,
-        saturation=saturation,
-        exposure_s=time,
-        is_white=not of_object,
-    )
-    _report("plan exposure", as_json, True, [], bands=[c.to_dict() for c in found])
+    From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
+    """
+    if not frames and setup is None:
+        raise typer.BadParameter("give frames of a white, --setup FILE, or both")
+    record: dict[str, Any] = {}
+    texts = []
+    if frames:
+        from levkas.coaching import advice_text, coach
+
+        found = coach(
+            frames,
+            dark or (),
+            pattern=pattern,
+            black=black,
+            saturation=saturation,
+            exposure_s=time,
+            is_white=not of_object,
+        )
+        record["bands"] = [c.to_dict() for c in found]
+        texts.append(advice_text(found))
+    if setup is not None:
+        from levkas.planning.saying import exposure_record, exposure_text
+
+        planned = exposure_record(setup, name)
+        record.update(planned)
+        texts.append(exposure_text(planned))
+    _report("plan exposure", as_json, True, [], **record)
     if not as_json:
-        typer.echo(advice_text(found))
+        typer.echo("\n\n".join(texts))

@@ -31,7 +31,9 @@ EXAMPLES = {
 }
 
 
-def explain(record: dict[str, Any], errors: Sequence[Any]) -> list[Problem]:
+def explain(
+    record: dict[str, Any], errors: Sequence[Any], document: type[BaseModel] = Document
+) -> list[Problem]:
     """Return the problems that findings of the schema mean.
 
     Parameters
@@ -40,18 +42,20 @@ def explain(record: dict[str, Any], errors: Sequence[Any]) -> list[Problem]:
         What was read.
     errors : sequence
         As pydantic's `ValidationError.errors` gives them.
+    document : type
+        The schema they were found by.
     """
-    return _without_echoes([_problem(record, e) for e in errors])
+    return _without_echoes([_problem(record, e, document) for e in errors])
 
 
-def _problem(record: dict[str, Any], error: Any) -> Problem:
+def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> Problem:
     """Turn one finding of the schema into a problem, with the key that was meant."""
     where = [step for step in error["loc"] if not str(step).startswith("<")]
     field, key = _named(record, where), str(where[-1])
     if error["type"] == "extra_forbidden":
-        known = _known_keys(where[:-1])
+        known = _known_keys(where[:-1], document)
         open_ = [k for k in known if k not in _at(record, where[:-1])]
-        elsewhere = [f"[{table}]" for table, keys in TABLES.items() if key in keys]
+        elsewhere = [f"[{table}]" for table, keys in _tables(document, "").items() if key in keys]
         near = meant(key, open_) or meant(key, known)
         home = f"It belongs to {' or '.join(elsewhere)}." if elsewhere else "Take it out."
         return Problem(
@@ -113,9 +117,9 @@ def _named(record: dict[str, Any], where: list[int | str]) -> str:
     return ".".join(names)
 
 
-def _known_keys(where: list[int | str]) -> list[str]:
+def _known_keys(where: list[int | str], document: type[BaseModel]) -> list[str]:
     """Keys that the schema knows at a place such as ``["cameras", "nir"]``."""
-    model: Any = Document
+    model: Any = document
     is_name = False
     for step in where:
         field = None if is_name else model.model_fields.get(str(step))

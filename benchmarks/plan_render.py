@@ -1,0 +1,120 @@
+"""Closed forms of a plan against Mitsuba on twelve setups: python benchmarks/plan_render.py
+
+Each lamp is rendered alone, so that nothing is random but where in its pixel a ray starts.
+"""
+
+import sys
+
+import numpy as np
+
+from levkas.planning.criteria import Arrangement
+from levkas.planning.facets import AIR, gold_index
+from levkas.planning.glare import _specular
+from levkas.planning.irradiance import illuminate
+from levkas.planning.lobes import Lobe, lobe_exponent
+from levkas.planning.mitsuba_scene import camera_object, lamp_objects, load_mitsuba
+from levkas.planning.surface import Surface
+
+EYE, VIEW = np.array([0.0, 0.0, 1900.0]), (400.0, 300.0)
+# angle, azimuth, distance, half-width of the beam (0: even), aim, radius of the bend, straight axis
+SETUPS = [
+    (70, 0, 2100, 0, 0, None, "width"), (45, 0, 2100, 0, 0, None, "width"),
+    (60, 0, 1000, 15, 0, None, "width"), (78, 0, 2100, 15, 1, None, "width"),
+    (70, 0, 2100, 15, 1, None, "width"), (70, 0, 2100, 20, 1, 2000, "width"),
+    (70, 0, 2100, 20, 1, 2000, "height"), (70, 90, 2100, 20, 1, 2000, "width"),
+    (45, 0, 1500, 30, 0, 2000, "height"), (60, 35, 1800, 20, 0.5, 1000, "width"),
+    (75, 0, 2300, 0, 0, 1000, "height"), (65, 0, 2000, 25, 0.3, 3000, "width"),
+]  # fmt: skip
+GREY = {"type": "rgb"}
+MATERIALS = {
+    "irradiance": {"type": "diffuse", "reflectance": {**GREY, "value": [1.0] * 3}},
+    "varnish": {
+        "type": "pplastic", "distribution": "ggx", "alpha": 0.1, "int_ior": 1.5, "ext_ior": AIR,
+        "diffuse_reflectance": {**GREY, "value": [0.0] * 3},
+    },
+    "gold": {
+        "type": "roughconductor", "distribution": "ggx", "alpha": 0.2,
+        "eta": {**GREY, "value": [gold_index().real] * 3},
+        "k": {**GREY, "value": [gold_index().imag] * 3},
+    },
+}  # fmt: skip
+
+
+def panel(mi, radius, straight):
+    if radius is None:
+        return {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale([300, 300, 1])}
+    ends = {"width": ([-300, 0, -radius], [300, 0, -radius])}
+    ends["height"] = ([0, -300, -radius], [0, 300, -radius])
+    p0, p1 = ends[straight]
+    return {"type": "cylinder", "p0": p0, "p1": p1, "radius": radius}
+
+
+def hit(radius, straight, pixels):
+    """Points and normals that the middles of the pixels see, by hand."""
+    x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in pixels)
+    across, down = np.meshgrid(x * VIEW[0], y * VIEW[1])
+    ray = np.stack([across, down, np.full(across.shape, -EYE[2])], -1)
+    normals = np.zeros_like(ray)
+    if radius is None:
+        normals[..., 2] = 1
+        return EYE + ray, normals
+    k = [1, 2] if straight == "width" else [0, 2]
+    centre = np.array([0, 0, -radius])
+    out, way = (EYE - centre)[k], ray[..., k]
+    a, b, c = (way**2).sum(-1), way @ out, out @ out - radius**2
+    points = EYE + ray * ((-b - np.sqrt(b * b - a * c)) / a)[..., None]
+    normals[..., k] = (points - centre)[..., k] / radius
+    return points, normals
+
+
+def compare(mi, setup, pixels=(40, 30), samples=64):
+    """Return the relative difference of each material that 99 % of the pixels stay below.
+
+    In single precision one ray in 64 misses a cylinder at a pixel here and there: 1.56 % by itself.
+    """
+    angle, azimuth, distance, beam, aim, radius, straight = setup
+    lobe = Lobe(lobe_exponent(beam)) if beam else Lobe()
+    lighting = Arrangement(angle, azimuth, distance, aim, 0.55).lighting((420.0, 320.0), lobe)
+    points, normals = hit(radius, straight, pixels)
+    surface = Surface(np.zeros(1), np.zeros(1), points, normals)
+    index = {"varnish": 1.5 / AIR, "gold": gold_index()}
+    found = {}
+    for name, material in MATERIALS.items():
+        scene = {
+            "type": "scene",
+            "integrator": {"type": "direct", "bsdf_samples": 0, "emitter_samples": 1},
+            "sensor": camera_object(mi, EYE, VIEW, pixels, samples),
+            "panel": {**panel(mi, radius, straight), "bsdf": material},
+        }
+        picture = 0.0
+        for i, lamp in enumerate(lighting.lamps):
+            made = mi.load_dict({**scene, **lamp_objects(mi, lamp, f"lamp{i}", spectral=False)})
+            picture = picture + np.array(mi.render(made))[..., 0].astype(float) * np.pi * 1e6
+        if name == "irradiance":
+            ours = illuminate(lighting.lamps, points, normals)
+        else:
+            alpha = material["alpha"]
+            ours = _specular(surface, lighting, EYE, alpha, index[name], "ggx")
+        found[name] = float(np.quantile(np.abs(picture / ours - 1), 0.99))
+    return found
+
+
+def main():
+    mi = load_mitsuba("scalar_rgb")
+    print("| angle | azimuth | mm | beam | aim | bend | straight | irradiance | varnish | gold |")
+    print("|---:|---:|---:|---:|---:|---:|---|---:|---:|---:|")
+    worst = 0.0
+    for setup in SETUPS:
+        found = compare(mi, setup)
+        worst = max(worst, *found.values())
+        cells = [
+            *("–" if v is None else v for v in setup),
+            *(f"{100 * v:.3f} %" for v in found.values()),
+        ]
+        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+    print(f"\nlargest difference {100 * worst:.3f} %")
+    sys.exit(worst > 0.005)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,41 @@
+"""Plan the light before a lamp is hung: geometry, framing, exposure, and what the object bears."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_HOMES = {
+    "PlanRefused": "refusals",
+    "Setup": "setup",
+    "load_setup": "setup",
+    "plan_light": "light",
+    "compare_lightings": "light",
+    "find_setup": "setup",
+    "optimise": "optimising",
+    "trade_off": "optimising",
+    "plan_framing": "framing",
+    "plan_exposure": "exposing",
+    "plan_dose": "dose",
+    "regulating_filter": "regulating",
+    "write_report": "report",
+    "render_sheet": "contact_sheet",
+    "fit_lamps": "lamp_fit",
+    "illuminate": "irradiance",
+    "sample_surface": "surface",
+    "specular": "facets",
+    "colour_temperature": "spectra",
+    "illuminant": "illuminants",
+    "GRID": "spectra",
+}
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'levkas.planning' has no attribute {name!r}")
+    return getattr(import_module(f"levkas.planning.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,222 @@
+"""Field, working distance, sampling, depth of field and diffraction of a camera before an object.
+
+Thin lens: with magnification m = f / (distance − f), the field is n·p/m, a point of blur c is
+reached over 2·N·c·(1 + m)/m², and diffraction acts with N·(1 + m).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.planning.surface import height_range
+
+if TYPE_CHECKING:
+    from levkas.planning.setup import Camera, Setup
+
+MARGIN = 0.04
+"""Narrow border around the object, as a share of the field, where lens faults are worst."""
+
+
+def magnification(focal_mm: float, distance_mm: float) -> float:
+    """Return the size of the image over that of the object.
+
+    Raises
+    ------
+    ValueError
+        Where the object is not beyond the focal length.
+
+    >>> round(1 / magnification(60.0, 1850.0), 2)
+    29.83
+    """
+    if distance_mm <= focal_mm:
+        raise ValueError(f"no image: {distance_mm:g} mm is within the focal length {focal_mm:g} mm")
+    return focal_mm / (distance_mm - focal_mm)
+
+
+def field_mm(pixels: tuple[int, int], pitch_um: float, m: float) -> tuple[float, float]:
+    """Return what a sensor sees, (width, height) in mm.
+
+    The paper's LCTF cameras, 60 mm at 185 cm:
+
+    >>> [round(v) for v in field_mm((1392, 1040), 6.45, magnification(60.0, 1850.0))]
+    [268, 200]
+    """
+    return pixels[0] * pitch_um / 1000 / m, pixels[1] * pitch_um / 1000 / m
+
+
+def distance_for(focal_mm: float, sensor_mm: float, wanted_mm: float) -> float:
+    """Return the working distance at which a field is seen, mm: f·(1 + field/(n·p)).
+
+    >>> round(distance_for(60.0, 1392 * 6.45e-3, 268.0))
+    1851
+    """
+    return focal_mm * (1 + wanted_mm / sensor_mm)
+
+
+def depth_of_field(f_number: float, blur_mm: float, m: float) -> float:
+    """Return the depth over which a point stays within a circle of `blur_mm` on the sensor, mm.
+
+    >>> round(depth_of_field(8.0, 6.45e-3, magnification(60.0, 1850.0)), 1)
+    94.9
+    """
+    return 2 * f_number * blur_mm * (1 + m) / m**2
+
+
+def diffraction_mtf(
+    wavelength_nm: float | np.ndarray, f_number: float, m: float, pitch_um: float
+) -> np.ndarray:
+    """Return the contrast that diffraction leaves at the sensor's Nyquist frequency.
+
+    Parameters
+    ----------
+    wavelength_nm : float or ndarray
+    f_number : float
+        As set on the lens.
+    m : float
+        Magnification.
+    pitch_um : float
+
+    Returns
+    -------
+    mtf : same shape, 0 to 1
+
+    Examples
+    --------
+    >>> m = magnification(60.0, 1850.0)
+    >>> [round(float(diffraction_mtf(w, 8.0, m, 6.45)), 2) for w in (450, 550, 700, 950)]
+    [0.64, 0.56, 0.45, 0.28]
+    """
+    cut_off = 1e6 / (np.asarray(wavelength_nm, float) * f_number * (1 + m))  # cycles per mm
+    x = np.minimum(500 / pitch_um / cut_off, 1.0)
+    return (2 / np.pi) * (np.arccos(x) - x * np.sqrt(1 - x * x))
+
+
+def axes_of(camera: Camera) -> np.ndarray:
+    """Return right, down and forward of a camera in the world, (3, 3) rows."""
+    forward = camera.aim - camera.place
+    forward = forward / np.linalg.norm(forward)
+    down = np.array([0.0, 1.0, 0.0]) - forward[1] * forward
+    down /= np.linalg.norm(down)
+    return np.stack([np.cross(forward, down), down, forward])
+
+
+def image_of(camera: Camera, point: np.ndarray) -> np.ndarray | None:
+    """Return where a point lies on the sensor from its middle, mm (2,), None from behind."""
+    right, down, forward = axes_of(camera)
+    away = point - camera.place
+    depth = float(away @ forward)
+    if depth <= camera.keys.focal_mm:
+        return None
+    m = magnification(camera.keys.focal_mm, camera.distance_mm)
+    image_distance = m * camera.distance_mm
+    return np.array([away @ right, away @ down]) * image_distance / depth
+
+
+def in_field(camera: Camera, point: np.ndarray, body_mm: float) -> bool:
+    """Whether a body of half-breadth `body_mm` around a point shows in the picture."""
+    place = image_of(camera, point)
+    if place is None:
+        return False
+    depth = float((point - camera.place) @ axes_of(camera)[2])
+    m = magnification(camera.keys.focal_mm, camera.distance_mm)
+    grown = body_mm * m * camera.distance_mm / depth
+    half = np.array(camera.keys.pixels) * camera.keys.pitch_um / 2000
+    return bool((np.abs(place) <= half + grown).all())
+
+
+@dataclass(frozen=True)
+class Framing:
+    """What one camera sees of the object, with what contradicts itself in words."""
+
+    camera: str
+    distance_mm: float
+    magnification: float
+    field_mm: tuple[float, float]
+    covers: bool
+    samples_per_mm: float
+    samples_per_mm2: float
+    needed_distance_mm: float
+    depth_of_field_mm: float
+    relief_mm: float
+    mtf: dict[str, float]
+    contradictions: tuple[str, ...] = field(default=())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        return {**self.__dict__, "contradictions": list(self.contradictions)}
+
+
+def plan_framing(setup: Setup) -> list[Framing]:
+    """Return the framing of every camera of a setup file.
+
+    Raises
+    ------
+    Nothing: what a camera cannot do is said in `contradictions`.
+    """
+    return [_frame(setup, camera) for camera in setup.cameras.values()]
+
+
+def _frame(setup: Setup, camera: Camera) -> Framing:
+    keys, thing = camera.keys, setup.object
+    m = magnification(keys.focal_mm, camera.distance_mm)
+    seen = field_mm(keys.pixels, keys.pitch_um, m)
+    sensor = [n * keys.pitch_um / 1000 for n in keys.pixels]
+    wanted = _oriented(thing.size_mm, seen)
+    covers = all(s >= w for s, w in zip(seen, wanted, strict=True))
+    needed = max(
+        distance_for(keys.focal_mm, s, w * (1 + 2 * MARGIN))
+        for s, w in zip(sensor, wanted, strict=True)
+    )
+    samples = 1000 * m / keys.pitch_um
+    low, high = height_range(thing)
+    depth = depth_of_field(keys.f_number, keys.pitch_um / 1000, m)
+    bands = (450.0, 550.0, 700.0, 950.0)
+    mtf = {
+        f"{w:g} nm": float(diffraction_mtf(w, keys.f_number, m, keys.pitch_um))
+        for w in bands
+        if camera.seen[0] <= w <= camera.seen[1]
+    }
+    frame = Framing(
+        camera.name, camera.distance_mm, m, seen, covers, samples, samples**2, needed, depth,
+        high - low, mtf,
+    )  # fmt: skip
+    return Framing(**{**frame.__dict__, "contradictions": tuple(_said(frame, camera, wanted))})
+
+
+def _oriented(size: tuple[float, float], seen: tuple[float, float]) -> tuple[float, float]:
+    """The object's sides along those of the picture, the longer along the longer."""
+    turned = (size[0] >= size[1]) != (seen[0] >= seen[1])
+    return (size[1], size[0]) if turned else size
+
+
+def _said(frame: Framing, camera: Camera, wanted: tuple[float, float]) -> list[str]:
+    """Say in sentences what does not fit together."""
+    keys, told = camera.keys, []
+    w, h = frame.field_mm
+    if not frame.covers:
+        sensor = (keys.pixels[0] * keys.pitch_um / 1000, keys.pixels[1] * keys.pitch_um / 1000)
+        shorter = (frame.distance_mm) / (
+            1 + max(a / b for a, b in zip(wanted, sensor, strict=True))
+        )
+        told.append(
+            f"From {frame.distance_mm / 10:.0f} cm a {keys.focal_mm:g} mm lens shows {w:.0f} x {h:.0f} mm on "
+            f"{keys.pixels[0]} x {keys.pixels[1]} pixels of {keys.pitch_um:g} µm: smaller than the object, "
+            f"{wanted[0]:.0f} x {wanted[1]:.0f} mm. Distance, focal length and sensor contradict the aim "
+            f"of covering the object. Stand at {frame.needed_distance_mm / 10:.0f} cm, or take a lens of "
+            f"{shorter:.0f} mm or shorter."
+        )
+    if frame.depth_of_field_mm < frame.relief_mm:
+        told.append(
+            f"The object is {frame.relief_mm:.1f} mm deep, but at f/{keys.f_number:g} only "
+            f"{frame.depth_of_field_mm:.1f} mm are sharp to one pixel: stop down, or focus between."
+        )
+    weak = {k: v for k, v in frame.mtf.items() if v < 0.1}
+    if weak:
+        told.append(
+            f"Diffraction at f/{keys.f_number:g} leaves less than a tenth of the contrast at the finest "
+            f"detail in {', '.join(weak)}: open the lens."
+        )
+    return told

@@ -1,0 +1,225 @@
+"""The tables of a setup file: an object, spectra, lamps, cameras, and where lamps stand in each setup.
+
+Millimetres, degrees, nanometres, seconds. x to the right and y downwards as the camera sees the
+object, z from the object towards the camera, origin at the object's middle.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator
+
+from levkas.declaring.tables import Range, Table
+from levkas.declaring.values import Number, Size, SizeMm, Switch, Text, Whole
+
+SAFE_KINDS = ("high", "medium", "low", "none")
+
+Positive = Annotated[Number, Field(gt=0)]
+Share = Annotated[Number, Field(ge=0, le=1)]
+NotNegative = Annotated[Number, Field(ge=0)]
+
+
+def _numbers(value: Any, count: int) -> tuple[float, ...] | None:
+    fits = isinstance(value, list | tuple) and len(value) == count
+    if not fits or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
+        return None
+    return tuple(float(v) for v in value)
+
+
+def _place(value: Any) -> Any:
+    found = _numbers(value, 3)
+    if found is None:
+        raise ValueError("must be [x, y, z], three numbers in mm")
+    return found
+
+
+def _aim(value: Any) -> Any:
+    if value in ("middle", "far edge", "near edge"):
+        return value
+    found = _numbers(value, 2)
+    if found is None:
+        raise ValueError('must be "middle", "far edge", "near edge", or [x, y] on the object in mm')
+    return found
+
+
+def _names(value: Any) -> Any:
+    value = [value] if isinstance(value, str) else value
+    if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
+        raise ValueError("must be a name or a list of names")
+    return tuple(value)
+
+
+Place = Annotated[tuple[float, float, float], PlainValidator(_place)]
+Aim = Annotated[Any, PlainValidator(_aim)]
+NameList = Annotated[tuple[str, ...], BeforeValidator(_names)]
+
+
+class Bend(Table):
+    """A panel that is part of a cylinder, convex towards the camera."""
+
+    radius_mm: Positive
+    straight: Literal["width", "height"] = "width"
+
+
+class Varnish(Table):
+    """A clear coat over the paint; roughness is GGX's alpha."""
+
+    roughness: Annotated[Number, Field(ge=0.005, le=1)]
+    index: Annotated[Number, Field(gt=1, lt=3)] = 1.5
+
+
+class Gilding(Table):
+    """Gold leaf; roughness is GGX's alpha."""
+
+    roughness: Annotated[Number, Field(ge=0.005, le=1)]
+
+
+class ObjectKeys(Table):
+    """What is to be captured."""
+
+    title: Text = ""
+    size_mm: SizeMm
+    bend: Bend | None = None
+    recess_mm: NotNegative = 0.0
+    border_mm: NotNegative = 30.0
+    bevel_mm: Positive = 4.0
+    relief_slope: Annotated[Number, Field(ge=0, le=1)] = 0.15
+    unevenness_deg: Annotated[Number, Field(ge=0, le=30)] = 5.0
+    varnish: Varnish | None = None
+    gold: Gilding | None = None
+    darkest: Annotated[Number, Field(gt=0, le=1)] = 0.05
+    sensitivity: Literal["high", "medium", "low", "none"] = "medium"
+    sure: Switch = False
+
+
+class SpectrumKeys(Table):
+    """One spectrum: light, or the transmittance of a filter."""
+
+    planck_k: Positive | None = None
+    cie: Text | None = None
+    csv: Text | None = None
+    column: Text | None = None
+    transmittance: Annotated[Number, Field(gt=0, le=1)] | None = None
+
+
+class Flicker(Table):
+    """How far the light swings, (max − min) / (max + min), and how often a second."""
+
+    modulation: Share
+    frequency_hz: Positive = 100.0
+
+
+class LampKeys(Table):
+    """A kind of lamp."""
+
+    spectrum: Text
+    filters: NameList = ()
+    power_w: Positive | None = None
+    efficacy_lm_per_w: Positive = 20.0
+    beam_deg: Annotated[Number, Field(gt=0, lt=90)] | None = None
+    lobe: Text | None = None
+    size_mm: SizeMm | None = None
+    flicker: Flicker | None = None
+
+
+class PlacedLamp(Table):
+    """One lamp of a setup."""
+
+    lamp: Text
+    place_mm: Place | None = None
+    angle_deg: Annotated[Number, Field(ge=0, lt=180)] | None = None
+    azimuth_deg: Number = 0.0
+    distance_mm: Positive | None = None
+    aim: Aim = "middle"
+    share: Positive = 1.0
+    filters: NameList | None = None
+    polariser: Literal["p", "s"] | None = None
+    sure: Switch = False
+
+
+class Sheets(Table):
+    """Sheet polarisers: what one passes of unpolarised light, and two crossed over two parallel."""
+
+    transmittance: Annotated[Number, Field(gt=0, le=0.5)] = 0.38
+    leak: Annotated[Number, Field(gt=0, lt=1)] = 1e-3
+
+
+class SetupKeys(Table):
+    """A lighting: lamps in their places, with what was measured of it."""
+
+    title: Text = ""
+    lamps: Annotated[tuple[PlacedLamp, ...], Field(min_length=1)]
+    camera_polariser: Literal["crossed", "parallel"] | None = None
+    illuminance_lx: Positive | None = None
+
+
+class CameraKeys(Table):
+    """A camera before the object, its axis along the object's normal unless `place_mm` says else."""
+
+    pixels: Size
+    pitch_um: Positive
+    focal_mm: Positive
+    f_number: Positive
+    distance_mm: Positive | None = None
+    place_mm: Place | None = None
+    aim_mm: Annotated[Any, PlainValidator(_aim)] = "middle"
+    sensitivity: Text | None = None
+    wavelengths: Range | None = None
+    fwhm_nm: Positive = 10.0
+    peak_qe: Annotated[Number, Field(gt=0, le=1)] = 0.5
+    exposure: Literal["one", "per band"] = "one"
+    sensors: tuple[tuple[Text, ...], ...] = ()
+    time_s: Positive | None = None
+    longest_s: Positive = 10.0
+    lens_transmittance: Annotated[Number, Field(gt=0, le=1)] = 0.9
+    full_well_e: Positive = 45_000.0
+    read_e: NotNegative = 5.0
+    dark_e_per_s: NotNegative = 32.0
+    prnu: Annotated[Number, Field(ge=0, lt=1)] = 0.019
+    bits: Annotated[Whole, Field(ge=4, le=32)] = 12
+    has_polariser: Switch = False
+    sure: Switch = False
+
+
+class Session(Table):
+    """A day's work: what it costs the object in light."""
+
+    warm_up_min: NotNegative = 0.0
+    focus_min: NotNegative = 10.0
+    shots: Annotated[Whole, Field(ge=1)] = 5
+    pause_s: NotNegative = 2.0
+    hours: Positive | None = None
+
+
+class Room(Table):
+    """Where lamps may stand."""
+
+    nearest_mm: Positive = 700.0
+    farthest_mm: Positive = 2300.0
+
+
+class Target(Table):
+    """The exposure aimed at."""
+
+    share_of_full: Annotated[Number, Field(gt=0, lt=1)] = 0.85
+    white: Annotated[Number, Field(gt=0, le=1.2)] = 0.95
+    least_snr: Positive = 50.0
+    flicker: Annotated[Number, Field(gt=0, lt=1)] = 0.005
+
+
+class Bench(Table):
+    """The whole of a setup file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    title: Text = ""
+    object: ObjectKeys
+    spectra: dict[str, SpectrumKeys] = Field(min_length=1)
+    lamps: dict[str, LampKeys] = Field(min_length=1)
+    cameras: dict[str, CameraKeys] = Field(default_factory=dict)
+    setups: dict[str, SetupKeys] = Field(min_length=1)
+    sheets: Sheets = Sheets()
+    session: Session = Session()
+    room: Room = Room()
+    target: Target = Target()

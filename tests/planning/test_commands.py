@@ -1,0 +1,128 @@
+"""`levkas plan` and its report."""
+
+import json
+import re
+
+import pytest
+from typer.testing import CliRunner
+
+from levkas.cli import app
+from levkas.planning import plan_light, write_report
+from levkas.planning.drawing import contours, nice_ticks
+
+
+def run(*words):
+    return CliRunner().invoke(app, ["plan", *map(str, words)])
+
+
+def test_light_is_told_in_lines_and_as_one_object(rewritten):
+    path = rewritten()
+    said = run("light", path, "--optimise")
+    assert said.exit_code == 0, said.output
+    assert "drop 9.2 %" in said.output and "Best pair: 69°" in said.output
+    assert "smaller than the object" in said.output
+    record = json.loads(run("light", path, "--optimise", "--json", "-s", "45-degree").stdout)
+    assert record["command"] == "plan light" and record["ok"]
+    assert record["light"]["setup"] == "45-degree" and len(record["setups"]) == 5
+    assert record["optimum"]["weights"]["varnish"] == 2.0 and record["trade_off"]["cost"]
+
+
+def test_framing_and_exposure_are_told(rewritten):
+    path = rewritten()
+    assert "268 x 200 mm from 185 cm" in run("framing", path).output
+    said = run("exposure", "--setup", path)
+    assert "weakest B2" in said.output and "regulating filter" in said.output
+    assert "lx·h" in said.output
+    record = json.loads(run("exposure", "--setup", path, "--json").stdout)
+    assert record["dose"]["sensitivity"] == "medium" and len(record["cameras"]) == 4
+    assert record["regulating_filters"]["msbs"]["smallest_after"] > 0.95
+
+
+def test_a_bad_setup_is_refused_with_status_1(rewritten):
+    path = rewritten(("distance_mm = 2100", "distance_mm = 210"))
+    said = run("light", path)
+    assert said.exit_code == 1 and "is 2100 mm" in said.stderr and "E_UNIT" in said.stderr
+    record = json.loads(run("light", path, "--json").stdout)
+    assert record["ok"] is False and record["problems"][0]["field"].endswith("distance_mm")
+    assert run("light", rewritten(), "-s", "no-such").exit_code == 1
+
+
+def test_the_report_stands_alone_and_says_what_matters(bench, tmp_path):
+    page = write_report(tmp_path / "plan.html", bench).read_text(encoding="utf-8")
+    assert "default-src 'none'" in page and "@page { size:A4" in page
+    assert not re.search(r'(?:src|href)="(?!data:)', page)
+    for words in (
+        "Two lamps at 70°", "the bright field", "along the width", "cannot show the whole object",
+        "lx·h", "A filter that would even", "CIE 157:2004", "5 of 5 searches",
+    ):  # fmt: skip
+        assert words in page, words
+    assert page.count("<svg") == 7 and not re.search(r"\bnan\b", page)
+
+
+def test_a_report_of_a_matte_object_without_cameras_has_what_there_is(rewritten, tmp_path):
+    from levkas.planning import load_setup
+
+    path = rewritten(
+        ("varnish = { roughness = 0.1 }", ""), ("gold = { roughness = 0.2 }", ""),
+        ("recess_mm = 3 ", ""), ('bend = { radius_mm = 2000, straight = "width" }', ""),
+        cut_cameras=True,
+    )  # fmt: skip
+    page = write_report(tmp_path / "plan.html", load_setup(path)).read_text(encoding="utf-8")
+    assert "What shines" not in page and "Cameras" not in page and "Evenness" in page
+
+
+def test_text_from_a_setup_file_is_escaped_in_the_report(rewritten, tmp_path):
+    from levkas.planning import load_setup
+
+    path = rewritten(
+        ('title = "The largest icon, on its side"', 'title = "<script>alert(1)</script>"'),
+        ("[setups.proposed]", '[setups."<b>proposed"]'),
+    )
+    page = write_report(tmp_path / "plan.html", load_setup(path)).read_text(encoding="utf-8")
+    assert "<script>" not in page and "<b>proposed" not in page
+
+
+def test_contours_follow_a_cone():
+    import numpy as np
+
+    x = np.linspace(-2, 2, 81)
+    values = np.hypot(*np.meshgrid(x, x))
+    pieces = contours(x, x, values, 1.2)
+    ends = np.array(pieces).reshape(-1, 2)
+    np.testing.assert_allclose(np.hypot(*ends.T), 1.2, atol=2e-3)
+    length = sum(np.hypot(*(b - a)) for a, b in pieces)
+    assert length == pytest.approx(2 * np.pi * 1.2, rel=2e-3)
+
+
+def test_ticks_are_round():
+    assert nice_ticks(30, 84, 6) == [30, 40, 50, 60, 70, 80]
+
+
+def test_help_loads_nothing_heavy():
+    import subprocess
+    import sys
+
+    code = (
+        "import sys; from typer.testing import CliRunner; from levkas.cli import app;"
+        "r = CliRunner().invoke(app, ['plan', '--help']); assert r.exit_code == 0, r.output;"
+        "print([m for m in ('numpy', 'jinja2', 'scipy', 'mitsuba') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_plan_needs_neither_scipy_nor_colour_science(rewritten):
+    import subprocess
+    import sys
+
+    code = (
+        f"import sys; from levkas.planning.saying import light_record;"
+        f"light_record({str(rewritten())!r}, optimised=True);"
+        "print([m for m in ('scipy', 'colour', 'numba', 'mitsuba') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_plan_of_a_lighting_keeps_its_name(bench):
+    assert plan_light(bench, "soft", levers=False).lighting.name == "soft"

@@ -1,0 +1,156 @@
+"""Exposure, filters and dose against hand-worked numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from levkas.planning import PlanRefused, load_setup, plan_dose, plan_exposure
+from levkas.planning.dose import CLASSES, annual_share
+from levkas.planning.exposing import (
+    electron_rates,
+    flicker_bound,
+    illuminance_from_exposure,
+    irradiance_spectrum,
+)
+from levkas.planning.regulating import regulating_filter, solve_filter
+from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate
+
+
+def by_camera(setup, name=None):
+    return {e.camera: e for e in plan_exposure(setup, name)}
+
+
+def test_the_paper_s_colour_camera_means_216_lux():
+    assert illuminance_from_exposure(0.85, 8.0, 1.0, 100.0) == pytest.approx(216, abs=1)
+
+
+def test_the_bench_needs_about_the_paper_s_exposures(bench):
+    """One second for the colour camera, 250 to 350 ms at ISO 400 for the others' wells of a third."""
+    found = by_camera(bench)
+    assert 0.8 <= found["d80"].channels[0].time_s <= 1.3
+    assert all(0.5 <= c.time_s <= 1.2 for c in found["msbs"].channels)
+
+
+def test_electrons_of_a_pixel_are_those_of_the_camera_equation(bench):
+    lighting, camera = bench.lighting(), bench.cameras["d80"]
+    spectrum = np.zeros(len(GRID))
+    at = int(np.flatnonzero(GRID == 550)[0])
+    spectrum[at] = 0.5  # W/m²/nm over 2 nm: 1 W/m² of green
+    rate = electron_rates(bench, camera, lighting, spectrum)[1]
+    photons = 1.0 * 550e-9 / 1.98644586e-25
+    m = 80 / 1820
+    lens = 0.9 / (4 * (8 * (1 + m)) ** 2)
+    quantum = camera.quantum[1][at]
+    assert rate == pytest.approx(photons * 0.95 * quantum * lens * (6.05e-6) ** 2, rel=1e-3)
+
+
+def test_the_irradiance_has_the_illuminance_that_was_measured(rewritten):
+    path = rewritten(("[setups.proposed]", "[setups.proposed]\nilluminance_lx = 216"))
+    setup = load_setup(path)
+    spectrum = irradiance_spectrum(setup, setup.lighting())
+    assert LUMENS_PER_WATT * integrate(spectrum * eye()) == pytest.approx(216, rel=1e-9)
+    assert plan_dose(setup).illuminance_lx == pytest.approx(216)
+
+
+def test_light_of_unknown_strength_is_refused_with_what_to_do(rewritten):
+    setup = load_setup(rewritten(("power_w = 400\nbeam_deg", "beam_deg")))
+    with pytest.raises(PlanRefused) as refused:
+        plan_exposure(setup)
+    assert refused.value.problems[0].code == "E_NO_POWER"
+    assert "lux meter" in refused.value.problems[0].fix
+
+
+def test_the_limiting_channel_is_blue_under_halogen_and_less_so_under_d50(rewritten, bench):
+    bare = load_setup(rewritten(('filters = ["d50-filter"]\npower_w', "power_w")))
+    without, with_filter = by_camera(bare)["msbs"], by_camera(bench)["msbs"]
+    assert without.limiting == with_filter.limiting == "B2"
+    share = [
+        min(c.share_of_full for c in e.channels) / max(c.share_of_full for c in e.channels)
+        for e in (without, with_filter)
+    ]
+    assert share[1] > 2.5 * share[0]
+
+
+def test_what_d65_costs(bench):
+    """The bluer filter takes a third of the light and evens the beam-splitter camera's channels out."""
+    d50, d65 = (plan_dose(bench, n) for n in ("proposed", "d65"))
+    assert d50.illuminance_lx / d65.illuminance_lx == pytest.approx(1.57, abs=0.05)
+    a, b = by_camera(bench)["d80"], by_camera(bench, "d65")["d80"]
+    assert 1.5 <= b.channels[0].time_s / a.channels[0].time_s <= 1.8 and b.evenness < a.evenness
+
+
+def test_crossed_sheets_cost_seven_times_the_exposure(bench):
+    lighting = bench.lighting("crossed")
+    bare = replace(
+        lighting,
+        camera_polariser=None,
+        lamps=tuple(replace(x, candela=x.candela / 0.38) for x in lighting.lamps),
+    )
+    spectrum = [irradiance_spectrum(bench, x) for x in (bare, lighting)]
+    rates = [
+        electron_rates(bench, bench.cameras["d80"], x, s)[0]
+        for x, s in zip((bare, lighting), spectrum, strict=True)
+    ]
+    assert rates[0] / rates[1] == pytest.approx(1 / 0.38**2, rel=1e-6)
+
+
+def test_channels_of_one_sensor_share_a_time_and_bands_of_a_tunable_filter_do_not(bench):
+    found = by_camera(bench)
+    times = {c.name: c.time_s for c in found["msbs"].channels}
+    assert times["R1"] == times["G1"] == times["B1"] != times["IR"]
+    assert max(c.share_of_full for c in found["msbs"].channels) == pytest.approx(0.85)
+    tuned = [c.share_of_full for c in found["lctf-vis"].channels if not c.too_long]
+    assert max(tuned) == pytest.approx(0.85) == pytest.approx(min(tuned))
+
+
+def test_a_filter_evens_channels_out_and_costs_time(bench):
+    found = regulating_filter(bench, "msbs")
+    assert found.after.min() > 0.95 > 0.3 > found.before.min() and 2 < found.time_factor < 8
+    slope = np.abs(np.diff(found.transmittance)) / np.diff(found.wavelengths)
+    assert slope.max() <= 0.01 + 1e-6
+    assert found.transmittance.min() >= 0 and found.transmittance.max() <= 1
+
+
+def test_the_linear_program_is_optimal_on_a_case_worked_by_hand():
+    weights = np.zeros((2, 30))
+    weights[0, :10], weights[1, 20:] = 0.1, 0.05
+    transmittance, time = solve_filter(weights, 10.0, steepest=1.0, longest=1.5)
+    # The time may grow by half only: the weak channel gets 0.75, the strong one is held at 1.
+    assert time == pytest.approx(1.5)
+    assert time * weights[1] @ transmittance == pytest.approx(0.75, abs=1e-6)
+    assert time * weights[0] @ transmittance <= 1 + 1e-6
+
+
+def test_flicker_is_bounded_and_gone_after_whole_periods(rewritten):
+    t = np.linspace(0, 0.0431, 200_001)
+    signal = 1 + 0.05 * np.sin(2 * np.pi * 100 * t[None] + np.linspace(0, 6.3, 60)[:, None])
+    mean = signal.mean(1)
+    assert np.abs(mean - 1).max() <= flicker_bound(0.05, 100.0, 0.0431) + 1e-6
+    path = rewritten(("pitch_um = 6.05", "pitch_um = 6.05\ntime_s = 0.0131"))
+    notes = " ".join(by_camera(load_setup(path))["d80"].notes)
+    assert "take 10 ms, whole periods of 100 Hz" in notes
+
+
+def test_a_white_that_saturates_is_said(rewritten):
+    path = rewritten(("pitch_um = 6.05", "pitch_um = 6.05\ntime_s = 3"))
+    found = by_camera(load_setup(path))["d80"]
+    assert any("would saturate" in n for n in found.notes)
+
+
+def test_dose_is_light_times_hours_against_the_class(bench, rewritten):
+    assert CLASSES["high"] == (50, 15_000) and CLASSES["low"] == (200, 600_000)
+    assert annual_share(216.0, 2.0, "high") == pytest.approx(0.0288)
+    path = rewritten(("focus_min = 15", "focus_min = 15\nhours = 2"), ("medium", "high"))
+    dose = plan_dose(load_setup(path))
+    assert dose.lux_hours == pytest.approx(2 * dose.illuminance_lx)
+    assert dose.share_of_year == pytest.approx(dose.lux_hours / 15_000)
+    assert dose.uv_uw_per_lm < 75 and 0.5 < dose.heat_w_per_m2 < 5
+    assert any("times as brightly as on display" in s for s in dose.sentences)
+
+
+def test_a_filter_that_holds_heat_and_ultraviolet_back_is_seen(rewritten, bench):
+    bare = plan_dose(load_setup(rewritten(('filters = ["d50-filter"]\npower_w', "power_w"))))
+    filtered = plan_dose(bench)
+    per_lux = [d.heat_w_per_m2 / d.illuminance_lx for d in (bare, filtered)]
+    assert per_lux[0] > 4 * per_lux[1] and bare.warming_k > filtered.warming_k

@@ -1,0 +1,78 @@
+"""Where the search puts a pair of lamps, and that physics moves it."""
+
+import numpy as np
+import pytest
+
+from levkas.planning.criteria import TOLERANCES, WEIGHTS, Arrangement, Judge
+from levkas.planning.optimising import optimise, trade_off
+from levkas.planning.tables import Bend, Gilding, ObjectKeys
+
+
+def judged(bench, thing=None):
+    return Judge(bench.object if thing is None else thing, bench.bench.room)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_five_random_starts_find_the_paper_s_lamps_on_the_straight_axis(bench, seed):
+    found = optimise(judged(bench), rng=np.random.default_rng(seed))
+    for _, end, _ in found.starts:
+        assert 66 <= end.angle_deg <= 74 and end.azimuth_deg < 5
+    assert len(found.starts) == 5 and found.best.aim > 0.9 and found.best.balance < 0.51
+    said = " ".join(found.reasons)
+    assert "At 45° the varnish would shine" in said and "grazing light exaggerates" in said
+    assert "other axis" in said and "far edge" not in said.split("Aimed")[0]
+
+
+def test_the_lamps_follow_the_straight_axis_when_the_panel_is_turned(bench):
+    turned = bench.object.model_copy(update={"bend": Bend(radius_mm=2000.0, straight="height")})
+    found = optimise(judged(bench, turned), rng=np.random.default_rng(1))
+    assert found.best.azimuth_deg > 85 and 64 <= found.best.angle_deg <= 74
+
+
+def test_a_flat_matte_panel_is_lit_from_higher_up(bench):
+    matte = ObjectKeys(size_mm=(420, 320))
+    found = optimise(judged(bench, matte), rng=np.random.default_rng(1))
+    assert found.best.angle_deg < 56
+    assert found.values["varnish"] == found.values["gold"] == 0
+
+
+def test_rougher_gilding_shines_more_and_gains_less_by_low_lamps(bench):
+    rough = bench.object.model_copy(update={"gold": Gilding(roughness=0.45)})
+    smooth_one, rough_one = judged(bench), judged(bench, rough)
+    a, b = (optimise(j, rng=np.random.default_rng(1)) for j in (smooth_one, rough_one))
+    assert b.best.angle_deg < a.best.angle_deg - 0.4 and b.values["gold"] > 1.5 * a.values["gold"]
+    gains = [
+        j.values_of(Arrangement(45, 0, 2100))["gold"]
+        / j.values_of(Arrangement(70, 0, 2100))["gold"]
+        for j in (smooth_one, rough_one)
+    ]
+    assert gains[0] > 2 > 1.5 > gains[1]
+
+
+def test_the_answer_does_not_hang_on_one_weight(bench):
+    """Each weight halved and doubled."""
+    judge, angles = judged(bench), []
+    for name in WEIGHTS:
+        for factor in (0.5, 2.0):
+            weights = {**WEIGHTS, name: WEIGHTS[name] * factor}
+            found = optimise(judge, rng=np.random.default_rng(1), starts=2, weights=weights)
+            angles.append(found.best.angle_deg)
+    assert min(angles) >= 66 and max(angles) <= 72
+
+
+def test_the_trade_off_has_glare_on_one_side_and_relief_on_the_other(bench):
+    judge = judged(bench)
+    curve = trade_off(judge, Arrangement(70, 0, 2100))
+    at = {
+        name: dict(zip(curve.angle_deg.tolist(), v, strict=True))
+        for name, v in curve.criteria.items()
+    }
+    assert at["varnish"][45.0] > 3 * at["varnish"][70.0]
+    assert at["hidden"][80.0] > 10 * at["hidden"][70.0]
+    assert set(curve.criteria) == set(TOLERANCES) == set(WEIGHTS)
+    assert 65 <= curve.angle_deg[curve.cost.argmin()] <= 73
+
+
+def test_the_same_seed_finds_the_same(bench):
+    a, b = (optimise(judged(bench), rng=np.random.default_rng(7)).to_dict() for _ in range(2))
+    assert a == b
