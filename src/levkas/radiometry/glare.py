@@ -7,11 +7,15 @@ it adds the same to every band, whatever the paint below.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from levkas.cube import Flag
+from levkas.machine import count_threads
 
 BRIGHT_PAINT = 0.9
 """Reflectance of the whitest paint: what saturates below it is overexposed, not glare."""
@@ -23,6 +27,8 @@ WHITENESS = 0.6
 """Least over greatest excess over the bands: shading follows the paint's colour, glare does not."""
 SIGMAS = 4.0
 ROWS = 64
+FULL, CORE, WHITE, METAL = 1, 2, 4, 8
+OUTSIDE, SATURATED = int(Flag.OUTSIDE), int(Flag.SATURATED)
 
 
 class Glare(NamedTuple):
@@ -91,22 +97,48 @@ def find_glare(
     [[False, True, False]]
     """
     height, width = values.shape[:2]
-    saturated, core, white, metallic, added = (np.zeros((height, width), bool) for _ in range(5))
+    signs = np.zeros((height, width), np.uint8)
+    noise = np.zeros((0, 0, 0), np.float32) if sigma is None else sigma
+    edges = np.linspace(0, height, 2 * count_threads() + 1).astype(int).tolist()
+    with ThreadPoolExecutor(count_threads()) as pool:
+        jobs = [pool.submit(_signs, *e, values, flags, noise, signs) for e in pairwise(edges)]
+        for job in jobs:
+            job.result()
+    saturated, core, white, metallic = (signs & bit > 0 for bit in (FULL, CORE, WHITE, METAL))
+    added = np.zeros((height, width), bool)
     gains = None if other is None else _gains(values, flags, *other)
-    for top in range(0, height, ROWS):
+    for top in range(0, height if other is not None else 0, ROWS):
         rows = slice(top, min(top + ROWS, height))
         part, bits = values[rows], flags[rows]
         seen = ((bits & Flag.OUTSIDE) == 0).all(-1)
         margin = 0.0 if sigma is None else SIGMAS * np.nan_to_num(sigma[rows])
         full = (bits & Flag.SATURATED) != 0
-        saturated[rows] = full.any(-1) & seen
-        core[rows] = (full & (part >= BRIGHT_PAINT)).any(-1) & seen
-        white[rows] = (part - margin > WHITE_LIMIT).all(-1) & seen
-        metallic[rows] = (part - margin > METAL_LIMIT).any(-1) & seen
         if other is not None:
             paint, known = other[0][rows], ((other[1][rows] & Flag.OUTSIDE) == 0).all(-1)
             added[rows] = _added(part, full, paint * gains, margin) & seen & known
     return Glare(_grown(core, saturated) if whole else core, white, metallic & ~white, added)
+
+
+@njit(nogil=True, cache=True)
+def _signs(start, stop, values, flags, sigma, signs):  # type: ignore[no-untyped-def]
+    """Set the bits of what each pixel of some rows shows by itself."""
+    for y in range(start, stop):
+        for x in range(values.shape[1]):
+            found, brightest, dimmest = 0, -np.inf, np.inf
+            for b in range(values.shape[2]):
+                flag = flags[y, x, b]
+                if flag & OUTSIDE:
+                    found, brightest, dimmest = 0, -np.inf, -np.inf
+                    break
+                value = np.float64(values[y, x, b])
+                if flag & SATURATED:
+                    found |= (FULL | CORE) if value >= BRIGHT_PAINT else FULL
+                if sigma.size and np.isfinite(sigma[y, x, b]):
+                    value -= SIGMAS * sigma[y, x, b]
+                brightest, dimmest = max(brightest, value), min(dimmest, value)
+            found |= WHITE if dimmest > WHITE_LIMIT else 0
+            found |= METAL if brightest > METAL_LIMIT else 0
+            signs[y, x] = found
 
 
 def flag_glare(flags: np.ndarray, mask: np.ndarray) -> None:

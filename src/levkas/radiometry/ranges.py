@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 DARKEST, BRIGHTEST = 0.1, 99.9
 """Percentiles that stand for the darkest and the brightest point: single pixels are noise."""
-LOOKED_AT = 400_000
+LOOKED_AT = 100_000
 LOST = int(Flag.OUTSIDE | Flag.DEFECT)
 
 
@@ -72,12 +72,14 @@ def scene_ranges(
     """
     step = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / LOOKED_AT)))
     thin = np.s_[::step, ::step]
+    planes, codes = (np.moveaxis(cube[thin], 2, 0).copy() for cube in (values, flags))
+    noises = None if sigma is None else np.moveaxis(sigma[thin], 2, 0).copy()
     found = []
     for i, label in enumerate(labels):
-        bits = flags[thin][..., i]
-        good = ((bits & LOST) == 0) & np.isfinite(values[thin][..., i])
-        noise = None if sigma is None else sigma[thin][..., i][good].astype(float)
-        found.append(_one(label, values[thin][..., i][good].astype(float), bits[good], noise))
+        bits = codes[i]
+        good = ((bits & LOST) == 0) & np.isfinite(planes[i])
+        noise = None if noises is None else noises[i][good].astype(float)
+        found.append(_one(label, planes[i][good].astype(float), bits[good], noise))
     return found
 
 
