@@ -293,13 +293,23 @@ def _noise(
 
 
 def cube_of(
-    bench: Bench, values: np.ndarray, flags: np.ndarray, variance: np.ndarray | None, quantity: str
+    bench: Bench,
+    values: np.ndarray,
+    flags: np.ndarray,
+    variance: np.ndarray | None,
+    quantity: str,
+    *,
+    exact: bool = False,
 ) -> Cube:
-    """Return values, flags and sigma of one sensor; what could not be said is 0 and flagged."""
+    """Return values, flags and sigma of one sensor; what could not be said is 0 and flagged.
+
+    Values that are `exact` are still to be rounded.
+    """
     sigma = None
     if variance is not None:
         sigma = round_root(variance, out=variance if variance.dtype == np.float32 else None)
-    values = round_values(values, out=values if values.dtype == np.float32 else None)
+    if not exact:
+        values = round_values(values, out=values if values.dtype == np.float32 else None)
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)

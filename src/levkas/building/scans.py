@@ -16,6 +16,7 @@ from levkas.calibration.templates import CalibrationRefused
 from levkas.cube import Cube, Flag
 from levkas.machine import count_threads, tile_rows
 from levkas.registration.images import BandImage
+from levkas.rounding import round_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -188,10 +189,11 @@ class Scan:
         from levkas.calibration.denoising import Projecting
 
         cube = self._flat(raw)
-        if self.subspace is None:
-            return cube
-        projected = (projecting or Projecting(self.subspace))(_as_numbers(cube))
-        return replace(cube, values=np.where(np.isnan(projected), cube.values, projected))
+        values = cube.values
+        if self.subspace is not None:
+            projected = (projecting or Projecting(self.subspace))(_as_numbers(cube))
+            values = np.where(np.isnan(projected), cube.values, projected)
+        return replace(cube, values=round_values(values)) if self._exact else cube
 
     def _block(self, start: int, stop: int) -> Cube:
         return self.calibrated(self._raw(start, stop))
@@ -200,13 +202,21 @@ class Scan:
         raw = self.opened.read_lines(start, stop, turned=False)
         return self.bench.checked(raw, self.bench.sensor.object[0])
 
+    @property
+    def _exact(self) -> bool:
+        """Whether values are rounded when noise is taken away, and not before."""
+        return bool(self.bench.camera.denoise)
+
     def _flat(self, raw: np.ndarray) -> Cube:
         from levkas.building.developing import cube_of, flatten
         from levkas.calibration.templates import average
 
         if raw.dtype in (np.uint8, np.uint16):
             made = self.field.develop(
-                raw, saturation=self.bench.saturation, threads=count_threads()
+                raw,
+                saturation=self.bench.saturation,
+                threads=count_threads(),
+                exact=self._exact,
             )
             return Cube(*made, self.bands, self.quantity)
         flat = flatten(
@@ -218,7 +228,8 @@ class Scan:
             noise=self.noise,
             labels=[band.label for band in self.bands],
         )
-        return cube_of(self.bench, flat.values, flat.flags, flat.variance, flat.quantity)
+        parts = flat.values, flat.flags, flat.variance, flat.quantity
+        return cube_of(self.bench, *parts, exact=self._exact)
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""

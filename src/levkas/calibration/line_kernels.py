@@ -63,7 +63,7 @@ def develop_lines(
     gain, read, share, shared = noise
     half = np.uint32(1 << (drops[1] - 1))
     keep = np.uint32((0xFFFFFFFF << drops[1]) & 0xFFFFFFFF)
-    half_step = np.uint32(1 << (drops[0] - 1))
+    half_step = np.uint32((1 << drops[0]) >> 1)
     kept = np.uint32((0xFFFFFFFF << drops[0]) & 0xFFFFFFFF)
     codes = np.empty(TILE * bands, np.float32)
     spread = np.empty(bands, np.float32)

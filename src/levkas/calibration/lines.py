@@ -99,9 +99,11 @@ class LineField:
         return cls(shape, quantity, notes, noise is not None, tables)
 
     def develop(
-        self, raw: np.ndarray, *, saturation: float | None, threads: int
+        self, raw: np.ndarray, *, saturation: float | None, threads: int, exact: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Calibrate lines, (lines, samples, bands), uint8 or uint16, of any strides.
+
+        Values that are to be `exact` are not rounded.
 
         Returns
         -------
@@ -116,7 +118,7 @@ class LineField:
         sigma = np.empty(raw.shape if self.has_sigma else (0, 0, 0), np.float32)
         flat = (values.reshape(-1), flags.reshape(-1), sigma.reshape(-1))
         limits = (np.inf if saturation is None else float(saturation), BLACK_CLIP)
-        drops = (VALUE_DROP, SIGMA_DROP)
+        drops = (0 if exact else VALUE_DROP, SIGMA_DROP)
         edges = np.linspace(0, len(raw), min(threads, len(raw)) + 1).astype(int)
 
         def work(part: tuple[int, int]) -> None:
