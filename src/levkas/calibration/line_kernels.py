@@ -16,8 +16,8 @@ from levkas.lanes import look, put
 SATURATED, BLACK, DEFECT, OUTSIDE = (
     np.uint8(f.value) for f in (Flag.SATURATED, Flag.BLACK, Flag.DEFECT, Flag.OUTSIDE)
 )
-TILE = 32
-"""Samples whose bands are turned to lie innermost at once."""
+TILE, LINES = 32, 4
+"""Samples whose bands are turned to lie innermost at once; lines that share what is known of them."""
 
 
 @njit(cache=True, nogil=True)
@@ -71,44 +71,49 @@ def develop_lines(
     value = np.empty(bands, np.float32)
     value_bits = value.view(np.uint32)
     white_share, dark_share, square = shares[0], shares[1], shares[2]
-    for y in range(start, stop):
+    for y0 in range(start, stop, LINES):
         for x0 in range(0, samples, TILE):
             count = min(TILE, samples - x0)
-            for b in range(bands):
+            for y in range(y0, min(y0 + LINES, stop)):
+                for b in range(bands):
+                    for k in range(count):
+                        put(codes, k * bands + b, np.float32(raw[y, x0 + k, b]))
                 for k in range(count):
-                    put(codes, k * bands + b, np.float32(raw[y, x0 + k, b]))
-            for k in range(count):
-                i, to, c = (x0 + k) * bands, (y * samples + x0 + k) * bands, k * bands
-                for b in range(bands):
-                    code = look(codes, c + b)
-                    flag = look(base, i + b) | (SATURATED if code >= high else np.uint8(0))
-                    put(flags, to + b, flag | (BLACK if code <= low else np.uint8(0)))
-                for b in range(bands):
-                    signal = np.float64(look(codes, c + b)) - look(dark, i + b)
-                    r = signal / look(lit, i + b)
-                    put(value, b, np.float32(r * look(scale, i + b)))
+                    i, to, c = (x0 + k) * bands, (y * samples + x0 + k) * bands, k * bands
+                    for b in range(bands):
+                        code = look(codes, c + b)
+                        flag = look(base, i + b) | (SATURATED if code >= high else np.uint8(0))
+                        put(flags, to + b, flag | (BLACK if code <= low else np.uint8(0)))
+                    for b in range(bands):
+                        signal = np.float64(look(codes, c + b)) - look(dark, i + b)
+                        r = signal / look(lit, i + b)
+                        put(value, b, np.float32(r * look(scale, i + b)))
+                        if sigma.size:
+                            model = read + gain * max(signal, 0.0)
+                            total = share * (PRIOR * model / PRIOR) + r * r * look(
+                                white_share, i + b
+                            )
+                            if shared:
+                                total += (1.0 - r) * (1.0 - r) * look(dark_share, i + b)
+                            else:
+                                total += look(dark_share, i + b)
+                            part = np.float32(total * look(square, i + b))
+                            put(spread, b, np.sqrt(max(part, np.float32(0))))
+                    for b in range(bands):
+                        put(value_bits, b, (look(value_bits, b) + half_step) & kept)
+                    for b in range(bands):
+                        put(values, to + b, look(value, b))
                     if sigma.size:
-                        model = read + gain * max(signal, 0.0)
-                        total = share * (PRIOR * model / PRIOR) + r * r * look(white_share, i + b)
-                        if shared:
-                            total += (1.0 - r) * (1.0 - r) * look(dark_share, i + b)
-                        else:
-                            total += look(dark_share, i + b)
-                        part = np.float32(total * look(square, i + b))
-                        put(spread, b, np.sqrt(max(part, np.float32(0))))
-                for b in range(bands):
-                    put(value_bits, b, (look(value_bits, b) + half_step) & kept)
-                for b in range(bands):
-                    put(values, to + b, look(value, b))
-                if sigma.size:
-                    for b in range(bands):
-                        put(bits, b, (look(bits, b) + half) & keep)
-                    for b in range(bands):
-                        put(sigma, to + b, look(spread, b))
-        for i in range(samples * bands):
-            if not lit[i] > 0.0:
-                to = y * samples * bands + i
-                values[to] = 0.0
-                flags[to] |= DEFECT | OUTSIDE
-                if sigma.size:
-                    sigma[to] = np.nan
+                        for b in range(bands):
+                            put(bits, b, (look(bits, b) + half) & keep)
+                        for b in range(bands):
+                            put(sigma, to + b, look(spread, b))
+    for i in range(samples * bands):
+        if lit[i] > 0.0:
+            continue
+        for y in range(start, stop):
+            to = y * samples * bands + i
+            values[to] = 0.0
+            flags[to] |= DEFECT | OUTSIDE
+            if sigma.size:
+                sigma[to] = np.nan
