@@ -62,12 +62,12 @@ def plot(
     to_y, y_ticks = _axis(ys, HEIGHT - BOTTOM, top, from_zero=from_zero)
     parts = [
         f'<path d="M{LEFT} {to_y(v):.1f}H{WIDTH - RIGHT}" stroke="#8883"/>'
-        f'<text x="{LEFT - 6}" y="{to_y(v) + 4:.1f}" text-anchor="end">{v:g}</text>'
+        f'<text x="{LEFT - 6}" y="{to_y(v) + 4:.1f}" text-anchor="end">{v + 0.0:g}</text>'
         for v in y_ticks
     ]
     parts += [
         f'<path d="M{to_x(v):.1f} {top}V{HEIGHT - BOTTOM}" stroke="#8883"/>'
-        f'<text x="{to_x(v):.1f}" y="{HEIGHT - BOTTOM + 15}" text-anchor="middle">{v:g}</text>'
+        f'<text x="{to_x(v):.1f}" y="{HEIGHT - BOTTOM + 15}" text-anchor="middle">{v + 0.0:g}</text>'
         for v in x_ticks
     ]
     if top_axis:
