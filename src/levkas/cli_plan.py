@@ -132,3 +132,59 @@ def exposure(
     _report("plan exposure", as_json, True, [], **record)
     if not as_json:
         typer.echo("\n\n".join(texts))
+
+
+@plan_app.command("fit")
+@_refusing("plan fit")
+def fit(
+    setup: SetupPath,
+    whites: Annotated[
+        list[Path], typer.Argument(help="White frames of one camera, or folders of them.")
+    ],
+    name: Lighting = None,
+    dark: Annotated[
+        list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(help="Whose field the frame shows; else it shows just the object's size."),
+    ] = None,
+    region: Annotated[
+        str | None, typer.Option(help="x,y,width,height of the board, native pixels.")
+    ] = None,
+    black: Annotated[float | None, typer.Option(help="Counts; default the file's own.")] = None,
+    saturation: Annotated[
+        float | None, typer.Option(help="Counts; default the full scale.")
+    ] = None,
+    bent: Annotated[
+        bool, typer.Option("--bent", help="The board is bent as the object is.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """How the lamps really hang, from a white that was captured under them."""
+    from levkas.hung_lamps import fit_white, hung_text
+
+    found = fit_white(
+        setup,
+        whites,
+        name,
+        darks=dark or (),
+        camera=camera,
+        region=_four(region),
+        black=black,
+        saturation=saturation,
+        bent=bent,
+    )
+    _report("plan fit", as_json, True, [], **found.to_dict())
+    if not as_json:
+        typer.echo(hung_text(found))
+
+
+def _four(text: str | None) -> tuple[int, int, int, int] | None:
+    if text is None:
+        return None
+    try:
+        x, y, width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter("--region is x,y,width,height, whole numbers") from None
+    return x, y, width, height

@@ -32,8 +32,8 @@ class FittedLamps:
         Light over its mean, as fitted.
     residual : float
         Root mean square of measured over model, less one.
-    drop : float
-        Of the model over the object.
+    drop, planned_drop : float
+        Of the light of these lamps over the board, and of the plan's.
     moved : tuple of str
         What differs from the plan, in sentences.
     """
@@ -42,12 +42,13 @@ class FittedLamps:
     model: np.ndarray
     residual: float
     drop: float
+    planned_drop: float
     moved: tuple[str, ...]
 
 
 def fit_lamps(
     white: np.ndarray, lighting: Lighting, thing: ObjectKeys, *, bent: bool = False,
-    vignetting: bool = True,
+    vignetting: bool = True, centre_mm: tuple[float, float] = (0.0, 0.0),
 ) -> FittedLamps:  # fmt: skip
     """Return the lamps that explain a measured white.
 
@@ -63,6 +64,8 @@ def fit_lamps(
         Whether the board is bent as the object is; white boards are flat.
     vignetting : bool
         Whether the lens darkens the corners as 1 + v·r², v fitted too.
+    centre_mm : (x, y)
+        Of the frame, from the object's middle.
 
     Raises
     ------
@@ -84,14 +87,11 @@ def fit_lamps(
     measured -= measured.mean()
     rows, columns = measured.shape
     width, height = thing.size_mm
-    x = (np.arange(columns) + 0.5) / columns * width - width / 2
-    y = (np.arange(rows) + 0.5) / rows * height - height / 2
+    middle = np.asarray(centre_mm, float)
+    x = (np.arange(columns) + 0.5) / columns * width - width / 2 + middle[0]
+    y = (np.arange(rows) + 0.5) / rows * height - height / 2 + middle[1]
     along, across = np.meshgrid(x, y)
-    points = np.stack([along, across, np.zeros_like(along)], -1)
-    normals = np.zeros_like(points)
-    normals[..., 2] = 1
-    if bent and flat.bend is not None:
-        points, normals = _bent(along, across, flat)
+    points, normals = _board(along, across, flat)
     radius2 = (along**2 + across**2) / (width**2 + height**2) * 4
     count = len(lighting.lamps)
 
@@ -105,19 +105,27 @@ def fit_lamps(
     def misses(p: np.ndarray) -> np.ndarray:
         return np.concatenate([((model(p) - measured) / 0.004).ravel(), p])
 
+    def drop_over(lamps: Lighting) -> float:
+        edges = [np.linspace(-side / 2, side / 2, 21) for side in (width, height)]
+        right, below = np.meshgrid(edges[0] + middle[0], edges[1] + middle[1])
+        return drop(illuminate(lamps.lamps, *_board(right, below, flat)))
+
     found = least_squares(misses, np.zeros(7 * count + 1), method="trf", max_nfev=30)
     fitted = moved_lighting(lighting, found.x[: 7 * count].reshape(count, 7))
     residual = float(np.sqrt(np.mean((np.exp(measured - model(found.x)) - 1) ** 2)))
-    lit = illuminate(fitted.lamps, points, normals)
     return FittedLamps(
-        fitted, np.exp(model(found.x)), residual, drop(lit), tuple(_differences(lighting, fitted))
-    )
+        fitted, np.exp(model(found.x)), residual, drop_over(fitted), drop_over(lighting),
+        tuple(_differences(lighting, fitted)),
+    )  # fmt: skip
 
 
-def _bent(
+def _board(
     along: np.ndarray, across: np.ndarray, thing: ObjectKeys
 ) -> tuple[np.ndarray, np.ndarray]:
-    assert thing.bend is not None
+    """Return points and normals, (rows, columns, 3), of a board that is flat, or bent as the object is."""
+    if thing.bend is None:
+        zero = np.zeros_like(along)
+        return np.stack([along, across, zero], -1), np.stack([zero, zero, zero + 1], -1)
     wide = thing.bend.straight == "width"
     turn = (across if wide else along) / thing.bend.radius_mm
     out, up = thing.bend.radius_mm * np.sin(turn), thing.bend.radius_mm * (np.cos(turn) - 1)

@@ -236,7 +236,7 @@ def draw_filter(found: RegulatingFilter, camera: str) -> str:
                 f'height="{height:.1f}" fill="var({colour})"/>'
             )
         parts.append(text(x + width / 2, 244, name, anchor="middle"))
-    parts.append(text(420, 16, "exposure over the fullest channel's:"))
+    parts.append(text(420, 16, "exposure over the fullest:"))
     parts.append(text(614, 16, "without", fill="--c2"))
     parts.append(text(664, 16, "with", fill="--c1"))
     return svg(720, 270, parts, f"regulating filter of {camera}")

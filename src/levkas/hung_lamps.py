@@ -1,0 +1,328 @@
+"""Lamps as they hang: the plan of a lighting fitted to a white as it was captured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.calibration.templates import Template, average
+from levkas.planning.framing import plan_framing
+from levkas.planning.irradiance import drop, illuminate
+from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
+from levkas.planning.refusals import PlanRefused, wrong
+from levkas.planning.setup import Setup, load_setup
+from levkas.problems import Problem, Refused
+from levkas.readers.frames import read_facts, read_frame
+from levkas.sensors.facts import frames_below
+
+if TYPE_CHECKING:
+    from levkas.planning.setup import Lamp, Lighting
+
+TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
+EXPLAINED = 0.015  # rms that a white board, its noise and dust leave beside the lamps
+CELLS = 24  # columns to which a white is thinned: light has no detail, dust and noise have
+PERIODS = (60, 12, 1)  # of mosaics, common multiples: blocks then hold all channels alike
+
+
+class WhiteRefused(Refused):
+    """A white that cannot tell where the lamps stand."""
+
+
+@dataclass(frozen=True, eq=False)
+class HungLamps:
+    """A plan beside what a white shows of it.
+
+    Parameters
+    ----------
+    fitted : FittedLamps
+    measured_drop : float
+        Of the white, vignetting of the lens included.
+    size_mm : (width, height)
+        Of the part of the board that the frame shows.
+    frames : int
+    notes : tuple of str
+        What to doubt, and what to do.
+    """
+
+    fitted: FittedLamps
+    measured_drop: float
+    size_mm: tuple[float, float]
+    frames: int
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for `--json`."""
+        return {
+            "setup": self.fitted.lighting.name,
+            "residual": self.fitted.residual,
+            "explained": self.fitted.residual <= EXPLAINED,
+            "drop": self.fitted.drop,
+            "planned_drop": self.fitted.planned_drop,
+            "measured_drop": self.measured_drop,
+            "size_mm": list(self.size_mm),
+            "frames": self.frames,
+            "lamps": lamp_rows(self.fitted.lighting.lamps),
+            "moved": list(self.fitted.moved),
+            "notes": list(self.notes),
+        }
+
+
+def lamp_rows(lamps: Sequence[Lamp]) -> list[dict[str, Any]]:
+    """Return lamps as a setup file would place them; shares are of the strongest."""
+    strongest = max(lamp.candela for lamp in lamps)
+    rows = []
+    for lamp in lamps:
+        target = lamp.place - lamp.axis * lamp.place[2] / min(lamp.axis[2], -1e-6)
+        rows.append(
+            {
+                "lamp": lamp.name.rpartition(" ")[0],
+                "angle_deg": round(lamp.angle_deg, 1),
+                "azimuth_deg": round(lamp.azimuth_deg, 1),
+                "distance_mm": round(lamp.distance_mm),
+                "aim": [round(float(target[0])), round(float(target[1]))],
+                "share": round(lamp.candela / strongest, 3),
+            }
+        )
+    return rows
+
+
+def fit_white(
+    setup: str | Path | Setup,
+    whites: Sequence[str | Path],
+    name: str | None = None,
+    *,
+    darks: Sequence[str | Path] = (),
+    camera: str | None = None,
+    region: tuple[int, int, int, int] | None = None,
+    black: float | None = None,
+    saturation: float | None = None,
+    bent: bool = False,
+) -> HungLamps:
+    """Fit the lamps of a lighting to captured whites.
+
+    Parameters
+    ----------
+    setup : path or Setup
+    whites : sequence of path
+        Frames of one camera, or folders of them; averaged.
+    name : str, optional
+        Of the lighting that was hung; the first without one.
+    darks : sequence of path
+        Frames or folders; without them `black` is subtracted.
+    camera : str, optional
+        Whose planned field the frame shows; without it the region shows just the object's size.
+    region : (x, y, width, height), optional
+        Native pixels that show the board; the whole frame without it.
+    black, saturation : float, optional
+        Counts; default the file's own, else 0 and the dtype's greatest.
+    bent : bool
+        Whether the board is bent as the object is.
+
+    Raises
+    ------
+    WhiteRefused
+        E_NO_FRAMES, E_REGION, E_WHITE_SATURATED, E_WHITE_DARK.
+    PlanRefused
+        Where setup, lighting or camera are not there or cannot be planned.
+    """
+    setup = setup if isinstance(setup, Setup) else load_setup(setup)
+    lighting = setup.lighting(name)
+    files = _files(whites)
+    stack, floor = _stack(files, _files(darks), black, saturation)
+    box = _box(region, stack.mean.shape, str(files[0]))
+    light = _light(stack, floor, box, str(files[0]))
+    size, centre, doubts = _shown(setup, camera, stack.mean.shape, box)
+    thing = setup.object.model_copy(update={"size_mm": size})
+    fitted = fit_lamps(light, lighting, thing, bent=bent, centre_mm=centre)
+    notes = (*doubts, *_notes(lighting, fitted))
+    return HungLamps(fitted, drop(light), size, len(files), notes)
+
+
+def hung_text(found: HungLamps) -> str:
+    """Return what a white shows in lines, the lamps as a setup file would have them."""
+    fitted = found.fitted
+    lines = [
+        f"{fitted.lighting.name}: the light drops by {100 * fitted.drop:.1f} % over the board, planned "
+        f"{100 * fitted.planned_drop:.1f} %; the white itself by {100 * found.measured_drop:.1f} %, lens included",
+        f"  lamps and lens explain the white to {100 * fitted.residual:.2f} % rms "
+        f"({found.frames} frame{'s' if found.frames > 1 else ''})",
+        *(f"  {words}" for words in fitted.moved),
+        *(f"  {words}" for words in found.notes),
+        "",
+        "As they hang, for the setup file:",
+    ]
+    for row in lamp_rows(fitted.lighting.lamps):
+        keys = ", ".join(
+            f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}" for k, v in row.items()
+        )
+        lines.append(f"  {{ {keys} }},")
+    return "\n".join(lines)
+
+
+def _notes(plan: Lighting, fitted: FittedLamps) -> list[str]:
+    notes = []
+    if fitted.residual > EXPLAINED:
+        notes.append(
+            f"More than {100 * EXPLAINED:.1f} % is left: other light in the room, a board that is not flat, "
+            "clean or whole in the frame, or another lighting than this one."
+        )
+    middle, facing = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
+    lamps = fitted.lighting.lamps
+    given = [float(illuminate([lamp], middle, facing)[0]) for lamp in lamps]
+    if min(given) < 0.95 * max(given):
+        notes.append(
+            f"{lamps[int(np.argmin(given))].name} gives the middle {100 * (1 - min(given) / max(given)):.0f} % "
+            "less light than the strongest: bring it nearer, or dim the other."
+        )
+    for planned, lamp in zip(plan.lamps, lamps, strict=True):
+        turned = abs(lamp.angle_deg - planned.angle_deg)
+        if turned > 2.5 * SPREAD["angle"]:
+            notes.append(
+                f"{lamp.name} would stand {turned:.0f}° from its plan, which is hardly so: measure the angle. "
+                "The lens, or a white that is not flat, may be taken for light."
+            )
+    notes.append(
+        "One white cannot tell a strong far lamp from a weak near one: where it is silent, the plan is kept."
+    )
+    return notes
+
+
+def _files(paths: Sequence[str | Path]) -> list[Path]:
+    found = []
+    for path in map(Path, paths):
+        found += frames_below(path) if path.is_dir() else [path]
+    return found
+
+
+def _stack(
+    files: list[Path], darks: list[Path], black: float | None, saturation: float | None
+) -> tuple[Template, np.ndarray | float]:
+    """Average whites; return them and what is to be subtracted."""
+    if not files:
+        raise WhiteRefused(
+            Problem(
+                "E_NO_FRAMES", "there is no white", expected="one frame or more, or their folder"
+            )
+        )
+    facts = read_facts(files[0])
+    top = 2.0 ** (facts.bits or 8 * np.dtype(facts.dtype).itemsize) - 1
+    whole = np.dtype(facts.dtype).kind in "ui"
+    full = saturation or facts.saturation or (top if whole else None)
+    stack = average((read_frame(f) for f in files), saturation=full)
+    if not darks:
+        return stack, facts.black or 0.0 if black is None else black
+    dark = average([read_frame(f) for f in darks])
+    if dark.mean.shape != stack.mean.shape:
+        raise WhiteRefused(
+            Problem(
+                "E_SIZE", "the dark has another size than the white", str(darks[0]),
+                found=str(dark.mean.shape), expected=str(stack.mean.shape),
+                fix="Take both with the same camera and settings.",
+            )
+        )  # fmt: skip
+    return stack, dark.mean
+
+
+def _box(
+    region: tuple[int, int, int, int] | None, shape: tuple[int, ...], file: str
+) -> tuple[int, int, int, int]:
+    """Return x, y, width, height; of the whole frame without a region."""
+    rows, columns = shape[:2]
+    if region is None:
+        return 0, 0, columns, rows
+    x, y, width, height = region
+    if min(x, y) < 0 or min(width, height) < 8 or x + width > columns or y + height > rows:
+        raise WhiteRefused(
+            Problem("E_REGION", "the region does not lie in the frame", file, "region", str(region),
+                    f"within {columns} x {rows} pixels, 8 or more each way",
+                    "Give x,y,width,height in native pixels.")
+        )  # fmt: skip
+    return region
+
+
+def _light(
+    stack: Template, floor: np.ndarray | float, box: tuple[int, int, int, int], file: str
+) -> np.ndarray:
+    """Return the light on a coarse grid: medians of blocks, which dust and hot sensels do not move."""
+    x, y, width, height = box
+    cut = np.s_[y : y + height, x : x + width]
+    clipped = float(np.mean(stack.saturated[cut]))
+    if clipped > TOLERATED:
+        raise WhiteRefused(
+            Problem("E_WHITE_SATURATED", "the white clips, so that its shape is lost", file,
+                    found=f"{clipped:.1%} of its values at saturation", expected=f"{TOLERATED:.1%} at most",
+                    fix="Expose for less, or give the right --saturation.")
+        )  # fmt: skip
+    values = (stack.mean - floor)[cut].astype(np.float64)
+    light = _thinned(values.reshape(height, width, -1))
+    if light.min() <= 0:
+        raise WhiteRefused(
+            Problem("E_WHITE_DARK", "parts of the white do not stand above black", file,
+                    found=f"{light.min():.1f} counts above it", expected="more than 0",
+                    fix="Give the board's place as --region, and the camera's own darks.")
+        )  # fmt: skip
+    return light
+
+
+def _thinned(values: np.ndarray) -> np.ndarray:
+    """Return medians of blocks, (rows, columns), of a frame (h, w, samples).
+
+    Each phase of a mosaic and each channel is scaled to one mean first: among unlike values a median
+    would jump from one to the other.
+    """
+    height, width, samples = values.shape
+    period = next(p for p in PERIODS if p == 1 or min(width, height) >= 12 * p)
+    rows, columns = height // period, width // period
+    cells = values[: rows * period, : columns * period]
+    cells = cells.reshape(rows, period, columns, period, samples)
+    gain = cells.mean((0, 2))
+    level = max(float(gain.mean()), 1e-12)
+    cells = cells * np.divide(level, gain, out=np.ones_like(gain), where=gain > 0)[:, None]
+    block = max(1, -(-columns // CELLS))
+    rows, columns = rows // block * block, columns // block * block
+    cells = cells[:rows, :, :columns].reshape(
+        rows // block, block * period, columns // block, block * period * samples
+    )
+    return np.median(cells, axis=(1, 3))
+
+
+def _shown(
+    setup: Setup, camera: str | None, shape: tuple[int, ...], box: tuple[int, int, int, int]
+) -> tuple[tuple[float, float], tuple[float, float], list[str]]:
+    """Return size and centre, mm, of what the box shows, and what to doubt."""
+    x, y, width, height = box
+    rows, columns = shape[:2]
+    whole = setup.object.size_mm
+    if camera is None:
+        ratio = width / height / (whole[0] / whole[1])
+        doubts = []
+        if not 0.85 < ratio < 1.18:
+            doubts.append(
+                f"The white is {width} x {height} pixels, the object {whole[0]:g} x {whole[1]:g} mm: name the "
+                "camera, or give the region that the object takes."
+            )
+        return whole, (0.0, 0.0), doubts
+    if camera not in setup.cameras:
+        raise PlanRefused(
+            wrong(
+                str(setup.path),
+                "cameras",
+                "there is no such camera",
+                camera,
+                ", ".join(setup.cameras),
+            )
+        )
+    field = next(f.field_mm for f in plan_framing(setup) if f.camera == camera)
+    doubts = []
+    if not 0.9 < columns / rows / (field[0] / field[1]) < 1.11:
+        doubts.append(
+            f"The frame is {columns} x {rows} pixels, the field of {camera} {field[0]:.0f} x {field[1]:.0f} mm: "
+            "is it this camera's, and not turned?"
+        )
+    scale = field[0] / columns, field[1] / rows
+    centre = (x + width / 2 - columns / 2) * scale[0], (y + height / 2 - rows / 2) * scale[1]
+    return (width * scale[0], height * scale[1]), centre, doubts
