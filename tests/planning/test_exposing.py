@@ -154,26 +154,3 @@ def test_a_filter_that_holds_heat_and_ultraviolet_back_is_seen(rewritten, bench)
     filtered = plan_dose(bench)
     per_lux = [d.heat_w_per_m2 / d.illuminance_lx for d in (bare, filtered)]
     assert per_lux[0] > 4 * per_lux[1] and bare.warming_k > filtered.warming_k
-
-
-def test_the_small_linear_program_agrees_with_another_solver():
-    from scipy.optimize import linprog
-
-    from levkas.planning.simplex import maximise
-
-    rng = np.random.default_rng(1)
-    for _ in range(40):
-        rows, columns = rng.integers(2, 25), rng.integers(2, 15)
-        table = rng.normal(size=(rows, columns))
-        table[0] = np.abs(table[0]) + 0.1  # keeps it finite
-        bound = np.where(rng.random(rows) < 0.5, 0.0, rng.random(rows))  # many at one corner
-        bound[0] = 1.0
-        goal = rng.normal(size=columns)
-        other = linprog(-goal, A_ub=table, b_ub=bound)
-        x = maximise(goal, table, bound)
-        assert x.min() >= 0 and (table @ x <= bound + 1e-7).all()
-        assert goal @ x == pytest.approx(-other.fun, abs=2e-6)
-    with pytest.raises(ValueError, match="no greatest value"):
-        maximise(np.array([1.0]), np.array([[-1.0]]), np.array([0.0]))
-    with pytest.raises(ValueError, match="0 or more"):
-        maximise(np.array([1.0]), np.array([[1.0]]), np.array([-1.0]))

@@ -15,7 +15,6 @@ import numpy as np
 
 from levkas.planning.exposing import electron_rates, irradiance_spectrum
 from levkas.planning.refusals import PlanRefused, wrong
-from levkas.planning.simplex import maximise
 from levkas.planning.spectra import GRID
 
 if TYPE_CHECKING:
@@ -74,30 +73,37 @@ def solve_filter(
     >>> round(float(t[:10].mean()), 2), round(float(t[30:].mean()), 2), round(time, 2)
     (0.25, 1.0, 4.0)
     """
+    from scipy import sparse
+    from scipy.optimize import linprog
+
     channels, n = weights.shape
     # Unknowns: u (n), time, smallest.
-    difference = np.eye(n - 1, n, k=1) - np.eye(n - 1, n)
-    steep, none = np.full((n - 1, 1), -steepest * step_nm), np.zeros((n - 1, 1))
-    one, zero = np.ones((channels, 1)), np.zeros((channels, 1))
-    shortest = np.eye(1, n + 2, n)
-    rows = np.vstack(
+    eye = sparse.identity(n, format="csr")
+    column = sparse.csr_matrix(np.ones((n, 1)))
+    nothing = sparse.csr_matrix((n, 1))
+    difference = (sparse.eye(n - 1, n, k=1) - sparse.eye(n - 1, n)).tocsr()
+    steep = sparse.csr_matrix(np.full((n - 1, 1), -steepest * step_nm))
+    empty = sparse.csr_matrix((n - 1, 1))
+    one, zero = sparse.csr_matrix(np.ones((channels, 1))), sparse.csr_matrix((channels, 1))
+    table = sparse.csr_matrix(weights)
+    rows = sparse.vstack(
         [
-            np.hstack([np.eye(n), -np.ones((n, 1)), np.zeros((n, 1))]),
-            np.hstack([difference, steep, none]),
-            np.hstack([-difference, steep, none]),
-            np.hstack([weights, zero, zero]),
-            np.hstack([-weights, zero, one]),
-            shortest,
+            sparse.hstack([eye, -column, nothing]),
+            sparse.hstack([difference, steep, empty]),
+            sparse.hstack([-difference, steep, empty]),
+            sparse.hstack([table, zero, zero]),
+            sparse.hstack([-table, zero, one]),
         ]
     )
-    bound = np.concatenate(
-        [np.zeros(n + 2 * (n - 1)), np.ones(channels), np.zeros(channels), [longest]]
-    )
+    bound = np.concatenate([np.zeros(n + 2 * (n - 1)), np.ones(channels), np.zeros(channels)])
     # A trace of weight on the time takes the shortest of equally even exposures.
-    goal = np.concatenate([np.zeros(n), [-1e-6], [1.0]])
-    found = maximise(goal, rows, bound)
-    time = float(found[n])
-    return np.clip(found[:n] / max(time, 1e-12), 0, 1), time
+    goal = np.concatenate([np.zeros(n), [1e-6], [-1.0]])
+    limits = [(0, None)] * n + [(0.0, longest), (0, None)]
+    result = linprog(goal, A_ub=rows, b_ub=bound, bounds=limits, method="highs")
+    if not result.success:
+        raise ValueError(f"the filter's linear program has no solution: {result.message}")
+    time = float(result.x[n])
+    return np.clip(result.x[:n] / max(time, 1e-12), 0, 1), time
 
 
 def regulating_filter(
