@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import nan, prod
+from math import nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -122,8 +122,8 @@ class ObjectBuild:
         yield from self._written()
 
     def _largest_first(self) -> list[Capture]:
-        """The reference, then the others by size: little is left to write when all else is done."""
-        return [self.reference, *sorted(self.captures[1:], key=_samples, reverse=True)]
+        """The reference, then the others, most bands first: little is left to write at the end."""
+        return [self.reference, *sorted(self.captures[1:], key=lambda c: -len(c.bands))]
 
     def _hash_ahead(self) -> None:
         """Hash the frames of all captures beside the work; what fails is met again when it is due."""
@@ -749,14 +749,3 @@ def _verdict_problems(
             fix=verdict["next_step"] or None,
         ),
     )
-
-
-def _samples(capture: Capture) -> int:
-    """Return the samples of a capture's frames, 0 where none can be read."""
-    from levkas.readers.frames import read_facts
-
-    try:
-        shapes = [read_facts(sensor.object[0].path).shape for sensor in capture.sensors]
-    except Refused:
-        return 0
-    return sum(prod(s[:2]) * len(f.bands) for s, f in zip(shapes, capture.sensors, strict=True))
