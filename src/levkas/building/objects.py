@@ -160,12 +160,14 @@ class ObjectBuild:
         What a stage made is read in full and checked before a later one that is due reads it.
         """
         plan: dict[str, Planned] = {}
-        self._standing.note(self.keys(capture).values())
         for stage, key in self.keys(capture).items():
             prints = self._prints(capture, stage)
             self.digests[key] = digest(prints)
             plan[stage] = Planned(key, prints, self.ledger.why_stale(key, prints))
         due = [stage for stage, planned in plan.items() if planned.why]
+        if due or verify:
+            for one in (self.reference, capture):
+                self._standing.note(self.keys(one).values())
         for stage, planned in plan.items():
             read = verify or (due and STAGES.index(stage) < STAGES.index(due[-1]))
             if read and not planned.why and (name := self.ledger.damaged(planned.key)):
