@@ -263,3 +263,15 @@ def test_pillow_reads_the_render_with_its_profile(tmp_path):
     with Image.open(io.BytesIO(Path(tmp_path / "a.tif").read_bytes())) as image:
         np.testing.assert_array_equal(np.asarray(image), RGB)
         assert image.info["icc_profile"][36:40] == b"acsp"
+
+
+@pytest.mark.parametrize("width", [1, 2, 17, 700])
+def test_the_predictor_is_that_of_the_library(width):
+    import imagecodecs
+
+    from levkas.database.predicting import predict_rows
+
+    rows = np.random.default_rng(width).normal(0, 1, (5, width)).astype(np.float32)
+    rows[1, 0], rows[2, -1], rows[3, 0] = np.nan, np.inf, -0.0
+    expected = imagecodecs.floatpred_encode(rows, axis=-1)
+    assert predict_rows(rows).tobytes() == expected.tobytes()

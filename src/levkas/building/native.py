@@ -149,11 +149,11 @@ def _pack(part: np.ndarray) -> bytes:
 def least_bytes(cube: Cube) -> int:
     """Return what the files of a cube will take at the very least, so that a full disk is foreseen.
 
-    Noise cannot be compressed: of float32 reflectance two bytes of four remain, of its sigma one;
-    whole codes, which photographs are, get far smaller.
+    Noise cannot be compressed: of reflectance of 16 significant bits a good byte of four remains, of
+    its sigma another; whole codes, which photographs are, get far smaller.
     """
     noisy = cube.quantity == "reflectance"
-    each = (2 if noisy else 0) + (1 if noisy and cube.sigma is not None else 0)
+    each = (1 if noisy else 0) + (1 if noisy and cube.sigma is not None else 0)
     return cube.values.size * each
 
 

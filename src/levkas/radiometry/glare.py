@@ -106,16 +106,8 @@ def find_glare(
             job.result()
     saturated, core, white, metallic = (signs & bit > 0 for bit in (FULL, CORE, WHITE, METAL))
     added = np.zeros((height, width), bool)
-    gains = None if other is None else _gains(values, flags, *other)
-    for top in range(0, height if other is not None else 0, ROWS):
-        rows = slice(top, min(top + ROWS, height))
-        part, bits = values[rows], flags[rows]
-        seen = ((bits & Flag.OUTSIDE) == 0).all(-1)
-        margin = 0.0 if sigma is None else SIGMAS * np.nan_to_num(sigma[rows])
-        full = (bits & Flag.SATURATED) != 0
-        if other is not None:
-            paint, known = other[0][rows], ((other[1][rows] & Flag.OUTSIDE) == 0).all(-1)
-            added[rows] = _added(part, full, paint * gains, margin) & seen & known
+    if other is not None:
+        added = _find_added(values, flags, sigma, *other)
     return Glare(_grown(core, saturated) if whole else core, white, metallic & ~white, added)
 
 
@@ -144,6 +136,25 @@ def _signs(start, stop, values, flags, sigma, signs):  # type: ignore[no-untyped
 def flag_glare(flags: np.ndarray, mask: np.ndarray) -> None:
     """Set GLARE in every band of the pixels of `mask`, in place."""
     flags[mask] |= np.uint8(Flag.GLARE)
+
+
+def _find_added(
+    values: np.ndarray,
+    flags: np.ndarray,
+    sigma: np.ndarray | None,
+    paint: np.ndarray,
+    known: np.ndarray,
+) -> np.ndarray:
+    """Where all bands are lifted against another setup, some rows at a time."""
+    added = np.zeros(values.shape[:2], bool)
+    gains = _gains(values, flags, paint, known)
+    for top in range(0, len(values), ROWS):
+        rows = slice(top, top + ROWS)
+        seen = (((flags[rows] | known[rows]) & Flag.OUTSIDE) == 0).all(-1)
+        margin = 0.0 if sigma is None else SIGMAS * np.nan_to_num(sigma[rows])
+        full = (flags[rows] & Flag.SATURATED) != 0
+        added[rows] = _added(values[rows], full, paint[rows] * gains, margin) & seen
+    return added
 
 
 def _gains(
