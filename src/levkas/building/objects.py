@@ -412,11 +412,19 @@ class ObjectBuild:
         with together(partial(self.ledger.forget, key)):
             write_json(path, record)
             files = [path]
+            tables = {}
             if registration is not None:
-                write_text(table, registering.table_of(registration))
-                files.append(table)
-            elif table.is_file():
-                remove(table)
+                tables = {table: registration.matches} | {
+                    self.places.matches(self.name, capture.layer, sensor): matches
+                    for sensor, matches in registration.others.items()
+                }
+            for place, matches in tables.items():
+                write_text(place, registering.table_of(matches))
+                files.append(place)
+            names = [self.places.matches(self.name, capture.layer, s.name) for s in capture.sensors]
+            for place in sorted({table, *names} - tables.keys()):
+                if place.is_file():
+                    remove(place)
         problems = _verdict_problems(record, capture, refused)
         figures = []
         if registration is not None:
