@@ -236,6 +236,22 @@ def test_both_pictures_show_the_same_place(bench, correctable):
     assert min(abs(turn + 6), abs(turn - 354)) < 0.5
 
 
+def test_a_page_that_nobody_touches_draws_nothing(bench):
+    page, _ = bench
+    page.evaluate("levkasWorkbench.stage.left.look(190, 140, 5)")
+    page.wait_for_timeout(1000)
+    page.evaluate(
+        """() => { window.drawn = 0;
+        for (const pane of [levkasWorkbench.stage.left, levkasWorkbench.stage.right]) {
+          const paint = pane.paint; pane.paint = (context) => { drawn++; paint(context); };
+        } }"""
+    )
+    page.wait_for_timeout(500)
+    assert page.evaluate("drawn") == 0
+    page.keyboard.press("+")
+    page.wait_for_function("drawn > 1")
+
+
 def test_the_trace_is_scrubbed_and_its_curve_leads_there(bench):
     page, _ = bench
     page.locator("#stop-number").fill("0.15")

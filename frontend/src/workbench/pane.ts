@@ -4,6 +4,7 @@ import { make } from "../element";
 import type { Point } from "./record";
 
 const TILE = 256;
+const STILL_PX = 0.02;
 
 export interface Layer {
   address: string;
@@ -127,11 +128,16 @@ export class Pane {
     return [middle.x * this.size[0] - 0.5, middle.y * this.size[0] - 0.5];
   }
 
+  /** Show a place in the middle, at `scale` screen pixels a pixel; a view that is there already stays still. */
   look(x: number, y: number, scale: number, degrees = 0, immediately = true): void {
     const viewport = this.viewer.viewport;
+    const width = viewport.getContainerSize().x;
+    const zoom = (scale * this.size[0]) / width;
+    const place = this.toViewport(x, y);
     if (Math.abs(viewport.getRotation(true) - degrees) > 0.01) viewport.setRotation(degrees, true);
-    viewport.zoomTo((scale * this.size[0]) / viewport.getContainerSize().x, undefined, immediately);
-    viewport.panTo(this.toViewport(x, y), immediately);
+    // Linked panes would answer one another for ever.
+    if (Math.abs(viewport.getZoom(true) / zoom - 1) > 1e-5) viewport.zoomTo(zoom, undefined, immediately);
+    if (place.distanceTo(viewport.getCenter(true)) * zoom * width > STILL_PX) viewport.panTo(place, immediately);
   }
 
   fit(): void {

@@ -114,7 +114,7 @@ def serve(
 
 def _warm_up(library: Library) -> None:
     """Load what the first answer needs while the browser still starts."""
-    from levkas.workbench.session import describe
+    from levkas.workbench.answer import describe
 
     for key, row in zip(library.captures, library.list(), strict=True):
         if not row["reference"]:

@@ -19,11 +19,11 @@ from levkas.problems import Problem, Refused
 from levkas.screen import read_built
 from levkas.web.pages import PAGE
 from levkas.web.rebuilding import Busy, Rebuild
+from levkas.workbench.answer import describe
 from levkas.workbench.frame import Frame
 from levkas.workbench.library import FrameMissing, Library
 from levkas.workbench.maps import KINDS, MapMissing, find_kinds
 from levkas.workbench.operations import OperationRefused, refused
-from levkas.workbench.session import describe
 
 STATUS: dict[type[Refused], int] = {FrameMissing: 404, MapMissing: 404, Busy: 409}
 ASSETS = {"workbench.js": "text/javascript", "workbench.css": "text/css"}
@@ -100,13 +100,15 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
     def pairs(request: Request, body: dict[str, Any]) -> Response:
         frame = frame_of(request)
         with frame.lock:
-            return JSONResponse({"ok": True, **describe(frame.session)})
+            return JSONResponse({"ok": True, **describe(frame.session, packed=True)})
 
     def edit(request: Request, body: dict[str, Any]) -> Response:
         frame = frame_of(request)
         with frame.lock:
             change(frame, body)
-            return JSONResponse({"ok": True, **describe(frame.session, str(body.get("known", "")))})
+            return JSONResponse(
+                {"ok": True, **describe(frame.session, str(body.get("known", "")), packed=True)}
+            )
 
     def partner(request: Request, body: dict[str, Any]) -> Response:
         with (frame := frame_of(request)).lock:
@@ -144,7 +146,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
         frame = frame_of(request)
         with frame.lock:
             told = frame.take(_files(body.get("files")), body.get("dialect") or None)
-            return JSONResponse({"ok": True, **told, **describe(frame.session)})
+            return JSONResponse({"ok": True, **told, **describe(frame.session, packed=True)})
 
     def start_build(request: Request, body: dict[str, Any]) -> Response:
         rebuild.start(request.path_params["id"])
