@@ -82,7 +82,7 @@ def condense(stack: np.ndarray, counts: tuple[int, int] = (LINEAR, LOGARITHMIC))
     far, near = stack[:, ::skip, 4::skip], stack[:, ::skip, :-4:skip]
     loadings = [
         _principal(measure(far) - measure(near), count)
-        for measure, count in zip((np.square, _logarithm), counts, strict=True)
+        for measure, count in ((np.square, counts[0]), (_logarithm, counts[1]))
     ]
     images = np.empty((sum(map(len, loadings)), *stack.shape[1:]), np.float32)
     shares = [vectors.astype(np.float32) for vectors in loadings]
