@@ -1,26 +1,34 @@
 """What an edit costs on screen: refit, answer and redraw with 10,000 pairs; tiles of 100 Mpx.
 
-    python benchmarks/workbench.py
+    python benchmarks/workbench.py [--page]
 
-Writes a table in Markdown to standard output.
+Writes a table in Markdown to standard output. With `--page` the time from a key to the finished drawing is
+measured too, in a headless Chromium (needs playwright and the built pages).
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import statistics
+import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from levkas.edits import Edits, FrameEdits, write_edits
 from levkas.registration.record import Matches
 from levkas.transforms import Affine
+from levkas.workbench.answer import describe
 from levkas.workbench.correlation import find_partner
+from levkas.workbench.frame import Frame
+from levkas.workbench.library import Library
 from levkas.workbench.pictures import Picture, encode, warped_tile
-from levkas.workbench.session import Found, Session, describe
+from levkas.workbench.session import Found, Session
 
 SIZE = (1392, 1040)
 REPEATS = 15
@@ -60,7 +68,7 @@ def edits(n: int, wrong: int, folder: Path) -> list[tuple[str, float]]:
     rows = iter(range(wrong, n))
 
     def answer() -> str:
-        return json.dumps(describe(session, told["places"]))
+        return json.dumps(describe(session, told["places"], packed=True))
 
     def delete() -> None:
         session.apply("delete", told["pairs"][next(rows)])
@@ -99,11 +107,81 @@ def tiles() -> list[tuple[str, float]]:
     ]
 
 
+class Planted(Library):
+    """One camera whose pairs were planted."""
+
+    def __init__(self, found: Found, path: Path) -> None:
+        super().__init__(path)
+        capture = SimpleNamespace(object="icon", layer="nir", camera="nir", setup="", sensors=())
+        other = SimpleNamespace(object="icon", layer="vis", camera="vis", setup="", sensors=())
+        picture = Picture(np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8))
+        record = {"verdict": {"decision": "accept", "reasons": [], "next_step": ""}, "bands": {}}
+        session = Session(found, FrameEdits(), self._keep)
+        self._planted = Frame(
+            "planted", capture, other, record, session, "900 nm", "550 nm",
+            lambda capture, band: picture, lambda capture, band: picture.pixels,
+        )  # fmt: skip
+        self.campaign = SimpleNamespace(campaign=SimpleNamespace(title="Planted pairs"))
+
+    def list(self) -> list[dict]:
+        words = ("object", "title", "camera", "decision", "reason", "corrections")
+        row = dict.fromkeys(words, "") | {"id": "planted", "reference": False, "object": "icon"}
+        return [{**row, "camera": "nir", "title": "icon", "decision": "accept"}]
+
+    def open(self, key: str) -> Frame:
+        return self._planted
+
+    def _keep(self, edits: FrameEdits) -> None:
+        write_edits(self.path / "edits.toml", Edits({("icon", "nir"): edits}))
+
+
+DELETE = """async (row) => {
+  const { store } = levkasWorkbench;
+  store.select(row);
+  await new Promise((r) => setTimeout(r, 150));
+  const began = performance.now();
+  dispatchEvent(new KeyboardEvent("keydown", { key: "Delete" }));
+  await store.settled();
+  await new Promise((r) => requestAnimationFrame(() => setTimeout(r)));
+  return performance.now() - began;
+}"""
+
+
+def page(wrong: int) -> tuple[str, float]:
+    """Key to finished drawing in a browser."""
+    import uvicorn
+    from playwright.sync_api import sync_playwright
+
+    from levkas.web.app import _listen, make_app
+
+    token = "t" * 43
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
+        listening = _listen(0)
+        port = listening.getsockname()[1]
+        app = make_app(Planted(plant(10_000, wrong), Path(folder)), port=port, token=token)
+        server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws="none", lifespan="off"))
+        threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True).start()
+        chromium = driver.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        view = chromium.new_page(viewport={"width": 1440, "height": 900})
+        view.goto(f"http://127.0.0.1:{port}/#{token}")
+        view.wait_for_function("() => window.levkasWorkbench && levkasWorkbench.stage.settled")
+        taken = [view.evaluate(DELETE, wrong + 7 * i) / 1000 for i in range(REPEATS + 2)][2:]
+        chromium.close()
+        server.should_exit = True
+    return f"10,000 pairs, {wrong:,} removed: from the key to the finished drawing", (
+        statistics.median(taken)
+    )
+
+
 def main() -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         rows = edits(10_000, 0, Path(folder)) + edits(10_000, 5_000, Path(folder))
     rows += tiles()
+    if "--page" in sys.argv:
+        rows += [page(0), page(5_000)]
     print("| what | ms |\n|---|---|")
     for name, seconds in rows:
         print(f"| {name} | {1000 * seconds:.0f} |")

@@ -154,6 +154,31 @@ def test_frames_that_tell_no_time_are_refused_with_what_to_try(tmp_path):
     assert refused.value.problems[0].code == "E_WHITE_DARK"
 
 
+def test_frames_that_show_no_white_are_refused_where_one_is_asked_for(tmp_path):
+    rng = np.random.default_rng(13)
+    scene = white(20_000, 0.1, rng)
+    scene[:, : scene.shape[1] // 2] = 80  # half of the field is black
+    write(tmp_path / "scene", "550nm_100ms.tif", scene)
+    with pytest.raises(NoAdvice, match="no evenly lit white") as refused:
+        coach([tmp_path / "scene"], black=64.0, saturation=4095)
+    assert refused.value.problems[0].code == "E_WHITE_UNEVEN"
+    (found,) = coach([tmp_path / "scene"], black=64.0, saturation=4095, is_white=False)
+    assert found.first.target > 0.5
+
+
+def test_darks_of_another_size_and_time_are_left_alone(tmp_path):
+    rng = np.random.default_rng(14)
+    frame = white(20_000, 0.1, rng)
+    for shot in "ab":
+        write(tmp_path / "w", f"550nm_100ms_{shot}.tif", white(20_000, 0.1, rng))
+        write(tmp_path / "dark", f"100ms_{shot}.tif", white(0, 0.1, rng))
+        write(tmp_path / "dark", f"2s_{shot}.tif", white(0, 0.1, rng) + 300)
+        write(tmp_path / "dark", f"100ms_cropped_{shot}.tif", frame[2:])
+    (found,) = coach([tmp_path / "w"], [tmp_path / "dark"], saturation=4095)
+    assert found.first.reading.room == pytest.approx(4095 - 64, abs=1)
+    assert found.sensor.gain == pytest.approx(0.1, rel=0.05)
+
+
 def test_the_command_says_it_as_table_and_json(tmp_path):
     rng = np.random.default_rng(10)
     for shot in "ab":

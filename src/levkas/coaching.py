@@ -13,7 +13,7 @@ import numpy as np
 from levkas.calibration.blocks import block_statistics
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.patterns import channel_names, channel_table, split
-from levkas.calibration.templates import Template, average
+from levkas.calibration.templates import Template
 from levkas.coached_frames import Shot, files_at, full_scale, gather_shots
 from levkas.exposure import (
     Advice,
@@ -26,11 +26,12 @@ from levkas.exposure import (
 )
 from levkas.noise import Sensor
 from levkas.problems import Problem, Refused
-from levkas.readers.frames import read_facts, read_frame
+from levkas.readers.frames import read_facts
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
 FAINT = 0.002  # of saturation: less tells no time
 PRNU = 0.01  # where nothing tells it
+NO_WHITE = 1.0  # (brightest − darkest)/mean, above which no evenly lit white was shown
 LIT, FEWEST_BLOCKS = 0.1, 16  # share of saturation from which a white tells it, on so many blocks
 
 
@@ -126,7 +127,7 @@ def coach(
         Files or folders. Those that name one wavelength are one band; of several exposures the
         longest unclipped counts; equal ones are a stack, and tell the noise.
     darks : sequence of path
-        At whatever exposure; their mean is the black.
+        Of any exposures: to each band those of its size that come nearest to its time.
     pattern : str or rows of names, optional
         Of a mosaic; default the file's own.
     black, saturation : float, optional
@@ -145,7 +146,7 @@ def coach(
     ------
     NoAdvice
         E_WHITE_SATURATED where every exposure of a band clips, E_WHITE_DARK where none stands above
-        black, with the time to try.
+        black, with the time to try; E_WHITE_UNEVEN where the frames show no white.
     Refused
         UnreadableCapture.
     """
@@ -157,12 +158,9 @@ def coach(
             )
         )
     facts = read_facts(files[0])
-    dark = (
-        average([read_frame(f) for path in darks for f in files_at(Path(path))]) if darks else None
-    )
-    level = (
-        float(np.median(dark.mean)) if dark else black if black is not None else facts.black or 0.0
-    )
+    without = [f for path in darks for f in files_at(Path(path))]
+    dim = gather_shots(without, np.inf, None)
+    level = black if black is not None else facts.black or 0.0
     full = saturation or facts.saturation or full_scale(facts, files)
     pattern = pattern or facts.pattern
     bands: dict[tuple[float, str], list[Shot]] = {}
@@ -171,24 +169,43 @@ def coach(
     order = sorted(
         bands, key=lambda key: (isnan(key[0]), key[0] if key[0] == key[0] else 0, key[1])
     )
-    return [_coach_band(bands[key], dark, level, full, pattern, is_white) for key in order]
+    return [_coach_band(bands[key], dim, level, full, pattern, is_white) for key in order]
+
+
+def _dark_of(shot: Shot, darks: list[Shot]) -> Template | None:
+    """Return the dark that is nearest in time to a shot, of its size where there is one."""
+    alike = [d for d in darks if d.stack.mean.shape == shot.stack.mean.shape] or darks
+    if not alike:
+        return None
+
+    def apart(dark: Shot) -> float:
+        if not dark.exposure_s or not shot.exposure_s:
+            return float("inf")
+        return abs(log10(dark.exposure_s / shot.exposure_s))
+
+    return min(alike, key=apart).stack
 
 
 def _coach_band(
     shots: list[Shot],
-    dark: Template | None,
+    darks: list[Shot],
     black: float,
     full: float,
     pattern: str | Sequence[Sequence[str]] | None,
     is_white: bool,
 ) -> Coached:
-    readings = [(shot, _readings(shot, black, full, pattern)) for shot in shots]
+    under = {shot.exposure_s: _dark_of(shot, darks) for shot in shots}
+    levels = {t: float(np.median(dark.mean)) if dark else black for t, dark in under.items()}
+    readings = [(s, _readings(s, levels[s.exposure_s], full, pattern)) for s in shots]
     clear = [(s, r) for s, r in readings if max(c.clipped for c in r) <= TOLERATED]
     if not clear:
         raise NoAdvice(_clipped(min(readings, key=lambda item: item[0].exposure_s or 0.0)))
     shot, channels = max(clear, key=lambda item: item[1][0].mean)
+    dark, black = under[shot.exposure_s], levels[shot.exposure_s]
     if max(c.peak for c in channels) < FAINT * (full - black):
         raise NoAdvice(_too_faint(shot, channels))
+    if is_white and min(c.unevenness for c in channels) > NO_WHITE:
+        raise NoAdvice(_no_white(shot, channels))
     noise, notes = _noise(shot, dark, black, pattern)
     prnu = _prnu(shot, black, full, pattern) if is_white else None
     sensor = Sensor(
@@ -291,4 +308,16 @@ def _too_faint(shot: Shot, channels: list[Reading]) -> Problem:
         found=f"peak {max(c.peak for c in channels):.1f} counts above it",
         expected=f"{FAINT * channels[0].room:.0f} or more",
         fix="Look whether the lamp was on, then capture it ten times longer.",
+    )
+
+
+def _no_white(shot: Shot, channels: list[Reading]) -> Problem:
+    least = min(c.unevenness for c in channels)
+    return Problem(
+        "E_WHITE_UNEVEN",
+        f"{shot.name}: this is no evenly lit white",
+        found=f"it varies by {least:.0%} over the field",
+        expected=f"at most {NO_WHITE:.0%}",
+        fix="Add --object where the frames show the object, --pattern where the sensor is a mosaic; "
+        "else fill the field with the white board and move the lamps back.",
     )

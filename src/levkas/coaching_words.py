@@ -23,7 +23,7 @@ def advice_text(coached: Sequence[Coached]) -> str:
         first, poorest = limiting(found.advices)
         shot = found.shot
         time = f"{shot.exposure_s:g} s" if shot.exposure_s else "unknown time"
-        lines.append(f"{shot.name}: {time}, {shot.stack.count} shots")
+        lines.append(f"{shot.name}: {time}, {shot.stack.count} shot{'s' * (shot.stack.count > 1)}")
         lines += [_channel_line(found, advice) for advice in found.advices]
         then = f"{first.time_s:.3g} s" if first.time_s else f"{first.factor:.2f} times as long"
         lines.append(

@@ -162,6 +162,34 @@ def test_what_tells_nothing_is_refused_with_what_to_capture():
     assert "swapped" in refusal(swapped, [camera.stack(0.0)], "E_WHITE_DARK")
 
 
+def test_a_single_clipped_dark_with_a_strong_pattern_leaves_the_noise_to_the_lit_shots():
+    rng, shape = np.random.default_rng(8), (320, 320)
+    fixed = rng.normal(0, 6, shape)  # counts: of one shot it cannot be told from noise over time
+
+    def shots(electrons, count):
+        for _ in range(count):
+            light = rng.poisson(electrons, shape) * 0.05
+            yield np.rint(light + fixed + rng.normal(8, 1.5, shape)).clip(0, 255).astype(np.uint8)
+
+    dark = Dark.of_clipped(fit_clipped_dark(list(shots(0, 1))))
+    lit = [block_statistics(average(shots(e, 6), saturation=255))[""] for e in (1000, 2000, 3000)]
+    found = measure_sensor([dark], (), lit, saturation=255, rng=np.random.default_rng(1))
+    assert dark.spread > 30 and np.isnan(dark.temporal)
+    assert found.gain.value == pytest.approx(0.05, rel=0.03)
+    assert found.dark_noise.value == pytest.approx(1.5 / 0.05, rel=0.1)
+
+
+def test_noise_that_falls_with_the_light_is_refused():
+    rng = np.random.default_rng(9)
+    dark, lit = (
+        block_statistics(average(list(rng.normal(level, noise, (4, 160, 160)))))[""]
+        for level, noise in ((64, 9), (600, 3))
+    )
+    with pytest.raises(CalibrationRefused, match="does not grow with the light") as refused:
+        measure_sensor([Dark.of_blocks(dark)], [lit], saturation=1023, rng=rng)
+    assert refused.value.problems[0].code == "E_NOISE"
+
+
 def test_single_shots_beside_stacks_still_tell_prnu():
     camera = Camera(known(black=64.0))
     whites = [camera.stack(0.3), camera.stack(0.6, count=1)]

@@ -167,6 +167,28 @@ def test_magnifications_of_bands_are_recovered_smoothly_and_a_blind_band_is_inte
     assert np.allclose(model.transform(4)(points), points)
 
 
+def test_bands_that_predict_one_another_come_to_rest_though_one_is_mistaken():
+    rng, points = RNG(16), lattice()
+    centre, spread = np.array([200.0, 150]), 200.0
+    near = np.abs(np.subtract.outer(np.arange(10), np.arange(10)))
+    leaning = np.where(near == 1, 1.0, 0.0)  # what neighbours predict lies where they lie
+    leaning /= leaning.sum(1, keepdims=True)
+    truth = 0.0004 * (np.arange(10) - 5)
+    bow = 0.02 * ((points[:, :1] - centre[0]) / spread) ** 2 * [1.0, 0.0]
+    model, left = still(10, centre, spread), np.zeros(1)
+    for _ in range(8):
+        placed = np.stack([model.transform(i)(points) - points for i in range(10)])
+        away = placed - truth[:, None, None] * (points - centre)
+        apart = away - np.einsum("ij,jna->ina", leaning, away)
+        apart[0] += bow
+        seen = [windows_of(lambda p, a=a: a, points, rng, 0.01) for a in apart]
+        wavelengths = np.linspace(450.0, 700, 10)
+        model = fit_chromatic(seen, model, wavelengths, fixed=5, leaning=leaning)
+        placed = np.stack([model.transform(i)(points) - points for i in range(10)])
+        left = placed - truth[:, None, None] * (points - centre)
+    assert np.linalg.norm(left, axis=2).mean() < 0.04
+
+
 def test_key_points_find_mirrored_turned_and_inverted_pictures():
     rng = RNG(7)
     picture = texture(rng, (260, 320), 2.0) + 0.5 * texture(rng, (260, 320), 5.0)

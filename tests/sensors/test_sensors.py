@@ -222,3 +222,31 @@ def test_a_line_scanner_tells_its_prnu_along_the_samples(two_paintings, tmp_path
     (sensor,) = examine_with_seed(tmp_path).sensors
     prnu = sensor.channels["all"].prnu  # one line of 330 samples and 25 bands: 8,000 sensels
     assert prnu.value == pytest.approx(0.012, rel=0.12) and prnu.low < 0.0125
+
+
+def test_a_mirror_scanner_tells_its_noise_whatever_the_light_does_from_line_to_line(tmp_path):
+    rng, shape = np.random.default_rng(3), (60, 160, 96)
+    response = 1 + 0.012 * rng.standard_normal(shape[1:])  # one sensel a sample and band, all lines
+    line, sample, band = (np.linspace(-1, 1, n) for n in shape)
+    board = np.exp(-((line[:, None] - 0.2) ** 2) - 0.5 * (sample + 0.3 * line[:, None]) ** 2)
+    light = 9_000 * board[..., None] * (0.6 + 0.4 * np.cos(band))
+    for name, electrons in (("dark", 0 * light), ("white", light), ("panel", 0.5 * light)):
+        raw = rng.poisson(electrons * response) * 0.4 + rng.normal(100, 3, shape)
+        (tmp_path / f"{name}.raw").write_bytes(
+            raw.round().astype(np.uint16).transpose(0, 2, 1).tobytes()
+        )
+        (tmp_path / f"{name}.hdr").write_text(
+            "ENVI\nsamples = 160\nlines = 60\nbands = 96\ninterleave = bil\ndata type = 12\n"
+            f"byte order = 0\nwavelength = {{{', '.join(str(400 + 5 * b) for b in range(96))}}}\n"
+        )
+    text = CAMPAIGN.format(more='scan = "mirror"').replace(
+        'kind = "mosaic"\npattern = "RGGB"', 'kind = "cube"'
+    )
+    text = text.replace("raw/{target}_{shot}.tif", "{target}.hdr")
+    (tmp_path / "campaign.toml").write_text(text)
+    (sensor,) = examine_with_seed(tmp_path).sensors
+    found = sensor.channels["all"]
+    assert found.gain.value == pytest.approx(0.4, rel=0.03)
+    assert found.prnu.value == pytest.approx(0.012, rel=0.05)
+    assert found.dark_noise.value == pytest.approx(3 / 0.4, rel=0.03)
+    assert not sensor.light and any("mirror scanner" in note for note in sensor.notes)

@@ -1,5 +1,7 @@
 """Corrections on planted pairs: what an edit makes of the fit, and undo without end."""
 
+import base64
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,8 +9,9 @@ from hypothesis import strategies as st
 
 from levkas.edits import FrameEdits
 from levkas.registration.record import Matches
+from levkas.workbench.answer import describe
 from levkas.workbench.operations import OPERATIONS, OperationRefused
-from levkas.workbench.session import Found, Session, describe
+from levkas.workbench.session import Found, Session
 
 SIZE = (1000, 800)
 
@@ -114,6 +117,26 @@ def test_sliders_replay_the_removal_and_are_one_change_each():
     assert describe(session)["summary"]["kept"] == 300
     with pytest.raises(OperationRefused):
         session.slide("stop", 1e5)
+
+
+def test_packed_columns_say_what_plain_ones_say():
+    session = Session(plant(wrong=60, stop=1.0))
+    session.apply("delete", describe(session)["pairs"][70])
+    plain, packed = describe(session), describe(session, packed=True)
+
+    def numbers(told):
+        kind, shape = np.dtype(f"<{told['kind']}"), told["shape"]
+        return np.frombuffer(base64.b64decode(told["data"]), kind).reshape(shape)
+
+    for name in ("residual", "leave_one_out", "weight", "round", "pairs"):
+        assert np.array_equal(
+            numbers(packed[name]), np.array(plain[name], numbers(packed[name]).dtype)
+        )
+    for name in ("largest", "removed", "models"):
+        assert np.allclose(numbers(packed["trace"][name]), plain["trace"][name], atol=1e-4)
+    for name in ("state", "reason"):
+        told = packed[name]
+        assert [told["words"][i] for i in numbers(told["codes"])] == plain[name]
 
 
 def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():

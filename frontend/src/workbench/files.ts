@@ -1,7 +1,7 @@
 // Control points of other programs: in and out.
 import { make } from "../element";
 import { post } from "./api";
-import type { Told } from "./record";
+import type { PackedTold } from "./record";
 import type { Store } from "./store";
 
 const DIALECTS: [string, string][] = [
@@ -61,7 +61,7 @@ async function open(store: Store, files: File[], said: HTMLElement): Promise<voi
   const data = await Promise.all(files.map(encode));
   const before = store.refused;
   await store.take(async () => {
-    const told = await post<Told & { imported: number; known: number }>(`${store.path}/import`, { files: data });
+    const told = await post<PackedTold & { imported: number; known: number }>(`${store.path}/import`, { files: data });
     said.textContent = `${told.imported} pairs came in; ${told.known} were there already or are switched off.`;
     return told;
   });

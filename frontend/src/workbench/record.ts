@@ -3,11 +3,19 @@
 export type Pair = [number, number, number, number];
 export type Point = [number, number];
 
+export interface BandInfo {
+  label: string;
+  wavelength: number | null;
+}
+
 export interface CameraRow {
   id: string;
   object: string;
   title: string;
   camera: string;
+  setup: string;
+  sensor: string;
+  bands: string;
   reference: boolean;
   decision: string;
   reason: string;
@@ -18,8 +26,11 @@ export interface FrameInfo {
   id: string;
   object: string;
   camera: string;
+  sensor: string;
   band: string;
-  reference: { camera: string; band: string };
+  bands: BandInfo[];
+  reference: { camera: string; band: string; bands: BandInfo[] };
+  is_reference: boolean;
   size: Point;
   target_size: Point;
   px_per_mm: number | null;
@@ -73,6 +84,63 @@ export interface Told {
   corrections: string;
   note: string;
   can: { undo: number; redo: number };
+}
+
+/** Numbers as the server packs them: little-endian, in base64. */
+interface Packed {
+  kind: "f4" | "f8" | "i4";
+  shape: number[];
+  data: string;
+}
+
+interface PackedWords {
+  words: string[];
+  codes: Packed;
+}
+
+type PackedTrace = Omit<Trace, "largest" | "removed" | "models"> & { largest: Packed; removed: Packed; models: Packed };
+type Columns = "residual" | "leave_one_out" | "weight" | "round";
+
+/** What the server tells, as it comes. */
+export type PackedTold = Omit<Told, Columns | "pairs" | "state" | "reason" | "trace"> & Record<Columns, Packed> & { pairs: Packed | null; state: PackedWords; reason: PackedWords; trace: PackedTrace | null };
+
+/** Unpack what was told; pairs that are not told again are those of `before`. */
+export function unpack(told: PackedTold, before: Pair[]): Told {
+  const known = (packed: Packed): (number | null)[] => Array.from(numbers(packed), (v) => (Number.isFinite(v) ? v : null));
+  const trace = told.trace && {
+    ...told.trace,
+    largest: Array.from(numbers(told.trace.largest)),
+    removed: Array.from(numbers(told.trace.removed)),
+    models: inRows(inRows(Array.from(numbers(told.trace.models)), 2), told.trace.models.shape[1]!) as [number, number][][],
+  };
+  return {
+    ...told,
+    trace,
+    pairs: told.pairs ? (inRows(Array.from(numbers(told.pairs)), 4) as Pair[]) : before,
+    residual: known(told.residual),
+    leave_one_out: known(told.leave_one_out),
+    weight: Array.from(numbers(told.weight)),
+    round: Array.from(numbers(told.round)),
+    state: words(told.state) as Told["state"],
+    reason: words(told.reason),
+  };
+}
+
+function numbers({ kind, data }: Packed): Float32Array | Float64Array | Int32Array {
+  const text = atob(data);
+  const bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+  return new { f4: Float32Array, f8: Float64Array, i4: Int32Array }[kind](bytes.buffer);
+}
+
+function words({ words, codes }: PackedWords): string[] {
+  return Array.from(numbers(codes), (code) => words[code]!);
+}
+
+function inRows<T>(values: T[], length: number): T[][] {
+  const rows: T[][] = [];
+  for (let i = 0; i < values.length; i += length) rows.push(values.slice(i, i + length));
+  return rows;
 }
 
 export interface Partner {

@@ -1,6 +1,6 @@
 // What the page knows, in one place; whoever draws something of it listens.
 import { get, post, Refusal } from "./api";
-import type { CameraRow, FrameInfo, Pair, Partner, Told } from "./record";
+import { unpack, type CameraRow, type FrameInfo, type PackedTold, type Pair, type Partner, type Told } from "./record";
 
 type Listener = () => void;
 
@@ -41,7 +41,7 @@ export class Store {
 
   async open(id: string): Promise<void> {
     this.frame = await get<FrameInfo>(`/api/cameras/${id}`);
-    this.told = await get<Told>(`${this.path}/pairs`);
+    this.told = unpack(await get<PackedTold>(`${this.path}/pairs`), []);
     [this.selected, this.proposal, this.measured, this.message] = [-1, null, null, ""];
     this.map = this.frame.built && !this.told.corrections ? "built" : "pairs";
     this.changed();
@@ -54,16 +54,15 @@ export class Store {
 
   /** Change something; answers come in the order of the questions. */
   edit(body: Record<string, unknown>, keep?: Pair): Promise<void> {
-    return this.take(() => post<Told>(`${this.path}/edit`, { ...body, known: this.told?.places ?? "" }), keep);
+    return this.take(() => post<PackedTold>(`${this.path}/edit`, { ...body, known: this.told?.places ?? "" }), keep);
   }
 
-  take(question: () => Promise<Told>, keep?: Pair): Promise<void> {
+  take(question: () => Promise<PackedTold>, keep?: Pair): Promise<void> {
     const before = keep ?? this.pair(this.selected);
     const run = this.queue.then(async () => {
       try {
         const pairs = this.told?.pairs ?? [];
-        const told = await question();
-        this.told = { ...told, pairs: told.pairs ?? pairs };
+        this.told = unpack(await question(), pairs);
         this.refused = "";
         this.selected = before ? this.rowAt(before) : -1;
         if (this.map === "built" && this.told.corrections) this.map = "pairs";

@@ -18,6 +18,7 @@ export class TraceView {
   private round = 0;
   private follow = true;
   private running = 0;
+  private seen: Told | null = null;
 
   constructor(private readonly store: Store) {
     this.root = make(
@@ -76,6 +77,8 @@ export class TraceView {
   }
 
   private update(): void {
+    if (this.store.told === this.seen) return;
+    this.seen = this.store.told;
     const trace = this.store.told?.trace;
     const last = (trace?.largest.length ?? 0) - 1;
     this.range.max = String(Math.max(last, -1));

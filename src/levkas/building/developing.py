@@ -57,7 +57,7 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
             captured = captured or facts.captured
             bench = Bench(campaign, camera, sensor, facts, shelf)
             notes += doubts_of(bench)
-            cubes[sensor.name] = mark_glare_in(DEVELOPERS[camera.kind](bench, notes), camera.kind)
+            cubes[sensor.name] = mark_glare_in(DEVELOPERS[camera.kind](bench, notes))
             learnt[sensor.name] = bench.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, shelf, refused)) from None

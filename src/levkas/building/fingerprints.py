@@ -30,6 +30,7 @@ CODE = {
         "building/scans.py",
         "building/whiteboard.py",
         "building/measuring.py",
+        "building/focusing.py",
         "radiometry/glare.py",
         "radiometry/light.py",
         "radiometry/sharpness.py",
@@ -48,6 +49,7 @@ CODE = {
     "resample": (
         "rounding.py",
         "building/streaming.py",
+        "building/default_setup.py",
         "warping.py",
         "warping_kernels.py",
         "wide_kernels.py",

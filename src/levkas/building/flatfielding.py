@@ -109,12 +109,9 @@ def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> n
     return find_defects(darks[-1] if darks else None, white, pattern)
 
 
-def mark_glare_in(cube: Cube, kind: str) -> Cube:
-    """Return reflectance with GLARE in its flags, band by band.
-
-    Line scans, which may be too large to be held, are looked at on the grid alone.
-    """
-    if cube.quantity == "reflectance" and kind != "cube":
+def mark_glare_in(cube: Cube) -> Cube:
+    """Return reflectance with GLARE in its flags, each value judged by itself."""
+    if cube.quantity == "reflectance":
         from levkas.radiometry.glare import mark_glare
 
         mark_glare(cube.values, cube.flags, cube.sigma)

@@ -11,7 +11,6 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from levkas.building.native import Native
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
     from levkas.cube import Band, Cube
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
 
 FEW_BANDS = 5
 """Bands of a line scan or photograph whose light is looked at."""
-MOST_BANDS = 24
-"""Bands of a camera whose focus is measured, evenly over all; neighbours are alike."""
 LEVELS = 65535
 QUANTISATION = 1 / 12
 """Variance of rounding to whole counts."""
@@ -160,36 +157,18 @@ def levels_of(record: Mapping[str, Any]) -> np.ndarray:
     return stored.reshape(record["shape"]) / LEVELS
 
 
-# --- focus --------------------------------------------------------------------------------------
-
-
-def focus_of(native: Native) -> list[dict[str, Any]]:
-    """Return the blur of the sharpest edges, band by band, before anything is resampled."""
-    from levkas.cube import Flag
-    from levkas.radiometry.sharpness import band_sharpness
-
-    lost = Flag.GLARE | Flag.SATURATED | Flag.OUTSIDE
-
-    found = []
-    for cube in native.cubes.values():
-        step = max(1, -(-len(cube.bands) // MOST_BANDS))
-        for one in band_sharpness(
-            cube.values, cube.labels, step=step, left_out=(cube.flags & lost) != 0
-        ):
-            found.append({"band": one.band, "blur_px": _number(one.blur_px), "edges": one.edges})
-    return found
-
-
 # --- a layer on the grid ------------------------------------------------------------------------
 
 
 def flag_and_count(
-    cube: Cube, other: tuple[np.ndarray, np.ndarray] | None = None, *, whole: bool = True
+    cube: Cube,
+    other: tuple[np.ndarray, np.ndarray] | None = None,
+    gains: np.ndarray | None = None,
 ) -> dict[str, int]:
     """Set GLARE and VEILED in the flags of reflectance; return pixels by sign, and how many were seen.
 
-    `other` are values and flags of the same camera under its default setup, on the same grid. Pixels
-    are judged one by one, so that it does not matter whether the cube is the `whole` of the layer.
+    `other` are values and flags of the same pixels of the same camera under its default setup. Pixels are
+    judged one by one: rows give what the whole layer gives, for the same `gains` of the setups.
     """
     from levkas.cube import Flag
     from levkas.radiometry.glare import find_glare, flag_glare
@@ -197,7 +176,7 @@ def flag_and_count(
     seen = int(np.count_nonzero(((cube.flags & Flag.OUTSIDE) == 0).all(-1)))
     if cube.quantity != "reflectance":
         return {"seen": seen}
-    glare = find_glare(cube.values, cube.flags, cube.sigma, other=other)
+    glare = find_glare(cube.values, cube.flags, cube.sigma, other=other, gains=gains)
     flag_glare(cube.flags, glare)
     return {"seen": seen, **glare.counts()}
 
@@ -215,10 +194,10 @@ def ranges_of(
     from levkas.radiometry.ranges import scene_ranges
 
     found = scene_ranges(values, flags, sigma, [band.label for band in bands])
-    return [{name: _number(value) for name, value in one._asdict().items()} for one in found]
+    return [{name: as_number(value) for name, value in one._asdict().items()} for one in found]
 
 
-def _number(value: Any) -> Any:
+def as_number(value: Any) -> Any:
     """Return what JSON has a word for; of floats five digits."""
     if isinstance(value, float):
         return float(f"{value:.5g}") if isfinite(value) else None

@@ -24,12 +24,12 @@ from levkas.problems import Problem, Refused
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from levkas.building.default_setup import DefaultLayer
     from levkas.building.native import Native, PackedSigma
     from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
     from levkas.campaign import Campaign
-    from levkas.cube import Cube
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer
@@ -307,7 +307,7 @@ class ObjectBuild:
         why: str,
     ) -> Future[Step]:
         from levkas.building.developing import develop
-        from levkas.building.measuring import focus_of
+        from levkas.building.focusing import focus_of
         from levkas.building.native import Native, PackedSigma, least_bytes, write_native
         from levkas.building.scans import is_streamed, open_scan
         from levkas.building.streaming import write_scan
@@ -337,7 +337,7 @@ class ObjectBuild:
                 "warnings": list(made.warnings),
                 "captured": made.captured or "",
                 "learnt": dict(made.learnt),
-                "focus": focus_of(made) if isinstance(made, Native) else [],
+                "focus": focus_of(made) if isinstance(made, Native) else made.focus,
             }
             self.ledger.keep(key, prints, files, **notes)
             return Step(key, "done", why, warnings=made.warnings)
@@ -412,11 +412,19 @@ class ObjectBuild:
         with together(partial(self.ledger.forget, key)):
             write_json(path, record)
             files = [path]
+            tables = {}
             if registration is not None:
-                write_text(table, registering.table_of(registration))
-                files.append(table)
-            elif table.is_file():
-                remove(table)
+                tables = {table: registration.matches} | {
+                    self.places.matches(self.name, capture.layer, sensor): matches
+                    for sensor, matches in registration.others.items()
+                }
+            for place, matches in tables.items():
+                write_text(place, registering.table_of(matches))
+                files.append(place)
+            names = [self.places.matches(self.name, capture.layer, s.name) for s in capture.sensors]
+            for place in sorted({table, *names} - tables.keys()):
+                if place.is_file():
+                    remove(place)
         problems = _verdict_problems(record, capture, refused)
         figures = []
         if registration is not None:
@@ -490,7 +498,8 @@ class ObjectBuild:
         self._sigmas = {}
         encoded = self.campaign.cameras[capture.camera].kind == "image"
         del here
-        glare = flag_and_count(cube, self._default_setup(capture, cube))
+        default = self._default_layer(capture, cube.quantity, cube.values.shape)
+        glare = flag_and_count(cube, default.rows() if default else None)
 
         def write() -> Step:
             require_space(self.places.output, 2 * least_bytes(cube))  # as TIFF and as Zarr
@@ -519,12 +528,16 @@ class ObjectBuild:
         keep: Callable[..., Step],
     ) -> Step:
         """Resample and write a scan some rows at a time."""
+        from levkas.building.default_setup import gains_of_scan
         from levkas.building.streaming import Passing, resample_scan, white_of
         from levkas.database.spooling import write_rows
         from levkas.transforms import Composed
 
-        transforms, passing = self._transforms(capture), Passing()
+        transforms = self._transforms(capture)
         maps = [Composed(grid.transform, transforms[band.label]) for band in scan.bands]
+        shape = (grid.size[1], grid.size[0], len(scan.bands))
+        default = self._default_layer(capture, scan.quantity, shape)
+        passing = Passing(default, gains_of_scan(default, scan, maps) if default else None)
         made = write_rows(
             self.places.output,
             layer,
@@ -540,23 +553,19 @@ class ObjectBuild:
         more = {"glare": passing.glare, "ranges": passing.ranges(scan.bands)}
         return keep(made.entry, made.files, passing.grey, passing.flags, **more)
 
-    def _default_setup(self, capture: Capture, cube: Cube) -> tuple[np.ndarray, np.ndarray] | None:
-        """Values and flags of the same camera under its default lighting, where they were published."""
+    def _default_layer(
+        self, capture: Capture, quantity: str, shape: tuple[int, ...]
+    ) -> DefaultLayer | None:
+        """The same camera's layer under its default lighting, where it was published like this one."""
         default = self._default_of(capture)
-        if default is None or cube.quantity != "reflectance":
+        if default is None or quantity != "reflectance":
             return None
-        from levkas.database.spectral_tiff import read_tiff_pages
+        from levkas.building.default_setup import DefaultLayer
 
-        paths = [
+        values, flags = (
             self.places.layer(self.name, capture.camera, kind=k) for k in (".tif", ".flags.tif")
-        ]
-        if not all(path.is_file() for path in paths):
-            return None
-        values, flags = (read_tiff_pages(path) for path in paths)
-        deep = cube.values.shape
-        if values.size != cube.values.size or flags.size != cube.flags.size:
-            return None
-        return values.reshape(deep), flags.reshape(deep)
+        )
+        return DefaultLayer.open(values, flags, (shape[0], shape[1], shape[2]))
 
     def _default_of(self, capture: Capture) -> Capture | None:
         """The same camera's capture under its default setup, None for that itself."""

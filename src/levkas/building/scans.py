@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.building.flatfielding import mark_glare_in
 from levkas.building.native import UNRELIABLE
 from levkas.calibration.denoising import describe_removed
 from levkas.calibration.gaps import describe_lost, gaps_of, no_values
@@ -74,6 +75,8 @@ class Scan:
         Warnings that are known before a line is read.
     told : list of str
         Warnings that `Passage` adds when all lines have been seen.
+    focus : list of dict
+        As `focusing.focus_of` gives it; known when all lines have been seen.
     """
 
     opened: EnviFile
@@ -88,6 +91,7 @@ class Scan:
     aligns: Mapping[str, object] = field(default_factory=dict)
     pictures: list[BandImage] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
+    focus: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -200,9 +204,10 @@ class Scan:
         if self.subspace is not None:
             projected = (projecting or Projecting(self.subspace))(_as_numbers(cube))
             values = np.where(np.isnan(projected), cube.values, projected)
-        if not self._exact:
-            return cube
-        return replace(cube, values=round_values(values, out=None if into is None else into.values))
+        if self._exact:
+            out = None if into is None else into.values
+            cube = replace(cube, values=round_values(values, out=out))
+        return mark_glare_in(cube)
 
     def _block(self, start: int, stop: int, into: Cube | None = None) -> Cube:
         return self.calibrated(self._raw(start, stop), into=into)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
+    from levkas.building.default_setup import DefaultLayer
     from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.database.credits import Credits
@@ -44,7 +45,8 @@ class ScanRefused(Refused):
 
 
 def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -> list[Path]:
-    """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures of them."""
+    """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
+    from levkas.building.focusing import Middle
     from levkas.building.scans import Passage, Reducer
     from levkas.database.layers import Layer
     from levkas.database.spooling import SpooledTiffs
@@ -54,19 +56,30 @@ def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -
     base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
     make_folder(base.parent)
     layer = Layer(capture.object, capture.camera, capture.setup, credits=credits)
-    reducer = Reducer(scan)
+    reducer, middle = Reducer(scan), Middle(scan.shape, scan.bands)
     with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
         for cube in Passage(scan):
             tiffs.write_rows(cube)
             reducer.add(cube)
-        scan.pictures[:] = reducer.images()
+            middle.add(cube)
+        scan.pictures[:], scan.focus[:] = reducer.images(), middle.focus()
         return tiffs.finish(layer, scan.bands, scan.quantity)
 
 
 @dataclass
 class Passing:
-    """What is noted of a layer's rows while they pass by: grey, where all was seen, flags, glare."""
+    """What is noted of a layer's rows while they pass by: grey, where all was seen, flags, glare.
 
+    Parameters
+    ----------
+    default : DefaultLayer, optional
+        The same camera under its default setup.
+    gains : ndarray, optional
+        `default_setup.gains_of_scan` of both.
+    """
+
+    default: DefaultLayer | None = None
+    gains: np.ndarray | None = None
     mean: list[np.ndarray] = field(default_factory=list)
     seen: list[np.ndarray] = field(default_factory=list)
     flags: np.ndarray = field(default_factory=lambda: np.zeros(256, np.int64))
@@ -77,9 +90,10 @@ class Passing:
     def noting(self, blocks: Iterable[Cube]) -> Iterator[Cube]:
         """Flag glare in the rows, and pass them on."""
         for cube in blocks:
-            add_counts(self.glare, flag_and_count(cube, whole=False))
-            self.thin.append(_thinned(cube, -self._rows % THINNED))
-            self._rows += len(cube.values)
+            first, self._rows = self._rows, self._rows + len(cube.values)
+            other = self.default.rows(first, self._rows) if self.default else None
+            add_counts(self.glare, flag_and_count(cube, other, self.gains))
+            self.thin.append(_thinned(cube, -first % THINNED))
             mean, seen = grey_of(cube.values, cube.flags)
             self.mean.append(mean)
             self.seen.append(seen)

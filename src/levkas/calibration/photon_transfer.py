@@ -74,11 +74,14 @@ class Dark:
 
     @classmethod
     def of_clipped(cls, level: DarkLevel, exposure_s: float | None = None) -> Dark:
-        """Return a dark that was clipped and fitted as censored."""
+        """Return a dark that was clipped and fitted as censored; of a single shot the noise over time stays open."""
+        if np.isnan(level.fixed):
+            spread = level.noise**2 + 1 / 12
+            return cls(level.black, np.nan, np.nan, exposure_s, (level.black_error, 0, 0), spread)
         errors = (
             level.black_error,
             2 * level.noise * level.noise_error,
-            2 * level.fixed * level.fixed_error if level.fixed == level.fixed else 0.0,
+            2 * level.fixed * level.fixed_error,
         )
         return cls(level.black, level.noise**2 + 1 / 12, level.fixed**2, exposure_s, errors)
 
@@ -171,7 +174,7 @@ def measure_sensor(
     CalibrationRefused
         E_TEMPLATE_MISSING without a dark, E_SHOTS without two shots of anything lit,
         E_WHITE_SATURATED where nothing lit is below 70 % of saturation, E_WHITE_DARK where it is no
-        brighter than the dark.
+        brighter than the dark, E_NOISE where noise does not grow with the light.
 
     Notes
     -----
@@ -187,6 +190,14 @@ def measure_sensor(
         return estimate(darks, whites, scenes, saturation, rounding, weights, shift)
 
     best = draw(np.ones(count), np.zeros((len(darks), 3)))
+    if not best["gain"] > 0:
+        raise _refusal(
+            "E_NOISE",
+            "noise over time does not grow with the light",
+            f"gain {best['gain']:.3g} DN/e⁻",
+            "more than 0",
+            "Capture an evenly lit white twice at half of saturation, nothing moved, and two darks at its exposure.",
+        )
     drawn: dict[str, list[float]] = {name: [] for name in best}
     for _ in range(draws):
         weights = rng.multinomial(count, np.full(count, 1 / count)).astype(float)
@@ -234,8 +245,8 @@ def _notes(
         told.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
     if len({b.exposure_s for b in whites}) < 3:
         told.append("linearity needs whites of three exposures or more")
-    if sum(b.shots > 1 for b in lit) < 5:
-        told.append(f"{sum(b.shots > 1 for b in lit)} levels of light; EMVA 1288 asks for more")
+    if (levels := sum(b.shots > 1 for b in lit)) < 5:
+        told.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 asks for more")
     return tuple(told)
 
 

@@ -24,7 +24,7 @@ MEANINGS = {
     Flag.GLARE: "glare: the lamp mirrored in varnish or gold",
     Flag.MOVED: "moved between shots",
     Flag.NEAR: "interpolated from a flagged pixel",
-    Flag.VEILED: "veiled: light scattered from elsewhere lies over it",
+    Flag.VEILED: "veiled: brighter than under the default lighting, by as much in every band; paint is seen",
 }
 PARTS = {
     "catalogue.csv": "one row a layer: object, camera, setup, bands, size, sampling, quantity, verdict",

@@ -30,6 +30,8 @@ EXCESS, RELATIVE_EXCESS = 0.1, 0.1
 WHITENESS = 0.6
 """Least over greatest excess over the bands: shading follows the paint's colour, glare does not."""
 SIGMAS = 4.0
+LOOKED_AT_PX = 250_000
+"""Pixels from which the ratio of two setups is taken, evenly over the layer."""
 ROWS = 64
 FULL, BRIGHT = 1, 2
 OUTSIDE, SATURATED, GLARE = int(Flag.OUTSIDE), int(Flag.SATURATED), int(Flag.GLARE)
@@ -71,6 +73,7 @@ def find_glare(
     sigma: np.ndarray | None = None,
     *,
     other: tuple[np.ndarray, np.ndarray] | None = None,
+    gains: np.ndarray | None = None,
 ) -> Glare:
     """Find glare in reflectance whose bands lie on one another.
 
@@ -84,6 +87,8 @@ def find_glare(
         Its standard deviation: a limit must be passed by four of it.
     other : (values, flags), optional
         The same object, camera and grid under another lighting.
+    gains : ndarray, (bands,), optional
+        What `setup_gains` gives of the whole layers, where these are some of their rows.
 
     Returns
     -------
@@ -110,7 +115,11 @@ def find_glare(
     _over_rows(lambda a, b: _judge_pixels(a, b, values, flags, noise, signs), height)
     lifted = np.zeros((height, width), bool)
     if other is not None:
-        lifted = _find_lifted(values, flags, sigma, *other)
+        if gains is None:
+            step = max(1, int(np.sqrt(height * width / LOOKED_AT_PX)))
+            thin = [a[::step, ::step] for a in (values, flags, *other)]
+            gains = setup_gains(*thin)
+        lifted = _find_lifted(values, flags, sigma, *other, gains)
     return Glare(signs & FULL > 0, signs & BRIGHT > 0, lifted)
 
 
@@ -183,13 +192,20 @@ def _judge_pixels(start, stop, values, flags, sigma, signs):  # type: ignore[no-
 @njit(nogil=True, cache=True)
 def _mark_bands(start, stop, values, flags, sigma):  # type: ignore[no-untyped-def]
     """Set GLARE where a band by itself shows a sign."""
+    least = np.float32(WHITE_PAINT)
     for y in range(start, stop):
         for x in range(values.shape[1]):
-            for b in range(values.shape[2]):
-                noise = np.float64(sigma[y, x, b]) if sigma.size else 0.0
+            pixel = values[y, x]
+            bright = False  # hardly any pixel is
+            for b in range(pixel.size):
+                bright |= pixel[b] >= least
+            if not bright:
+                continue
+            for b in range(pixel.size):
                 if flags[y, x, b] & OUTSIDE:
                     continue
-                if _judge(np.float64(values[y, x, b]), flags[y, x, b], noise):
+                noise = np.float64(sigma[y, x, b]) if sigma.size else 0.0
+                if _judge(np.float64(pixel[b]), flags[y, x, b], noise):
                     flags[y, x, b] |= np.uint8(GLARE)
 
 
@@ -199,10 +215,10 @@ def _find_lifted(
     sigma: np.ndarray | None,
     paint: np.ndarray,
     known: np.ndarray,
+    gains: np.ndarray,
 ) -> np.ndarray:
     """Where all bands are lifted against another setup, some rows at a time."""
     lifted = np.zeros(values.shape[:2], bool)
-    gains = _gains(values, flags, paint, known)
     for top in range(0, len(values), ROWS):
         rows = slice(top, top + ROWS)
         seen = (((flags[rows] | known[rows]) & Flag.OUTSIDE) == 0).all(-1)
@@ -212,19 +228,34 @@ def _find_lifted(
     return lifted
 
 
-def _gains(
+def setup_gains(
     values: np.ndarray, flags: np.ndarray, paint: np.ndarray, known: np.ndarray
 ) -> np.ndarray:
-    """Median ratio of the setups, band by band; glare is on too few pixels to move it, or is added."""
-    step = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / 250_000)))
-    a, b = values[::step, ::step], paint[::step, ::step]
-    bad = (flags[::step, ::step] | known[::step, ::step]) & (Flag.OUTSIDE | Flag.SATURATED)
-    good = (bad == 0) & (b > 0.01)
+    """Return the median ratio of two setups, band by band, within 0.8 … 1.25; 1 where there is little.
+
+    Parameters
+    ----------
+    values, flags, paint, known : ndarray, (h, w, bands)
+        One setup and the other, with their flags, pixel on pixel; some of the pixels are enough.
+        Glare is on too few to move the median, or is added to all.
+
+    Returns
+    -------
+    gains : ndarray, (bands,), float32
+
+    Examples
+    --------
+    >>> paint = np.linspace(0.1, 0.5, 400).reshape(20, 20, 1)
+    >>> none = np.zeros(paint.shape, np.uint8)
+    >>> setup_gains(1.13 * paint, none, paint, none)
+    array([1.13], dtype=float32)
+    """
+    good = (((flags | known) & (Flag.OUTSIDE | Flag.SATURATED)) == 0) & (paint > 0.01)
     gains = np.ones(values.shape[2], np.float32)
     for band in range(values.shape[2]):
         use = good[..., band]
         if np.count_nonzero(use) > 100:
-            ratio = float(np.median(a[..., band][use] / b[..., band][use]))
+            ratio = float(np.median(values[..., band][use] / paint[..., band][use]))
             gains[band] = min(max(ratio, 0.8), 1.25)
     return gains
 

@@ -75,13 +75,18 @@ def band_sharpness(
     >>> round(band_sharpness(gaussian_filter(scene, 1.5)[..., None], ["G"])[0].blur_px, 1)
     1.6
     """
-    height, width = values.shape[:2]
-    top, left = max(0, (height - LONGEST) // 2), max(0, (width - LONGEST) // 2)
-    middle = np.s_[top : top + LONGEST, left : left + LONGEST]
+    middle = middle_of((values.shape[0], values.shape[1]))
     return [
         Sharpness(labels[i], *edge_blur(values[middle][..., i], _of(left_out, middle, i)))
         for i in range(0, len(labels), step)
     ]
+
+
+def middle_of(shape: tuple[int, int]) -> tuple[slice, slice]:
+    """Return the rows and columns of a picture, (h, w), that are looked at."""
+    starts = [max(0, (size - LONGEST) // 2) for size in shape]
+    rows, columns = (slice(a, min(a + LONGEST, n)) for a, n in zip(starts, shape, strict=True))
+    return rows, columns
 
 
 def _of(left_out: np.ndarray | None, middle: Any, band: int) -> np.ndarray | None:

@@ -5,8 +5,9 @@ h = q_j·z of the pair j that leaves,
 
     r_i ← r_i + (q_i·z) r_j / (1 − h),    G⁻¹ ← G⁻¹ + z zᵀ / (1 − h).
 
-By Cauchy and Schwarz q_i·z is at most ‖q_i‖‖z‖: a pair whose error is far below the largest cannot become the worst for
-many rounds: only the `HOT` worst pairs are followed until that bound no longer excludes the rest.
+After some rounds the coefficients have moved by P, and r_i by q_i·P: by Cauchy and Schwarz at most ‖q_i‖‖P‖. A pair whose
+error is far below the largest cannot become the worst for many rounds: only the `HOT` worst pairs are followed until
+that bound no longer excludes the rest.
 """
 
 from __future__ import annotations
@@ -108,7 +109,7 @@ def remove_worst(q, residual, solved, rank, stop, pinned):  # type: ignore[no-un
     here, inverse = solved.copy(), np.eye(terms)
     pending, z = np.zeros((terms, 2)), np.empty(terms)
     gone = np.zeros(n, np.bool_)
-    squares = np.empty(n)
+    squares, part = np.empty(n), np.empty(n)
     count, left, hot_size = 0, n, HOT
     while True:
         _bring_up(q, residual, pending, squares, gone, pinned)
@@ -118,12 +119,11 @@ def remove_worst(q, residual, solved, rank, stop, pinned):  # type: ignore[no-un
             history[count], worst[count], largest[count] = here, -1, 0.0
             return history[: count + 1], worst[: count + 1], largest[: count + 1]
         hot_q, hot_residual = q[:, hot].copy(), residual[:, hot].copy()
-        hot_squares, hot_gone = squares[hot].copy(), np.zeros(len(hot), np.bool_)
-        hot_rank = rank[hot].copy()
+        hot_squares, hot_rank = squares[hot].copy(), rank[hot].copy()
         drift = 0.0
-        followed = 0
+        followed, here_left = 0, len(hot)
         while True:
-            j = _worst(hot_squares, hot_gone, hot_rank)
+            j = _worst(hot_squares, hot_rank, here_left)
             error = np.sqrt(hot_squares[j]) if j >= 0 else -np.inf
             if error - 2 * TIE_PX <= cold_error + cold_norm * drift:
                 break
@@ -137,22 +137,24 @@ def remove_worst(q, residual, solved, rank, stop, pinned):  # type: ignore[no-un
             if free < LEAST_FREEDOM or count == ROUNDS or left - 1 <= terms:
                 return history[:count], worst[:count], largest[:count]
             fx, fy = hot_residual[0, j] / free, hot_residual[1, j] / free
-            grown, length = 0.0, 0.0
+            grown, drift = 0.0, 0.0
             for a in range(terms):
                 pending[a, 0] += z[a] * fx
                 pending[a, 1] += z[a] * fy
                 here[a, 0] -= z[a] * fx
                 here[a, 1] -= z[a] * fy
-                length += z[a] ** 2
+                drift += pending[a, 0] ** 2 + pending[a, 1] ** 2
                 for b in range(terms):
                     inverse[a, b] += z[a] * z[b] / free
                 grown = max(grown, inverse[a, a])
             if grown > LARGEST_INVERSE:
                 return history[:count], worst[:count], largest[:count]
-            drift += np.sqrt(length * (fx * fx + fy * fy))
-            gone[hot[j]] = hot_gone[j] = True
+            drift = np.sqrt(drift)
+            gone[hot[j]] = True
             left -= 1
-            _move(hot_q, hot_residual, hot_squares, z, fx, fy)
+            here_left -= 1
+            _close_gap(j, here_left, hot, hot_q, hot_residual, hot_rank)
+            _move(hot_q, hot_residual, hot_squares, z, fx, fy, part, here_left)
         # A bound that excludes too little is no use: follow more pairs, in the end all of them.
         hot_size = HOT if followed > 8 else 4 * hot_size
 
@@ -188,18 +190,28 @@ def _choose(squares, norms, size):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _worst(squares, gone, rank):  # type: ignore[no-untyped-def]
-    """Return the row with the largest square; among equals, that of the lowest rank."""
+def _worst(squares, rank, count):  # type: ignore[no-untyped-def]
+    """Return the row with the largest square of the first `count`; among equals, that of the lowest rank."""
     peak = -1.0
-    for i in range(len(squares)):
-        if squares[i] > peak and not gone[i]:
+    for i in range(count):
+        if squares[i] > peak:
             peak = squares[i]
     floor = max(np.sqrt(max(peak, 0.0)) - TIE_PX, 0.0) ** 2
     j = -1
-    for i in range(len(squares)):
-        if squares[i] >= floor and not gone[i] and (j < 0 or rank[i] < rank[j]):
+    for i in range(count):
+        if squares[i] >= floor and (j < 0 or rank[i] < rank[j]):
             j = i
     return j
+
+
+@njit(cache=True)
+def _close_gap(j, last, hot, q, residual, rank):  # type: ignore[no-untyped-def]
+    """Put the last of the pairs that are followed in the place of one that left."""
+    hot[j], rank[j] = hot[last], rank[last]
+    for a in range(len(q)):
+        q[a, j] = q[a, last]
+    for axis in range(2):
+        residual[axis, j] = residual[axis, last]
 
 
 @njit(cache=True)
@@ -216,14 +228,14 @@ def _direction(inverse, row, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _move(q, residual, squares, z, fx, fy):  # type: ignore[no-untyped-def]
-    """Move residuals to the fit without the pair that left."""
-    terms, n = q.shape
-    part = np.zeros(n)
-    for a in range(terms):
-        for i in range(n):
+def _move(q, residual, squares, z, fx, fy, part, count):  # type: ignore[no-untyped-def]
+    """Move the residuals of the first `count` to the fit without the pair that left."""
+    for i in range(count):
+        part[i] = z[0] * q[0, i]
+    for a in range(1, len(q)):
+        for i in range(count):
             part[i] += z[a] * q[a, i]
-    for i in range(n):
+    for i in range(count):
         residual[0, i] += part[i] * fx
         residual[1, i] += part[i] * fy
         squares[i] = residual[0, i] ** 2 + residual[1, i] ** 2

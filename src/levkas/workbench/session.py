@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.edits import FrameEdits, Pair
-from levkas.registration.given import Marked, measure_checks, name_of
+from levkas.registration.given import Marked, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
 from levkas.registration.record import Matches, RegistrationRefused
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LEAST_FITTED = 3
-SAMPLED_ROUNDS = 120
 OWN = "added by hand"
 CUT = "farther than `reject` at the start"
 
@@ -121,12 +119,18 @@ class Session:
         OperationRefused
             Where there is no such operation, or the places cannot be.
         """
+        self._change(self.changed(name, pair, to))
+
+    def changed(
+        self, name: str, pair: Sequence[float], to: Sequence[float] | None = None
+    ) -> FrameEdits:
+        """Return what the corrections would be after `apply`."""
         if name not in OPERATIONS:
             raise refused("there is no such operation", name, ", ".join(OPERATIONS))
         places = [_place(pair, self.found)]
         if name == "move":
             places.append(_place(to or (), self.found))
-        self._change(OPERATIONS[name](self.edits, *places))
+        return OPERATIONS[name](self.edits, *places)
 
     def add_all(self, added: Sequence[Pair], checks: Sequence[Pair]) -> None:
         """Add many pairs as one change: what an import brings."""
@@ -282,94 +286,3 @@ def _place(pair: Sequence[float], found: Found) -> Pair:
         if (part < -reach).any() or (part > np.array(size) + reach).any():
             raise refused("the place is far outside the picture", part.tolist(), f"within {size}")
     return tuple(values.tolist())
-
-
-def describe(session: Session, known: str = "") -> dict[str, Any]:
-    """Return everything that a screen shows of the pairs, JSON-ready and short.
-
-    Columns are lists of one length; ``models`` holds the polynomial of some rounds, so that a screen
-    can draw any moment of the removal itself. ``pairs`` is None where the screen says by `known`
-    that it has these places already.
-    """
-    view = session.view
-    matches = view.matches
-    pairs = np.round(np.hstack([matches.reference, matches.target]), 3)
-    kept = matches.kept
-    places = sha256(pairs.tobytes()).hexdigest()[:16]
-    return {
-        "version": session.version,
-        "places": places,
-        "pairs": None if places == known else pairs.tolist(),
-        "residual": _column(matches.residual),
-        "leave_one_out": _column(matches.leave_one_out),
-        "weight": np.round(matches.weight, 3).tolist(),
-        "state": matches.state.tolist(),
-        "reason": matches.reason.tolist(),
-        "round": matches.round.tolist(),
-        "summary": _summary(matches, kept),
-        "refusal": view.refusal,
-        "trace": None if view.cleaned is None else _trace(view.cleaned),
-        "reject": session.edits.reject or session.found.reject or reject_of(session.found.size),
-        "stop": session.edits.stop or session.found.stop,
-        "overridden": {k: getattr(session.edits, k) is not None for k in ("reject", "stop")},
-        "corrections": session.edits.told(),
-        "note": session.edits.note,
-        "can": session.can,
-    }
-
-
-def _summary(matches: Matches, kept: np.ndarray) -> dict[str, Any]:
-    errors, without = matches.residual[kept], matches.leave_one_out[kept]
-    checks = matches.residual[matches.state == "check"]
-
-    def of(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> float | None:
-        good = values[np.isfinite(values)]
-        return round(float(statistic(good)), 4) if len(good) else None
-
-    return {
-        "pairs": len(matches),
-        "kept": int(kept.sum()),
-        "mean": of(errors, np.mean),
-        "rms": of(errors, lambda v: np.sqrt(np.square(v).mean())),
-        "max": of(errors, np.max),
-        "leave_one_out": of(without, np.mean),
-        "checks": len(checks),
-        "check_mean": of(checks, np.mean),
-        "check_max": of(checks, np.max),
-    }
-
-
-def _trace(cleaned: Cleaned) -> dict[str, Any]:
-    trace = cleaned.trace
-    last = trace.rounds - 1
-    chosen = np.unique(np.linspace(0, last, min(SAMPLED_ROUNDS, last + 1)).round().astype(int))
-    model = cleaned.model
-    # Numbers on coordinates that are centred and scaled: five decimals are a hundredth of what is drawn.
-    return {
-        "largest": np.round(trace.largest, 3).tolist(),
-        "removed": trace.removed.tolist(),
-        "cut": int((~trace.kept_at(0)).sum()),
-        "scale": _affine(trace.scale),
-        "order": model.order,
-        "centre": [float(v) for v in model.centre],
-        "spread": float(model.spread),
-        "rounds": chosen.tolist(),
-        "models": np.round(cleaned.models[chosen], 5).tolist(),
-        "size": list(trace.size),
-    }
-
-
-def _affine(transform: Transform) -> list[list[float]]:
-    origin = transform(np.zeros((1, 2)))[0]
-    slope = transform.jacobian(np.zeros((1, 2)))[0]
-    return [[*slope[i].tolist(), float(origin[i])] for i in (0, 1)]
-
-
-def _column(values: np.ndarray) -> list[float | None]:
-    rounded = np.round(values, 3)
-    if np.isfinite(rounded).all():
-        return list(rounded.tolist())
-    return [v if v == v and abs(v) != np.inf else None for v in rounded.tolist()]
-
-
-__all__ = ["Found", "Session", "View", "describe", "look", "name_of"]

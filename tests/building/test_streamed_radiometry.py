@@ -1,0 +1,165 @@
+"""What is told of glare, focus and other lightings of a scan whose lines only pass by."""
+
+import numpy as np
+import pytest
+
+from levkas.building import focusing, scans, streaming
+from levkas.building.default_setup import DefaultLayer, gains_of_scan
+from levkas.building.developing import develop
+from levkas.building.flatfielding import mark_glare_in
+from levkas.building.focusing import Middle, focus_of
+from levkas.building.measuring import flag_and_count
+from levkas.building.native import Native
+from levkas.building.shelf import Shelf
+from levkas.campaign import load_campaign
+from levkas.cube import Band, Cube, Flag
+from levkas.database.layers import Layer, write_layer
+from levkas.discovery import find_captures
+from levkas.radiometry import sharpness
+from levkas.registration.images import BandImage
+from levkas.transforms import Affine
+
+CAMPAIGN = """
+[campaign]
+reference = "scan"
+[cameras.scan]
+kind = "cube"
+files = "{target}.hdr"
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 0.9 }
+objects = ["panel"]
+"""
+
+
+def write_envi(folder, name, cube):
+    lines, samples, bands = cube.shape
+    (folder / f"{name}.raw").write_bytes(cube.transpose(0, 2, 1).astype(np.uint16).tobytes())
+    (folder / f"{name}.hdr").write_text(
+        f"ENVI\nsamples = {samples}\nlines = {lines}\nbands = {bands}\ninterleave = bil\n"
+        f"data type = 12\nbyte order = 0\n"
+        f"wavelength = {{{', '.join(str(400 + 50 * b) for b in range(bands))}}}\n"
+    )
+
+
+@pytest.mark.parametrize("tile", ["1", "7", "whole"])
+def test_glare_is_flagged_in_the_lines_as_in_the_whole_cube(tmp_path, monkeypatch, tile):
+    rng, shape = np.random.default_rng(1), (30, 20, 5)
+    panel = rng.normal(1600, 5, shape)
+    panel[11:14, 4:9, 2] = 4600  # 1.35 of a perfect diffuser: no paint is
+    panel[20, 3] = 3500  # 1.02: white paint on a slope might be
+    levels = {"dark": rng.normal(100, 5, shape), "white": rng.normal(3100, 5, shape)}
+    for name, cube in {**levels, "panel": panel}.items():
+        write_envi(tmp_path, name, cube)
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    campaign = load_campaign(tmp_path)
+    (capture,), _ = find_captures(campaign)
+    shelf = Shelf(tmp_path, None, shared=False)
+    monkeypatch.setenv("LEVKAS_TILE", tile)
+    whole = develop(capture, campaign, shelf).cubes[""].flags
+    flags = scans.open_scan(capture, campaign, shelf).lines(0, shape[0]).flags
+    planted = np.zeros(shape, bool)
+    planted[11:14, 4:9, 2] = True
+    np.testing.assert_array_equal((whole & Flag.GLARE) != 0, planted)
+    np.testing.assert_array_equal(flags, whole)
+
+
+def test_counts_are_never_glare():
+    values, flags = np.full((2, 2, 1), 9.0, np.float32), np.zeros((2, 2, 1), np.uint8)
+    assert not mark_glare_in(Cube(values, flags, None, (Band("G"),), "counts")).flags.any()
+
+
+@pytest.mark.parametrize("rows", [1, 17, 1000])
+def test_focus_of_lines_that_pass_by_is_that_of_the_whole_cube(monkeypatch, rows):
+    from scipy.ndimage import gaussian_filter
+
+    monkeypatch.setattr(sharpness, "LONGEST", 160)
+    monkeypatch.setattr(focusing, "MOST_BANDS", 3)
+    rng = np.random.default_rng(2)
+    scene = np.kron(rng.random((10, 8)), np.ones((24, 24)))
+    stack = [gaussian_filter(scene, 0.7 + 0.25 * b) for b in range(5)]
+    values = np.stack(stack, -1).astype(np.float32)
+    flags = np.zeros(values.shape, np.uint8)
+    flags[100:110, 90:100] = Flag.GLARE
+    bands = tuple(Band(f"{b}") for b in range(5))
+    middle = Middle(values.shape, bands)
+    for y in range(0, len(values), rows):
+        part = slice(y, y + rows)
+        middle.add(Cube(values[part], flags[part], None, bands, "reflectance"))
+    whole = focus_of(Native({"": Cube(values, flags, None, bands, "reflectance")}))
+    assert middle.focus() == whole
+    assert [one["band"] for one in whole] == ["0", "2", "4"]
+    blurs = [one["blur_px"] for one in whole]
+    assert blurs == pytest.approx([np.sqrt(b**2 + 1 / 12) for b in (0.7, 1.2, 1.7)], rel=0.12)
+
+
+class Pictured:
+    """A scan as `gains_of_scan` sees it: its pictures."""
+
+    def __init__(self, values, factor):
+        self.factor = factor
+        h, w = (n // factor for n in values.shape[:2])
+        blocks = values[: h * factor, : w * factor].reshape(h, factor, w, factor, -1)
+        self._means = blocks.mean((1, 3)).astype(np.float32)
+
+    def images(self):
+        seen = np.ones(self._means.shape[:2], bool)
+        return [BandImage(str(b), 0.0, self._means[..., b], seen) for b in range(3)]
+
+
+@pytest.fixture
+def two_setups(tmp_path):
+    """A painting of 96 x 120 px under two lightings, the default one published."""
+    rng = np.random.default_rng(4)
+    paint = np.kron(rng.uniform(0.05, 0.7, (12, 15, 3)), np.ones((8, 8, 1))).astype(np.float32)
+    bands = tuple(Band(str(b)) for b in range(3))
+    default = Cube(paint, np.zeros(paint.shape, np.uint8), None, bands, "reflectance")
+    write_layer(tmp_path, Layer("icon", "scan"), default, zarr=False)
+    base = tmp_path / "objects" / "icon" / "icon_scan"
+    layer = DefaultLayer.open(base.with_suffix(".tif"), base.with_suffix(".flags.tif"), paint.shape)
+    shown = paint * np.array([1.1, 1.05, 0.95], np.float32)
+    shown[30:50, 40:80] += 0.3
+    return layer, Cube(shown, default.flags, None, bands, "reflectance")
+
+
+def test_a_default_layer_of_another_size_is_not_compared_with(two_setups, tmp_path):
+    base = tmp_path / "objects" / "icon" / "icon_scan"
+    paths = base.with_suffix(".tif"), base.with_suffix(".flags.tif")
+    assert DefaultLayer.open(*paths, (96, 121, 3)) is None
+    assert DefaultLayer.open(tmp_path / "none.tif", paths[1], (96, 120, 3)) is None
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+def test_gains_of_a_scan_are_found_in_its_pictures(two_setups, factor):
+    layer, cube = two_setups
+    turned = np.ascontiguousarray(np.kron(cube.values, np.ones((2, 2, 1)))[::-1])
+    # Grid px → native px: twice the sampling, upside down.
+    there = Affine(np.array([[2.0, 0, 0.5], [0, -2.0, 2 * 96 - 1.5]]))
+    found = gains_of_scan(layer, Pictured(turned, factor), [there] * 3)
+    assert found == pytest.approx([1.1, 1.05, 0.95], abs=0.02)
+
+
+@pytest.mark.parametrize("rows", [1, 13, 96])
+def test_rows_of_another_setup_are_compared_with_the_default_ones(two_setups, rows):
+    layer, cube = two_setups
+    gains = np.array([1.1, 1.05, 0.95], np.float32)
+    whole = Cube(cube.values, cube.flags.copy(), None, cube.bands, cube.quantity)
+    told = flag_and_count(whole, layer.rows(), gains)
+    planted = np.zeros(whole.flags.shape, bool)
+    planted[30:50, 40:80] = True
+    assert told["veiled"] == 800
+    np.testing.assert_array_equal((whole.flags & Flag.VEILED) != 0, planted)
+    passing = streaming.Passing(layer, gains)
+    blocks = [
+        Cube(
+            cube.values[y : y + rows],
+            cube.flags[y : y + rows].copy(),
+            None,
+            cube.bands,
+            cube.quantity,
+        )
+        for y in range(0, 96, rows)
+    ]
+    flags = np.concatenate([block.flags for block in passing.noting(blocks)])
+    np.testing.assert_array_equal(flags, whole.flags)
+    assert passing.glare == told
