@@ -8,7 +8,8 @@ import pytest
 from levkas import files
 from levkas.building import build, registering, scans, streaming, summarise
 from levkas.building.developing import develop
-from levkas.building.scans import is_streamed, open_scan
+from levkas.building.held_lines import HeldLines
+from levkas.building.scans import Scan, is_streamed, open_scan
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign import load_campaign
@@ -100,6 +101,26 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
         assert np.array_equal(np.concatenate([b.flags for b in others]), flags)
         assert np.array_equal(np.concatenate([b.sigma for b in others]), sigma, equal_nan=True)
     assert not list(tmp_path.iterdir())
+
+
+def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypatch):
+    scan, cube = scan_and_cube
+    asked, lines = [], Scan.lines
+
+    def noting(self, start, stop, into=None):
+        asked.append((start, stop))
+        return lines(self, start, stop, into)
+
+    monkeypatch.setattr(Scan, "lines", noting)
+    held = HeldLines(scan)
+    spans = [(0, 9), (5, 12), (11, 30), (12, 20), (3, 8), (40, 44), (42, 43)]
+    for start, stop in spans:
+        part = held.hold(start, stop)
+        assert np.array_equal(part.values, cube.values[start:stop])
+        assert np.array_equal(part.flags, cube.flags[start:stop])
+        variance = np.square(cube.sigma[start:stop])
+        assert np.array_equal(part.sigma, variance, equal_nan=True)
+    assert asked == [(0, 9), (9, 12), (12, 30), (3, 8), (40, 44)]
 
 
 def test_a_scan_that_lies_askew_is_refused(scan_and_cube, monkeypatch, tmp_path):

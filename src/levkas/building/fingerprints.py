@@ -28,6 +28,7 @@ CODE = {
         "building/exposing.py",
         "building/flatfielding.py",
         "building/scans.py",
+        "building/held_lines.py",
         "building/whiteboard.py",
         "building/measuring.py",
         "building/focusing.py",

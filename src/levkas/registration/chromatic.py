@@ -122,15 +122,15 @@ def fit_chromatic(
     free = min(count, _size("similarity"))
     apart = np.eye(len(seen)) - (0.0 if leaning is None else leaning)
     prior = np.zeros(free)
-    measured, variances = _amounts(systems, prior, earlier)
-    amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, earlier)
+    measured, variances = _amounts(systems, prior, earlier, apart)
+    amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, prior)
     if count > free:
         # Bands differ by shift and magnification first; other fields are small beside them.
         size = float(np.sqrt(np.mean(amounts**2) * free))
         shares = [SHARES[name] for name, group in _FIELDS if name in names for _ in group]
         prior = np.array([0.0 if s is None else 1 / (s * size + 1e-4) ** 2 for s in shares])
-        measured, variances = _amounts(systems, prior, earlier)
-        amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, earlier)
+        measured, variances = _amounts(systems, prior, earlier, apart)
+        amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, prior)
     return Chromatic(names[-1], before.centre, before.spread, amounts, doubts)
 
 
@@ -225,17 +225,26 @@ def _blocks(points: np.ndarray) -> np.ndarray:
 
 
 def _amounts(
-    systems: Sequence[tuple[np.ndarray, np.ndarray]], price: np.ndarray, earlier: np.ndarray
+    systems: Sequence[tuple[np.ndarray, np.ndarray]],
+    price: np.ndarray,
+    earlier: np.ndarray,
+    apart: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Changes of each band's amounts under a price on total squares, and variances; inf if unseen."""
+    """Amounts of each band less those of its prediction, and variances; infinite where unseen.
+
+    The price is on the squares of what is returned: what a band is apart from its prediction.
+    """
     size = len(price)
+    visible = apart @ earlier
     amounts = np.zeros((len(systems), size))
     variances = np.full((len(systems), size), np.inf)
     for band, (matrix, right) in enumerate(systems):
         if not matrix.any():
             continue
-        whole = matrix[:size, :size] + np.diag(price)
-        amounts[band] = _solve(whole, right[:size]) - earlier[band, :size]
+        matrix = matrix[:size, :size]
+        whole = matrix + np.diag(price)
+        moved = right[:size] + matrix @ (visible - earlier)[band, :size]
+        amounts[band] = _solve(whole, moved)
         scale = 1 / np.sqrt(np.maximum(np.diag(whole), 1e-30))
         inverse = np.linalg.pinv(whole * scale[:, None] * scale, rcond=1e-10, hermitian=True)
         variances[band] = np.diag(inverse) * scale**2
@@ -248,12 +257,12 @@ def _smooth(
     wavelengths: Sequence[float],
     fixed: int | None,
     apart: np.ndarray,
-    earlier: np.ndarray,
+    price: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw each amount to what the other bands say: Gaussian process, its scales from the data.
 
-    `measured` are changes seen against predictions: ``apart @ (amounts − earlier)``. Returns the
-    amounts and their variances.
+    `measured` are amounts seen against predictions: ``apart @ amounts``; a `price` is the inverse of
+    the variance that is expected of a field. Returns the amounts and their variances.
     """
     places = np.asarray(wavelengths, float)
     smooth = np.isfinite(places).all() and len(np.unique(places)) >= 4
@@ -261,24 +270,26 @@ def _smooth(
     for column in range(measured.shape[1]):
         known = np.isfinite(variances[:, column])
         seen, noise = apart[known], variances[known, column] + 1e-10
-        y = measured[known, column] + seen @ earlier[:, column]
+        y = measured[known, column]
         if fixed is not None:
             seen = np.vstack([seen, np.eye(len(apart))[fixed]])
             y, noise = np.append(y, 0.0), np.append(noise, 1e-10)
         if len(y):
             result[:, column], doubts[:, column] = _posterior(
-                y, noise, seen, places if smooth else None
+                y, noise, seen, places if smooth else None, price[column]
             )
     return result if fixed is None else result - result[fixed], doubts
 
 
 def _posterior(
-    y: np.ndarray, noise: np.ndarray, seen: np.ndarray, places: np.ndarray | None
+    y: np.ndarray, noise: np.ndarray, seen: np.ndarray, places: np.ndarray | None, price: float
 ) -> tuple[np.ndarray, np.ndarray]:
     bands = seen.shape[1]
     plain = np.linalg.lstsq(seen, y, rcond=1e-3)[0]
     size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
-    common = 100 * size * np.ones((bands, bands))
+    if price > 0:
+        size = min(size, 1 / price)
+    common = (1 if price > 0 else 100) * size * np.ones((bands, bands))
     bends = [np.zeros((bands, bands))]
     if places is not None:
         bends = [np.exp(-0.5 * ((places[:, None] - places) / nm) ** 2) for nm in LENGTHS_NM]

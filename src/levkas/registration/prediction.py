@@ -68,19 +68,21 @@ class Palette:
         return shares / shares.sum() if abs(shares.sum()) > 0.1 else np.zeros(len(shares))
 
 
-def condense(stack: np.ndarray) -> Palette:
+def condense(stack: np.ndarray, counts: tuple[int, int] = (LINEAR, LOGARITHMIC)) -> Palette:
     """Return the principal images of reflectance and of its logarithm.
 
     Parameters
     ----------
     stack : ndarray, (bands, h, w), float32
         Square roots of reflectance as `rooted` gives them; NaN where invalid in a band.
+    counts : (int, int)
+        At most so many images of reflectance, and of its logarithm.
     """
     skip = 1 + int(np.sqrt(stack[0].size / SAMPLED_PX))
     far, near = stack[:, ::skip, 4::skip], stack[:, ::skip, :-4:skip]
     loadings = [
         _principal(measure(far) - measure(near), count)
-        for measure, count in ((np.square, LINEAR), (_logarithm, LOGARITHMIC))
+        for measure, count in ((np.square, counts[0]), (_logarithm, counts[1]))
     ]
     images = np.empty((sum(map(len, loadings)), *stack.shape[1:]), np.float32)
     shares = [vectors.astype(np.float32) for vectors in loadings]

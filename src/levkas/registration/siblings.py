@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 #: Bands that are not yet aligned differ by gradients, and a combination of them passes for a shift.
 #: The price of small components falls as they come to mean paint.
 RIDGES = (1e-2, 1e-3, 3e-4, 1e-4)
+#: Once they are aligned, what a few images leave of a band is paint that leans with the wavelength.
+FIRST, LAST = (5, 3), (8, 4)
 HALVES_FROM = 6
 FAR_PX = 0.5
 STEADY = 0.05
@@ -162,7 +164,8 @@ def _adjust(
     leaning, seen = np.zeros((count, count)), {}
     for group in _groups(count, fixed):
         others = [i for i in range(count) if i not in group]
-        palette = condense(np.stack([warped[i] for i in others])).ready()
+        counts = LAST if ridge == RIDGES[-1] else FIRST
+        palette = condense(np.stack([warped[i] for i in others]), counts).ready()
         predictor = Predictor(palette.images, step=step, cell=cell_px(size))
         for i in group:
             seen[i] = compared(predictor, warped[i], ridge=ridge)

@@ -87,7 +87,7 @@ def serve(
     from levkas.workbench.library import Library
 
     library = Library(campaign, output)
-    if not library.captures:
+    if not library.views:
         raise ServerRefused(
             Problem("E_NO_FRAMES", "the campaign has nothing to look at", str(campaign))
         )
@@ -116,7 +116,7 @@ def _warm_up(library: Library) -> None:
     """Load what the first answer needs while the browser still starts."""
     from levkas.workbench.answer import describe
 
-    for key, row in zip(library.captures, library.list(), strict=True):
+    for key, row in zip(library.views, library.list(), strict=True):
         if not row["reference"]:
             with contextlib.suppress(Refused):
                 frame = library.open(key)
