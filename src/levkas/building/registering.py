@@ -16,8 +16,10 @@ from levkas.transforms import Affine, Composed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from levkas.building.native import Native
+    from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.campaign import Campaign
     from levkas.discovery import Capture
@@ -197,3 +199,31 @@ def table_of(matches: Matches) -> str:
     writer.writerow(COLUMNS)
     writer.writerows(matches.rows())
     return text.getvalue()
+
+
+def write_registration(
+    places: Places, capture: Capture, record: dict[str, Any], registration: Registration | None
+) -> list[Path]:
+    """Write a registration's record and its tables of matches, and take older tables away.
+
+    Raises WriteRefused.
+    """
+    from levkas.files import make_folder, remove, write_json, write_text
+
+    name, layer = capture.object, capture.layer
+    path, table = places.registration(name, layer), places.matches(name, layer)
+    make_folder(path.parent)
+    write_json(path, record)
+    tables = {}
+    if registration is not None:
+        tables = {table: registration.matches} | {
+            places.matches(name, layer, sensor): matches
+            for sensor, matches in registration.others.items()
+        }
+    for place, matches in tables.items():
+        write_text(place, table_of(matches))
+    names = [places.matches(name, layer, sensor.name) for sensor in capture.sensors]
+    for place in sorted({table, *names} - tables.keys()):
+        if place.is_file():
+            remove(place)
+    return [path, *tables]
