@@ -9,6 +9,8 @@ from levkas.machine import free_memory
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from levkas.discovery import Capture
 
 CUBE_BYTES = 9
@@ -68,11 +70,9 @@ def ran_out(capture: Capture, error: MemoryError) -> TooLarge:
 
 def count_values(capture: Capture, kind: str) -> int:
     """Return how many values, all bands, the largest sensor of a capture has; of a scan, all strips."""
-    from levkas.readers.frames import read_facts
-
     counts = [0]
     for sensor in capture.sensors:
-        sizes = [prod(int(n) for n in read_facts(frame.path).shape) for frame in sensor.object]
+        sizes = [_size_of(frame.path) for frame in sensor.object]
         if kind == "cube":
             counts.append(sum(sizes))
         elif kind == "bands":
@@ -80,3 +80,12 @@ def count_values(capture: Capture, kind: str) -> int:
         else:
             counts.append(max(sizes, default=0))
     return max(counts)
+
+
+def _size_of(path: Path) -> int:
+    from levkas.readers.frames import read_facts
+
+    try:
+        return prod(int(n) for n in read_facts(path).shape)
+    except Refused:  # all that is wrong with the frames is told together, when they are read
+        return 0

@@ -318,7 +318,8 @@ class ObjectBuild:
         from levkas.building.native import Native, PackedSigma, least_bytes, write_native
         from levkas.building.scans import is_streamed, open_scan
         from levkas.building.streaming import write_scan
-        from levkas.files import require_space, together
+        from levkas.disk import require_space
+        from levkas.files import together
 
         streamed = is_streamed(capture, self.campaign)
         if not streamed:
@@ -467,7 +468,8 @@ class ObjectBuild:
         from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
         from levkas.building.scans import Scan
         from levkas.database.layers import Layer, write_layer
-        from levkas.files import make_folder, require_space
+        from levkas.disk import require_space
+        from levkas.files import make_folder
 
         grid, sampling, _ = self._frame(native if capture is self.reference else [])
         here = self._native(capture, native)
