@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from levkas import files
+from levkas import disk
 from levkas.building import build, registering, scans, streaming, summarise
 from levkas.building.developing import develop
 from levkas.building.held_lines import HeldLines
@@ -16,8 +16,8 @@ from levkas.campaign import load_campaign
 from levkas.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
 from levkas.database.spooling import write_rows
+from levkas.digests import hash_tree
 from levkas.discovery import find_captures
-from levkas.files import hash_tree
 from levkas.simulation import simulate_campaign
 from levkas.transforms import Affine
 from levkas.warping import warp
@@ -203,7 +203,7 @@ def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
 
 
 def test_a_full_disk_is_foreseen_before_a_stage_writes(simulated, tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_free_bytes", lambda folder: 50_000)
+    monkeypatch.setattr(disk, "_free_bytes", lambda folder: 50_000)
     report = summarise(build(simulated, output=tmp_path / "database"))
     first = report.problems[0]
     assert first.code == "E_DISK_FULL" and first.found == "50000 bytes free"

@@ -28,7 +28,6 @@ CODE = {
         "building/exposing.py",
         "building/flatfielding.py",
         "building/scans.py",
-        "building/held_lines.py",
         "building/whiteboard.py",
         "building/measuring.py",
         "building/focusing.py",
@@ -50,6 +49,7 @@ CODE = {
     "resample": (
         "rounding.py",
         "building/streaming.py",
+        "building/held_lines.py",
         "building/default_setup.py",
         "warping.py",
         "warping_kernels.py",

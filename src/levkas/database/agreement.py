@@ -12,7 +12,7 @@ from levkas.database.soundness import TiffFacts, damaged
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS
 from levkas.database.store import layer_name
 from levkas.database.twins import check_group
-from levkas.files import hash_file
+from levkas.digests import hash_file
 from levkas.problems import Problem
 
 BESIDE = (".flags.tif", ".sigma.tif")
