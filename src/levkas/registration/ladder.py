@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from levkas.registration.ledges import Ledge, find_ledge, fit_behind
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -43,7 +44,7 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quartic": (60, partial(fit_polynomial, order=4)),
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
-SPLINE_LEAST = 150
+SPLINE_LEAST, LEDGE_LEAST = 150, 250
 COARSE = ["similarity", "affine", "quadratic", "cubic"]
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
@@ -98,6 +99,7 @@ def climb(
     observations: Observations,
     *,
     spacing: float,
+    cell: float = 0.0,
     coarse: bool = False,
     reaching: bool = False,
     sure: int = 0,
@@ -110,6 +112,8 @@ def climb(
         At least 6 of them.
     spacing : float, reference px
         Of the spline's knots; windows closer than this share a block.
+    cell : float, reference px
+        Side of the cells of the windows, for the term of a ledge; 0: none is tried.
     coarse : bool
         Polynomials up to cubic only: what is left is for a finer grid.
     reaching : bool
@@ -145,8 +149,23 @@ def climb(
             scores[name] = _held_out(judged, folds, tried)
             if scores[name] < best * (1 - GAIN):
                 taken, best, fit, transform = name, scores[name], tried, None
+        ledge = find_ledge(tempered, cell) if cell and len(observations) >= LEDGE_LEAST else None
+        for name, behind in _behind(taken, under, fit, spacing, ledge) if ledge else ():
+            scores[name] = _held_out(judged, folds, behind)
+            if scores[name] < best * (1 - GAIN):
+                taken, best, fit, transform = name, scores[name], behind, None
     parts = () if coarse else _parts(judged, folds, fit)
     return Rung(taken, transform or fit(tempered), scores, tempered, weights, parts)
+
+
+def _behind(
+    taken: str, under: Fit, fit: Fit, spacing: float, ledge: Ledge
+) -> list[tuple[str, Fit]]:
+    """What may stand behind a ledge: what was taken, without its spline, and with a stiff one."""
+    plain = taken.partition("+spline")[0]
+    stiff: Fit = partial(_on_top, under=under, spacing=spacing, stiff=STIFF[-1])
+    kinds = {plain: under, f"{plain}+spline({STIFF[-1]:g})": stiff, taken: fit}
+    return [(f"{n}+ledge", partial(fit_behind, ledge=ledge, fit=kind)) for n, kind in kinds.items()]
 
 
 def _parts(observations: Observations, folds: np.ndarray, fit: Fit) -> tuple[Transform, ...]:

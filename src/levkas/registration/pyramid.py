@@ -151,7 +151,7 @@ def _refine(task: Task, *, stiff: bool) -> Refined:
     # In large frames bands are pixels apart, and a coarser grid brings them near at a quarter of the cost.
     for at in [step] * (STIFF_ROUNDS if stiff else ROUNDS) if small else [2 * step, step]:
         here = task.look(bands, [model.transform(i) for i in range(len(bands))], base, at)
-        rung = _base(task, base, here, at, stiff=stiff)
+        rung = _base(task, base, here, at, stiff=stiff, ledge=at == step)
         climbs.append(_climb(rung, at))
         _check(rung, task)
         if len(bands) > 1:
@@ -331,6 +331,7 @@ def _base(
     coarse: bool = False,
     stiff: bool = False,
     among: np.ndarray | None = None,
+    ledge: bool = False,
 ) -> Rung:
     common, information = combine(seen)
     centres = seen[0].centres
@@ -351,8 +352,9 @@ def _base(
     finite = np.isfinite(target).all(1)
     observations = Observations(points, target, jacobian, information[used]).part(finite)
     hand = _by_hand(task.given.sure, base)
+    cell = float(task.scene.predictor(step).cell * step) if ledge else 0.0
     return climb(
-        observations.joined(hand), spacing=4.0 * step * cell_px((0, 0)), coarse=coarse,
+        observations.joined(hand), spacing=4.0 * step * cell_px((0, 0)), cell=cell, coarse=coarse,
         reaching=stiff, sure=len(hand),
     )  # fmt: skip
 
