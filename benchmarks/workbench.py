@@ -20,6 +20,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from levkas.cube import Band
 from levkas.edits import Edits, FrameEdits, write_edits
 from levkas.registration.record import Matches
 from levkas.transforms import Affine
@@ -28,6 +29,7 @@ from levkas.workbench.correlation import find_partner
 from levkas.workbench.frame import Frame
 from levkas.workbench.library import Library
 from levkas.workbench.pictures import Picture, encode, warped_tile
+from levkas.workbench.sensor_view import SensorView
 from levkas.workbench.session import Found, Session
 
 SIZE = (1392, 1040)
@@ -112,19 +114,27 @@ class Planted(Library):
 
     def __init__(self, found: Found, path: Path) -> None:
         super().__init__(path)
-        capture = SimpleNamespace(object="icon", layer="nir", camera="nir", setup="", sensors=())
-        other = SimpleNamespace(object="icon", layer="vis", camera="vis", setup="", sensors=())
+        view, main = (
+            SensorView(
+                SimpleNamespace(object="icon", layer=name, camera=name, setup="", sensors=(one,)),
+                one,
+            )
+            for name, one in (
+                (name, SimpleNamespace(name="", bands=(Band(label, float(label[:3])),)))
+                for name, label in (("nir", "900 nm"), ("vis", "550 nm"))
+            )
+        )
         picture = Picture(np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8))
         record = {"verdict": {"decision": "accept", "reasons": [], "next_step": ""}, "bands": {}}
         session = Session(found, FrameEdits(), self._keep)
         self._planted = Frame(
-            "planted", capture, other, record, session, "900 nm", "550 nm",
+            view, main, record, {}, session, "900 nm", "550 nm",
             lambda capture, band: picture, lambda capture, band: picture.pixels,
         )  # fmt: skip
         self.campaign = SimpleNamespace(campaign=SimpleNamespace(title="Planted pairs"))
 
     def list(self) -> list[dict]:
-        words = ("object", "title", "camera", "decision", "reason", "corrections")
+        words = ("setup", "sensor", "bands", "reason", "corrections")
         row = dict.fromkeys(words, "") | {"id": "planted", "reference": False, "object": "icon"}
         return [{**row, "camera": "nir", "title": "icon", "decision": "accept"}]
 

@@ -13,7 +13,8 @@ from levkas.database.catalogue import DatabaseRefused, Entry, write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.store import write_index
-from levkas.files import hash_file, write_json
+from levkas.digests import hash_file
+from levkas.files import write_json
 from levkas.validation import validate
 
 

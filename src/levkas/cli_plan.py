@@ -150,6 +150,9 @@ def fit(
         str | None,
         typer.Option(help="Whose field the frame shows; else it shows just the object's size."),
     ] = None,
+    lamp: Annotated[
+        int | None, typer.Option(help="The only lamp of the lighting that shone, from 1.")
+    ] = None,
     region: Annotated[
         str | None, typer.Option(help="x,y,width,height of the board, native pixels.")
     ] = None,
@@ -171,6 +174,7 @@ def fit(
         name,
         darks=dark or (),
         camera=camera,
+        lamp=lamp,
         region=_four(region),
         black=black,
         saturation=saturation,

@@ -231,11 +231,17 @@ def _opencv() -> Finding:
 
 def _codecs() -> Finding:
     purpose, fix = "reading and writing TIFF", 'pip install "imagecodecs>=2025.3"'
-    expected = "deflate, LZW, zstd, JPEG"
+    expected = "deflate, zlib-ng, LZW, zstd, JPEG"
     if broken := _import_error("imagecodecs"):
         return Finding("TIFF codecs", "missing", broken, expected, purpose, fix)
     codecs = importlib.import_module("imagecodecs")
-    names = {"deflate": "DEFLATE", "LZW": "LZW", "zstd": "ZSTD", "JPEG": "JPEG8"}
+    names = {
+        "deflate": "DEFLATE",
+        "zlib-ng": "ZLIBNG",
+        "LZW": "LZW",
+        "zstd": "ZSTD",
+        "JPEG": "JPEG8",
+    }
     lacks = [
         name for name, key in names.items() if not getattr(getattr(codecs, key), "available", False)
     ]

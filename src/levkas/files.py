@@ -14,8 +14,6 @@ import errno
 import glob
 import hashlib
 import io
-import json
-import math
 import os
 import re
 import secrets
@@ -25,7 +23,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.problems import Problem, Refused
+from levkas.disk import refusing, require_space
+from levkas.plain_json import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,17 +37,6 @@ except ImportError:  # Windows has no advisory locks of this kind: nothing is sw
 PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
 LONGEST_NAME = 200
-DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG}
-REFUSED = {
-    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR),
-    *(errno.EISDIR, errno.ENOENT, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP),
-}
-DISK_CODES = frozenset({"E_DISK_FULL", "E_IO", "E_UNWRITABLE"})
-"""Of the problems of a `WriteRefused`."""
-
-
-class WriteRefused(Refused):
-    """Something could not be written; nothing half-written stands under its name."""
 
 
 def _no_fault(step: str, path: Path) -> None:
@@ -98,38 +86,6 @@ def write_json(path: str | Path, record: Any) -> None:
     write_text(path, to_json(record))
 
 
-def to_json(record: Any) -> str:
-    """Return `record` as JSON text: keys in their own order, NaN and infinities as null.
-
-    Numpy numbers and arrays, tuples and paths become plain; anything else is a TypeError.
-
-    Examples
-    --------
-    >>> print(to_json({"b": 1.0, "a": float("nan")}), end="")
-    {
-     "b": 1.0,
-     "a": null
-    }
-    """
-    return json.dumps(_plain(record), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, os.PathLike):
-        return Path(value).as_posix()
-    if isinstance(value, int) and not isinstance(value, bool):
-        return int(value)
-    return value
-
-
 def copy_file(source: str | Path, path: str | Path) -> None:
     """Copy the bytes of `source` to `path`, whole or not at all."""
     with (
@@ -171,9 +127,9 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
     within = any(PARTIAL.fullmatch(part) for part in path.parent.parts)
     waiting = None if within else _waiting.get()
     try:
-        with _refusing(path, bytes_needed, only_of=Path(raw.name)):
+        with refusing(path, bytes_needed, only_of=Path(raw.name)):
             yield handle
-        with _refusing(path, bytes_needed):
+        with refusing(path, bytes_needed):
             handle.flush()
             fault("fsync", path)
             os.fsync(raw.fileno())
@@ -204,7 +160,7 @@ def spooling(folder: str | Path, name: str) -> Iterator[io.BufferedRandom]:
     raw = _open_partial(path, None)
     handle = io.BufferedRandom(raw, BUFFER_BYTES)
     try:
-        with _refusing(path, None, only_of=Path(raw.name)):
+        with refusing(path, None, only_of=Path(raw.name)):
             yield handle
     finally:
         raw.discarding = True
@@ -224,13 +180,13 @@ class _Watched(io.FileIO):
     def write(self, data: Any) -> int:
         if self.discarding:
             return memoryview(data).nbytes
-        with _refusing(self.final, self.bytes_needed):
+        with refusing(self.final, self.bytes_needed):
             fault("write", self.final)
             return super().write(data)
 
 
 def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
-    with _refusing(path, bytes_needed):
+    with refusing(path, bytes_needed):
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "a folder stands there", str(path))
         while True:
@@ -263,7 +219,7 @@ class Folder:
     def write_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
         """Write one file of the folder; `name` is relative, with its folders made as needed."""
         target, final = self.path / name, self.final / name
-        with _refusing(final, memoryview(data).nbytes):
+        with refusing(final, memoryview(data).nbytes):
             target.parent.mkdir(parents=True, exist_ok=True)
             fault("open", final)
             with target.open("wb", buffering=0) as handle:
@@ -276,7 +232,7 @@ class Folder:
         """Copy a file into the folder and return the SHA-256 of what was read."""
         target, final = self.path / name, self.final / name
         digest = hashlib.sha256()
-        with Path(source).open("rb") as origin, _refusing(final, None):
+        with Path(source).open("rb") as origin, refusing(final, None):
             target.parent.mkdir(parents=True, exist_ok=True)
             fault("open", final)
             with target.open("wb", buffering=0) as handle:
@@ -307,9 +263,9 @@ def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator
     partial, descriptor = _make_partial(path)
     waiting = _waiting.get()
     try:
-        with _refusing(path, bytes_needed, only_of=partial):
+        with refusing(path, bytes_needed, only_of=partial):
             yield Folder(partial, path)
-        with _refusing(path, bytes_needed):
+        with refusing(path, bytes_needed):
             fault("sync", path)
             _sync_file_system(descriptor)
             if waiting is None:
@@ -326,7 +282,7 @@ def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator
 
 
 def _make_partial(path: Path) -> tuple[Path, int]:
-    with _refusing(path, None):
+    with refusing(path, None):
         while True:
             fault("folder", path)
             partial = _partial(path)
@@ -385,7 +341,7 @@ class _Waiting:
     is_folder: bool = False
 
     def settle(self) -> None:
-        with _refusing(self.path, None):
+        with refusing(self.path, None):
             if self.partial is None:
                 remove(self.path)
             elif self.is_folder:
@@ -470,7 +426,7 @@ def make_folder(path: str | Path) -> None:
         missing.append(path)
         path = path.parent
     for folder in reversed(missing):
-        with _refusing(folder, None):
+        with refusing(folder, None):
             fault("folder", folder)
             folder.mkdir(exist_ok=True)
         _sync_folder(folder.parent)
@@ -482,7 +438,7 @@ def remove(path: str | Path) -> None:
     if (waiting := _waiting.get()) is not None:
         waiting.append(_Waiting(path))
         return
-    with _refusing(path, None):
+    with refusing(path, None):
         if path.is_dir() and not path.is_symlink():
             gone = _partial(path)
             fault("rename", path)
@@ -511,7 +467,7 @@ def sweep(folder: str | Path) -> list[Path]:
         for name in sorted(partial):
             path = Path(place, name)
             if _abandoned(path):
-                with _refusing(path, None):
+                with refusing(path, None):
                     _discard(path)
                 removed.append(path)
     return removed
@@ -523,7 +479,7 @@ def sweep_beside(path: str | Path) -> list[Path]:
     removed = []
     for left in sorted(path.parent.glob(glob.escape(path.name[:LONGEST_NAME]) + ".partial-*")):
         if PARTIAL.fullmatch(left.name) and _abandoned(left):
-            with _refusing(left, None):
+            with refusing(left, None):
                 _discard(left)
             removed.append(left)
     return removed
@@ -560,37 +516,8 @@ def _hold(descriptor: int, path: Path) -> bool:
 # --- the disk ---------------------------------------------------------------------------------
 
 
-def hash_file(path: str | Path) -> str:
-    """Return the SHA-256 of a file, streamed, as 64 hexadecimal digits."""
-    with Path(path).open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
-def hash_tree(folder: str | Path) -> dict[str, str]:
-    """Return the SHA-256 of every file below `folder`, by its relative path, in sorted order."""
-    root = Path(folder)
-    names = sorted(p.relative_to(root).as_posix() for p in root.rglob("*") if p.is_file())
-    return {name: hash_file(root / name) for name in names}
-
-
-def require_space(folder: str | Path, bytes_needed: int, *, path: str | Path | None = None) -> None:
-    """Refuse with ``E_DISK_FULL`` where `folder`'s file system has not `bytes_needed` free."""
-    free = _free_bytes(Path(folder))
-    if free is not None and free < bytes_needed:
-        raise WriteRefused(_disk_full(Path(path or folder), bytes_needed, free))
-
-
-def _free_bytes(folder: Path) -> int | None:
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return None
-
-
 def _sync_folder(folder: Path) -> None:
-    with _refusing(folder, None):
+    with refusing(folder, None):
         fault("sync", folder)
         if os.name == "nt":
             return
@@ -608,48 +535,3 @@ def _sync_file_system(descriptor: int) -> None:
     elif call(descriptor) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
-
-
-@contextlib.contextmanager
-def _refusing(
-    path: Path, bytes_needed: int | None, *, only_of: Path | None = None
-) -> Iterator[None]:
-    """Turn OSErrors into refusals; with `only_of`, those alone that surely are of this writing."""
-    try:
-        yield
-    except OSError as error:
-        ours = only_of is None or error.errno in DISK_FULL
-        if not ours and not str(error.filename or "").startswith(str(only_of)):
-            raise
-        raise WriteRefused(_problem(path, error, bytes_needed)) from error
-
-
-def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
-    if error.errno in DISK_FULL:
-        return _disk_full(path, bytes_needed, _free_bytes(path.parent))
-    reason = error.strerror or type(error).__name__
-    if error.errno in REFUSED:
-        return Problem(
-            "E_UNWRITABLE",
-            f"{path.name} cannot be written: {reason}",
-            file=str(path),
-            expected="a folder that can be written to",
-            fix="Give another output folder, or change its permissions.",
-        )
-    return Problem(
-        "E_IO",
-        f"the disk failed while {path.name} was written: {reason}",
-        file=str(path),
-        fix="Check the disk; the build can then be run again and goes on where it was.",
-    )
-
-
-def _disk_full(path: Path, bytes_needed: int | None, free: int | None) -> Problem:
-    return Problem(
-        "E_DISK_FULL",
-        f"the disk is full: {path.name} was not written",
-        file=str(path),
-        found=None if free is None else f"{free} bytes free",
-        expected=None if bytes_needed is None else f"{bytes_needed} bytes",
-        fix="Free some space, or give another output folder; then run the build again.",
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +62,7 @@ class HungLamps:
             "size_mm": list(self.size_mm),
             "frames": self.frames,
             "lamps": lamp_rows(self.fitted.lighting.lamps),
+            "uncertainties": [asdict(error) for error in self.fitted.errors],
             "light_at_middle": light_at_middle(self.fitted.lighting.lamps),
             "moved": list(self.fitted.moved),
             "notes": list(self.notes),
@@ -104,6 +105,7 @@ def fit_white(
     *,
     darks: Sequence[str | Path] = (),
     camera: str | None = None,
+    lamp: int | None = None,
     region: Box | None = None,
     black: float | None = None,
     saturation: float | None = None,
@@ -122,6 +124,8 @@ def fit_white(
         Frames or folders; without them `black` is subtracted.
     camera : str, optional
         Whose planned field the frame shows; without it the region shows just the object's size.
+    lamp : int, optional
+        The only one of the lighting's lamps that shone, from 1: its place is then told far better.
     region : (x, y, width, height), optional
         Native pixels that show the board; the whole frame without it.
     black, saturation : float, optional
@@ -137,7 +141,7 @@ def fit_white(
         Where setup, lighting or camera are not there or cannot be planned.
     """
     setup = setup if isinstance(setup, Setup) else load_setup(setup)
-    lighting = setup.lighting(name)
+    lighting = _shining(setup, setup.lighting(name), lamp)
     files = files_of(whites)
     stack, floor = average_whites(files, files_of(darks), black, saturation)
     box = check_region(region, stack.mean.shape, str(files[0]))
@@ -147,6 +151,19 @@ def fit_white(
     fitted = fit_lamps(light, lighting, thing, bent=bent, centre_mm=centre)
     notes = (*doubts, *_notes(lighting, fitted))
     return HungLamps(fitted, drop(light), size, len(files), notes)
+
+
+def _shining(setup: Setup, lighting: Lighting, lamp: int | None) -> Lighting:
+    """Return a lighting with the one lamp that shone."""
+    if lamp is None:
+        return lighting
+    count = len(lighting.lamps)
+    if not 1 <= lamp <= count:
+        place = f"setups.{lighting.name}.lamps"
+        raise PlanRefused(
+            wrong(str(setup.path), place, "there is no such lamp", lamp, f"1 to {count}")
+        )
+    return replace(lighting, lamps=(lighting.lamps[lamp - 1],))
 
 
 def hung_text(found: HungLamps) -> str:
@@ -191,9 +208,11 @@ def _notes(plan: Lighting, fitted: FittedLamps) -> list[str]:
                 f"{lamp.name} would stand {turned:.0f}° from its plan, which is hardly so: measure the angle. "
                 "The lens, or a white that is not flat, may be taken for light."
             )
-    notes.append(
-        "One white cannot tell a strong far lamp from a weak near one: where it is silent, the plan is kept."
-    )
+    if len(lamps) > 1:
+        notes.append(
+            "One white cannot tell a strong far lamp from a weak near one: where it is silent, the plan is kept. "
+            "A white under each lamp alone (--lamp 1, --lamp 2) tells each one's place two or three times better."
+        )
     return notes
 
 

@@ -17,6 +17,7 @@ from numba.extending import intrinsic, models, overload, register_model
 
 WIDTH = 16
 WORD, FLOAT = ir.IntType(32), ir.FloatType()
+MARKS_VECTOR = ir.VectorType(ir.IntType(8), WIDTH)
 VECTOR, BITS = ir.VectorType(FLOAT, WIDTH), ir.VectorType(ir.IntType(1), WIDTH)
 
 
@@ -30,10 +31,26 @@ class LanesType(types.Type):
 LANES = LanesType()
 
 
+class MarksType(types.Type):
+    """Numba's type of sixteen uint8."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Marks")
+
+
+MARKS = MarksType()
+
+
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, VECTOR)
+
+
+@register_model(MarksType)
+class _MarksModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, MARKS_VECTOR)
 
 
 def _pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -240,6 +257,68 @@ def lowest(_typing: Any, bits: Any) -> Any:
         return builder.zext(found, ir.IntType(64))
 
     return types.int64(types.uint16), generate
+
+
+@intrinsic
+def load_marks(_typing: Any, array: Any, index: Any) -> Any:
+    """Read sixteen bytes of a flat uint8 array from `index` on."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(_vector_pointer(context, builder, signature, arguments), align=1)
+
+    return MARKS(array, index), generate
+
+
+@intrinsic
+def store_marks(_typing: Any, array: Any, index: Any, marks: Any) -> Any:
+    """Write sixteen bytes to a flat uint8 array."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = _vector_pointer(context, builder, signature, arguments)
+        builder.store(arguments[2], pointer, align=1)
+        return context.get_dummy_value()
+
+    return types.void(array, index, marks), generate
+
+
+@intrinsic
+def no_marks(_typing: Any) -> Any:
+    """Return sixteen times 0."""
+    return MARKS(), lambda *_: ir.Constant(MARKS_VECTOR, [0] * WIDTH)
+
+
+@intrinsic
+def join(_typing: Any, a: Any, b: Any) -> Any:
+    """Return the bits that either sixteen has."""
+    return MARKS(MARKS, MARKS), lambda _context, builder, _signature, both: builder.or_(*both)
+
+
+@intrinsic
+def mark_where(_typing: Any, marks: Any, mark: Any) -> Any:
+    """Return `mark`, uint8, for each of sixteen that is not 0, and 0 for the others."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        one = ir.Constant(MARKS_VECTOR, ir.Undefined)
+        one = builder.insert_element(one, arguments[1], ir.Constant(WORD, 0))
+        order = ir.Constant(ir.VectorType(WORD, WIDTH), [0] * WIDTH)
+        nothing = ir.Constant(MARKS_VECTOR, [0] * WIDTH)
+        found = builder.icmp_unsigned("!=", arguments[0], nothing)
+        return builder.select(found, builder.shuffle_vector(one, one, order), nothing)
+
+    return MARKS(MARKS, types.uint8), generate
+
+
+@intrinsic
+def all_marks(_typing: Any, marks: Any) -> Any:
+    """Return the bits that any of sixteen has, uint8."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        name = f"llvm.vector.reduce.or.v{WIDTH}i8"
+        kind = ir.FunctionType(ir.IntType(8), [MARKS_VECTOR])
+        function = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
+        return builder.call(function, arguments)
+
+    return types.uint8(MARKS), generate
 
 
 def _arithmetic(sign: Any, name: str) -> None:

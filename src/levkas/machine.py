@@ -146,6 +146,22 @@ def find_memory() -> Finding:
     return Finding("memory", "low" if total < LEAST_MEMORY else "ok", told, "4 GB or more", purpose)
 
 
+def free_memory() -> float | None:
+    """Return bytes that this process may still take; None where nobody knows."""
+    free = _memory_bytes()[1]
+    try:
+        import resource
+    except ImportError:  # Windows
+        return free
+    held = re.search(r"VmData:\s+(\d+) kB", _text("/proc/self/status"))
+    for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS):
+        limit = resource.getrlimit(kind)[0]
+        if limit != resource.RLIM_INFINITY:
+            rest = max(0.0, limit - (float(held.group(1)) * 1024 if held else 0.0))
+            free = rest if free is None else min(free, rest)
+    return free
+
+
 def _memory_bytes() -> tuple[float | None, float | None]:
     """Total and free bytes, those of a container where one limits them."""
     total = free = None

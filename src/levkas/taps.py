@@ -12,7 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from levkas.lanes import constant, fma, look, put, whole
+from levkas.lanes import (
+    WIDTH,
+    all_marks,
+    constant,
+    fma,
+    join,
+    load_marks,
+    look,
+    mark_where,
+    no_marks,
+    put,
+    store_marks,
+    whole,
+)
 
 F = np.float32
 CUBIC, LANCZOS, LINEAR = 0, 1, 2
@@ -315,26 +328,66 @@ def pass_flags(planes, result, frame, kind, at, wide_x, wide_y, b, count, to, sc
     near_x = min(max(fx + (1 if x >= 0.5 else 0), 0), frame.width - 1)
     near_y = min(max(fy + (1 if y >= 0.5 else 0), 0), frame.height - 1)
     least = LIGHTEST * (peak(u, columns) * peak(v, rows))
-    flags, out, gone = planes.flags, result.flags, np.uint8(0)
-    p = ((near_y - frame.top) * frame.width + near_x) * frame.bands + b
-    for i in range(count):
-        flag = look(flags, p + i)
-        gone |= flag
-        put(out, to + i, flag)
+    flags, out, step = planes.flags, result.flags, frame.bands
+    p = ((y0 - frame.top) * frame.width + x0) * step + b
+    wide, own = frame.width * step, p + ((near_y - y0) * frame.width + near_x - x0) * step
+    gone = np.uint8(0)
+    if count < WIDTH:
+        for i in range(count):
+            gone |= pass_one(
+                flags, p + i, own + i, step, wide, u, v, columns, rows, least, out, to + i
+            )
+        return gone & OUTSIDE == 0
+    taps = np.empty(rows * columns, np.int64)
+    heavy, light = sort_taps(taps, p, own, step, wide, u, v, columns, rows, least)
+    for block in range(0, count, WIDTH):
+        i = min(block, count - WIDTH)
+        passed = there = no_marks()
+        for k in range(heavy):
+            passed = join(passed, load_marks(flags, look(taps, k) + i))
+        for k in range(light, taps.size):
+            there = join(there, load_marks(flags, look(taps, k) + i))
+        marks = load_marks(flags, own + i)
+        gone |= all_marks(join(join(there, passed), marks))
+        store_marks(out, to + i, join(join(marks, passed), mark_where(passed, NEAR)))
+    return gone & OUTSIDE == 0
+
+
+@njit
+def sort_taps(taps, p, own, step, wide, u, v, columns, rows, least):
+    """Write where taps are that weigh `least` or more to the front, and other ones to the back.
+
+    Returns how many are in front, and where those at the back begin.
+    """
+    heavy, light = 0, taps.size
     for r in range(rows):
         for k in range(columns):
-            weight = abs(v[r] * u[k])
-            if weight == 0.0 or (x0 + k == near_x and y0 + r == near_y):
+            weight, tap = abs(v[r] * u[k]), p + r * wide + k * step
+            if weight == 0.0 or tap == own:
                 continue
-            p = ((y0 + r - frame.top) * frame.width + x0 + k) * frame.bands + b
-            bits = NEAR if weight >= least else np.uint8(0)
-            passed = np.uint8(255) if weight >= least else np.uint8(0)
-            for i in range(count):
-                flag = look(flags, p + i)
-                gone |= flag
-                more = np.uint8((flag & passed) | (bits if flag != 0 else np.uint8(0)))
-                put(out, to + i, np.uint8(look(out, to + i) | more))
-    return gone & OUTSIDE == 0
+            if weight >= least:
+                put(taps, heavy, tap)
+                heavy += 1
+            else:
+                light -= 1
+                put(taps, light, tap)
+    return heavy, light
+
+
+@njit
+def pass_one(flags, p, own, step, wide, u, v, columns, rows, least, out, to):
+    """Hand on the flags of one band, taps from flat index `p` on; return all that are there."""
+    there = flag = look(flags, own)
+    for r in range(rows):
+        for k in range(columns):
+            weight, tap = abs(v[r] * u[k]), p + r * wide + k * step
+            if weight != 0.0 and tap != own:
+                mark = look(flags, tap)
+                there |= mark
+                if weight >= least and mark != 0:
+                    flag |= mark | NEAR
+    put(out, to, flag)
+    return there
 
 
 @njit

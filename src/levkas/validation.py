@@ -31,7 +31,7 @@ from levkas.database.manifest import (
     plain,
     read_manifest,
 )
-from levkas.files import hash_file
+from levkas.digests import hash_file
 from levkas.machine import count_threads
 from levkas.problems import Problem
 

@@ -50,7 +50,7 @@ from levkas.taps import Nodes as Nodes
 from levkas.taps import Planes as Planes
 from levkas.taps import Result as Result
 
-HELPERS = "fba3074cdd30192e"
+HELPERS = "864a22c86e5ca192"
 EVERY = np.uint16(0xFFFF)
 
 
@@ -170,10 +170,15 @@ def cubic_rows(start, stop, nodes, planes, frame, result, first, count):
             line = (y - result.first) * nodes.width * step + first
             corner = split(places, at, maps, curve, pixels)
             for x in range(x0, min(x0 + length, nodes.width)):
-                t, to = F(x - x0), line + x * step
+                t, to, handed = F(x - x0), line + x * step, False
                 if shared:
                     px, rx, py, ry = place(curve, pixels, corner, 0, t)
                     u, v = spread_out(cubic(F(rx))), spread_out(cubic(F(ry)))
+                    if around.size and within(px, py, frame):
+                        handed = around[(py - frame.top) * frame.width + px] and pass_flags(
+                            planes, result, frame, CUBIC, (px, rx, py, ry), 1.0, 1.0, first,
+                            count, to, scratch,
+                        )  # fmt: skip
                 for block in range(0, count, WIDTH):
                     s = max(0, min(block, count - WIDTH))
                     todo = known
@@ -237,14 +242,14 @@ def cubic_rows(start, stop, nodes, planes, frame, result, first, count):
                             strange = np.uint16(
                                 chosen & ~equal(difference, constant(difference, 0.0))
                             )
-                            if around.size == 0 or around[pixel] == 0:
+                            if around.size == 0 or around[pixel] == 0 or handed:
                                 careful = strange
                             elif shared and strange == 0:
+                                # What is not there for one band may be there for these sixteen.
                                 spot = (px, rx, py, ry)
-                                todo_ = min(WIDTH, count)
                                 if pass_flags(
-                                    planes, result, frame, CUBIC, spot, 1.0, 1.0, first + s, todo_,
-                                    to + s, scratch,
+                                    planes, result, frame, CUBIC, spot, 1.0, 1.0, first + s,
+                                    min(WIDTH, count), to + s, scratch,
                                 ):  # fmt: skip
                                     careful = strange
                         while careful:

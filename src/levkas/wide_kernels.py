@@ -51,7 +51,7 @@ from levkas.taps import (
 )
 from levkas.taps import OUTSIDE as OUTSIDE
 
-HELPERS = "fba3074cdd30192e"
+HELPERS = "864a22c86e5ca192"
 EVERY = np.uint16(0xFFFF)
 LOBES = (F(2.0), F(3.0), F(1.0))
 """Reach of the kernels that `taps` counts, in taps."""
@@ -164,12 +164,16 @@ def sum_all(source, at, wide, step, near, u, v, columns, rows, sums, n):
         share = load(v, r * WIDTH)
         for block in range(0, n, WIDTH):
             s, c, line = min(block, n - WIDTH), nothing, nothing
+            p = at + s + r * wide
             if near >= 0:
                 c = load(source, near + s)
-            p = at + s + r * wide
-            for k in range(columns):
-                line = fma(splat(look(u, k * WIDTH)), load(source, p) - c, line)
-                p += step
+                for k in range(columns):
+                    line = fma(splat(look(u, k * WIDTH)), load(source, p) - c, line)
+                    p += step
+            else:
+                for k in range(columns):
+                    line = fma(splat(look(u, k * WIDTH)), load(source, p), line)
+                    p += step
             total = fma(share, line, nothing if r == 0 else load(sums, block))
             store(sums, block, total + c if r == rows - 1 else total)
 
@@ -291,7 +295,7 @@ def wide_rows(start, stop, nodes, planes, frame, result, first, count, kind, wid
                     put(widths, axis * n + m, F(min(max(1.0, wanted), widest)))
             for x in range(x0, min(x0 + length, nodes.width)):
                 t, to = F(x - x0), line + x * step
-                laid = False
+                laid = flagged = handed = False
                 for block in range(0, count, WIDTH):
                     s = max(0, min(block, count - WIDTH))
                     m = 0 if shared else s
@@ -358,6 +362,12 @@ def wide_rows(start, stop, nodes, planes, frame, result, first, count, kind, wid
                                         noise, corner_, wide, step, -1, uu, vv, columns, lines,
                                         spreads, count,
                                     )  # fmt: skip
+                            if suspect.size and not laid:
+                                flagged = any_suspect(suspect, frame, left, above, columns, lines)
+                                handed = shared and flagged and pass_flags(
+                                    planes, result, frame, kind, (px, rx, py, ry), look(widths, 0),
+                                    look(widths, n), first, count, line + x * step, scratch,
+                                )  # fmt: skip
                             laid = shared
                             if together:
                                 values = load(sums, block)
@@ -376,17 +386,14 @@ def wide_rows(start, stop, nodes, planes, frame, result, first, count, kind, wid
                                 write(out_noise, to + s, spread, chosen)
                             strange = np.uint16(chosen & not_finite(values))
                             careful = strange
-                            if suspect.size and any_suspect(
-                                suspect, frame, left, above, columns, lines
-                            ):
-                                careful = chosen
-                            if shared and careful and not strange:
-                                spot = place(curve, pixels, corner, 0, t)
-                                if pass_flags(
+                            if flagged and not handed:
+                                # What is not there for one band may be there for these sixteen.
+                                spot = (px, rx, py, ry)
+                                if strange or not shared or not pass_flags(
                                     planes, result, frame, kind, spot, look(widths, 0),
                                     look(widths, n), first + s, min(WIDTH, count), to + s, scratch,
                                 ):  # fmt: skip
-                                    careful = np.uint16(0)
+                                    careful = chosen
                         while careful:
                             b = lowest(careful)
                             careful = np.uint16(careful & (careful - 1))

@@ -10,7 +10,7 @@ import tifffile
 
 import levkas
 from levkas.building import build, status, summarise
-from levkas.files import hash_tree
+from levkas.digests import hash_tree
 from levkas.problems import Refused
 
 KEYS = """

@@ -41,7 +41,8 @@ from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-from levkas.files import hash_tree, to_json
+from levkas.digests import hash_tree
+from levkas.plain_json import to_json
 from levkas.problems import Refused
 from levkas.validation import validate
 

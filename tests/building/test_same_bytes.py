@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from levkas.building import build, summarise
-from levkas.files import hash_tree
+from levkas.digests import hash_tree
 from levkas.machine import count_threads, tile_rows
 
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks/same_bytes.py"

@@ -5,18 +5,19 @@ import shutil
 import numpy as np
 import pytest
 
-from levkas import files
+from levkas import disk
 from levkas.building import build, registering, scans, streaming, summarise
 from levkas.building.developing import develop
-from levkas.building.scans import is_streamed, open_scan
+from levkas.building.held_lines import HeldLines
+from levkas.building.scans import Scan, is_streamed, open_scan
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign import load_campaign
 from levkas.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
 from levkas.database.spooling import write_rows
+from levkas.digests import hash_tree
 from levkas.discovery import find_captures
-from levkas.files import hash_tree
 from levkas.simulation import simulate_campaign
 from levkas.transforms import Affine
 from levkas.warping import warp
@@ -102,6 +103,26 @@ def test_rows_are_resampled_as_the_whole_is(scan_and_cube, monkeypatch, tmp_path
     assert not list(tmp_path.iterdir())
 
 
+def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypatch):
+    scan, cube = scan_and_cube
+    asked, lines = [], Scan.lines
+
+    def noting(self, start, stop, into=None):
+        asked.append((start, stop))
+        return lines(self, start, stop, into)
+
+    monkeypatch.setattr(Scan, "lines", noting)
+    held = HeldLines(scan)
+    spans = [(0, 9), (5, 12), (11, 30), (12, 20), (3, 8), (40, 44), (42, 43)]
+    for start, stop in spans:
+        part = held.hold(start, stop)
+        assert np.array_equal(part.values, cube.values[start:stop])
+        assert np.array_equal(part.flags, cube.flags[start:stop])
+        variance = np.square(cube.sigma[start:stop])
+        assert np.array_equal(part.sigma, variance, equal_nan=True)
+    assert asked == [(0, 9), (9, 12), (12, 30), (3, 8), (40, 44)]
+
+
 def test_a_scan_that_lies_askew_is_refused(scan_and_cube, monkeypatch, tmp_path):
     scan, cube = scan_and_cube
     askew = Affine(np.array([[0.7, -0.7, 0], [0.7, 0.7, 0]]))
@@ -182,7 +203,7 @@ def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
 
 
 def test_a_full_disk_is_foreseen_before_a_stage_writes(simulated, tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "_free_bytes", lambda folder: 50_000)
+    monkeypatch.setattr(disk, "_free_bytes", lambda folder: 50_000)
     report = summarise(build(simulated, output=tmp_path / "database"))
     first = report.problems[0]
     assert first.code == "E_DISK_FULL" and first.found == "50000 bytes free"

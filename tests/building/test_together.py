@@ -12,7 +12,8 @@ import pytest
 from levkas.building import build, status, summarise
 from levkas.building.ledger import Key, Ledger
 from levkas.building.turns import in_turn
-from levkas.files import PARTIAL, hash_tree
+from levkas.digests import hash_tree
+from levkas.files import PARTIAL
 from levkas.validation import validate
 
 BUILD = """

@@ -3,7 +3,7 @@ import subprocess
 import pytest
 
 from levkas.database.manifest import NAME, list_files, read_manifest, write_manifest
-from levkas.files import hash_file
+from levkas.digests import hash_file
 
 
 @pytest.fixture

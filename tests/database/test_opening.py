@@ -16,7 +16,8 @@ from levkas.database.catalogue import (
 from levkas.database.credits import Credits
 from levkas.database.layers import Layer, centres_of, write_layer
 from levkas.database.spectral_tiff import read_stiff, write_stiff
-from levkas.files import hash_file, hash_tree, write_json
+from levkas.digests import hash_file, hash_tree
+from levkas.files import write_json
 from levkas.rounding import round_sigma
 
 

@@ -10,7 +10,8 @@ from levkas import files
 from levkas.cube import Band, Cube, Flag
 from levkas.database import store
 from levkas.database.store import chunks_of, write_index, write_layer_store, writing_layer
-from levkas.files import WriteRefused, hash_tree
+from levkas.digests import hash_tree
+from levkas.disk import WriteRefused
 
 
 def cube_of(height=70, width=90, bands=5, *, seed=0, sigma=True):

@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 import levkas
 from levkas.cli import app
 from levkas.database.spectral_tiff import read_tiff_pages
+from levkas.digests import hash_tree
 from levkas.exporting import export
 from levkas.exporting.hdf5 import USER_BLOCK, lookup3
 from levkas.exporting.layer import ExportLayer, ExportRefused
 from levkas.exporting.run import FORMS
-from levkas.files import hash_tree
 
 WAVES = (420.0, 500.5, 610.0, 700.0)
 

@@ -64,6 +64,18 @@ def test_a_weak_lamp_is_found_in_a_captured_white(captured, mosaic):
     assert record["drop"] > record["planned_drop"] + 0.03
 
 
+def test_a_white_under_one_lamp_alone_is_fitted_to_that_one(captured):
+    shifts = np.zeros((2, 7))
+    shifts[0, 0], shifts[1, 3] = -40, 1.0  # the first is off, the second 6 % farther away
+    white = captured("white.tif", shifts)
+    record = json.loads(run(white, "--black", 300, "--lamp", 2, "--json").stdout)
+    (lamp,), (error,) = record["lamps"], record["uncertainties"]
+    assert lamp["distance_mm"] == pytest.approx(2230, abs=2 * error["distance_mm"])
+    assert error["place_mm"] < 150 and record["explained"]
+    said = run(white, "--lamp", 3)
+    assert said.exit_code == 1 and "1 to 2" in said.stderr
+
+
 def test_what_is_printed_can_be_put_into_the_setup_file(captured, rewritten):
     from levkas.planning import load_setup
 

@@ -1,5 +1,7 @@
 """The lamps' model fitted to a simulated measured white."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,42 @@ def test_a_weak_lamp_is_found_out(bench):
     one, other = found.lighting.lamps
     assert one.candela / other.candela < 0.9 and len(found.moved) == 2
     assert found.drop > 0.1
+
+
+def misses(found, hung):
+    """How far each lamp is from where it hangs, and by how much it is said to be, mm."""
+    pairs = zip(hung.lamps, found.lighting.lamps, strict=True)
+    return [np.linalg.norm(a.place - b.place) for a, b in pairs], [e.place_mm for e in found.errors]
+
+
+@pytest.mark.parametrize("far", [1.0, 2.0])
+def test_how_far_lamps_are_off_is_known_also_where_they_hang_far_from_the_plan(bench, far):
+    plan, away, said, planned = bench.lighting(), [], [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        hung = moved_lighting(plan, rng.normal(0, far, (2, 7)))
+        found = fit_lamps(measured(hung, bench.object.size_mm, rng), plan, bench.object)
+        assert found.residual < 0.015
+        one, other = misses(found, hung)
+        away, said = away + one, said + other
+        planned += [
+            np.linalg.norm(a.place - b.place) for a, b in zip(hung.lamps, plan.lamps, strict=True)
+        ]
+    errors = np.array(away) / np.array(said)
+    assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.3
+    assert np.mean(away) < 0.7 * np.mean(planned)
+
+
+def test_a_lamp_that_shines_alone_is_placed_far_better(bench):
+    plan = bench.lighting()
+    plan = replace(plan, lamps=plan.lamps[:1])
+    away = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        hung = moved_lighting(plan, rng.normal(0, 1, (1, 7)))
+        white = measured(hung, bench.object.size_mm, rng, shape=(480, 630))
+        away += misses(fit_lamps(white, plan, bench.object), hung)[0]
+    assert np.mean(away) < 70  # of 240 by which it misses its plan
 
 
 def test_a_dark_white_is_refused(bench):

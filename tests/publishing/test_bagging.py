@@ -2,7 +2,7 @@ import bagit
 import pytest
 
 import levkas
-from levkas.files import hash_tree
+from levkas.digests import hash_tree
 from levkas.publishing import run
 from levkas.publishing.publication import PublishRefused
 from levkas.validation import validate

@@ -1,7 +1,8 @@
 import pytest
 
 from levkas.database.manifest import NAME, write_manifest
-from levkas.files import WriteRefused, hash_tree
+from levkas.digests import hash_tree
+from levkas.disk import WriteRefused
 from levkas.publishing.facts import licence_of, read_facts
 from levkas.publishing.publication import PublishRefused
 from levkas.validation import validate

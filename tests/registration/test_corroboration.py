@@ -125,3 +125,18 @@ def test_nothing_is_voted_for_among_matches_at_random():
     turn, growth = rng.uniform(0, 360, 150), np.exp(rng.normal(0, 0.5, 150))
     found = vote(p, q, growth, turn, np.ones(150), 400)
     assert found is None or found.sum() < 25
+
+
+def test_one_right_match_in_two_hundred_is_found():
+    rng = np.random.default_rng(4)
+    count, right = 6000, 30
+    p, q = rng.uniform(0, 400, (2, count, 2))
+    growth, turn = np.exp(rng.normal(0, 0.7, count)), rng.uniform(0, 360, count)
+    p[:right] = rng.uniform(100, 300, (right, 2))
+    q[:right] = 1.3 * p[:right] @ np.array([[0.0, 1], [-1, 0]]) + (500, 20)
+    q[:right] += rng.normal(0, 2, (right, 2))
+    growth[:right] = 1.3 * np.exp(rng.normal(0, 0.1, right))
+    turn[:right] = 90 + rng.normal(0, 6, right) + 180 * rng.integers(0, 2, right)
+    found = vote(p, q, growth, turn, rng.uniform(0, 1, count), 400)
+    assert found[:right].mean() > 0.8
+    assert found[right:].sum() < 20

@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy import ndimage
+from scipy import ndimage, spatial
 
 from levkas.registration.chromatic import fit_chromatic, still
-from levkas.registration.initial import KeyPictures, _inverted, _mirrored, start
+from levkas.registration.initial import start
+from levkas.registration.key_points import Detector, KeyPictures, inverted, mirrored
 from levkas.registration.ladder import RUNGS, climb
 from levkas.registration.models import Observations, fit_polynomial, fit_similarity, temper
 from levkas.registration.prediction import condense, rooted
@@ -96,6 +99,32 @@ def test_ladder_takes_the_lens_for_a_lens_and_not_more_than_an_affine_for_an_aff
     assert error.mean() < 0.02
 
 
+def test_windows_that_share_pixels_do_not_vouch_for_a_richer_model():
+    points, truth = lattice(18), Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
+    cell = float(np.ptp(np.unique(points[:, 0]))) / 17
+    overfit, sound = 0, 0
+    for seed in range(4):
+        noise = RNG(seed).normal(0, 0.5, (20, 20, 2))
+        tent = np.array([0.25, 0.5, 0.25])
+        for axis in (0, 1):  # each window takes in its neighbours, as three cells across do
+            noise = np.apply_along_axis(np.convolve, axis, noise, tent, "valid")
+        seen = observed(truth, points, RNG(seed), noise=0.01)
+        seen = replace(seen, target=seen.target + noise.reshape(-1, 2))
+        rungs = list(RUNGS)
+        overfit += rungs.index(climb(seen, spacing=60).name.partition("+spline")[0]) > 2
+        sound += climb(seen, spacing=60, apart=2.01 * cell).name in rungs[:3]
+    assert overfit >= 3
+    assert sound >= 3
+
+
+def test_a_map_from_elsewhere_stands_where_windows_know_less():
+    points, truth = lattice(6), Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
+    seen = observed(truth, points, RNG(1), noise=2.0)
+    assert climb(seen, spacing=60, coarse=True, standing=truth).transform is truth
+    off = Affine(np.array([[1.1, 0.02, 14], [-0.01, 1.09, 7]]))
+    assert climb(seen, spacing=60, coarse=True, standing=off).transform is not off
+
+
 def test_sigma_of_the_jackknife_is_of_the_size_of_the_true_error():
     points = lattice(18)
     truth = Affine(np.array([[1.0, 0.02, 4], [-0.01, 1.0, 7]]))
@@ -173,8 +202,34 @@ def test_key_points_find_mirrored_turned_and_inverted_pictures():
 
 def test_descriptor_permutations_are_involutions():
     d = RNG(8).random((3, 128)).astype(np.float32)
-    assert np.array_equal(_inverted(_inverted(d)), d)
-    assert np.array_equal(_mirrored(_mirrored(d)), d)
+    assert np.array_equal(inverted(inverted(d)), d)
+    assert np.array_equal(mirrored(mirrored(d)), d)
+
+
+def test_edges_know_no_sign():
+    picture = texture(RNG(3), (240, 320), 4.0)
+    ours, theirs = (KeyPictures([image]).at(1000)[Detector.EDGES] for image in (picture, -picture))
+    assert len(ours.positions) > 100
+    near = spatial.cKDTree(theirs.positions).query(ours.positions)[0]
+    assert (near < 0.01).mean() > 0.98
+
+
+def test_a_patchwork_whose_contrast_turns_here_and_there_is_found():
+    """Patches of two pictures have nothing to do with one another; their edges lie alike."""
+    rng = RNG(8)
+    seeds, rows = rng.uniform(0, 1, (160, 2)) * (300, 400), np.mgrid[0:300, 0:400]
+    near = np.argmin(((rows.reshape(2, -1, 1) - seeds.T[:, None]) ** 2).sum(0), 1).reshape(300, 400)
+    pictures = []
+    for _ in range(2):
+        patches = rng.uniform(0.1, 0.9, 160)[near] + rng.normal(0, 0.01, near.shape)
+        pictures.append(ndimage.gaussian_filter(patches, 1.0).astype(np.float32))
+    turned = np.ascontiguousarray(np.rot90(pictures[1])[20:, :280])
+    found = start(KeyPictures([pictures[0]]), KeyPictures([turned]))
+    assert found is not None
+    x, y = np.meshgrid(np.arange(40.0, 360, 40), np.arange(40.0, 260, 40))
+    points = np.stack([x.ravel(), y.ravel()], 1)
+    truth = np.stack([points[:, 1], 399 - points[:, 0] - 20], 1)
+    assert np.median(np.linalg.norm(found.transform(points) - truth, axis=1)) < 2
 
 
 def test_unrelated_pictures_have_no_start():

@@ -9,6 +9,7 @@ from PIL import Image
 
 from levkas.database.tiff_pages import open_pages
 from levkas.mapping import find_map
+from levkas.viewing.pictures import shown_band
 
 from .database import CAMERAS
 
@@ -52,6 +53,27 @@ def shown_colour(page, x, y):
 
 def rendered(viewer, camera, x, y):
     return open_pages(viewer / f"objects/icon1/icon1_{camera}.tif").read_render()[y, x].astype(int)
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_three_chosen_bands_are_red_green_and_blue(browser, viewer, address, how):
+    page = open_object(browser, address(how))
+    page.get_by_label("Picture in A").select_option("mix")
+    for ink, band in zip(("red", "green", "blue"), (6, 3, 0), strict=True):
+        page.get_by_label(f"Band shown as {ink} in A").select_option(str(band))
+    page.wait_for_function("() => levkasViewer.layers.chosen.a.picture.key === 'mix-6-3-0'")
+    page.wait_for_function(SETTLED)
+    page.wait_for_timeout(400)
+    pages = open_pages(viewer / "objects/icon1/icon1_vis.tif")
+    shown = [shown_band(pages.read_page(band))[0] for band in (6, 3, 0)]
+    for x, y in ((25, 25), (95, 65), (105, 75)):
+        expected = [int(image[y, x]) for image in shown]
+        assert np.abs(shown_colour(page, x, y) - expected).max() < 40
+    assert "660 nm / 540 nm / 420 nm" in page.locator("#caption").inner_text()
+    # The address holds it.
+    page.wait_for_function("() => location.hash.includes('mix-6-3-0')")
+    again = open_object(browser, page.url)
+    assert again.get_by_label("Band shown as green in A").input_value() == "3"
 
 
 @pytest.mark.parametrize("how", FLIGHTS)

@@ -249,7 +249,7 @@ def test_a_page_that_nobody_touches_draws_nothing(bench):
     page.wait_for_timeout(500)
     assert page.evaluate("drawn") == 0
     page.keyboard.press("+")
-    page.wait_for_function("drawn > 1")
+    page.wait_for_function("() => window.drawn > 1")
 
 
 def test_the_trace_is_scrubbed_and_its_curve_leads_there(bench):
@@ -338,6 +338,47 @@ def test_curtain_flicker_difference_checker_and_red_cyan_show_both_pictures(benc
     page.wait_for_function("() => levkasWorkbench.stage.flicker.running")
     page.keyboard.up(" ")
     page.wait_for_function("!levkasWorkbench.stage.flicker.running")
+
+
+def test_the_overlay_follows_a_pair_while_it_is_dragged(bench):
+    page, server = bench
+    choose_worst(page)
+    page.keyboard.press("2")
+    page.wait_for_function(READY)
+    pair = told(page, "pair(levkasWorkbench.store.selected)")
+    start = page.evaluate(
+        "(() => { const s = levkasWorkbench.stage; return s.left.pageOf(...s.seenAt(levkasWorkbench.store.pair(levkasWorkbench.store.selected))); })()"
+    )
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + 60, start[1] + 10, steps=4)
+    page.wait_for_function("() => levkasWorkbench.stage.left.addresses[1].includes('map=trial')")
+    assert server.edits == FrameEdits()
+    page.mouse.up()
+    assert told(page, "told.state.length") == 242  # where it was found, and where it lies now
+    (moved,) = server.edits.moved
+    assert (
+        moved[:4] == pytest.approx(pair, abs=0.011)
+        and np.abs(np.subtract(moved[6:], pair[2:])).max() > 5
+    )
+    page.wait_for_function("() => !levkasWorkbench.stage.left.addresses[1].includes('map=trial')")
+
+
+def test_any_band_and_three_as_colours_are_shown(bench):
+    page, _ = bench
+    assert page.locator(".pane").nth(1).locator(".bands").is_hidden()  # a radiograph has one
+    before = page.locator(".pane").first.screenshot()
+    page.get_by_label("Band of the reference picture").select_option("0")
+    page.wait_for_function("() => levkasWorkbench.stage.left.addresses[0].includes('bands=0')")
+    page.get_by_label("Band of the reference picture").select_option("three")
+    page.wait_for_function("() => levkasWorkbench.stage.left.addresses[0].includes('bands=2,1,0')")
+    page.get_by_label("Band shown as red, reference picture").select_option("1")
+    page.wait_for_function("() => levkasWorkbench.stage.left.addresses[0].includes('bands=1,1,0')")
+    page.wait_for_function(READY)
+    assert page.locator(".pane").first.screenshot() != before
+    page.evaluate("() => document.activeElement.blur()")
+    page.keyboard.press(">")
+    page.wait_for_function("() => levkasWorkbench.stage.left.addresses[0].includes('bands=2')")
 
 
 def test_points_are_saved_and_come_back(bench, tmp_path):

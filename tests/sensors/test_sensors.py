@@ -250,3 +250,27 @@ def test_a_mirror_scanner_tells_its_noise_whatever_the_light_does_from_line_to_l
     assert found.prnu.value == pytest.approx(0.012, rel=0.05)
     assert found.dark_noise.value == pytest.approx(3 / 0.4, rel=0.03)
     assert not sensor.light and any("mirror scanner" in note for note in sensor.notes)
+
+
+def test_a_camera_that_bends_and_a_white_that_saturates_are_told(tmp_path):
+    rng, raw = np.random.default_rng(5), tmp_path / "raw"
+    raw.mkdir()
+    scene = np.kron(np.linspace(0.3, 0.9, 16).reshape(4, 4), np.ones((48, 48)))
+    for target, electrons in (("dark", 0.0), ("white", 200_000.0), ("panel", 30_000.0)):
+        for time in (0.25, 0.5, 1.0):
+            for shot in "ab":
+                light = rng.poisson(electrons * time * scene) * 0.1
+                seen = light - 0.2 * light**2 / 4000 + rng.normal(64, 2, scene.shape)
+                path = raw / f"{target}_{shot}_{time}s.tif"
+                codes = np.full(scene.shape, 4095.0) if target == "white" else np.rint(seen)
+                tifffile.imwrite(path, codes.astype(np.uint16), photometric="minisblack")
+    text = CAMPAIGN.format(more='exposures = "best"').replace(
+        "_{shot}.tif", "_{shot}_{exposure}s.tif"
+    )
+    (tmp_path / "campaign.toml").write_text(text)
+    (sensor,) = examine_with_seed(tmp_path).sensors
+    told = " / ".join(sensor.notes)
+    assert "counts do not scale between exposures" in told and "at one time" in told
+    assert "white is saturated everywhere" in told
+    (_, found), *_ = sensor.linearity
+    assert found.offset == 0 and found.rms > 0.015

@@ -1,5 +1,6 @@
 // The list of layers, and which picture of which layer stands in A and in B.
 import { make } from "../element";
+import { bandsOf, isMix, mix, mixKey, proposeMix } from "./mixing";
 import type { Layer, Legend, PageRecord, Picture } from "./record";
 import type { Slot } from "./stage";
 
@@ -32,7 +33,8 @@ export class LayerList {
     if (!layer) return;
     const before = this.chosen[slot]?.picture;
     const picture =
-      layer.pictures.find((p) => p.key === key) ??
+      (key ? pictureOf(layer, key) : undefined) ??
+      (before && before.kind === "mix" ? pictureOf(layer, proposeMix(layer) ?? "") : undefined) ??
       (before && before.kind === "band" ? nearestBand(layer, this.chosen[slot]!, before) : undefined) ??
       layer.pictures.find((p) => p.key === before?.key) ??
       layer.pictures[0];
@@ -68,7 +70,7 @@ export class LayerList {
     const number = this.layers.indexOf(layer) + 1;
     const shown = layer.pictures.length > 0;
     const picture = layer.thumbnail ? make("img", { src: layer.thumbnail.split("/").map(encodeURIComponent).join("/"), alt: "", width: 44, height: 44, loading: "lazy" }) : make("span", { class: "empty" });
-    const title = make("span", { class: "first" }, make("span", { class: "layer-name" }, layer.name), make("span", { class: `badge ${layer.decision}` }, layer.verdict));
+    const title = make("span", { class: "first" }, make("span", { class: "layer-name", title: layer.name }, layer.name), make("span", { class: `badge ${layer.decision}` }, layer.verdict));
     const words = make("span", { class: "words" }, title, make("span", { class: "soft" }, describe(layer)));
     const a = make("button", { type: "button", class: "layer", "aria-pressed": "false", disabled: !shown, "aria-label": `Show ${layer.name}, ${describe(layer)}, ${layer.verdict}` }, picture, words, number > 0 && number < 10 ? make("kbd", { "aria-hidden": "true" }, String(number)) : null);
     const b = make("button", { type: "button", class: "second", "aria-pressed": "false", disabled: !shown, "aria-label": `Compare with ${layer.name}`, title: "Compare: put into B" }, "B");
@@ -95,6 +97,8 @@ class Picker {
   private readonly note = make("p", { class: "note soft" });
   private readonly legend = make("div", { class: "legend" });
   private readonly bandLine = make("div", { class: "band-line" });
+  private readonly mixLine = make("div", { class: "band-line mix" });
+  private readonly inks: HTMLSelectElement[];
   private layer: Layer | null = null;
 
   constructor(slot: Slot, private readonly onPick: (picture: Picture) => void) {
@@ -102,25 +106,33 @@ class Picker {
     this.select.setAttribute("aria-label", `Picture in ${name}`);
     this.slider.setAttribute("aria-label", `Band in ${name}`);
     this.bandLine.append(this.slider);
-    this.element = make("div", { class: `picker picker-${slot}`, hidden: true }, make("div", { class: "picker-line" }, make("span", { class: `slot slot-${slot}`, "aria-hidden": "true" }, name), this.select), this.bandLine, this.note, this.legend);
-    this.select.addEventListener("change", () => {
-      const picture = this.layer?.pictures.find((p) => p.key === this.select.value);
-      if (picture) this.onPick(picture);
-    });
+    this.inks = ["red", "green", "blue"].map((ink) => make("select", { class: ink, "aria-label": `Band shown as ${ink} in ${name}` }));
+    this.mixLine.append(...this.inks);
+    for (const ink of this.inks) ink.addEventListener("change", () => this.pickKey(mixKey(this.inks.map((one) => Number(one.value)))));
+    this.element = make("div", { class: `picker picker-${slot}`, hidden: true }, make("div", { class: "picker-line" }, make("span", { class: `slot slot-${slot}`, "aria-hidden": "true" }, name), this.select), this.bandLine, this.mixLine, this.note, this.legend);
+    this.select.addEventListener("change", () => this.pickKey(this.select.value === MIX ? ((this.layer && proposeMix(this.layer)) ?? "") : this.select.value));
     this.slider.addEventListener("input", () => {
       const picture = this.bands[Number(this.slider.value)];
       if (picture) this.onPick(picture);
     });
   }
 
+  private pickKey(key: string): void {
+    const picture = this.layer && pictureOf(this.layer, key);
+    if (picture) this.onPick(picture);
+  }
+
   show({ layer, picture }: Choice): void {
     if (this.layer !== layer) {
       this.layer = layer;
+      for (const ink of this.inks) ink.replaceChildren(...bandsOf(layer).map(({ number, picture: band }) => make("option", { value: number }, band.label)));
       this.select.replaceChildren(...groupsOf(layer));
       this.slider.max = String(Math.max(0, this.bands.length - 1));
     }
     this.element.hidden = false;
-    this.select.value = picture.key;
+    this.select.value = isMix(picture.key) ? MIX : picture.key;
+    this.mixLine.hidden = picture.kind !== "mix";
+    if (picture.kind === "mix") picture.key.split("-").slice(1).forEach((number, i) => (this.inks[i]!.value = number));
     this.bandLine.hidden = picture.kind !== "band" || this.bands.length < 2;
     if (picture.kind === "band") this.slider.value = String(this.bands.indexOf(picture));
     this.slider.setAttribute("aria-valuetext", picture.label);
@@ -133,12 +145,20 @@ class Picker {
   }
 }
 
+const MIX = "mix";
+
+/** A picture of a layer by its key, or a mixture of three of its bands. */
+function pictureOf(layer: Layer, key: string): Picture | undefined {
+  return isMix(key) ? mix(layer, key) : layer.pictures.find((p) => p.key === key);
+}
+
 const GROUPS: [Picture["kind"], string][] = [["colour", "As seen"], ["light", "Under another light"], ["map", "How far to trust it"], ["band", "Single bands"]];
 
 function groupsOf(layer: Layer): HTMLElement[] {
   return GROUPS.map(([kind, label]) => {
-    const pictures = layer.pictures.filter((p) => p.kind === kind);
-    return pictures.length ? make("optgroup", { label }, ...pictures.map((p) => make("option", { value: p.key }, p.label))) : null;
+    const options = layer.pictures.filter((p) => p.kind === kind).map((p) => make("option", { value: p.key }, p.label));
+    if (kind === "colour" && proposeMix(layer)) options.push(make("option", { value: MIX }, "False colour of three bands…"));
+    return options.length ? make("optgroup", { label }, ...options) : null;
   }).filter((group) => group !== null);
 }
 

@@ -9,7 +9,9 @@ export interface Legend {
 export interface Picture {
   key: string;
   label: string;
-  kind: "colour" | "light" | "band" | "map";
+  kind: "colour" | "light" | "band" | "map" | "mix";
+  /** Of a mixture: its red, green and blue part. */
+  mixed?: Picture[];
   note: string;
   legend: Legend | null;
   folder: string;

@@ -3,6 +3,7 @@ import OpenSeadragon from "openseadragon";
 import { make } from "../element";
 import { Curtain } from "./curtain";
 import { Flicker } from "./flicker";
+import { mixedSource } from "./mixing";
 import type { Picture } from "./record";
 
 export type Slot = "a" | "b";
@@ -349,7 +350,7 @@ function hasGraphicsCard(): boolean {
 }
 
 function tileSource(picture: Picture): OpenSeadragon.TileSourceOptions {
-  const address = picture.folder.split("/").map(encodeURIComponent).join("/");
+  const addressOf = (part: Picture, level: number, x: number, y: number): string => `${part.folder.split("/").map(encodeURIComponent).join("/")}/${level}/${x}_${y}.${part.format}`;
   return {
     width: picture.width,
     height: picture.height,
@@ -357,7 +358,8 @@ function tileSource(picture: Picture): OpenSeadragon.TileSourceOptions {
     tileOverlap: picture.overlap,
     minLevel: picture.least,
     maxLevel: picture.most,
-    getTileUrl: (level: number, x: number, y: number) => `${address}/${level}/${x}_${y}.${picture.format}`,
+    getTileUrl: (level: number, x: number, y: number) => addressOf(picture, level, x, y),
+    ...(picture.mixed ? mixedSource(picture.mixed, addressOf) : {}),
   } as unknown as OpenSeadragon.TileSourceOptions;
 }
 

@@ -123,8 +123,9 @@ function build(store: Store): void {
   store.listen(() => {
     const { frame, told } = store;
     if (!frame || !told) return;
-    title.textContent = `${frame.object} · ${frame.camera}`;
-    document.title = `${frame.object} · ${frame.camera} · Levkas workbench`;
+    const name = [frame.object, frame.camera, frame.sensor].filter(Boolean).join(" · ");
+    title.textContent = name;
+    document.title = `${name} · Levkas workbench`;
     undo.disabled = told.can.undo === 0;
     redo.disabled = told.can.redo === 0;
     which.value = store.map;
@@ -146,8 +147,9 @@ function drawCameras(nav: HTMLElement, store: Store, open: (id: string) => Promi
       const button = make(
         "button",
         { type: "button", "aria-current": row.id === store.frame?.id ? "true" : null, title: row.reason },
-        make("span", { class: "name" }, row.camera),
-        row.reference ? make("span", { class: "soft" }, "reference") : make("span", { class: `badge ${row.decision}` }, DECISIONS[row.decision] ?? row.decision),
+        make("span", { class: "name" }, row.sensor ? `${row.camera} · ${row.sensor}` : row.camera),
+        make("span", { class: "soft of" }, [row.setup && `under ${row.setup}`, row.bands].filter(Boolean).join(", ")),
+        row.reference ? make("span", { class: "badge reference" }, "Reference") : make("span", { class: `badge ${row.decision}` }, DECISIONS[row.decision] ?? row.decision),
       );
       button.addEventListener("click", () => void open(row.id));
       return make("li", {}, button);
@@ -185,6 +187,7 @@ function allKeys(store: Store, stage: Stage, table: PairTable, pair: PairCard, s
     { keys: ["Space"], words: "hold to flicker in an overlay", match: plain(" "), act: () => stage.hold(true), release: () => stage.hold(false) },
     { keys: ["F"], words: "fit the whole picture", match: plain("f", "F"), act: () => stage.left.fit() },
     { keys: ["+", "-"], words: "zoom", match: plain("+", "-", "="), act: (event) => stage.left.zoom(event.key === "-" ? 1 / 1.5 : 1.5) },
+    { keys: [",", "."], words: "band before, after in the picture to register; with Shift in the reference", match: (e) => !e.ctrlKey && !e.metaKey && !e.altKey && [",", ".", ";", ":", "<", ">"].includes(e.key), act: (event) => stage.stepBand(event.shiftKey || ";:<>".includes(event.key) ? "left" : "right", [".", ":", ">"].includes(event.key) ? 1 : -1) },
     { keys: ["[", "]"], words: "previous, next camera", match: plain("[", "]"), act: (event) => step(event.key === "]" ? 1 : -1) },
     { keys: ["?"], words: "this page", match: plain("?"), act: help },
   ];

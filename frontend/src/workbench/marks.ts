@@ -80,7 +80,7 @@ export function paintPairs(context: CanvasRenderingContext2D, told: Told, select
   ring(context, x, y, style.getPropertyValue("--gold").trim() || "#d9b45b", 2.5);
 }
 
-export function paintProposal(context: CanvasRenderingContext2D, partner: Partner, part: 0 | 2, place: Place): void {
+export function paintProposal(context: CanvasRenderingContext2D, partner: Pick<Partner, "pair" | "predicted" | "sure">, part: 0 | 2, place: Place): void {
   const [x, y] = place(partner.pair[part], partner.pair[part + 1]!);
   const [a, b] = place(partner.predicted[part], partner.predicted[part + 1]!);
   line(context, [a, b], [x, y]);
@@ -93,6 +93,19 @@ export function paintProposal(context: CanvasRenderingContext2D, partner: Partne
       context.lineTo(x + 14 * dx, y + 14 * dy);
     }
     context.stroke();
+  }
+}
+
+/** The chosen pair in an overlay: its place in the reference, and the handle of the other one. */
+export function paintHandle(context: CanvasRenderingContext2D, here: Point, there: Point): void {
+  line(context, here, there);
+  const style = getComputedStyle(document.documentElement);
+  ring(context, here[0], here[1], "#fff", 4);
+  ring(context, here[0], here[1], style.getPropertyValue("--gold").trim() || "#d9b45b", 2);
+  for (const [colour, width] of [["#000a", 4], ["#fff", 1.6]] as const) {
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    context.strokeRect(there[0] - 4, there[1] - 4, 8, 8);
   }
 }
 

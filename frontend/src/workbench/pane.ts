@@ -5,6 +5,7 @@ import type { Point } from "./record";
 
 const TILE = 256;
 const STILL_PX = 0.02;
+const PATIENCE_MS = 1500; // for new tiles, before the old ones go all the same
 
 export interface Layer {
   address: string;
@@ -14,8 +15,12 @@ export interface Layer {
 export class Pane {
   readonly viewer: OpenSeadragon.Viewer;
   readonly canvas = make("canvas", { class: "marks", "aria-hidden": "true" });
+  /** The line under the picture: its name, and what can be chosen of it. */
+  readonly foot = make("div", { class: "foot" });
+  readonly label = make("span", { class: "label" });
   readonly host: HTMLElement;
   layers: OpenSeadragon.TiledImage[] = [];
+  private addresses: string[] = [];
   onClick: (x: number, y: number, event: MouseEvent) => void = () => {};
   onDrag: (x: number, y: number, done: boolean) => void = () => {};
   grab: (x: number, y: number) => boolean = () => false;
@@ -30,7 +35,9 @@ export class Pane {
     this.host = make("div", { class: "pane", role: "group", "aria-label": name });
     this.viewer = openViewer(this.host);
     this.viewer.canvas.setAttribute("aria-label", `${name}: drag to pan, wheel or + and - to zoom`);
-    this.host.append(this.canvas);
+    this.label.textContent = name;
+    this.foot.append(this.label);
+    this.host.append(this.canvas, this.foot);
     for (const event of ["animation", "resize", "open", "zoom", "pan", "rotate", "update-viewport"] as const)
       this.viewer.addHandler(event, () => this.redraw());
     for (const event of ["animation", "animation-finish"] as const) this.viewer.addHandler(event, () => this.onView());
@@ -61,27 +68,39 @@ export class Pane {
     new ResizeObserver(() => this.redraw()).observe(this.host);
   }
 
-  /** Show layers, the first one below; what was there stays until they are loaded. */
-  async show(layers: Layer[]): Promise<void> {
+  set name(words: string) {
+    this.label.textContent = words;
+  }
+
+  /** Show layers, the first one below; with patience what was there stays until they are loaded. */
+  async show(layers: Layer[], patient: boolean): Promise<void> {
+    const addresses = layers.map((layer) => layer.address);
+    if (addresses.join() === this.addresses.join()) return;
     const mine = ++this.generation;
-    const old = this.layers;
+    const [old, before] = [this.layers, this.addresses];
     const made: OpenSeadragon.TiledImage[] = [];
-    for (const layer of layers) made.push(await this.add(layer));
+    for (const [i, address] of addresses.entries()) made.push(old[before.indexOf(address)] ?? (await this.add(layers[i]!, patient)));
+    const fresh = made.filter((image) => !old.includes(image));
+    if (patient) await Promise.race([Promise.all(fresh.map(loaded)), wait(PATIENCE_MS)]);
     if (mine !== this.generation) {
-      for (const image of made) this.viewer.world.removeItem(image);
+      for (const image of fresh) this.viewer.world.removeItem(image);
       return;
     }
-    this.layers = made;
+    [this.layers, this.addresses] = [made, addresses];
     this.size = layers[0]?.size ?? this.size;
-    for (const image of old) this.viewer.world.removeItem(image);
+    made.forEach((image, i) => this.viewer.world.setItemIndex(image, this.viewer.world.getItemCount() - made.length + i));
+    for (const image of made) image.setOpacity(1);
+    for (const image of old) if (!made.includes(image)) this.viewer.world.removeItem(image);
     this.redraw();
   }
 
-  private add(layer: Layer): Promise<OpenSeadragon.TiledImage> {
+  private add(layer: Layer, hidden: boolean): Promise<OpenSeadragon.TiledImage> {
     const most = Math.max(0, Math.ceil(Math.log2(Math.max(...layer.size) / TILE)));
     const [path, query] = layer.address.split("?");
     return new Promise((resolve, reject) => {
       this.viewer.addTiledImage({
+        opacity: hidden ? 0 : 1,
+        preload: hidden,
         tileSource: {
           width: layer.size[0],
           height: layer.size[1],
@@ -186,6 +205,18 @@ export class Pane {
   private toViewport(x: number, y: number): OpenSeadragon.Point {
     return new OpenSeadragon.Point((x + 0.5) / this.size[0], (y + 0.5) / this.size[0]);
   }
+}
+
+/** Until all tiles in view are there. */
+function loaded(image: OpenSeadragon.TiledImage): Promise<void> {
+  return new Promise((resolve) => {
+    if (image.getFullyLoaded()) resolve();
+    else image.addOnceHandler("fully-loaded-change", () => resolve());
+  });
+}
+
+function wait(ms: number): Promise<void> {
+  return new Promise((resolve) => setTimeout(resolve, ms));
 }
 
 function openViewer(element: HTMLElement): OpenSeadragon.Viewer {

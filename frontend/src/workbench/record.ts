@@ -3,11 +3,19 @@
 export type Pair = [number, number, number, number];
 export type Point = [number, number];
 
+export interface BandInfo {
+  label: string;
+  wavelength: number | null;
+}
+
 export interface CameraRow {
   id: string;
   object: string;
   title: string;
   camera: string;
+  setup: string;
+  sensor: string;
+  bands: string;
   reference: boolean;
   decision: string;
   reason: string;
@@ -18,8 +26,11 @@ export interface FrameInfo {
   id: string;
   object: string;
   camera: string;
+  sensor: string;
   band: string;
-  reference: { camera: string; band: string };
+  bands: BandInfo[];
+  reference: { camera: string; band: string; bands: BandInfo[] };
+  is_reference: boolean;
   size: Point;
   target_size: Point;
   px_per_mm: number | null;

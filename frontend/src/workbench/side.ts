@@ -50,7 +50,7 @@ export class VerdictCard {
   private sum(): string[] {
     const { frame, told } = this.store;
     const { kept, pairs, mean, max, checks, check_mean } = told!.summary;
-    if (frame!.camera === frame!.reference.camera) return ["This is the camera that all others are registered to. Its own bands are brought together by the registration; there are no pairs to correct."];
+    if (frame!.is_reference) return ["This is the camera that all others are registered to. Its own bands are brought together by the registration; there are no pairs to correct."];
     if (told!.refusal || mean === null)
       return [pairs === 0 ? "No place was recognised in both pictures. Click a place that you can find in both, and Enter; " : `${kept} of at least ${ENOUGH} pairs. `, `${ENOUGH} pairs are enough for a new registration.`];
     const words = [`${kept} places are recognised in both pictures. A simple map through them is off by ${length(mean, frame!.px_per_mm)} on average, by ${length(max, frame!.px_per_mm)} at worst.`];

@@ -2,10 +2,11 @@
 import OpenSeadragon from "openseadragon";
 import { Curtain } from "../viewer/curtain";
 import { Flicker } from "../viewer/flicker";
-import { get } from "./api";
+import { get, post } from "./api";
 import { invert, mapOf, turnAndScale, type Map2 } from "./maps";
+import { BandPicker } from "./bands";
 import { Pane, type Layer } from "./pane";
-import { paintPairs, paintProposal } from "./marks";
+import { paintHandle, paintPairs, paintProposal } from "./marks";
 import type { Pair, Partner, Point } from "./record";
 import type { Store } from "./store";
 
@@ -33,9 +34,13 @@ export class Stage {
   readonly flicker: Flicker;
   readonly curtain: Curtain;
   drawn: Drawn | null = null;
+  readonly bands = { left: new BandPicker("reference picture"), right: new BandPicker("picture to register") };
   private shown = "";
+  private offered = "";
+  private trial = { number: 0, asked: null as [Pair, Pair | null] | null, busy: false };
   private leading: Pane | null = null;
   private moving: Pair | null = null;
+  private dragged: Pair | null = null;
 
   constructor(private readonly host: HTMLElement, private readonly store: Store) {
     this.left = new Pane("Reference picture", store.frame!.size);
@@ -43,6 +48,8 @@ export class Stage {
     host.append(this.left.host, this.right.host);
     this.flicker = new Flicker((shown) => this.layer?.setOpacity(shown === "b" ? 1 : 0));
     this.curtain = new Curtain(this.left.host, () => this.clip());
+    this.left.foot.append(this.bands.left.root);
+    this.right.foot.append(this.bands.right.root);
     this.wire();
     store.listen(() => this.update());
   }
@@ -71,6 +78,9 @@ export class Stage {
     this.right.host.hidden = mode !== "side";
     this.flicker.stop();
     this.curtain.shown = mode === "curtain";
+    // In an overlay both pictures are chosen under the one that is there.
+    const foot = mode === "side" ? this.right.foot : this.left.foot;
+    foot.append(this.right.label, this.bands.right.root);
     void this.load().then(() => {
       requestAnimationFrame(() => {
         this.left.viewer.forceResize();
@@ -95,7 +105,22 @@ export class Stage {
     }
   }
 
+  /** Show the band before or after in one of the pictures. */
+  stepBand(side: "left" | "right", by: number): void {
+    this.bands[side].step(by);
+  }
+
   update(): void {
+    const { frame, proposal } = this.store;
+    if (frame && this.offered !== frame.id) {
+      this.offered = frame.id;
+      this.bands.left.offer(frame.reference.bands, frame.reference.band);
+      this.bands.right.offer(frame.bands, frame.band);
+      this.left.name = `${frame.reference.camera}, the reference`;
+      this.right.name = [frame.camera, frame.sensor].filter(Boolean).join(" · ");
+    }
+    if (!proposal && !this.moving) this.trial.number = 0;
+    else if (proposal && this.mode !== "side") void this.attempt(proposal.pair, null);
     void this.load();
     this.left.redraw();
     this.right.redraw();
@@ -106,17 +131,19 @@ export class Stage {
     const { frame, told, map } = this.store;
     if (!frame || !told) return;
     const tiles = `${this.store.path}/tiles`;
-    const warped = `map=${map}&v=${map === "built" ? "built" : told.version}`;
+    const { number } = this.trial;
+    const warped = number ? `map=trial&v=${number}` : `map=${map}&v=${map === "built" ? "built" : told.version}`;
     const tint = this.mode === "redcyan";
-    const wanted: Layer[] = [{ address: `${tiles}/reference?${tint ? "tint=red" : ""}`, size: frame.size }];
-    if (this.mode !== "side") wanted.push({ address: `${tiles}/warped?${warped}${tint ? "&tint=cyan" : ""}`, size: frame.size });
-    const key = JSON.stringify([frame.id, wanted]);
+    const [ours, theirs] = [`bands=${this.bands.left.query}`, `bands=${this.bands.right.query}`];
+    const wanted: Layer[] = [{ address: `${tiles}/reference?${ours}${tint ? "&tint=red" : ""}`, size: frame.size }];
+    if (this.mode !== "side") wanted.push({ address: `${tiles}/warped?${warped}&${theirs}${tint ? "&tint=cyan" : ""}`, size: frame.size });
+    const target: Layer = { address: `${tiles}/target?${theirs}`, size: frame.target_size };
+    const key = JSON.stringify([frame.id, wanted, target]);
     if (this.shown !== key) {
       const fresh = this.shown === "" || !this.shown.includes(frame.id);
       this.shown = key;
-      await this.left.show(wanted);
+      await Promise.all([this.left.show(wanted, !fresh), this.right.show([target], !fresh)]);
       if (fresh) {
-        await this.right.show([{ address: `${tiles}/target?`, size: frame.target_size }]);
         this.right.fit();
         this.left.fit();
         this.follow(this.left);
@@ -199,12 +226,14 @@ export class Stage {
       this.follow(this.left);
     };
     this.right.onView = () => this.follow(this.right);
+    for (const picker of [this.bands.left, this.bands.right]) picker.onChange = () => void this.load();
     for (const [pane, part] of [[this.left, 0], [this.right, 2]] as const) {
       pane.paint = (context) => this.paint(context, pane, part);
       pane.onClick = (x, y) => void this.click(pane, part, x, y);
       pane.grab = (x, y) => {
         const pair = this.store.pair(this.store.selected);
-        const near = pair !== null && this.mode === "side" && this.isNear(pane, [pair[part], pair[part + 1]!], [x, y]);
+        const at: Point = pair && this.mode !== "side" ? this.seenAt(pair) : [pair?.[part] ?? NaN, pair?.[part + 1] ?? NaN];
+        const near = pair !== null && this.isNear(pane, at, [x, y]);
         this.moving = near ? pair : null;
         return near;
       };
@@ -212,25 +241,60 @@ export class Stage {
     }
   }
 
+  /** The chosen pair in an overlay: both of its places lie in one picture. */
+  private paintChosen(context: CanvasRenderingContext2D, place: (x: number, y: number) => Point): void {
+    const pair = this.dragged ?? this.store.pair(this.store.selected);
+    if (pair) paintHandle(context, place(pair[0], pair[1]), place(...this.seenAt(pair)));
+  }
+
   private isNear(pane: Pane, a: Point, b: Point): boolean {
     return Math.hypot(a[0] - b[0], a[1] - b[1]) * pane.scale < HIT;
+  }
+
+  /** Let the overlay show at once what the map would be if a pair lay there; one question at a time, the newest. */
+  private async attempt(pair: Pair, to: Pair | null): Promise<void> {
+    this.trial.asked = [pair, to];
+    if (this.trial.busy) return;
+    this.trial.busy = true;
+    try {
+      while (this.trial.asked) {
+        const [from, there] = this.trial.asked;
+        this.trial.asked = null;
+        const told = await post<{ trial: number }>(`${this.store.path}/attempt`, { pair: from, to: there });
+        if (!this.moving && !this.store.proposal) continue;
+        this.trial.number = told.trial;
+        await this.load();
+      }
+    } catch (error) {
+      this.store.refuse(error);
+    }
+    this.trial.busy = false;
+  }
+
+  /** Where the target's place of a pair lies in the reference's frame, by the map that is shown. */
+  private seenAt(pair: Pair): Point {
+    return this.map?.(pair[2], pair[3]) ?? [pair[0], pair[1]];
   }
 
   private drag(part: 0 | 2, x: number, y: number, done: boolean): void {
     if (!this.moving) return;
     const to = [...this.moving] as Pair;
-    [to[part], to[part + 1]] = [x, y];
+    if (this.mode === "side") [to[part], to[part + 1]] = [x, y];
+    else if (this.map) [to[2], to[3]] = invert(this.map, [x, y], [this.moving[2], this.moving[3]]);
+    part = this.mode === "side" ? part : 2;
     const far = Math.max(Math.abs(to[part] - this.moving[part]), Math.abs(to[part + 1]! - this.moving[part + 1]!)) > 0.05;
     if (done) {
       const from = this.moving;
-      this.moving = null;
+      [this.moving, this.dragged] = [null, null];
+      this.trial.number = 0;
       if (far) void this.store.edit({ operation: "move", pair: from, to }, to);
+      else this.update();
       return;
     }
-    this.store.proposal = { pair: to, predicted: to, shift: [0, 0], length: 0, length_mm: null, score: 1, sure: true };
+    if (this.mode !== "side") void this.attempt(this.moving, to);
+    this.dragged = to;
     this.left.redraw();
     this.right.redraw();
-    this.store.proposal = null;
   }
 
   private async click(pane: Pane, part: 0 | 2, x: number, y: number): Promise<void> {
@@ -255,7 +319,8 @@ export class Stage {
     }
     try {
       const from = part === 0 ? "reference" : "target";
-      const asked = `${this.store.path}/partner?x=${x.toFixed(3)}&y=${y.toFixed(3)}&from=${from}&map=${this.store.map}`;
+      const bands = `reference=${this.bands.left.query}&target=${this.bands.right.query}`;
+      const asked = `${this.store.path}/partner?x=${x.toFixed(3)}&y=${y.toFixed(3)}&from=${from}&map=${this.store.map}&${bands}`;
       const partner = await get<Partner>(asked);
       this.store.refused = "";
       [this.store.proposal, this.store.measured] = this.mode === "side" ? [partner, null] : [null, partner];
@@ -279,7 +344,9 @@ export class Stage {
     }
     const place = (x: number, y: number): Point => pane.placeOf(x, y);
     if (this.mode === "side" || this.drawn) paintPairs(context, told, selected, part, place, this.map);
-    const partner = proposal ?? measured;
+    else if (part === 0) this.paintChosen(context, place);
+    const held = this.dragged && this.mode === "side" ? { pair: this.dragged, predicted: this.moving ?? this.dragged, sure: true } : null;
+    const partner = held ?? proposal ?? measured;
     if (partner) paintProposal(context, partner, part, place);
   }
 }

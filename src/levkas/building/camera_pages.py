@@ -105,7 +105,7 @@ class CameraPages:
     ) -> tuple[list[ChartMeasure], list[Problem], list[Path]]:
         from levkas.building.camera_files import write_chart
         from levkas.building.charting import develop_chart, measure_capture, problems_of
-        from levkas.files import WriteRefused
+        from levkas.disk import WriteRefused
         from levkas.radiometry.charts import chart_of, reference_of
 
         made_files: list[Path] = []

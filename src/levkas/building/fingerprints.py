@@ -50,6 +50,7 @@ CODE = {
     "resample": (
         "rounding.py",
         "building/streaming.py",
+        "building/held_lines.py",
         "building/default_setup.py",
         "warping.py",
         "warping_kernels.py",

@@ -73,7 +73,7 @@ def declared_points(campaign: Campaign, capture: Capture) -> dict[str, Given]:
 
 def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
     """Return what a registration's fingerprint says of the points."""
-    from levkas.files import hash_file
+    from levkas.digests import hash_file
 
     path = points_file(campaign, capture)
     if path is None:

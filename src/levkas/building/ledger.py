@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
-from levkas.files import hash_file, make_folder, remove, to_json, write_json
+from levkas.digests import hash_file
+from levkas.files import make_folder, remove, write_json
+from levkas.plain_json import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

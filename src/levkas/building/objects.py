@@ -15,6 +15,7 @@ import numpy as np
 
 from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
+from levkas.building.fitting import ran_out, require_memory
 from levkas.building.ledger import Key, Ledger
 from levkas.building.standing import Standing, is_of_the_disk
 from levkas.building.steps import Step
@@ -259,6 +260,8 @@ class ObjectBuild:
                 return stages[stage](key, prints, capture, native, why)
         except Refused as refused:
             return self._failed(key, refused)
+        except MemoryError as error:
+            return self._failed(key, ran_out(capture, error))
 
     def _failed(self, key: Key, refused: Refused) -> Step:
         """Return the step of a refused stage; what it made before stays where only the disk refused."""
@@ -266,12 +269,16 @@ class ObjectBuild:
             self.ledger.forget(key)
         return _refused(key, refused)
 
-    def _write(self, key: Key, write: Callable[[], Step], *, wait: bool = False) -> Future[Step]:
+    def _write(
+        self, key: Key, capture: Capture, write: Callable[[], Step], *, wait: bool = False
+    ) -> Future[Step]:
         def attempt() -> Step:
             try:
                 return write()
             except Refused as refused:
                 return self._failed(key, refused)
+            except MemoryError as error:
+                return self._failed(key, ran_out(capture, error))
 
         job = self._writer.submit(attempt)
         if wait:
@@ -311,9 +318,12 @@ class ObjectBuild:
         from levkas.building.native import Native, PackedSigma, least_bytes, write_native
         from levkas.building.scans import is_streamed, open_scan
         from levkas.building.streaming import write_scan
-        from levkas.files import require_space, together
+        from levkas.disk import require_space
+        from levkas.files import together
 
         streamed = is_streamed(capture, self.campaign)
+        if not streamed:
+            require_memory(capture, self.campaign.cameras[capture.camera].kind)
         made = (open_scan if streamed else develop)(capture, self.campaign, self.shelf)
         native.append(made.without_sigma())
         if isinstance(made, Native):
@@ -342,7 +352,7 @@ class ObjectBuild:
             self.ledger.keep(key, prints, files, **notes)
             return Step(key, "done", why, warnings=made.warnings)
 
-        return self._write(key, write, wait=streamed)
+        return self._write(key, capture, write, wait=streamed)
 
     def _register(
         self,
@@ -412,11 +422,19 @@ class ObjectBuild:
         with together(partial(self.ledger.forget, key)):
             write_json(path, record)
             files = [path]
+            tables = {}
             if registration is not None:
-                write_text(table, registering.table_of(registration))
-                files.append(table)
-            elif table.is_file():
-                remove(table)
+                tables = {table: registration.matches} | {
+                    self.places.matches(self.name, capture.layer, sensor): matches
+                    for sensor, matches in registration.others.items()
+                }
+            for place, matches in tables.items():
+                write_text(place, registering.table_of(matches))
+                files.append(place)
+            names = [self.places.matches(self.name, capture.layer, s.name) for s in capture.sensors]
+            for place in sorted({table, *names} - tables.keys()):
+                if place.is_file():
+                    remove(place)
         problems = _verdict_problems(record, capture, refused)
         figures = []
         if registration is not None:
@@ -450,7 +468,8 @@ class ObjectBuild:
         from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
         from levkas.building.scans import Scan
         from levkas.database.layers import Layer, write_layer
-        from levkas.files import make_folder, require_space
+        from levkas.disk import require_space
+        from levkas.files import make_folder
 
         grid, sampling, _ = self._frame(native if capture is self.reference else [])
         here = self._native(capture, native)
@@ -478,6 +497,7 @@ class ObjectBuild:
         if isinstance(here, Scan):
             return self._write(
                 key,
+                capture,
                 partial(self._stream, key, here, capture, layer, decision, grid, keep),
                 wait=True,
             )
@@ -507,7 +527,7 @@ class ObjectBuild:
             grey = grey_of(cube.values, cube.flags)
             return keep(entry, files, grey, count_flags(cube.flags), glare=glare, ranges=ranges)
 
-        return self._write(key, write)
+        return self._write(key, capture, write)
 
     def _stream(
         self,

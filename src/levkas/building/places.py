@@ -42,9 +42,10 @@ class Places:
         """Registration record of one layer."""
         return self.folder(name) / "registration" / f"{layer}.json"
 
-    def matches(self, name: str, layer: str) -> Path:
-        """Matches of one layer."""
-        return self.folder(name) / "registration" / f"{layer}.matches.csv"
+    def matches(self, name: str, layer: str, sensor: str = "") -> Path:
+        """Matches of one layer; `sensor` names another than its first."""
+        stem = ".".join(part for part in (layer, sensor) if part)
+        return self.folder(name) / "registration" / f"{stem}.matches.csv"
 
     def store(self, name: str) -> Path:
         """Zarr store of an object."""

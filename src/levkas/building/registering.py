@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from levkas.gridding import Grid
     from levkas.registration import BandImage, Trace
     from levkas.registration.given import Given
+    from levkas.registration.record import Matches
 
 FEWEST_PX = 16
 """A band smaller than this has nothing to register by."""
@@ -94,6 +95,7 @@ def _enlarged(found: Registration, factor: int) -> Registration:
         found,
         transforms={label: Composed(one, grow) for label, one in found.transforms.items()},
         matches=replace(found.matches, target=grow(found.matches.target)),
+        others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
         trace=None,
     )
 
@@ -186,12 +188,12 @@ def record_of(
     return {**record, **{k: told[k] for k in keep}, "bands": bands}
 
 
-def table_of(registration: Registration) -> str:
-    """Return CAMERA.matches.csv."""
+def table_of(matches: Matches) -> str:
+    """Return CAMERA.matches.csv, or that of another sensor than the first."""
     from levkas.registration.record import COLUMNS
 
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows(registration.matches.rows())
+    writer.writerows(matches.rows())
     return text.getvalue()

@@ -160,25 +160,24 @@ class Scan:
         """Return [width, height] of any band."""
         return [self.shape[1], self.shape[0]]
 
-    def lines(self, start: int, stop: int) -> Cube:
-        """Calibrate lines `start` to `stop`; the same values for any block that they are part of."""
+    def lines(self, start: int, stop: int, into: Cube | None = None) -> Cube:
+        """Calibrate lines `start` to `stop`; the same values for any block that they are part of.
+
+        They are written to the arrays of `into`, of as many lines, where it is given.
+        """
+        whole = self.room(stop - start) if into is None else into
         step = lines_at_once(self.shape)
-        if start + step >= stop:
-            return self._block(start, stop)
-        shape = (stop - start, *self.shape[1:])
-        values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
-        sigma = np.empty(shape, np.float32) if self.has_sigma else None
-        whole = Cube(values, flags, sigma, self.bands, self.quantity)
         for y in range(start, stop, step):
-            rows = slice(y - start, min(y + step, stop) - start)
-            part = replace(
-                whole,
-                values=values[rows],
-                flags=flags[rows],
-                sigma=None if sigma is None else sigma[rows],
-            )
-            self._block(y, min(y + step, stop), part)
+            last = min(y + step, stop)
+            self._block(y, last, rows_of(whole, y - start, last - start))
         return whole
+
+    def room(self, lines: int) -> Cube:
+        """Return arrays for so many lines, not filled."""
+        shape = (lines, *self.shape[1:])
+        sigma = np.empty(shape, np.float32) if self.has_sigma else None
+        values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+        return Cube(values, flags, sigma, self.bands, self.quantity)
 
     def blocks(self) -> Iterator[Cube]:
         """Yield all lines, some at a time."""
@@ -404,6 +403,13 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
         tuple(f"{where}: {doubt}" for doubt in doubts_of(bench)),
         {sensor.name: sensor.align},
     )
+
+
+def rows_of(cube: Cube, start: int, stop: int) -> Cube:
+    """Return rows `start` to `stop` of a cube, in its memory."""
+    rows = slice(start, stop)
+    sigma = None if cube.sigma is None else cube.sigma[rows]
+    return replace(cube, values=cube.values[rows], flags=cube.flags[rows], sigma=sigma)
 
 
 def lines_at_once(shape: tuple[int, int, int]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.files import DISK_CODES
+from levkas.disk import DISK_CODES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

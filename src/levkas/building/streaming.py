@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from levkas.building.held_lines import HeldLines
 from levkas.building.measuring import add_counts, flag_and_count, ranges_of
 from levkas.building.resampling import count_flags, grey_of
 from levkas.cube import Band, Cube, Flag
@@ -200,10 +201,11 @@ def _in_rows(
     step = tile_rows(strip, height)
     tops = range(0, height, step)
     laid: dict[int, PixelMap] = {}
+    held = HeldLines(scan)
 
     def read(top: int) -> tuple[_Tile, Cube | None]:
         tile = _tile(scan, maps, size, (top, min(top + step, height)), strip, laid)
-        return tile, scan.lines(tile.low, tile.high) if tile.low < tile.high else None
+        return tile, held.hold(tile.low, tile.high) if tile.low < tile.high else None
 
     # The lines of the next rows are calibrated while these are written.
     with ThreadPoolExecutor(1, thread_name_prefix="ahead") as ahead:
@@ -247,7 +249,8 @@ def _tile(
 
 def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
     shape = (tile.stop - tile.top, width, scan.shape[2])
-    variance = None if lines.sigma is None else np.square(lines.sigma, out=lines.sigma)
+    """Resample; in place of sigma `lines` have its square."""
+    variance = lines.sigma
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     sigma = None if variance is None else np.empty(shape, np.float32)
     for first, pixel_map, rows in tile.parts:

@@ -16,8 +16,9 @@ from levkas.lanes import look, put
 SATURATED, BLACK, DEFECT, OUTSIDE = (
     np.uint8(f.value) for f in (Flag.SATURATED, Flag.BLACK, Flag.DEFECT, Flag.OUTSIDE)
 )
-TILE, LINES = 32, 4
-"""Samples whose bands are turned to lie innermost at once; lines that share what is known of them."""
+TILE, LINES, GROUP = 64, 4, 16
+"""Samples whose bands are turned to lie innermost at once; lines that share what is known of them;
+bands that are turned in one go."""
 
 
 @njit(cache=True, nogil=True)
@@ -36,17 +37,42 @@ def fill_share(out, signal, measured, freedom, share, gain, read):
         out[i] = share * one_shot(signal[i], np.float64(measured[i]), freedom, gain, read)
 
 
+@njit
+def turn(raw, y, x0, count, codes):
+    """Copy `count` samples of a line from `x0` on to `codes`, bands innermost."""
+    bands = raw.shape[2]
+    for b0 in range(0, bands, GROUP):
+        last = min(b0 + GROUP, bands)
+        for k in range(count):
+            for b in range(b0, last):
+                put(codes, k * bands + b, raw[y, x0 + k, b])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def develop_lines(
-    start, stop, raw, dark, lit, scale, shares, base, noise, limits, drops, values, flags, sigma
+    start,
+    stop,
+    raw,
+    dark,
+    share_of_white,
+    factor,
+    shares,
+    base,
+    noise,
+    limits,
+    drops,
+    values,
+    flags,
+    sigma,
 ):
     """Fill rows `start` to `stop` of values, flags and, where its size says so, sigma.
 
     Parameters
     ----------
     raw : (lines, samples, bands), uint8 or uint16, any strides
-    dark, lit, scale : (samples·bands,), float64
-        Counts; white above its dark; reflectance of the white times the ratio of exposures.
+    dark, share_of_white, factor : (samples·bands,), float64
+        Counts; what a count above dark is of the white's, 0 where there is no white; and what it is
+        of the value.
     shares : (3, samples·bands), float64
         Variances of the means of white and of dark, the white's dark counted with the white where it
         is another one; (scale / lit)².
@@ -65,7 +91,7 @@ def develop_lines(
     keep = np.uint32((0xFFFFFFFF << drops[1]) & 0xFFFFFFFF)
     half_step = np.uint32((1 << drops[0]) >> 1)
     kept = np.uint32((0xFFFFFFFF << drops[0]) & 0xFFFFFFFF)
-    codes = np.empty(TILE * bands, np.float32)
+    codes = np.empty(TILE * bands, raw.dtype)
     spread = np.empty(bands, np.float32)
     bits = spread.view(np.uint32)
     value = np.empty(bands, np.float32)
@@ -75,24 +101,20 @@ def develop_lines(
         for x0 in range(0, samples, TILE):
             count = min(TILE, samples - x0)
             for y in range(y0, min(y0 + LINES, stop)):
-                for b in range(bands):
-                    for k in range(count):
-                        put(codes, k * bands + b, np.float32(raw[y, x0 + k, b]))
+                turn(raw, y, x0, count, codes)
                 for k in range(count):
                     i, to, c = (x0 + k) * bands, (y * samples + x0 + k) * bands, k * bands
                     for b in range(bands):
-                        code = look(codes, c + b)
+                        code = np.float32(look(codes, c + b))
                         flag = look(base, i + b) | (SATURATED if code >= high else np.uint8(0))
                         put(flags, to + b, flag | (BLACK if code <= low else np.uint8(0)))
                     for b in range(bands):
                         signal = np.float64(look(codes, c + b)) - look(dark, i + b)
-                        r = signal / look(lit, i + b)
-                        put(value, b, np.float32(r * look(scale, i + b)))
+                        put(value, b, np.float32(signal * look(factor, i + b)))
                         if sigma.size:
+                            r = signal * look(share_of_white, i + b)
                             model = read + gain * max(signal, 0.0)
-                            total = share * (PRIOR * model / PRIOR) + r * r * look(
-                                white_share, i + b
-                            )
+                            total = share * model + r * r * look(white_share, i + b)
                             if shared:
                                 total += (1.0 - r) * (1.0 - r) * look(dark_share, i + b)
                             else:
@@ -109,7 +131,7 @@ def develop_lines(
                         for b in range(bands):
                             put(sigma, to + b, look(spread, b))
     for i in range(samples * bands):
-        if lit[i] > 0.0:
+        if share_of_white[i] > 0.0:
             continue
         for y in range(start, stop):
             to = y * samples * bands + i

@@ -93,8 +93,11 @@ class LineField:
         if not shared:
             shares[0] += shares[2]
         with np.errstate(divide="ignore", invalid="ignore"):
+            share_of_white = np.where(lit > 0, 1 / lit, 0.0)
             shares[2] = np.square(table / lit)
-        tables = (means[1], lit, table, shares, flags, (gain, read, 1.0, float(shared)))
+            factor = table / lit
+        noises = (gain, read, 1.0, float(shared))
+        tables = (means[1], share_of_white, factor, shares, flags, noises)
         quantity = "counts" if white is None else "reflectance"
         return cls(shape, quantity, notes, noise is not None, tables)
 

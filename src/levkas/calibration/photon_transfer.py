@@ -243,7 +243,11 @@ def _notes(
         told.append("no shot saturates: the full well is what the converter's top code would hold")
     if best["dark_variance"] < LEAST_QUANTISED:
         told.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
-    if len({b.exposure_s for b in whites}) < 3:
+    if whites and not any(np.isfinite(b.mean).any() for b in whites):
+        told.append(
+            "the white is saturated everywhere, and tells nothing: capture it with its peak at 85 %"
+        )
+    elif len({b.exposure_s for b in whites}) < 3:
         told.append("linearity needs whites of three exposures or more")
     if (levels := sum(b.shots > 1 for b in lit)) < 5:
         told.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 asks for more")

@@ -12,7 +12,7 @@ from levkas.database.soundness import TiffFacts, damaged
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS
 from levkas.database.store import layer_name
 from levkas.database.twins import check_group
-from levkas.files import hash_file
+from levkas.digests import hash_file
 from levkas.problems import Problem
 
 BESIDE = (".flags.tif", ".sigma.tif")
@@ -181,7 +181,9 @@ def _check_listed(holdings: Holdings, entries: tuple[Entry, ...]) -> Iterator[Pr
             yield damaged(holdings.root / (layer + ending), "it is missing", code="E_MISSING")
         for name in sorted(holdings.names) if have else ():
             stem, end = name.removesuffix(ending), name.endswith(ending)
-            if end and Path(name).parent.name == "registration" and stem not in have:
+            # Another sensor than a layer's first has its matches in LAYER.SENSOR.matches.csv.
+            ours = stem in have or (ending != ".json" and stem.rpartition(".")[0] in have)
+            if end and Path(name).parent.name == "registration" and not ours:
                 fix = f"Take it away: {NAME} lists no such layer."
                 yield Problem(
                     "E_EXTRA", "this file belongs to no layer", str(holdings.root / name), fix=fix

@@ -9,7 +9,7 @@ from typing import Any
 
 from levkas.database.agreement import ALIKE
 from levkas.database.manifest import NAME, Listed, Manifest, is_partial, unfinished
-from levkas.files import hash_file
+from levkas.digests import hash_file
 from levkas.problems import Problem
 
 

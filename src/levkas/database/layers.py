@@ -17,7 +17,8 @@ from levkas.database.planes import planes_of
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import write_spectral_tiff
 from levkas.database.store import layer_name, write_layer_store
-from levkas.files import hash_file, remove, together
+from levkas.digests import hash_file
+from levkas.files import remove, together
 from levkas.rounding import SIGMA_DROP, is_rounded, round_sigma
 
 if TYPE_CHECKING:

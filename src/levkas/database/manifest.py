@@ -15,7 +15,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from levkas.files import PARTIAL, hash_file, write_changed
+from levkas.digests import hash_file
+from levkas.files import PARTIAL, write_changed
 from levkas.machine import count_threads
 from levkas.problems import Problem
 

@@ -28,7 +28,9 @@ from levkas.files import spooling, together
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from levkas.colour import Rendering
     from levkas.cube import Band, Cube
+    from levkas.database.store import LayerWriter
 
 KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
 DTYPES = {"values": np.float32, "flags": np.uint8, "sigma": np.float32}
@@ -166,6 +168,28 @@ class SpooledTiffs:
         return written
 
 
+@dataclass
+class _Rows:
+    """Writes rows to the files of a layer, one block at a time, and paints them in its picture."""
+
+    tiffs: SpooledTiffs
+    store: LayerWriter
+    rendering: Rendering
+    picture: np.ndarray
+    shown: float | None
+    _row: int = 0
+
+    def write(self, block: Cube) -> None:
+        rows = rounded(block)
+        self.tiffs.write_rows(rows)
+        self.store.write_rows(rows.values, rows.flags, rows.sigma)
+        if self.shown is None:
+            self.shown = counts_white(rows.values, self.rendering)
+        end = self._row + len(rows.values)
+        self.picture[self._row : end] = self.rendering(rows.values, white=self.shown)
+        self._row = end
+
+
 @dataclass(frozen=True)
 class RowsLayer:
     """What `write_rows` found out while the rows of a layer went by."""
@@ -211,7 +235,7 @@ def write_rows(
     shape = (size[1], size[0], len(bands))
     rendering = find_rendering(bands)
     picture = np.zeros((size[1], size[0], 3), np.uint8)
-    root, row = database / "zarr" / f"{layer.object}.zarr", 0
+    root = database / "zarr" / f"{layer.object}.zarr"
     attributes = {"quantity": quantity, **layer.attributes(quantity)}
     shown = 1.0 if quantity == "reflectance" else white
     with (
@@ -221,13 +245,18 @@ def write_rows(
             root, layer.name, shape=shape, bands=bands, attributes=attributes, sigma=sigma
         ) as store,
     ):
-        for block in blocks:
-            rows = rounded(block)
-            tiffs.write_rows(rows)
-            store.write_rows(rows.values, rows.flags, rows.sigma)
-            shown = counts_white(rows.values, rendering) if shown is None else shown
-            picture[row : row + len(rows.values)] = rendering(rows.values, white=shown)
-            row += len(rows.values)
+        passing = _Rows(tiffs, store, rendering, picture, shown)
+        # The next rows are made while these are compressed and written.
+        with ThreadPoolExecutor(1, thread_name_prefix="rows") as behind:
+            job = None
+            for block in blocks:
+                if job is not None:
+                    job.result()
+                job = behind.submit(passing.write, block)
+                del block
+            if job is not None:
+                job.result()
+        shown = passing.shown
         text = rendering.description
         if quantity != "reflectance":
             text += f"; counts, {shown:g} shown as white"

@@ -17,7 +17,8 @@ import numpy as np
 
 from levkas.cube import Band, Cube, Flag
 from levkas.database.manifest import is_partial, list_files
-from levkas.files import Folder, publishing, to_json, write_changed
+from levkas.files import Folder, publishing, write_changed
+from levkas.plain_json import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -42,7 +42,8 @@ def write_bag(published: str | Path, target: str | Path, facts: Facts) -> Iterat
     """
     from levkas.database.manifest import NAME as MANIFEST_NAME
     from levkas.database.manifest import list_files, read_manifest
-    from levkas.files import hash_file, publishing
+    from levkas.digests import hash_file
+    from levkas.files import publishing
 
     root, target = Path(published).resolve(), Path(target).resolve()
     _check_target(root, target)

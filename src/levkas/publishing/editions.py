@@ -18,7 +18,8 @@ from levkas.cube import Cube
 from levkas.database.agreement import stem_of
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
 from levkas.database.store import layer_name, write_index
-from levkas.files import hash_file, to_json
+from levkas.digests import hash_file
+from levkas.plain_json import to_json
 from levkas.publishing.content import not_whole
 from levkas.publishing.publication import PublishRefused
 from levkas.readers.texts import parse_json

@@ -39,6 +39,53 @@ LICENCES = {
     ),
 }
 """Of data sets, by SPDX's identifiers: name, and path below creativecommons.org."""
+ORGANISATIONS = frozenset(
+    [
+        "academy",
+        "archive",
+        "archives",
+        "association",
+        "authors",
+        "center",
+        "centre",
+        "college",
+        "consortium",
+        "contributors",
+        "department",
+        "foundation",
+        "galerie",
+        "gallery",
+        "gmbh",
+        "group",
+        "inc",
+        "institut",
+        "institute",
+        "institution",
+        "laboratory",
+        "library",
+        "ltd",
+        "ministry",
+        "musée",
+        "musee",
+        "museo",
+        "museum",
+        "network",
+        "office",
+        "project",
+        "society",
+        "studio",
+        "team",
+        "trust",
+        "universidad",
+        "università",
+        "universitat",
+        "universität",
+        "universite",
+        "université",
+        "university",
+    ]
+)
+"""Words, in lower case, that no person's name has."""
 
 
 @dataclass(frozen=True)
@@ -208,14 +255,34 @@ def fact_missing(facts: Facts, field: str, message: str, example: str) -> Proble
     return Problem("E_FACT_MISSING", message, file=facts.file, field=field, fix=fix)
 
 
+def is_organisation(name: str) -> bool:
+    """Whether a name is that of an organisation or a program, which no list turns to ``Family, Given``.
+
+    A name with a comma is a person's; one with a word of `ORGANISATIONS`, a digit, or no capital letter is not.
+
+    Examples
+    --------
+    >>> [is_organisation(name) for name in ("University of Eastern Finland", "levkas simulate")]
+    [True, True]
+    >>> [is_organisation(name) for name in ("Ada M. Lovelace", "Museum, Ada", "陳 大文")]
+    [False, False, False]
+    """
+    words = re.findall(r"\w+", name)
+    if "," in name or not words:
+        return False
+    plain = name.lower() == name and name.upper() != name
+    return plain or any(w.lower() in ORGANISATIONS or w.isdigit() for w in words)
+
+
 def _person(told: Any) -> Person:
     if isinstance(told, str):
-        return Person(_line(told))
+        told = {"name": told}
+    name = _line(told.get("name", ""))
     return Person(
-        _line(told.get("name", "")),
+        name,
         str(told.get("orcid", "")).removeprefix(ORCID),
         _line(told.get("affiliation", "")),
-        bool(told.get("organisation", False)),
+        bool(told.get("organisation", False)) or (not told.get("orcid") and is_organisation(name)),
     )
 
 

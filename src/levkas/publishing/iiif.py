@@ -13,7 +13,7 @@ import numpy as np
 
 from levkas.database.agreement import stem_of
 from levkas.database.store import layer_name
-from levkas.files import to_json
+from levkas.plain_json import to_json
 from levkas.problems import Problem
 from levkas.publishing.describing import describe_dataset
 from levkas.publishing.iiif_rules import check_iiif

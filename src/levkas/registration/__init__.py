@@ -117,7 +117,7 @@ def _checked(
     from levkas.registration.given import measure_checks, with_checks
 
     report: list[dict[str, Any]] = []
-    matches = found.matches
+    matches, others = found.matches, dict(found.others)
     for sensor, pairs in given.items():
         label = next((image.label for image in target if image.sensor == sensor), None)
         if label is None or not len(pairs.checks):
@@ -125,10 +125,13 @@ def _checked(
         errors = measure_checks(pairs.checks, found.transforms[label])
         if sensor == target[0].sensor:
             matches = with_checks(matches, pairs.checks, errors)
+        elif sensor in others:
+            others[sensor] = with_checks(others[sensor], pairs.checks, errors)
         report += [
             {"band": label, "reference": pair[:2].tolist(), "error": float(error)}
             for pair, error in zip(pairs.checks, errors, strict=True)
         ]
     if not report:
         return found
-    return replace(found, matches=matches, errors={**found.errors, "check_points": report})
+    told = {**found.errors, "check_points": report}
+    return replace(found, matches=matches, others=others, errors=told)

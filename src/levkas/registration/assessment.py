@@ -49,7 +49,7 @@ def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
         transforms={label: transforms[label] for label in labels},
         verdict=judge(sensors),
         errors={"bands": _band_errors(sensors), "sensors": {s.name: _numbers(s) for s in sensors}},
-        matches=_matches(sensors),
+        matches=_matches(sensors[0]),
         trace=None,
         model={
             "kind": "levkas",
@@ -67,6 +67,7 @@ def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
             ],
         },
         sigma={label: sigma[label] for label in labels},
+        others={s.name: _matches(s) for s in sensors[1:] if s.start is not None},
     )
 
 
@@ -194,8 +195,7 @@ def _band_errors(sensors: Sequence[Sensor]) -> dict[str, dict[str, float]]:
     return result
 
 
-def _matches(sensors: Sequence[Sensor]) -> Matches:
-    sensor = next((s for s in sensors if s.start is not None), sensors[0])
+def _matches(sensor: Sensor) -> Matches:
     begun, base = sensor.start, sensor.base
     if begun is None:
         return Matches.of(np.zeros((0, 2)), np.zeros((0, 2)))

@@ -12,7 +12,7 @@ from levkas.registration.initial import LONG_SIDE_PX, REACH_PX, Start, polish, r
 from levkas.transforms import Affine, Homography, Transform
 
 if TYPE_CHECKING:
-    from levkas.registration.initial import KeyPictures
+    from levkas.registration.key_points import KeyPictures
 
 CONTRADICTION_SHARE = 0.01
 LEAST_CONTRADICTION_PX = 8.0

@@ -25,13 +25,18 @@ from levkas.registration.models import (
 )
 from levkas.transforms import Transform
 
-FOLDS = 4
+#: Folds are blocks of every third row and column: nine of them.
+EVERY = 3
+FOLDS = EVERY**2
 BLOCKS = 8
+#: Side of a block, in lengths within which windows share pixels.
+LEAST_BLOCK = 3.0
 ROUNDS = 5
 GAIN = 0.01
 MOST_JUDGED = 2000
 
 Fit = Callable[[Observations], Transform]
+Folds = list[tuple[np.ndarray, np.ndarray]]
 
 #: Name → (least number of observations, fit); from the stiffest to the most yielding.
 RUNGS: dict[str, tuple[int, Fit]] = {
@@ -45,9 +50,18 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
 SPLINE_LEAST, LEDGE_LEAST = 150, 250
-COARSE = ["similarity", "affine", "quadratic", "cubic"]
+COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
+STANDING = "as it was"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A model fitted without some blocks, and the share of all information that these hold."""
+
+    transform: Transform
+    without: float
 
 
 @dataclass(frozen=True)
@@ -64,7 +78,7 @@ class Rung:
         As fitted: with the common variance floor and robust weights in their information.
     weights : ndarray, (n,)
         Robust weight of each observation, 0..1.
-    parts : tuple of Transform
+    parts : tuple of Part
         The same model fitted without each fold of blocks.
     """
 
@@ -73,7 +87,7 @@ class Rung:
     scores: dict[str, float]
     observations: Observations
     weights: np.ndarray
-    parts: tuple[Transform, ...] = ()
+    parts: tuple[Part, ...] = ()
 
     @property
     def knowledge(self) -> float:
@@ -84,25 +98,29 @@ class Rung:
         """Return one standard deviation of either axis at `points`, (n,), reference px.
 
         Delete-a-group jackknife over the folds: it sees errors that whole blocks share, which
-        residuals of single windows do not.
+        residuals of single windows do not. Without a share f of what is known, a map moves by
+        f / (1 - f) of its variance.
         """
         if not self.parts:
             return np.full(len(points), np.nan)
         jacobian = self.transform.jacobian(points)
-        places = np.stack([part(points) for part in self.parts])
-        apart = np.stack([solve_pairs(jacobian, miss) for miss in places - places.mean(0)])
-        share = (len(self.parts) - 1) / len(self.parts)
-        return np.sqrt(share * (apart**2).sum((0, 2)) / 2)
+        here, total = self.transform(points), np.zeros(len(points))
+        for part in self.parts:
+            moved = solve_pairs(jacobian, part.transform(points) - here)
+            total += (1 - part.without) / part.without * (moved**2).sum(1) / 2
+        return np.sqrt(total / len(self.parts))
 
 
 def climb(
     observations: Observations,
     *,
     spacing: float,
+    apart: float = 0.0,
     cell: float = 0.0,
     coarse: bool = False,
     reaching: bool = False,
     sure: int = 0,
+    standing: Transform | None = None,
 ) -> Rung:
     """Return the model that predicts held-out blocks best.
 
@@ -111,15 +129,19 @@ def climb(
     observations : Observations
         At least 6 of them.
     spacing : float, reference px
-        Of the spline's knots; windows closer than this share a block.
+        Of the spline's knots.
+    apart : float, reference px
+        Windows up to so far from one another, along both axes, share pixels and err alike.
     cell : float, reference px
         Side of the cells of the windows, for the term of a ledge; 0: none is tried.
     coarse : bool
-        Polynomials up to cubic only: what is left is for a finer grid.
+        Nothing richer than a cubic: what is left is for a finer grid.
     reaching : bool
         Only what is tame where nothing was observed: the map has to reach far beyond.
     sure : int
         So many of the last observations keep their weight, whatever their residual.
+    standing : Transform, optional
+        A map from elsewhere; it stays where no model predicts blocks better.
 
     Raises
     ------
@@ -133,44 +155,67 @@ def climb(
     model, tempered, weights = _robust(observations, names[-1], sure)
     # Which model is right shows in some thousands of windows; all of them decide how it lies.
     judged = tempered.part(np.arange(len(tempered)) % (1 + len(tempered) // MOST_JUDGED) == 0)
-    folds = _folds(judged.points)
-    scores: dict[str, float] = {}
-    taken, best = names[0], np.inf
+    contest = _Contest(judged, deal(judged.points, apart))
     for name in names:
-        scores[name] = _held_out(judged, folds, RUNGS[name][1])
-        if scores[name] < best * (1 - GAIN):
-            taken, best = name, scores[name]
-    fit, transform = RUNGS[taken][1], model if taken == names[-1] else None
+        contest.enter(name, *RUNGS[name])
+    if standing is not None and contest.withstands(standing):
+        return Rung(STANDING, standing, contest.scores, tempered, weights)
+    if contest.taken == names[-1]:
+        contest.fitted = model
     if not (coarse or reaching) and len(observations) >= SPLINE_LEAST:
-        under = fit
+        under = contest.taken
         for stiff in STIFF[::-1]:
-            name = f"{taken.partition('+spline')[0]}+spline({stiff:g})"
-            tried = partial(_on_top, under=under, spacing=spacing, stiff=stiff)
-            scores[name] = _held_out(judged, folds, tried)
-            if scores[name] < best * (1 - GAIN):
-                taken, best, fit, transform = name, scores[name], tried, None
+            bent = partial(_on_top, under=RUNGS[under][1], spacing=spacing, stiff=stiff)
+            contest.enter(f"{under}+spline({stiff:g})", RUNGS[under][0], bent)
         ledge = find_ledge(tempered, cell) if cell and len(observations) >= LEDGE_LEAST else None
-        for name, behind in _behind(taken, under, fit, spacing, ledge) if ledge else ():
-            scores[name] = _held_out(judged, folds, behind)
-            if scores[name] < best * (1 - GAIN):
-                taken, best, fit, transform = name, scores[name], behind, None
-    parts = () if coarse else _parts(judged, folds, fit)
-    return Rung(taken, transform or fit(tempered), scores, tempered, weights, parts)
+        for name, behind in _behind(contest, under, spacing, ledge) if ledge else ():
+            contest.enter(name, RUNGS[under][0], behind)
+    parts = () if coarse else contest.parts()
+    transform = contest.fitted or contest.fit(tempered)
+    return Rung(contest.taken, transform, contest.scores, tempered, weights, parts)
 
 
-def _behind(
-    taken: str, under: Fit, fit: Fit, spacing: float, ledge: Ledge
-) -> list[tuple[str, Fit]]:
+class _Contest:
+    """Which of several models predicts blocks best that it did not see.
+
+    `scores` by name, `taken` the name of the best so far, `fit` how it is fitted, and `fitted` itself
+    where that is known already.
+    """
+
+    def __init__(self, judged: Observations, folds: Folds) -> None:
+        self._judged, self._folds = judged, folds
+        self.scores: dict[str, float] = {}
+        self.taken = ""
+        self.fit: Fit = fit_similarity
+        self.fitted: Transform | None = None
+
+    def enter(self, name: str, least: int, fit: Fit) -> None:
+        """Try one more model, richer than those before."""
+        score = self.scores[name] = _held_out(self._judged, self._folds, least, fit)
+        if not self.taken or score < self.scores[self.taken] * (1 - GAIN):
+            self.taken, self.fit, self.fitted = name, fit, None
+
+    def withstands(self, standing: Transform) -> bool:
+        """Tell whether a map that was not fitted to any of this is as good as the best."""
+        self.scores[STANDING] = _missed(self._judged, standing)
+        return not self.scores[self.taken] < self.scores[STANDING] * (1 - GAIN)
+
+    def parts(self) -> tuple[Part, ...]:
+        """Return the best model fitted without each fold, and the share of knowledge left out."""
+        know = np.trace(self._judged.information, axis1=1, axis2=2)
+        return tuple(
+            Part(self.fit(self._judged.part(rest)), float(know[~rest].sum() / know.sum()))
+            for unseen, rest in self._folds
+            if unseen.any() and rest.sum() >= 6
+        )
+
+
+def _behind(contest: _Contest, under: str, spacing: float, ledge: Ledge) -> list[tuple[str, Fit]]:
     """What may stand behind a ledge: what was taken, without its spline, and with a stiff one."""
-    plain = taken.partition("+spline")[0]
-    stiff: Fit = partial(_on_top, under=under, spacing=spacing, stiff=STIFF[-1])
-    kinds = {plain: under, f"{plain}+spline({STIFF[-1]:g})": stiff, taken: fit}
+    plain = RUNGS[under][1]
+    stiff: Fit = partial(_on_top, under=plain, spacing=spacing, stiff=STIFF[-1])
+    kinds = {under: plain, f"{under}+spline({STIFF[-1]:g})": stiff, contest.taken: contest.fit}
     return [(f"{n}+ledge", partial(fit_behind, ledge=ledge, fit=kind)) for n, kind in kinds.items()]
-
-
-def _parts(observations: Observations, folds: np.ndarray, fit: Fit) -> tuple[Transform, ...]:
-    groups = [folds != fold for fold in range(FOLDS)]
-    return tuple(fit(observations.part(group)) for group in groups if 6 <= group.sum() < len(folds))
 
 
 def _on_top(observations: Observations, *, under: Fit, spacing: float, stiff: float) -> Transform:
@@ -195,22 +240,46 @@ def _robust(
     return model, current, weights
 
 
-def _folds(points: np.ndarray) -> np.ndarray:
+def deal(points: np.ndarray, apart: float = 0.0) -> Folds:
+    """Return (held out, fitted), masks (n,), of every fold of blocks.
+
+    Windows within `apart` of a held-out block are neither: they share pixels with what they would
+    predict.
+    """
     low, high = points.min(0), points.max(0)
-    size = max(float((high - low).max()) / BLOCKS, 1e-9)
-    block = ((points - low) / size).astype(int)
-    return (block[:, 0] + 2 * block[:, 1]) % FOLDS
+    size = max(float((high - low).max()) / BLOCKS, LEAST_BLOCK * apart, 1e-9)
+    number = _numbers(points - low, size)
+    near = np.stack([_numbers(points - low + shift, size) for shift in _around(apart)])
+    return [(number == fold, (near != fold).all(0)) for fold in range(FOLDS)]
 
 
-def _held_out(observations: Observations, folds: np.ndarray, fit: Fit) -> float:
+def _around(apart: float) -> np.ndarray:
+    steps = np.array([-apart, 0.0, apart])
+    return np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+
+
+def _numbers(offsets: np.ndarray, size: float) -> np.ndarray:
+    block = np.floor(offsets / size).astype(int) % EVERY
+    return np.asarray(block[:, 0] + EVERY * block[:, 1])
+
+
+def _missed(observations: Observations, model: Transform) -> float:
+    """Return the root mean square, reference px under the weights, by which a map misses."""
+    residuals, information = observations.residuals(model), observations.information
+    total = float(np.einsum("na,nab,nb->", residuals, information, residuals))
+    return float(np.sqrt(total / np.trace(information, axis1=1, axis2=2).sum()))
+
+
+def _held_out(observations: Observations, folds: Folds, least: int, fit: Fit) -> float:
+    """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
     total = weight = 0.0
-    for fold in range(FOLDS):
-        unseen = folds == fold
-        if not unseen.any() or (~unseen).sum() < 6:
+    for unseen, rest in folds:
+        if not unseen.any():
             continue
-        rest = observations.part(~unseen)
+        if rest.sum() < least:
+            return np.inf
         seen = observations.part(unseen)
-        residuals = seen.residuals(fit(rest))
+        residuals = seen.residuals(fit(observations.part(rest)))
         total += float(np.einsum("na,nab,nb->", residuals, seen.information, residuals))
         weight += float(np.trace(seen.information, axis1=1, axis2=2).sum()) / 2
     return float(np.sqrt(total / (2 * weight))) if weight else np.inf

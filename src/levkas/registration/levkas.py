@@ -35,7 +35,7 @@ class Reference:
     def __init__(
         self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None
     ) -> None:
-        from levkas.registration.initial import KeyPictures
+        from levkas.registration.key_points import KeyPictures
         from levkas.registration.pictures import images_of
         from levkas.registration.silhouette import find_object
 
@@ -126,7 +126,7 @@ def register_levkas(
         (``E_WINDOWS``).
     """
     from levkas.registration.assessment import assess
-    from levkas.registration.initial import KeyPictures
+    from levkas.registration.key_points import KeyPictures
     from levkas.registration.pictures import images_of
     from levkas.registration.sensors import align_sensor
     from levkas.registration.siblings import align_own

@@ -224,8 +224,11 @@ def _gauss_newton(
         slopes = np.stack(
             [(whitened(best + step * unit) - residual) / step for unit in np.eye(len(best))], 1
         )
+        if not np.isfinite(slopes).all():
+            break
         move = np.linalg.lstsq(slopes, -residual, rcond=1e-12)[0]
-        tried = whitened(best + move)
+        with np.errstate(over="ignore", invalid="ignore"):
+            tried = whitened(best + move)
         if not (np.isfinite(tried).all() and tried @ tried < residual @ residual):
             break
         small = residual @ residual - tried @ tried < 1e-9 * (residual @ residual)

@@ -225,11 +225,14 @@ class Registration:
     errors : dict
         Residual statistics, reference px, JSON-ready.
     matches : Matches
+        Of the target's first sensor; of the reference camera itself there are none.
     trace : Trace or None
     model : dict
         ``kind`` and what else describes the model, JSON-ready.
     sigma : dict of str to Sigma
         Band label → one standard deviation of where it lies; empty where a method does not know.
+    others : dict of str to Matches
+        Sensor → its matches, for the target's other sensors; empty where a method has none.
     """
 
     method: str
@@ -240,6 +243,7 @@ class Registration:
     trace: Trace | None = None
     model: dict[str, Any] = field(default_factory=dict)
     sigma: dict[str, Sigma] = field(default_factory=dict)
+    others: dict[str, Matches] = field(default_factory=dict)
 
     def to_dict(self, *, reference: str = "", target: str = "") -> dict[str, Any]:
         """Return the record of CAMERA.json; `reference` and `target` are the names of frames."""

@@ -12,15 +12,17 @@ from levkas.problems import Problem
 from levkas.registration.given import Given
 from levkas.registration.guided import guide
 from levkas.registration.initial import start
-from levkas.registration.pyramid import Task, refine
+from levkas.registration.pyramid import refine
 from levkas.registration.record import RegistrationRefused
+from levkas.registration.task import Task
 from levkas.registration.uncertainty import Sigma, measure_sigma
 from levkas.transforms import Composed, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.chromatic import Chromatic
     from levkas.registration.images import BandImage
-    from levkas.registration.initial import KeyPictures, Start
+    from levkas.registration.initial import Start
+    from levkas.registration.key_points import KeyPictures
     from levkas.registration.ladder import Rung
     from levkas.registration.prediction import Scene
     from levkas.registration.refinement import Windows
@@ -42,7 +44,7 @@ class Sensor:
         Shifts that the last round saw, before its correction.
     start : Start or None
     step : int
-        Reference px per px of the grid on which it was compared.
+        Reference px per px of the grid on which it was judged.
     evidence : dict
         How far its best band is predicted above chance.
     climbs : list of dict

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 
 LATTICE = (9, 7)
 DECIMALS = 5
-#: What four folds say of a map is this much too little, and what windows say of a band against its
-#: neighbours: blocks of one frame, and bands that look alike, err alike. Of three simulated campaigns;
-#: benchmarks/sigma.py measures both on others.
-FOLDS_FACTOR, BANDS_FACTOR = 2.4, 2.0
-#: Half of the variance of the folds is taken where it is seen, half from the whole frame: four
+#: What folds say of a map is this much too little: few of them tell a variance badly, and what errs
+#: alike over more than a block none of them shows. Of pairs of pictures (`benchmarks/pairs.py`); what
+#: windows say of a band against its neighbours, of three simulated campaigns. benchmarks/sigma.py
+#: measures both on others.
+FOLDS_FACTOR, BANDS_FACTOR = 1.4, 2.0
+#: Half of the variance of the folds is taken where it is seen, half from the whole frame: nine
 #: folds know a place badly.
 LOCAL_SHARE = 0.5
 #: Radius of the circle that holds nine of ten errors, in sigmas of one axis: sqrt(2 ln 10).

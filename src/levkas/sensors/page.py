@@ -77,7 +77,7 @@ def _section(sensor: SensorReport) -> dict[str, Any]:
             for n, d in sensor.light
         ],
         "linearity": [
-            (n, f"{100 * f.rms:.2f} %", share(f.worst), f"{f.offset:+.2f}")
+            (n, f"{100 * f.rms:.2f} %", share(f.worst), f"{f.offset:+.2f}" if f.offset else "–")
             for n, f in sensor.linearity
         ],
     }

@@ -206,8 +206,8 @@ def sensor_text(sensor: SensorReport) -> str:
             f"  light of {name}: drift {100 * drift.drift:+.2f} %{flicker}, {len(drift.scales)} shots"
         )
     for name, found in sensor.linearity:
+        fitted = f", black fitted {found.offset:+.2f} DN from the darks" if found.offset else ""
         lines.append(
-            f"  linearity of {name}: {100 * found.rms:.2f} % rms, black fitted {found.offset:+.2f} DN "
-            f"from the darks, {found.points} points"
+            f"  linearity of {name}: {100 * found.rms:.2f} % rms{fitted}, {found.points} points"
         )
     return "\n".join([*lines, *(f"  note: {note}" for note in sensor.notes)])

@@ -11,7 +11,7 @@ from levkas.building.bench import Bench, exposure_of
 from levkas.calibration.blocks import Blocks
 from levkas.calibration.curves import MOST_CODES, count_codes, find_levels
 from levkas.calibration.drift import Light, measure_drift
-from levkas.calibration.linearity import check_linearity
+from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.photon_transfer import Dark
 from levkas.calibration.templates import average
 from levkas.readers.frames import read_facts
@@ -142,7 +142,19 @@ def _scaling(
                 continue
             shots = [bench.average(frames) for frames in times.values()]
             black = 0.0 if hidden else level_under(levels, band, None)
-            more["fit_offset"] = True
-            found = check_linearity(shots, saturation=bench.saturation, black=black, **more)
+            # A free offset would hide a bend where darks tell the black.
+            found = check_linearity(
+                shots, saturation=bench.saturation, black=black, fit_offset=hidden, **more
+            )
             if found.points:
-                sensor.linearity.append((" ".join(f"{name} {band or ''}".split()), found))
+                series = " ".join(f"{name} {band or ''}".split())
+                sensor.linearity.append((series, found))
+                if found.rms > RECIPROCAL:
+                    sensor.notes.append(_no_scaling(series, found))
+
+
+def _no_scaling(series: str, found: Linearity) -> str:
+    return (
+        f"{series}: counts do not scale between exposures, {100 * found.rms:.1f} % rms, worst {100 * found.worst:+.1f} % "
+        f"at {found.worst_at_s:g} s and {found.worst_level:.0f} counts: take object and white at one time"
+    )

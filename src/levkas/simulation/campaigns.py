@@ -106,7 +106,7 @@ def simulate_campaign(
     SimulationRefused
         On an unknown preset or camera, a scale that is not in (0, 1], no object, or a folder that
         holds something.
-    levkas.files.WriteRefused
+    levkas.disk.WriteRefused
         Where the folder cannot be written or the disk is full.
     """
     folder = Path(folder)

@@ -26,12 +26,15 @@ UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 ORDER = ("refuse", "warn", "accept")
 
 
-def render_sheet(about: About, objects: Sequence[dict[str, Any]]) -> str:
-    """Return the contact sheet's HTML; `objects` are as `levkas.viewing.objects.Card` has them."""
+def render_sheet(
+    about: About, objects: Sequence[dict[str, Any]], more: Sequence[dict[str, str]] = ()
+) -> str:
+    """Return the contact sheet's HTML; `objects` are as `card_of` has them, `more` links with label and href."""
     cameras = sorted({camera for card in objects for camera in card["cameras"]})
     there = {card["decision"] for card in objects}
     verdicts = {key: DECISIONS[key] for key in reversed(ORDER) if key in there}
-    return _render("sheet.html", about=about, objects=objects, cameras=cameras, verdicts=verdicts)
+    facts = {"about": about, "objects": objects, "cameras": cameras, "verdicts": verdicts}
+    return _render("sheet.html", **facts, more=more)
 
 
 def render_object(about: About, record: dict[str, Any]) -> str:

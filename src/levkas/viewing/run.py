@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from levkas.screen import ScreenMissing, read_built
 from levkas.viewing.about import About, about_of
 from levkas.viewing.objects import (
+    UP,
     card_of,
     find_items,
     object_record,
@@ -19,13 +21,15 @@ from levkas.viewing.objects import (
 from levkas.viewing.pages import address, render_object, render_sheet
 
 if TYPE_CHECKING:
+    from levkas.publishing.publication import Publication
     from levkas.viewing.objects import Item
     from levkas.viewing.pyramid import Write
+
 
 SCRIPTS = ("sheet.js", "sheet.css", "viewer.js", "viewer.css")
 
 
-def write_part(publication: Any) -> Iterator[str]:
+def write_part(publication: Publication) -> Iterator[str]:
     """Write the viewer of a publication, as a part of it (`levkas.publishing.parts`).
 
     Where this installation carries no built pages the publication goes without, and says so.
@@ -39,10 +43,38 @@ def write_part(publication: Any) -> Iterator[str]:
     def write(name: str, data: bytes) -> None:
         publication.write_bytes(name, data)
 
-    yield from write_viewer(publication.root, write, about_of(publication.facts))
+    about, root = about_of(publication.facts), publication.root
+    yield from write_viewer(root, write, about, beside=_beside(publication))
+    medium = publication.roots.get("medium")
+    if medium is not None and medium != root:
+        place = medium.relative_to(root).as_posix()
+
+        def write_below(name: str, data: bytes) -> None:
+            write(f"{place}/{name}", data)
+
+        above = [("Full edition", "../index.html")]
+        about = replace(about, title=f"{about.title}, medium edition")
+        yield from write_viewer(medium, write_below, about, beside=above)
 
 
-def write_viewer(database: Path, write: Write, about: About) -> Iterator[str]:
+def _beside(publication: Publication) -> list[tuple[str, str]]:
+    """What the folder holds for other programs; some of it is written after the viewer."""
+    found = [("IIIF manifest", "iiif/{object}/manifest.json")] if publication.iiif else []
+    if publication.editions == "both":
+        found.append(("Medium edition", "medium/index.html"))
+    return [
+        *found,
+        ("Read me: what is in the folder", "README.md"),
+        ("RO-Crate: how every file came about", "ro-crate-metadata.json"),
+        ("DataCite metadata", "datacite.json"),
+        ("Catalogue", "catalogue.csv"),
+        ("Hashes", "manifest-sha256.txt"),
+    ]
+
+
+def write_viewer(
+    database: Path, write: Write, about: About, *, beside: Sequence[tuple[str, str]] = ()
+) -> Iterator[str]:
     """Write ``index.html`` and ``viewer/`` beside a database, saying what is done.
 
     Parameters
@@ -52,6 +84,8 @@ def write_viewer(database: Path, write: Write, about: About) -> Iterator[str]:
     write : callable
         ``write(name, data)`` writes a file of the folder in which the database stands.
     about : About
+    beside : sequence of (words, name), optional
+        Files of the folder that pages lead to; ``{object}`` in a name is the object's.
 
     Raises
     ------
@@ -71,12 +105,26 @@ def write_viewer(database: Path, write: Write, about: About) -> Iterator[str]:
         for layer in write_object(write, item):
             yield f"{item.name}: {layer['name']}"
             layers.append(layer)
-        links = _neighbours(items, place)
+        links = {**_neighbours(items, place), "more": _links(beside, item)}
         page = render_object(about, object_record(item, layers, links))
         write(f"viewer/objects/{item.name}/index.html", page.encode("utf-8"))
         cards.append(card_of(item, layers, write_thumbnail(write, item)))
     yield "contact sheet"
-    write("index.html", render_sheet(about, cards).encode("utf-8"))
+    more = [
+        {"label": words, "href": address(*name.split("/"))}
+        for words, name in beside
+        if "{object}" not in name
+    ]
+    write("index.html", render_sheet(about, cards, more).encode("utf-8"))
+
+
+def _links(beside: Sequence[tuple[str, str]], item: Item) -> list[dict[str, str]]:
+    """Links from an object's page to files of the folder."""
+    parts = [(words, name.split("/")) for words, name in beside]
+    return [
+        {"label": words, "href": address(*UP, *(p.replace("{object}", item.name) for p in name))}
+        for words, name in parts
+    ]
 
 
 def _neighbours(items: list[Item], place: int) -> dict[str, Any]:

@@ -86,8 +86,9 @@ def serve(
     from levkas.screen import read_built
     from levkas.workbench.library import Library
 
+    _check_campaign(Path(campaign))
     library = Library(campaign, output)
-    if not library.captures:
+    if not library.views:
         raise ServerRefused(
             Problem("E_NO_FRAMES", "the campaign has nothing to look at", str(campaign))
         )
@@ -112,11 +113,27 @@ def serve(
         listening.close()
 
 
+def _check_campaign(folder: Path) -> None:
+    """Tell someone who gave a database what to give instead."""
+    from levkas.database.catalogue import NAME
+
+    if (folder / NAME).is_file() and not (folder / "campaign.toml").is_file():
+        raise ServerRefused(
+            Problem(
+                "E_UNREADABLE",
+                "this is a database: a registration is corrected in its campaign",
+                file=str(folder),
+                expected="a folder with campaign.toml",
+                fix="Give the campaign's folder. To look at a database, run levkas publish and open index.html.",
+            )
+        )
+
+
 def _warm_up(library: Library) -> None:
     """Load what the first answer needs while the browser still starts."""
     from levkas.workbench.answer import describe
 
-    for key, row in zip(library.captures, library.list(), strict=True):
+    for key, row in zip(library.views, library.list(), strict=True):
         if not row["reference"]:
             with contextlib.suppress(Refused):
                 frame = library.open(key)

@@ -20,14 +20,16 @@ from levkas.screen import read_built
 from levkas.web.pages import PAGE
 from levkas.web.rebuilding import Busy, Rebuild
 from levkas.workbench.answer import describe
-from levkas.workbench.frame import Frame
+from levkas.workbench.frame import SIDES, Frame
 from levkas.workbench.library import FrameMissing, Library
 from levkas.workbench.maps import KINDS, MapMissing, find_kinds
 from levkas.workbench.operations import OperationRefused, refused
+from levkas.workbench.sensor_view import SensorView
 
 STATUS: dict[type[Refused], int] = {FrameMissing: 404, MapMissing: 404, Busy: 409}
 ASSETS = {"workbench.js": "text/javascript", "workbench.css": "text/css"}
 MOST_FILES = 2
+MOST_BANDS = 3
 DEEPEST_LEVEL = 16
 
 Answer = Callable[[Request, dict[str, Any]], Response]
@@ -110,6 +112,12 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
                 {"ok": True, **describe(frame.session, str(body.get("known", "")), packed=True)}
             )
 
+    def attempt(request: Request, body: dict[str, Any]) -> Response:
+        frame = frame_of(request)
+        to = _pair(body["to"]) if body.get("to") is not None else None
+        with frame.lock:
+            return JSONResponse({"ok": True, **frame.attempt(_pair(body.get("pair")), to)})
+
     def partner(request: Request, body: dict[str, Any]) -> Response:
         with (frame := frame_of(request)).lock:
             return JSONResponse({"ok": True, **frame.partner(**_asked(request))})
@@ -118,9 +126,10 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
         which = request.path_params["which"]
         level, column, row = (int(request.path_params[k]) for k in ("level", "column", "row"))
         asked = request.query_params
-        more = asked.get("map", ""), asked.get("tint", "")
+        more = {"map_": asked.get("map", ""), "tint": asked.get("tint", "")}
+        bands = _bands(asked.get("bands", ""))
         try:
-            data, kind = frame_of(request).tile(which, level, column, row, *more)
+            data, kind = frame_of(request).tile(which, (level, column, row), bands=bands, **more)
         except IndexError:
             raise FrameMissing(Problem("E_NO_TILE", "there is no such tile")) from None
         return Response(data, media_type=kind, headers={"cache-control": "private, max-age=900"})
@@ -164,6 +173,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
         (one, camera, "GET"),
         (f"{one}/pairs", pairs, "GET"),
         (f"{one}/edit", edit, "POST"),
+        (f"{one}/attempt", attempt, "POST"),
         (f"{one}/partner", partner, "GET"),
         (one + "/tiles/{which}/{level:int}/{column:int}/{row:int}", tile, "GET"),
         (one + "/maps/{kind}", map_, "GET"),
@@ -191,7 +201,8 @@ def change(frame: Frame, body: dict[str, Any]) -> None:
     elif name == "note":
         session.note(str(body.get("text", "")))
     elif name == "snap":
-        frame.snap(_pair(body.get("pair")))
+        bands = {side: _bands(str(body.get(side, ""))) for side in SIDES}
+        frame.snap(_pair(body.get("pair")), bands)
     else:
         to = _pair(body["to"]) if body.get("to") is not None else None
         session.apply(name, _pair(body.get("pair")), to)
@@ -202,23 +213,50 @@ def describe_frame(frame: Frame) -> dict[str, Any]:
     verdict = frame.record.get("verdict", {})
     model = frame.record.get("model", {})
     found = frame.session.found
+    told = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
+    told["reasons"] = reasons_of(frame, told["reasons"] or [])
     sensors = [s for s in model.get("sensors", []) if isinstance(s, dict)]
+    sensors = [s for s in sensors if s.get("sensor") == frame.view.sensor.name] or sensors
     return {
         "id": frame.key,
         "object": frame.capture.object,
         "camera": frame.capture.layer,
+        "sensor": frame.view.sensor.name if len(frame.capture.sensors) > 1 else "",
         "band": frame.band,
-        "reference": {"camera": frame.reference.layer, "band": frame.reference_band},
+        "bands": _told_bands(frame.view),
+        "reference": {
+            "camera": frame.reference.layer,
+            "band": frame.reference_band,
+            "bands": _told_bands(frame.main),
+        },
+        "is_reference": frame.view == frame.main,
         "size": list(found.size),
         "target_size": list(found.target_size),
         "px_per_mm": frame.px_per_mm,
         "built": frame.built is not None,
         "maps": find_kinds(frame.record),
         "method": frame.record.get("method", ""),
-        "verdict": {k: verdict.get(k) for k in ("decision", "reasons", "next_step")},
+        "verdict": told,
         "ladder": [s.get("ladder", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
     }
+
+
+def reasons_of(frame: Frame, reasons: list[str]) -> list[str]:
+    """Return the reasons of a verdict but for those that speak of other sensors of the camera."""
+    names = [f"sensor {s.name}: " for s in frame.capture.sensors if s.name]
+    mine = f"sensor {frame.view.sensor.name}: "
+    others = tuple(name for name in names if name != mine)
+    kept = [r.removeprefix(mine) for r in reasons if not others or not r.startswith(others)]
+    return [r[:1].upper() + r[1:] for r in kept] or reasons
+
+
+def _told_bands(view: SensorView) -> list[dict[str, Any]]:
+    """Labels and wavelengths of a sensor's bands."""
+    return [
+        {"label": b.label, "wavelength": b.wavelength if np.isfinite(b.wavelength) else None}
+        for b in view.sensor.bands
+    ]
 
 
 def _asked(request: Request) -> dict[str, Any]:
@@ -229,7 +267,16 @@ def _asked(request: Request) -> dict[str, Any]:
         "side": "target" if asked.get("from") == "target" else "reference",
         "which": asked.get("map", ""),
         "reach": None if asked.get("reach") is None else _number(asked.get("reach")),
+        "bands": {side: _bands(asked.get(side, "")) for side in SIDES},
     }
+
+
+def _bands(text: str) -> tuple[int, ...]:
+    """Numbers of bands, separated by commas."""
+    parts = text.split(",") if text else []
+    if len(parts) > MOST_BANDS or not all(part.isascii() and part.isdigit() for part in parts):
+        raise refused("bands are numbers", text[:40], "none, one, or three separated by commas")
+    return tuple(int(part[:6]) for part in parts)
 
 
 def _number(value: Any) -> float:

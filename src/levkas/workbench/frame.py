@@ -1,11 +1,11 @@
-"""One camera of one object, opened: its pictures, its maps, and what can be asked of a place."""
+"""One sensor of a camera of an object, opened: its pictures, its maps, and what can be asked of a place."""
 
 from __future__ import annotations
 
 import base64
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,15 +13,18 @@ import numpy as np
 
 from levkas.transforms import Inverse, Transform, from_dict
 from levkas.workbench import maps
-from levkas.workbench.correlation import REACH_PX, SURE, find_partner
+from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
 from levkas.workbench.operations import refused
 from levkas.workbench.pictures import Picture, encode, tinted, warped_tile
+from levkas.workbench.session import look
 
 if TYPE_CHECKING:
     from levkas.discovery import Capture
     from levkas.registration.record import Matches
-    from levkas.workbench.session import Session
+    from levkas.workbench.sensor_view import SensorView
+    from levkas.workbench.session import Session, View
 
+SIDES = ("reference", "target")
 FEW = 12
 WIDE_SHARE = 0.03
 SNAP_PX = 8.0
@@ -29,38 +32,78 @@ SNAP_PX = 8.0
 
 @dataclass
 class Frame:
-    """One camera of one object.
+    """One sensor of a camera of an object.
 
     Parameters
     ----------
-    key : str
-        Its id.
-    capture, reference : Capture
-    record : dict
-        registration/CAMERA.json.
+    view, main : SensorView
+        What is corrected, and the reference.
+    record, main_record : dict
+        registration/CAMERA.json of either camera.
     session : Session
     band, reference_band : str
-        Whose pictures are shown.
+        Whose pictures are shown where nobody asks for others.
     read : callable, (capture, band) → Picture
     read_flags : callable, (capture, band) → ndarray, (h, w), uint8
     """
 
-    key: str
-    capture: Capture
-    reference: Capture
+    view: SensorView
+    main: SensorView
     record: dict[str, Any]
+    main_record: dict[str, Any]
     session: Session
     band: str
     reference_band: str
     read: Callable[[Capture, str], Picture]
     read_flags: Callable[[Capture, str], np.ndarray]
     lock: threading.RLock = field(default_factory=threading.RLock)
+    trial: View | None = None
+    """What the map would be if a pair lay elsewhere."""
+    trials: int = 0
+
+    @property
+    def key(self) -> str:
+        """Its id."""
+        return self.view.key
+
+    @property
+    def capture(self) -> Capture:
+        """The camera that is corrected."""
+        return self.view.capture
+
+    @property
+    def reference(self) -> Capture:
+        """The camera that it is registered to."""
+        return self.main.capture
+
+    @property
+    def built(self) -> Transform | None:
+        """The map of the last build, reference px → target px of the band; None without one."""
+        return self._built.get(self.band)
 
     @cached_property
-    def built(self) -> Transform | None:
-        """The map of the last build, reference px → target px of the band shown; None without one."""
-        bands = self.record.get("bands", {})
-        return from_dict(bands[self.band]["transform"]) if self.band in bands else None
+    def _built(self) -> dict[str, Transform]:
+        return _transforms(self.record, self.view.labels)
+
+    @cached_property
+    def _own(self) -> dict[str, Transform]:
+        """Reference px → px of the reference camera's own bands, which colour moves a little."""
+        return _transforms(self.main_record, self.main.labels)
+
+    def labels(self, side: str, numbers: tuple[int, ...] = ()) -> list[str]:
+        """Return the labels of bands by their numbers, one or three; without any that of the band shown.
+
+        Raises
+        ------
+        IndexError
+            Where there is no such band, or they are neither one nor three.
+        """
+        first, view = (
+            (self.reference_band, self.main) if side == "reference" else (self.band, self.view)
+        )
+        if len(numbers) not in (0, 1, 3) or any(not 0 <= n < len(view.labels) for n in numbers):
+            raise IndexError(numbers)
+        return [view.labels[n] for n in numbers] or [first]
 
     @property
     def px_per_mm(self) -> float | None:
@@ -74,44 +117,106 @@ class Frame:
     def renew(self, fresh: Frame) -> None:
         """Take over what a new build recorded; corrections and undo stay."""
         with self.lock:
-            self.record = fresh.record
-            self.__dict__.pop("built", None)
+            self.record, self.main_record = fresh.record, fresh.main_record
+            for name in ("_built", "_own"):
+                self.__dict__.pop(name, None)
+            self.trial = None
             self.session.refresh(fresh.session.found)
 
     def forward(self, which: str) -> Transform:
-        """Return the map of the last build (``"built"``), else that of the pairs as they stand."""
+        """Return the map of the last build (``"built"``), of a trial (``"trial"``), else of the pairs as they stand."""
         with self.lock:  # a picture may not be brought over by a map that an edit is replacing
+            if which == "trial" and self.trial is not None:
+                return self.trial.forward
             return self.built if which == "built" and self.built else self.session.view.forward
 
-    def picture(self, which: str) -> Picture:
-        """Return the picture of the ``"reference"`` or of the ``"target"``."""
+    def attempt(self, pair: list[float], to: list[float] | None = None) -> dict[str, Any]:
+        """Say what the map would be with one pair more, or elsewhere; nothing is changed.
+
+        Raises
+        ------
+        OperationRefused
+        """
+        edits = self.session.changed("move" if to else "add", pair, to)
+        self.trial, self.trials = look(self.session.found, edits), self.trials + 1
+        kept = self.trial.matches.residual[self.trial.matches.kept]
+        good = kept[np.isfinite(kept)]
+        mean = round(float(good.mean()), 4) if len(good) else None
+        return {"trial": self.trials, "mean": mean, "refusal": self.trial.refusal}
+
+    def picture(self, which: str, label: str = "") -> Picture:
+        """Return a picture of the ``"reference"`` or of the ``"target"``, of the band shown unless another is named."""
         if which == "reference":
-            return self.read(self.reference, self.reference_band)
-        return self.read(self.capture, self.band)
+            return self.read(self.reference, label or self.reference_band)
+        return self.read(self.capture, label or self.band)
 
     def tile(
-        self, which: str, level: int, column: int, row: int, map_: str = "", tint: str = ""
+        self,
+        which: str,
+        place: tuple[int, int, int],
+        *,
+        map_: str = "",
+        tint: str = "",
+        bands: tuple[int, ...] = (),
     ) -> tuple[bytes, str]:
         """Return a tile of the ``reference``, of the ``target``, or of the target ``warped`` on to it.
 
-        `tint` is ``red``, ``cyan`` or nothing.
+        Parameters
+        ----------
+        place : (level, column, row)
+        map_ : str
+            As `forward` takes it.
+        tint : {"red", "cyan", ""}
+        bands : tuple of int
+            Numbers of one band, or of three as red, green and blue.
 
         Raises
         ------
         IndexError
             Where there is none.
         """
-        if which in ("reference", "target"):
-            return encode(tinted(self.picture(which).tile(level, column, row), tint))
-        if which != "warped":
+        if which not in ("reference", "target", "warped"):
             raise IndexError(which)
-        size = self.session.found.size
-        forward = self.forward(map_)
-        values, inside = warped_tile(self.picture("target"), forward, size, level, column, row)
-        return encode(tinted(values, tint), inside)
+        side = "reference" if which == "reference" else "target"
+        parts = [self._part(which, label, place, map_) for label in self.labels(side, bands)]
+        inside = [seen for _, seen in parts if seen is not None]
+        values = parts[0][0] if len(parts) == 1 else np.dstack([part for part, _ in parts])
+        return encode(tinted(values, tint), np.all(inside, axis=0) if inside else None)
+
+    def _part(
+        self, which: str, label: str, place: tuple[int, int, int], map_: str
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """A tile of one band, and where it is known; the reference's other bands lie as its own map says."""
+        picture, size = self.picture(which, label), self.session.found.size
+        if which == "target":
+            return picture.tile(*place), None
+        if which == "warped":
+            return warped_tile(picture, self._forward_of(label, map_), size, *place)
+        own = None if label == self.reference_band else self._own.get(label)
+        return (
+            (picture.tile(*place), None) if own is None else warped_tile(picture, own, size, *place)
+        )
+
+    def _forward_of(self, label: str, which: str) -> Callable[[np.ndarray], np.ndarray]:
+        """The map of one band: pairs give that of the sensor, what colour adds is the last build's."""
+        forward, built, here = self.forward(which), self.built, self._built.get(label)
+        if built is None or here is None or label == self.band:
+            return forward
+        return (
+            here
+            if forward is built
+            else lambda points: forward(points) + here(points) - built(points)
+        )
 
     def partner(
-        self, *, x: float, y: float, side: str, which: str = "", reach: float | None = None
+        self,
+        *,
+        x: float,
+        y: float,
+        side: str,
+        which: str = "",
+        reach: float | None = None,
+        bands: Mapping[str, tuple[int, ...]] | None = None,
     ) -> dict[str, Any]:
         """Say where a place of one picture lies in the other: by the map, and by comparing.
 
@@ -124,6 +229,8 @@ class Frame:
             The map to begin with.
         reach : float, optional
             Reference px that the map may be off; by how well it fits without it.
+        bands : mapping of side to numbers of bands, optional
+            Whose pictures are compared; of three the first.
 
         Returns
         -------
@@ -138,8 +245,7 @@ class Frame:
         predicted = forward(point[None])[0]
         if not (np.isfinite(point).all() and np.isfinite(predicted).all()):
             raise refused("the map says nothing of this place", [x, y], "a place in both pictures")
-        pictures = self.picture("reference"), self.picture("target")
-        found = find_partner(*pictures, forward, point, reach=reach or self._reach(which))
+        found = self._compared(forward, point, reach or self._reach(which), bands or {})
         place = np.array([x, y], float)
         pair = [*point, *found.target]
         if side == "target":
@@ -156,12 +262,13 @@ class Frame:
             "sure": found.score >= SURE,
         }
 
-    def snap(self, pair: list[float]) -> dict[str, Any]:
+    def snap(
+        self, pair: list[float], bands: Mapping[str, tuple[int, ...]] | None = None
+    ) -> dict[str, Any]:
         """Move the target of a pair to where its surroundings agree best; tell the score."""
         start = np.array(pair, float)
         forward = _shifted(self.session.view.forward, start)
-        pictures = self.picture("reference"), self.picture("target")
-        found = find_partner(*pictures, forward, start[:2], reach=SNAP_PX)
+        found = self._compared(forward, start[:2], SNAP_PX, bands or {})
         if found.score < SURE:
             raise refused(
                 "nothing around this pair is alike enough to snap to",
@@ -170,6 +277,28 @@ class Frame:
             )
         self.session.apply("move", pair, [*pair[:2], *found.target])
         return {"score": round(found.score, 3)}
+
+    def _compared(
+        self,
+        forward: Transform,
+        point: np.ndarray,
+        reach: float,
+        bands: Mapping[str, tuple[int, ...]],
+    ) -> Correlated:
+        """Compare two bands around a place; what colour shifts in either of them is taken off again."""
+        ours, theirs = (self.labels(side, bands.get(side, ())[:1])[0] for side in SIDES)
+        here, there = point[None], forward(point[None])
+        if ours != self.reference_band and ours in self._own:
+            here = self._own[ours](point[None])
+        shift = np.zeros(2)
+        if theirs != self.band and self.built is not None and theirs in self._built:
+            shift = (self._built[theirs](point[None]) - self.built(point[None]))[0]
+        near = np.concatenate([here[0], there[0] + shift])
+        local = _shifted(forward, near, at=point) if np.isfinite(near).all() else forward
+        pictures = self.picture("reference", ours), self.picture("target", theirs)
+        found = find_partner(*pictures, local, near[:2], reach=reach)
+        x, y = np.array(found.target) - shift
+        return replace(found, target=(float(x), float(y)))
 
     def map(self, kind: str, which: str = "") -> dict[str, Any]:
         """Draw one of `maps.KINDS`; PNG in base64, and what its ends mean.
@@ -202,7 +331,8 @@ class Frame:
 
         points = self._points(self.session.view.matches)
         data = format_points(points, dialect)
-        stem = f"{self.capture.object}_{self.capture.layer}"
+        parts = [self.capture.object, self.capture.layer]
+        stem = "_".join(parts if self.view.is_first else [*parts, self.view.sensor.name])
         names = [stem + suffix for suffix in DIALECTS[dialect].suffixes]
         return list(zip(names, data, strict=True)), losses(points, dialect)
 
@@ -250,9 +380,15 @@ class Frame:
         return REACH_PX if kept >= FEW else max(REACH_PX, WIDE_SHARE * max(self.session.found.size))
 
 
-def _shifted(forward: Transform, pair: np.ndarray) -> Transform:
-    """The map, shifted so that it leads through a pair."""
+def _shifted(forward: Transform, pair: np.ndarray, at: np.ndarray | None = None) -> Transform:
+    """The map near a place (`at`, else the pair's own), shifted so that it leads through a pair."""
     from levkas.transforms import Affine
 
-    slope = forward.jacobian(pair[None, :2])[0]
+    slope = forward.jacobian((pair[:2] if at is None else at)[None])[0]
     return Affine(np.column_stack([slope, pair[2:] - slope @ pair[:2]]))
+
+
+def _transforms(record: dict[str, Any], labels: list[str]) -> dict[str, Transform]:
+    """The maps of bands in a record, reference px → px of the band."""
+    bands = record.get("bands", {})
+    return {label: from_dict(bands[label]["transform"]) for label in labels if label in bands}

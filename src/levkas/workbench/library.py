@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 import json
 import threading
@@ -22,12 +21,16 @@ from levkas.problems import Problem, Refused
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import Frame
 from levkas.workbench.pictures import Picture, read_picture
+from levkas.workbench.sensor_view import SensorView, id_of, sensor_of
 from levkas.workbench.session import Found, Session
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from levkas.campaign import Campaign
 
-MOST_PICTURES = 6
+MOST_PICTURES = 8
+FEW_BANDS = 4
 
 
 class FrameMissing(Refused):
@@ -58,9 +61,21 @@ class Library:
         return load_campaign(self.path)
 
     @cached_property
-    def captures(self) -> dict[str, Capture]:
-        """Id → capture."""
-        return {id_of(c.object, c.layer): c for c in find_captures(self.campaign)[0]}
+    def views(self) -> dict[str, SensorView]:
+        """Id → a sensor of a camera of an object: the first of every camera, then those that have a map of their own."""
+        captures = find_captures(self.campaign)[0]
+        return {view.key: view for capture in captures for view in self._views_of(capture)}
+
+    def _views_of(self, capture: Capture) -> list[SensorView]:
+        # The paper's method fits one map for all sensors of a camera: pairs of the first one alone.
+        method = self.campaign.registration_of(capture.camera).get("method", "levkas")
+        sensors = capture.sensors if method == "levkas" else capture.sensors[:1]
+        views = [SensorView(capture, sensor) for sensor in sensors]
+        if capture.camera != self.campaign.reference.camera or capture.setup:
+            return views
+        band = self.campaign.reference.band
+        own = [v for v in views if band in v.labels] or views[:1]
+        return own + [view for view in views if view not in own]
 
     @cached_property
     def places(self) -> Places:
@@ -75,20 +90,23 @@ class Library:
     def list(self) -> list[dict[str, Any]]:
         """Return every camera with the verdict of its last build, JSON-ready."""
         listed = []
-        for key, capture in self.captures.items():
-            record = self._record(capture)
-            verdict = record.get("verdict", {})
+        for key, view in self.views.items():
+            capture = view.capture
+            verdict = self._record(capture).get("verdict", {})
             facts = self.campaign.objects.get(capture.object)
             listed.append(
                 {
                     "id": key,
                     "object": capture.object,
                     "title": (facts.title if facts else "") or capture.object,
-                    "camera": capture.layer,
-                    "reference": capture == self._reference(capture),
+                    "camera": capture.camera,
+                    "setup": capture.setup,
+                    "sensor": view.sensor.name if len(capture.sensors) > 1 else "",
+                    "bands": _told_bands(view.labels),
+                    "reference": self._is_reference(view),
                     "decision": verdict.get("decision", "not built"),
                     "reason": next(iter(verdict.get("reasons", [])), ""),
-                    "corrections": self._edits(capture).told(),
+                    "corrections": self._edits(view).told(),
                 }
             )
         return listed
@@ -103,20 +121,19 @@ class Library:
         """
         with self._lock:
             if key not in self._frames:
-                if key not in self.captures:
+                if key not in self.views:
                     raise FrameMissing(Problem("E_NO_FRAME", "there is no such camera", found=key))
-                self._frames[key] = self._opened(self.captures[key])
+                self._frames[key] = self._opened(self.views[key])
             return self._frames[key]
 
     def reopen(self, key: str) -> None:
-        """Read the record of a camera anew after a build; corrections and undo stay."""
+        """Read the records of an object anew after a build; corrections and undo stay."""
         with self._lock:
-            old = self._frames.pop(key, None)
-            if old is None:
-                return
-            fresh = self.open(key)
-            old.renew(fresh)
-            self._frames[key] = old
+            name = self.views[key].capture.object
+            for each in [k for k in self._frames if self.views[k].capture.object == name]:
+                old = self._frames.pop(each)
+                old.renew(self.open(each))
+                self._frames[each] = old
 
     def picture(self, capture: Capture, band: str) -> Picture:
         """Return one band as a picture; the last few are kept."""
@@ -147,7 +164,8 @@ class Library:
                 return place, labels.index(band)
         raise FrameMissing(Problem("E_BAND_MISSING", "there is no such band", found=band))
 
-    def _opened(self, capture: Capture) -> Frame:
+    def _opened(self, view: SensorView) -> Frame:
+        capture = view.capture
         record, reference = self._record(capture), self._reference(capture)
         if not record or "reference" not in record:
             raise FrameMissing(
@@ -157,24 +175,24 @@ class Library:
                     fix=f"Run: levkas build {self.campaign.root}",
                 )
             )
-        first = capture.sensors[0]
         band = record["target"]["band"]
-        if band not in [b.label for b in first.bands]:
-            band = first.bands[len(first.bands) // 2].label
+        if band not in view.labels:
+            band = view.labels[len(view.labels) // 2]
         ours = record["reference"]
         shape = self._shape(self._page(capture, band)[0])
         keys = self.campaign.registration_of(capture.camera)
         found = Found.of(
-            self._matches(capture),
+            self._matches(view),
             size=(int(ours["size"][0]), int(ours["size"][1])),
             target_size=(shape[1], shape[0]),
             reject=keys.get("reject"),
             stop=keys.get("stop", 1.0),
         )
-        session = Session(found, self._edits(capture), lambda e: self._save(capture, e))
+        session = Session(found, self._edits(view), lambda e: self._save(view, e))
+        main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return Frame(
-            id_of(capture.object, capture.layer), capture, reference, record, session, band,
-            str(ours["band"]), self.picture, self.flags,
+            view, main, record, self._record(reference), session, band, str(ours["band"]),
+            self.picture, self.flags,
         )  # fmt: skip
 
     def _shape(self, path: Path) -> tuple[int, int]:
@@ -184,8 +202,16 @@ class Library:
 
     def _reference(self, capture: Capture) -> Capture:
         wanted = self.campaign.reference.camera
-        mine = (c for c in self.captures.values() if c.object == capture.object and not c.setup)
-        return next((c for c in mine if c.camera == wanted), capture)
+        mine = (v.capture for v in self.views.values() if v.capture.object == capture.object)
+        return next((c for c in mine if c.camera == wanted and not c.setup), capture)
+
+    def _is_reference(self, view: SensorView) -> bool:
+        """Whether all others are registered to this sensor."""
+        reference = self._reference(view.capture)
+        if view.capture.layer != reference.layer:
+            return False
+        wanted = self._record(reference).get("reference", {}).get("band", "")
+        return sensor_of(reference, wanted or self.campaign.reference.band or "") == view.sensor
 
     def _record(self, capture: Capture) -> dict[str, Any]:
         path = self.places.registration(capture.object, capture.layer)
@@ -195,28 +221,43 @@ class Library:
             return {}
         return record if isinstance(record, dict) else {}
 
-    def _matches(self, capture: Capture) -> Matches:
-        path = self.places.matches(capture.object, capture.layer)
+    def _matches(self, view: SensorView) -> Matches:
+        capture, sensor = view.capture, view.sensor.name
+        path = self.places.matches(capture.object, capture.layer, sensor)
+        if view.is_first and not path.is_file():
+            path = self.places.matches(capture.object, capture.layer)
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         return parse_matches(text)
 
-    def _edits(self, capture: Capture) -> FrameEdits:
-        return read_edits(self.edits_path).of(capture.object, capture.layer).get("", FrameEdits())
+    def _edits(self, view: SensorView) -> FrameEdits:
+        edits = read_edits(self.edits_path).of(view.capture.object, view.capture.layer)
+        return edits.get(self._band_of(view, edits), FrameEdits())
 
-    def _save(self, capture: Capture, edits: FrameEdits) -> None:
+    def _band_of(self, view: SensorView, edits: Mapping[str, FrameEdits]) -> str:
+        """Return the band by which edits.toml names a sensor: "" for the first, else as it has done so far."""
+        named = [band for band in edits if band in view.labels]
+        return named[0] if named else "" if view.is_first else view.labels[0]
+
+    def _save(self, view: SensorView, edits: FrameEdits) -> None:
         """Write edits.toml; what stands in it of other cameras is read again first."""
+        capture = view.capture
         with self._lock:
             before = read_edits(self.edits_path)
-            write_edits(self.edits_path, before.with_frame(capture.object, capture.layer, edits))
+            band = self._band_of(view, before.of(capture.object, capture.layer))
+            frame = f"{capture.layer}:{band}" if band else capture.layer
+            write_edits(self.edits_path, before.with_frame(capture.object, frame, edits))
 
 
-def id_of(name: str, layer: str) -> str:
-    """Return the id of a camera of an object: never a path.
+def _told_bands(labels: list[str]) -> str:
+    """Say which bands a sensor has: a few by name, many by the first and the last.
 
-    >>> id_of("icon1", "d80")
-    '081b6cfe9096'
+    >>> _told_bands(["R1", "G1", "B1"]), _told_bands([f"{w} nm" for w in range(400, 701, 10)])
+    ('R1, G1, B1', '400–700 nm, 31 bands')
     """
-    return hashlib.sha256(f"{name}\0{layer}".encode()).hexdigest()[:12]
+    if len(labels) <= FEW_BANDS:
+        return ", ".join(labels)
+    start = labels[0].removesuffix(" nm") if labels[-1].endswith(" nm") else labels[0]
+    return f"{start}–{labels[-1]}, {len(labels)} bands"
 
 
 def parse_matches(text: str) -> Matches:

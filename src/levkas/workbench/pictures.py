@@ -5,13 +5,14 @@ A picture of 100 million pixels takes 133 MB; it is read some rows at a time.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.transforms import Transform
+Mapper = Callable[[np.ndarray], np.ndarray]
 
 if TYPE_CHECKING:
     from levkas.database.tiff_pages import TiffPages
@@ -86,13 +87,13 @@ class Picture:
 
 
 def warped_tile(
-    picture: Picture, forward: Transform, size: tuple[int, int], level: int, column: int, row: int
+    picture: Picture, forward: Mapper, size: tuple[int, int], level: int, column: int, row: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a tile of a picture brought into a frame of `size`, (h, w) uint8, and where it is known.
 
     Parameters
     ----------
-    forward : Transform
+    forward : Transform, or any function of (n, 2) points
         Px of the frame → px of `picture`.
     level, column, row : int
         Of the frame's own tiles.
@@ -118,7 +119,7 @@ def warped_tile(
     return np.rint(values).astype(np.uint8), inside
 
 
-def place_on_lattice(forward: Transform, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def place_on_lattice(forward: Mapper, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Map a grid of px, (h, w, 2), through a lattice 16 px apart and linear between: smooth maps are."""
     columns = np.unique(np.r_[np.arange(0, len(x), LATTICE_PX), len(x) - 1])
     rows = np.unique(np.r_[np.arange(0, len(y), LATTICE_PX), len(y) - 1])
@@ -139,9 +140,11 @@ def place_on_lattice(forward: Transform, x: np.ndarray, y: np.ndarray) -> np.nda
 
 
 def tinted(values: np.ndarray, tint: str) -> np.ndarray:
-    """Return a grey tile in red or in cyan, (h, w, 3), or as it is."""
+    """Return a tile in red or in cyan, (h, w, 3), colours as grey; or as it is."""
     if tint not in ("red", "cyan"):
         return values
+    if values.ndim == 3:
+        values = values.mean(-1).astype(np.uint8)
     shown = np.zeros((*values.shape, 3), np.uint8)
     shown[..., [0] if tint == "red" else [1, 2]] = values[..., None]
     return shown

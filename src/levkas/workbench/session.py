@@ -119,12 +119,18 @@ class Session:
         OperationRefused
             Where there is no such operation, or the places cannot be.
         """
+        self._change(self.changed(name, pair, to))
+
+    def changed(
+        self, name: str, pair: Sequence[float], to: Sequence[float] | None = None
+    ) -> FrameEdits:
+        """Return what the corrections would be after `apply`."""
         if name not in OPERATIONS:
             raise refused("there is no such operation", name, ", ".join(OPERATIONS))
         places = [_place(pair, self.found)]
         if name == "move":
             places.append(_place(to or (), self.found))
-        self._change(OPERATIONS[name](self.edits, *places))
+        return OPERATIONS[name](self.edits, *places)
 
     def add_all(self, added: Sequence[Pair], checks: Sequence[Pair]) -> None:
         """Add many pairs as one change: what an import brings."""

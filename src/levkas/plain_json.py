@@ -1,0 +1,41 @@
+"""Records as JSON text: the same text for the same record, and no number that JSON has no word for."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+
+def to_json(record: Any) -> str:
+    """Return `record` as JSON text: keys in their own order, NaN and infinities as null.
+
+    Numpy numbers and arrays, tuples and paths become plain; anything else is a TypeError.
+
+    Examples
+    --------
+    >>> print(to_json({"b": 1.0, "a": float("nan")}), end="")
+    {
+     "b": 1.0,
+     "a": null
+    }
+    """
+    return json.dumps(_plain(record), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, os.PathLike):
+        return Path(value).as_posix()
+    if isinstance(value, int) and not isinstance(value, bool):
+        return int(value)
+    return value

@@ -1,0 +1,95 @@
+"""How far a refined map is believed: what it explains beyond chance, where, and what bears it out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.registration.consent import usable
+from levkas.registration.corroboration import corroborate, reduction
+from levkas.registration.prediction import compared
+from levkas.registration.refinement import Windows
+from levkas.registration.sampling import highpass
+from levkas.registration.task import Task
+from levkas.transforms import Transform
+
+if TYPE_CHECKING:
+    from levkas.registration.images import BandImage
+
+#: Of the windows; fewer that are predicted beyond chance are only part of the object.
+PARTLY = 0.8
+
+
+@dataclass(frozen=True)
+class Belief:
+    """How far one band is predicted, on a grid about as fine as its picture.
+
+    Parameters
+    ----------
+    seen : Windows
+        Through the map that is judged.
+    chance : float, 0..1
+        What 19 of 20 windows that cannot match stay below in `seen.r2`.
+    evidence : dict
+        ``share_above_chance`` of the windows, ``cover`` of the reference, ``chance_r2``.
+    """
+
+    seen: Windows
+    chance: float
+    evidence: dict[str, float]
+
+    @property
+    def partly(self) -> bool:
+        """Whether windows that chance explains lie together: something covers the object."""
+        used = usable(self.seen.information)
+        return bool(self.around(self.seen.centres)[used].sum() <= PARTLY * used.sum())
+
+    def around(self, centres: np.ndarray) -> np.ndarray:
+        """Tell at which places, (n, 2) reference px, most windows near are predicted beyond chance."""
+        from scipy.spatial import cKDTree
+
+        used = usable(self.seen.information)
+        if not used.any():
+            return np.zeros(len(centres), bool)
+        above = (self.seen.r2[used] > self.chance).astype(float)
+        near = cKDTree(self.seen.centres[used]).query(centres, k=min(9, int(used.sum())))[1]
+        return np.asarray(above[near].reshape(len(centres), -1).mean(1) > 0.5)
+
+
+def weigh(task: Task, band: BandImage, transform: Transform, step: int) -> Belief:
+    """Compare what is explained with what a frame shifted by a third explains by chance.
+
+    Parameters
+    ----------
+    task : Task
+    band : BandImage
+    transform : Transform
+        Reference px → native px of the band.
+    step : int
+        Reference px per px of the grid.
+    """
+    predictor = task.scene.predictor(step)
+    image = task.sampled(band, transform, step)
+    seen = compared(predictor, image)
+    used, able = usable(seen.information), predictor.counts.reshape(-1) > 0
+    away = np.roll(image, (image.shape[0] // 3, image.shape[1] // 3), (0, 1))
+    by_chance = compared(predictor, away)
+    null = by_chance.r2[usable(by_chance.information)]
+    level = float(np.quantile(null, 0.95)) if len(null) >= 10 else 0.5
+    evidence = {
+        "share_above_chance": float((seen.r2[used] > level).mean()) if used.any() else 0.0,
+        "cover": float(used.sum() / max(able.sum(), 1)),
+        "chance_r2": level,
+    }
+    return Belief(seen, level, evidence)
+
+
+def bear_out(task: Task, band: BandImage, transform: Transform, step: int) -> dict[str, Any]:
+    """Return what `corroborate` measures of a map, on a grid of `step` reference px or coarser."""
+    step *= reduction(task.scene.shape, step)
+    image = highpass(task.sampled(band, transform, step))
+    predictors = task.scene.predictor(step).images
+    valid = np.isfinite(task.images[band.label])
+    return corroborate(predictors, image, step, transform, task.within, valid)

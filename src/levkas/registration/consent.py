@@ -1,0 +1,139 @@
+"""What the windows of all bands of a sensor agree on, and the model that it supports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from levkas.problems import Problem
+from levkas.registration.given import HAND_PX
+from levkas.registration.ladder import Rung, climb
+from levkas.registration.models import Observations, solve_pairs
+from levkas.registration.prediction import cell_px
+from levkas.registration.record import RegistrationRefused
+from levkas.registration.refinement import Windows
+from levkas.registration.task import Task
+from levkas.transforms import Transform
+
+LEAST_WINDOWS = 12
+#: Windows are three cells wide: those two cells apart still share one.
+OVERLAP_CELLS = 2.01
+
+
+def fit_base(
+    task: Task,
+    base: Transform,
+    seen: Sequence[Windows],
+    step: int,
+    *,
+    coarse: bool = False,
+    stiff: bool = False,
+    among: np.ndarray | None = None,
+    ledge: bool = False,
+) -> Rung:
+    """Return the base map that the windows of all bands support.
+
+    Parameters
+    ----------
+    task : Task
+    base : Transform
+        Through which they were seen.
+    seen : sequence of Windows
+        One a band.
+    step : int
+        Reference px per px of the grid.
+    coarse, stiff : bool
+        As `coarse` and `reaching` of `climb`.
+    among : ndarray of bool, (n,), optional
+        Only of these windows.
+    ledge : bool
+        Whether a ledge may be looked for.
+
+    Raises
+    ------
+    RegistrationRefused
+        ``E_WINDOWS``, with fewer than 12.
+    """
+    common, information = combine(seen)
+    centres = seen[0].centres
+    used = usable(information) & (True if among is None else among)
+    if used.sum() < LEAST_WINDOWS:
+        raise RegistrationRefused(
+            Problem(
+                "E_WINDOWS",
+                "too few windows of this sensor can be compared with the reference",
+                found=int(used.sum()),
+                expected=f"at least {LEAST_WINDOWS}",
+                fix="The frames overlap too little, or the picture is too small.",
+            )
+        )
+    points = centres[used]
+    jacobian = base.jacobian(points)
+    target = base(points) - np.einsum("nab,nb->na", jacobian, common[used])
+    finite = np.isfinite(target).all(1)
+    observations = Observations(points, target, jacobian, information[used]).part(finite)
+    hand = _by_hand(task.given.sure, base)
+    cell = task.scene.predictor(step).cell * step
+    return climb(
+        observations.joined(hand), spacing=4.0 * step * cell_px((0, 0)), apart=OVERLAP_CELLS * cell,
+        cell=float(cell) if ledge else 0.0, coarse=coarse, reaching=stiff, sure=len(hand),
+        standing=base if coarse else None,
+    )  # fmt: skip
+
+
+def _by_hand(pairs: np.ndarray, base: Transform) -> Observations:
+    """Given pairs as observations: they weigh as a place that a person points at is known."""
+    jacobian = base.jacobian(pairs[:, :2])
+    # A hand errs in either picture: by a px of the coarser one.
+    scale = np.sqrt(np.abs(np.linalg.det(jacobian)))
+    known = 1 / (HAND_PX**2 * (1 + 1 / np.maximum(scale, 1e-6) ** 2))
+    information = known[:, None, None] * np.eye(2)
+    finite = np.isfinite(jacobian).all((1, 2)) & np.isfinite(known)
+    return Observations(pairs[:, :2], pairs[:, 2:], jacobian, information).part(finite)
+
+
+def correction(before: Transform, after: Transform, centres: np.ndarray) -> np.ndarray:
+    """Shift, reference px, that the step from one base map to the next takes care of."""
+    miss = before(centres) - after(centres)
+    return solve_pairs(before.jacobian(centres), miss)
+
+
+def combine(seen: Sequence[Windows]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shift of each window that all bands agree on, (n, 2), and its information.
+
+    Bands are weighted by what they know; one that contradicts the others is turned down.
+    """
+    shifts = np.stack([w.shift for w in seen])
+    information = np.stack([w.information for w in seen])
+    weights = np.ones(shifts.shape[:2])
+    for _ in range(4 if len(seen) > 2 else 1):
+        scaled = information * weights[..., None, None]
+        total = scaled.sum(0)
+        common = np.einsum(
+            "nab,nb->na",
+            np.linalg.inv(total + 1e-9 * np.eye(2)),
+            np.einsum("bnac,bnc->na", scaled, shifts),
+        )
+        apart = shifts - common
+        distance = np.einsum("bna,bnac,bnc->bn", apart, information, apart)
+        used = np.trace(information, axis1=2, axis2=3) > 0
+        typical = np.median(distance[used]) / 1.386 + 1e-12 if used.any() else 1.0
+        weights = 1 / (1 + distance / (4 * typical))
+    return common, total
+
+
+def usable(information: np.ndarray) -> np.ndarray:
+    """Tell which windows know anything, (n,) bool."""
+    return np.asarray(np.trace(information, axis1=1, axis2=2) > 0)
+
+
+def noted(rung: Rung, step: int) -> dict[str, Any]:
+    """What the ladder saw in one step: held-out error of every model, reference px."""
+    return {
+        "step": step,
+        "windows": len(rung.observations),
+        "model": rung.name,
+        "held_out_px": {name: round(float(score), 5) for name, score in rung.scores.items()},
+    }
