@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from levkas.registration.ledges import Ledge, find_ledge, fit_behind
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -50,7 +51,7 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quartic": (60, partial(fit_polynomial, order=4)),
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
-SPLINE_LEAST = 150
+SPLINE_LEAST, LEDGE_LEAST = 150, 250
 COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
@@ -134,6 +135,7 @@ def climb(
     *,
     spacing: float,
     apart: float = 0.0,
+    cell: float = 0.0,
     coarse: bool = False,
     reaching: bool = False,
     sure: int = 0,
@@ -149,6 +151,8 @@ def climb(
         Of the spline's knots.
     apart : float, reference px
         Windows up to so far from one another, along both axes, share pixels and err alike.
+    cell : float, reference px
+        Side of the cells of the windows, for the term of a ledge; 0: none is tried.
     coarse : bool
         Nothing richer than a cubic: what is left is for a finer grid.
     reaching : bool
@@ -182,6 +186,9 @@ def climb(
         for stiff in STIFF[::-1]:
             bent = partial(_on_top, under=RUNGS[under][1], spacing=spacing, stiff=stiff)
             contest.enter(f"{under}+spline({stiff:g})", RUNGS[under][0], bent)
+        ledge = find_ledge(tempered, cell) if cell and len(observations) >= LEDGE_LEAST else None
+        for name, behind in _behind(contest, under, spacing, ledge) if ledge else ():
+            contest.enter(name, RUNGS[under][0], behind)
     parts = () if coarse else contest.parts()
     transform = contest.fitted or contest.fit(tempered)
     rivals = () if coarse else contest.rivals()
@@ -235,6 +242,14 @@ class _Contest:
             for name, weight in close.items()
             if weight > 0 and name != self.taken and name in self._fits
         )
+
+
+def _behind(contest: _Contest, under: str, spacing: float, ledge: Ledge) -> list[tuple[str, Fit]]:
+    """What may stand behind a ledge: what was taken, without its spline, and with a stiff one."""
+    plain = RUNGS[under][1]
+    stiff: Fit = partial(_on_top, under=plain, spacing=spacing, stiff=STIFF[-1])
+    kinds = {under: plain, f"{under}+spline({STIFF[-1]:g})": stiff, contest.taken: contest.fit}
+    return [(f"{n}+ledge", partial(fit_behind, ledge=ledge, fit=kind)) for n, kind in kinds.items()]
 
 
 def _on_top(observations: Observations, *, under: Fit, spacing: float, stiff: float) -> Transform:
