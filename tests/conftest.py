@@ -196,7 +196,7 @@ class TurnedPlates:
         import cv2
 
         rng = np.random.default_rng(5)
-        for seed, (name, blur, grain) in enumerate((("bad", 10.0, 30.0), ("good", 0.8, 1.0))):
+        for seed, (name, blur, grain) in enumerate((("bad", 8.0, 40.0), ("good", 0.8, 1.0))):
             if name not in names:
                 continue
             big = strokes(seed)

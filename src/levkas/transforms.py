@@ -404,7 +404,15 @@ KINDS: dict[str, Any] = {
     "composed": lambda r: Composed(*(from_dict(step) for step in r["steps"])),
     "inverse": lambda r: Inverse(from_dict(r["of"])),
     "spline": lambda r: _spline(r),
+    "ledge": lambda r: _ledge(r),
 }
+
+
+def _ledge(record: dict[str, Any]) -> Transform:
+    from levkas.ledge import LedgeShift
+
+    lines, centre, shift = (np.array(record[k], float) for k in ("lines", "centre", "shift"))
+    return LedgeShift(lines, record["width"], centre, record["spread"], shift)
 
 
 def _spline(record: dict[str, Any]) -> Transform:

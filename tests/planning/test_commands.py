@@ -126,3 +126,17 @@ def test_a_plan_needs_neither_scipy_nor_colour_science(rewritten):
 
 def test_a_plan_of_a_lighting_keeps_its_name(bench):
     assert plan_light(bench, "soft", levers=False).lighting.name == "soft"
+
+
+def test_of_a_matte_panel_nothing_is_said_of_varnish_and_gold(rewritten):
+    path = rewritten(
+        ("varnish = { roughness = 0.1 }", ""),
+        ("gold = { roughness = 0.2 }", ""),
+        ("recess_mm = 3", ""),
+    )
+    told = CliRunner().invoke(app, ["plan", "light", str(path), "-s", "45-degree"]).output
+    assert "nothing on it shines" in told and "varnish shines" not in told
+    assert "Lamps at 45°" not in told  # where they are
+    page = path.with_name("plan.html")
+    CliRunner().invoke(app, ["plan", "light", str(path), "--report", str(page)])
+    assert "varnish and leaf facets" not in page.read_text(encoding="utf-8")

@@ -132,6 +132,12 @@ def test_flicker_is_bounded_and_gone_after_whole_periods(rewritten):
     assert "take 10 ms, whole periods of 100 Hz" in notes
 
 
+def test_a_camera_without_a_sensitivity_is_said_to_be_taken_for_an_even_one(rewritten, bench):
+    found = by_camera(load_setup(rewritten(('sensitivity = "d80.csv"\n', ""))))["d80"]
+    assert found.notes[0].startswith("No sensitivity is given: 35 % of the photons")
+    assert not any("No sensitivity" in note for note in by_camera(bench)["d80"].notes)
+
+
 def test_a_white_that_saturates_is_said(rewritten):
     path = rewritten(("pitch_um = 6.05", "pitch_um = 6.05\ntime_s = 3"))
     found = by_camera(load_setup(path))["d80"]

@@ -117,6 +117,20 @@ def test_windows_that_share_pixels_do_not_vouch_for_a_richer_model():
     assert sound >= 3
 
 
+def test_a_stiff_model_is_not_sure_where_another_might_as_well_be_right():
+    points = lattice(12)
+    truth = Homography(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7], [6e-6, -4e-6, 1]]))
+    alone, among, wrong = [], [], []
+    for seed in range(6):
+        rung = climb(observed(truth, points, RNG(seed), noise=1.5), spacing=60)
+        miss = rung.transform(points) - truth(points)
+        wrong.append((miss**2).mean())
+        alone.append((replace(rung, rivals=()).sigma(points) ** 2).mean())
+        among.append((rung.sigma(points) ** 2).mean())
+    assert np.mean(among) > 1.1 * np.mean(alone)
+    assert 0.3 < np.sqrt(np.mean(wrong) / np.mean(among)) < 1.8
+
+
 def test_a_map_from_elsewhere_stands_where_windows_know_less():
     points, truth = lattice(6), Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
     seen = observed(truth, points, RNG(1), noise=2.0)

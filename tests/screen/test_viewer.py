@@ -305,10 +305,10 @@ def test_a_picture_has_no_difference_from_itself(browser, address):
 def test_digits_choose_layers_and_the_address_remembers(browser, address):
     page = open_object(browser, address("file"))
     page.keyboard.press("3")
-    page.locator(".picker-a select").select_option("band-2")
+    page.locator(".picker-a .picker-line select").select_option("band-2")
     assert page.locator("#caption").inner_text() == "rgb, B"
     page.keyboard.press("1")
-    page.locator(".picker-a select").select_option("light-a")
+    page.locator(".picker-a .picker-line select").select_option("light-a")
     page.wait_for_function("() => location.hash.includes('light-a')")
     again = open_object(browser, page.url)
     assert again.locator("#caption").inner_text() == "vis, A, incandescent lamp"

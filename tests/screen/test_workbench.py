@@ -344,6 +344,7 @@ def test_the_overlay_follows_a_pair_while_it_is_dragged(bench):
     page, server = bench
     choose_worst(page)
     page.keyboard.press("2")
+    page.wait_for_function("() => levkasWorkbench.stage.left.addresses.length === 2")
     page.wait_for_function(READY)
     pair = told(page, "pair(levkasWorkbench.store.selected)")
     start = page.evaluate(
@@ -352,7 +353,7 @@ def test_the_overlay_follows_a_pair_while_it_is_dragged(bench):
     page.mouse.move(*start)
     page.mouse.down()
     page.mouse.move(start[0] + 60, start[1] + 10, steps=4)
-    page.wait_for_function("() => levkasWorkbench.stage.left.addresses[1].includes('map=trial')")
+    page.wait_for_function("() => levkasWorkbench.stage.left.addresses[1]?.includes('map=trial')")
     assert server.edits == FrameEdits()
     page.mouse.up()
     assert told(page, "told.state.length") == 242  # where it was found, and where it lies now
@@ -361,7 +362,9 @@ def test_the_overlay_follows_a_pair_while_it_is_dragged(bench):
         moved[:4] == pytest.approx(pair, abs=0.011)
         and np.abs(np.subtract(moved[6:], pair[2:])).max() > 5
     )
-    page.wait_for_function("() => !levkasWorkbench.stage.left.addresses[1].includes('map=trial')")
+    page.wait_for_function(
+        "() => levkasWorkbench.stage.left.addresses[1]?.includes('map=trial') === false"
+    )
 
 
 def test_any_band_and_three_as_colours_are_shown(bench):

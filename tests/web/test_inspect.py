@@ -95,3 +95,17 @@ def test_corrections_that_cannot_be_read_are_refused_before_it_listens(campaign,
         [*COMMAND, str(folder), "--no-open"], capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 1 and "edits.toml" in done.stderr and done.stdout == ""
+
+
+def test_a_database_is_told_from_a_campaign(campaign):
+    folder = campaign / "database"
+    (folder / "catalogue.csv").touch()
+    run = subprocess.run(
+        [*COMMAND, str(folder), "--no-open"], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 1
+    assert (
+        "this is a database" in run.stderr + run.stdout
+        and "levkas publish" in run.stderr + run.stdout
+    )
+    (folder / "catalogue.csv").unlink()

@@ -70,7 +70,7 @@ export class LayerList {
     const number = this.layers.indexOf(layer) + 1;
     const shown = layer.pictures.length > 0;
     const picture = layer.thumbnail ? make("img", { src: layer.thumbnail.split("/").map(encodeURIComponent).join("/"), alt: "", width: 44, height: 44, loading: "lazy" }) : make("span", { class: "empty" });
-    const title = make("span", { class: "first" }, make("span", { class: "layer-name" }, layer.name), make("span", { class: `badge ${layer.decision}` }, layer.verdict));
+    const title = make("span", { class: "first" }, make("span", { class: "layer-name", title: layer.name }, layer.name), make("span", { class: `badge ${layer.decision}` }, layer.verdict));
     const words = make("span", { class: "words" }, title, make("span", { class: "soft" }, describe(layer)));
     const a = make("button", { type: "button", class: "layer", "aria-pressed": "false", disabled: !shown, "aria-label": `Show ${layer.name}, ${describe(layer)}, ${layer.verdict}` }, picture, words, number > 0 && number < 10 ? make("kbd", { "aria-hidden": "true" }, String(number)) : null);
     const b = make("button", { type: "button", class: "second", "aria-pressed": "false", disabled: !shown, "aria-label": `Compare with ${layer.name}`, title: "Compare: put into B" }, "B");

@@ -61,7 +61,9 @@ def _lines(measure: ChartMeasure) -> list[str]:
         b.label for b, p in zip(measure.bands, measure.preblurs, strict=True) if p and p.found
     ]
     if blurred:
-        lines.append(f"  the camera blurs {', '.join(blurred)}: SNR corrected")
+        lines.append(
+            f"  noise of neighbours is alike in {', '.join(blurred)} (a camera that blurs, or demosaicing): SNR corrected"
+        )
     lines += [
         f"  {row.name}: {row.value:.2f} {row.unit} (FADGI {row.fadgi}, ISO 19264-1 {row.iso}; indicators only)"
         for row in measure.rows

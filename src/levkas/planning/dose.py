@@ -3,7 +3,8 @@
 Classes and limits as CIE 157:2004 has them (illuminance and lux-hours a year): high responsivity 50 lx
 and 15,000 lx·h, medium 50 lx and 150,000 lx·h, low 200 lx and 600,000 lx·h, none without limit; and
 the usual 75 µW of ultraviolet a lumen. Low and medium agree with the allowances that the National Gallery,
-London, publishes; high, and the 200 lx, were not found in a second source (docs/planning.md). Limits are those of display: a capture may be brighter if it is
+London, publishes; 50 lx of high and medium and 200 lx of low are cited from it elsewhere; the 15,000 lx·h of high were
+not found in a second source (docs/planning.md). Limits are those of display: a capture may be brighter if it is
 short, what counts is the dose.
 """
 

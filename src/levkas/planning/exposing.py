@@ -205,8 +205,15 @@ def _notes(
     channels: tuple[Channel, ...],
     weakest: Channel,
 ) -> list[str]:
-    """Say what limits, saturates or beats."""
+    """Say what limits, saturates or beats, and what is only assumed."""
     told = []
+    if camera.keys.sensitivity is None:
+        seen = (
+            "in every band" if camera.keys.wavelengths else "from 400 to 720 nm, one grey channel"
+        )
+        told.append(
+            f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are taken to count {seen}."
+        )
     target = setup.bench.target
     full = [c for c in channels if c.share_of_full >= 1]
     if full:

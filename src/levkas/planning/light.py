@@ -246,8 +246,9 @@ def _changes(setup: Setup, lighting: Lighting) -> list[tuple[str, Lighting]]:
         ("Lamps a quarter farther away", with_lamps([_moved(x, 1.25 * x.place) for x in lamps])),
         ("Lamps at half the distance", with_lamps([_moved(x, 0.5 * x.place) for x in lamps])),
         ("Lamps 5° lower over the panel", with_lamps([turned(x, 5.0) for x in lamps])),
-        ("Lamps at 45°", with_lamps([turned(x, 45.0 - x.angle_deg) for x in lamps])),
     ]
+    if any(abs(x.angle_deg - 45.0) > 3 for x in lamps):
+        told.append(("Lamps at 45°", with_lamps([turned(x, 45.0 - x.angle_deg) for x in lamps])))
     if len(lamps) == 1:
         other = replace(
             lamps[0], place=lamps[0].place * [-1, -1, 1], axis=lamps[0].axis * [-1, -1, 1]

@@ -165,10 +165,11 @@ def _why(judge: Judge, best: Arrangement, values: dict[str, float]) -> list[str]
         )
     if judge.thing.relief_slope:
         lower = judge.values_of(best, angle_deg=min(best.angle_deg + 6, 86.0))
-        told.append(
+        shows = lower["hidden"] > values["hidden"] + 0.005
+        told += [
             f"Six degrees lower over the panel, {100 * lower['hidden']:.0f} % of the relief would turn "
             f"away from a lamp instead of {100 * values['hidden']:.1f} %: grazing light exaggerates it."
-        )
+        ] * shows
     across = judge.values_of(best, azimuth_deg=90.0 - best.azimuth_deg)
     more = f", and the {shiny} shine {times(across):.1f} times as much" if shiny else ""
     told.append(

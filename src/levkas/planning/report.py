@@ -98,6 +98,7 @@ def report_facts(setup: Setup, name: str | None, *, rng: np.random.Generator) ->
         "criteria": [
             (MEANINGS[k], f"{v:.2f}", f"{TOLERANCES[k]:g}", f"{WEIGHTS[k]:g}")
             for k, v in best.criteria.items()
+            if v or k not in ("varnish", "gold")
         ],
         "framing": plan_framing(setup),
         "spectra": _spectra(plan),
@@ -223,9 +224,10 @@ def _aimed(target: np.ndarray) -> str:
 def _fields(plan: LightPlan) -> list[str]:
     told = []
     for name, field in plan.fields.items():
-        words = (
-            f"Along the {name}, the panel mirrors what stands within {field.mirror[1]:.0f}° of its normal; "
-            f"varnish and leaf facets widen this to {field.facets[1]:.0f}°."
+        words = f"Along the {name}, the panel would mirror what stands within {field.mirror[1]:.0f}° of its normal"
+        wider = field.facets[1] > field.mirror[1] + 0.5
+        words += (
+            f"; varnish and leaf facets widen this to {field.facets[1]:.0f}°." if wider else "."
         )
         if field.walls is not None:
             words += (
@@ -248,9 +250,9 @@ def _compared(plan: LightPlan) -> dict[str, str]:
         "title": plan.lighting.title,
         "lux": f"{plan.mean:.0f}" if plan.absolute else "–",
         "drop": f"{100 * plan.drop:.0f} %",
-        "varnish": f"{100 * plan.varnish:.2g} %",
-        "gold": f"{100 * plan.gold:.2g} %",
-        "spread": f"{plan.gold_spread:.1f}",
+        "varnish": f"{100 * plan.varnish:.2g} %" if plan.varnish else "–",
+        "gold": f"{100 * plan.gold:.2g} %" if plan.gold else "–",
+        "spread": f"{plan.gold_spread:.1f}" if plan.gold else "–",
         "texture": f"{100 * plan.texture_seen:.1f} %",
     }
 

@@ -61,16 +61,16 @@ def light_text(record: dict[str, Any]) -> str:
     unit = "lx" if this["absolute"] else "(relative)"
     lines = [
         f"{this['setup']}: mean light {this['mean']:.0f} {unit}, drop {100 * this['drop']:.1f} % over the object",
-        f"  varnish shines up to {100 * this['varnish']:.2g} % of white, gold up to "
-        f"{100 * this['gold']:.0f} %, {this['gold_spread']:.1f}-fold over the panel (GGX facets)",
-        f"  relief: contrast {100 * this['texture']:.1f} % matte, {100 * this['texture_seen']:.1f} % with "
-        f"varnish; {100 * this['hidden']:.1f} % turned away from a lamp",
-        f"  paint under varnish reads {100 * (1 - this['darkening']):.0f} % darker than at 45°",
+        *_shine_lines(this),
     ]
     for name, field in this["bright_field"].items():
         lines.append(
-            f"  bright field along the {name}: {field['mirror'][1]:.0f}° from the normal, with facets "
-            f"{field['facets'][1]:.0f}°"
+            f"  bright field along the {name}: {field['mirror'][1]:.0f}° from the normal"
+            + (
+                f", with facets {field['facets'][1]:.0f}°"
+                if this["varnish"] or this["gold"]
+                else ""
+            )
             + (f"; margin {field['margin']:.0f}°" if np.isfinite(field["margin"]) else "")
         )
     lines += ["", "Levers, the strongest on evenness first:"]
@@ -78,9 +78,12 @@ def light_text(record: dict[str, Any]) -> str:
     lines += ["", f"{'setup':<14}{'lx':>6}{'drop':>7}{'varnish':>9}{'gold':>7}{'texture':>9}"]
     for other in record["setups"]:
         lux = f"{other['mean']:.0f}" if other["absolute"] else "–"
+        varnish, gold = (
+            f"{100 * v:.2g} %" if (v := other[k]) else "–" for k in ("varnish", "gold")
+        )
         lines.append(
-            f"{other['setup']:<14}{lux:>6}{100 * other['drop']:>5.0f} %{100 * other['varnish']:>7.2g} %"
-            f"{100 * other['gold']:>5.2g} %{100 * other['texture_seen']:>7.1f} %"
+            f"{other['setup']:<14}{lux:>6}{100 * other['drop']:>5.0f} %{varnish:>9}{gold:>7}"
+            f"{100 * other['texture_seen']:>7.1f} %"
         )
     if "optimum" in record:
         best = record["optimum"]["best"]
@@ -94,6 +97,31 @@ def light_text(record: dict[str, Any]) -> str:
     lines += [f"\n{words}" for words in dict.fromkeys(record["contradictions"])]
     lines += [f"Written: {record[k]}" for k in ("report", "render") if k in record]
     return "\n".join(lines)
+
+
+def _shine_lines(this: dict[str, Any]) -> list[str]:
+    """Return what is said of varnish, gold and relief, each where it is there."""
+    shines = []
+    if this["varnish"]:
+        shines.append(f"varnish shines up to {100 * this['varnish']:.2g} % of white")
+    if this["gold"]:
+        shines.append(
+            f"gold up to {100 * this['gold']:.0f} %, {this['gold_spread']:.1f}-fold over the panel"
+        )
+    lines = [
+        f"  {', '.join(shines)} (GGX facets)"
+        if shines
+        else "  nothing on it shines: matte, no gold"
+    ]
+    seen = f", {100 * this['texture_seen']:.1f} % with varnish" if this["varnish"] else ""
+    lines.append(
+        f"  relief: contrast {100 * this['texture']:.1f} % matte{seen}; "
+        f"{100 * this['hidden']:.1f} % turned away from a lamp"
+    )
+    if this["varnish"]:
+        darker = 100 * (1 - this["darkening"])
+        lines.append(f"  paint under varnish reads {darker:.0f} % darker than at 45°")
+    return lines
 
 
 def framing_text(found: list[Framing]) -> str:

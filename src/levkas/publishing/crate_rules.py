@@ -192,7 +192,8 @@ def ask_validator(folder: str | Path) -> tuple[bool | None, str]:
 
     if find_spec("rocrate_validator") is None:
         return None, "roc-validator is not installed; the rules were checked by Levkas alone"
-    command = [sys.executable, "-m", "rocrate_validator.cli", "-y", "validate", "--no-paging"]
+    run = "from rocrate_validator.cli import cli; cli()"
+    command = [sys.executable, "-c", run, "-y", "validate", "--no-paging"]
     command += ["--profile-identifier", "ro-crate-1.1", str(folder)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)

@@ -89,7 +89,8 @@ def _findings(sensor: Sensor) -> list[Finding]:
     """Return what the rules have against a sensor; nothing is known of the reference's own."""
     if sensor.rung is None or sensor.start is None:
         return []
-    terms = RUNGS[sensor.rung.name.partition("+spline")[0]][0] // 4
+    plain = sensor.rung.name.partition("+spline")[0].partition("+ledge")[0]
+    terms = RUNGS[plain][0] // 4
     known = {"kept": int(sensor.start.kept.sum()), "terms": max(3, terms), **_numbers(sensor)}
     known |= sensor.borne_out
     return [one for rule in RULES if (one := rule(known))]

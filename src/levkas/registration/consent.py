@@ -31,6 +31,7 @@ def fit_base(
     coarse: bool = False,
     stiff: bool = False,
     among: np.ndarray | None = None,
+    ledge: bool = False,
 ) -> Rung:
     """Return the base map that the windows of all bands support.
 
@@ -47,6 +48,8 @@ def fit_base(
         As `coarse` and `reaching` of `climb`.
     among : ndarray of bool, (n,), optional
         Only of these windows.
+    ledge : bool
+        Whether a ledge may be looked for.
 
     Raises
     ------
@@ -75,7 +78,8 @@ def fit_base(
     cell = task.scene.predictor(step).cell * step
     return climb(
         observations.joined(hand), spacing=4.0 * step * cell_px((0, 0)), apart=OVERLAP_CELLS * cell,
-        coarse=coarse, reaching=stiff, sure=len(hand), standing=base if coarse else None,
+        cell=float(cell) if ledge else 0.0, coarse=coarse, reaching=stiff, sure=len(hand),
+        standing=base if coarse else None,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from levkas.registration.ledges import Ledge, find_ledge, fit_behind
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -32,6 +33,8 @@ BLOCKS = 8
 LEAST_BLOCK = 3.0
 ROUNDS = 5
 GAIN = 0.01
+#: Models whose held-out error is up to so much above the best might as well be right.
+NEAR = 0.1
 MOST_JUDGED = 2000
 
 Fit = Callable[[Observations], Transform]
@@ -48,7 +51,7 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quartic": (60, partial(fit_polynomial, order=4)),
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
-SPLINE_LEAST = 150
+SPLINE_LEAST, LEDGE_LEAST = 150, 250
 COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
@@ -61,6 +64,14 @@ class Part:
 
     transform: Transform
     without: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another model, and how close it comes to the one that was taken, 0..1."""
+
+    transform: Transform
+    weight: float
 
 
 @dataclass(frozen=True)
@@ -79,6 +90,8 @@ class Rung:
         Robust weight of each observation, 0..1.
     parts : tuple of Part
         The same model fitted without each fold of blocks.
+    rivals : tuple of Rival
+        Models that predict blocks nearly as well.
     """
 
     name: str
@@ -87,6 +100,7 @@ class Rung:
     observations: Observations
     weights: np.ndarray
     parts: tuple[Part, ...] = ()
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def knowledge(self) -> float:
@@ -98,7 +112,8 @@ class Rung:
 
         Delete-a-group jackknife over the folds: it sees errors that whole blocks share, which
         residuals of single windows do not. Without a share f of what is known, a map moves by
-        f / (1 - f) of its variance.
+        f / (1 - f) of its variance. Where windows cannot tell which model is right, how far the others
+        lie from it is added: a stiff model is steady where it is wrong.
         """
         if not self.parts:
             return np.full(len(points), np.nan)
@@ -107,7 +122,12 @@ class Rung:
         for part in self.parts:
             moved = solve_pairs(jacobian, part.transform(points) - here)
             total += (1 - part.without) / part.without * (moved**2).sum(1) / 2
-        return np.sqrt(total / len(self.parts))
+        variance = total / len(self.parts)
+        weights = 1 + sum(rival.weight for rival in self.rivals)
+        for rival in self.rivals:
+            apart = solve_pairs(jacobian, rival.transform(points) - here)
+            variance += rival.weight / weights * (apart**2).sum(1) / 2
+        return np.sqrt(variance)
 
 
 def climb(
@@ -115,6 +135,7 @@ def climb(
     *,
     spacing: float,
     apart: float = 0.0,
+    cell: float = 0.0,
     coarse: bool = False,
     reaching: bool = False,
     sure: int = 0,
@@ -130,6 +151,8 @@ def climb(
         Of the spline's knots.
     apart : float, reference px
         Windows up to so far from one another, along both axes, share pixels and err alike.
+    cell : float, reference px
+        Side of the cells of the windows, for the term of a ledge; 0: none is tried.
     coarse : bool
         Nothing richer than a cubic: what is left is for a finer grid.
     reaching : bool
@@ -163,9 +186,13 @@ def climb(
         for stiff in STIFF[::-1]:
             bent = partial(_on_top, under=RUNGS[under][1], spacing=spacing, stiff=stiff)
             contest.enter(f"{under}+spline({stiff:g})", RUNGS[under][0], bent)
+        ledge = find_ledge(tempered, cell) if cell and len(observations) >= LEDGE_LEAST else None
+        for name, behind in _behind(contest, under, spacing, ledge) if ledge else ():
+            contest.enter(name, RUNGS[under][0], behind)
     parts = () if coarse else contest.parts()
     transform = contest.fitted or contest.fit(tempered)
-    return Rung(contest.taken, transform, contest.scores, tempered, weights, parts)
+    rivals = () if coarse else contest.rivals()
+    return Rung(contest.taken, transform, contest.scores, tempered, weights, parts, rivals)
 
 
 class _Contest:
@@ -178,6 +205,7 @@ class _Contest:
     def __init__(self, judged: Observations, folds: Folds) -> None:
         self._judged, self._folds = judged, folds
         self.scores: dict[str, float] = {}
+        self._fits: dict[str, Fit] = {}
         self.taken = ""
         self.fit: Fit = fit_similarity
         self.fitted: Transform | None = None
@@ -185,6 +213,7 @@ class _Contest:
     def enter(self, name: str, least: int, fit: Fit) -> None:
         """Try one more model, richer than those before."""
         score = self.scores[name] = _held_out(self._judged, self._folds, least, fit)
+        self._fits[name] = fit
         if not self.taken or score < self.scores[self.taken] * (1 - GAIN):
             self.taken, self.fit, self.fitted = name, fit, None
 
@@ -201,6 +230,26 @@ class _Contest:
             for unseen, rest in self._folds
             if unseen.any() and rest.sum() >= 6
         )
+
+    def rivals(self) -> tuple[Rival, ...]:
+        """Return the models that come within `NEAR` of the best."""
+        best = self.scores[self.taken]
+        close = (
+            {n: 1 - (score / best - 1) / NEAR for n, score in self.scores.items()} if best else {}
+        )
+        return tuple(
+            Rival(self._fits[name](self._judged), min(weight, 1.0))
+            for name, weight in close.items()
+            if weight > 0 and name != self.taken and name in self._fits
+        )
+
+
+def _behind(contest: _Contest, under: str, spacing: float, ledge: Ledge) -> list[tuple[str, Fit]]:
+    """What may stand behind a ledge: what was taken, without its spline, and with a stiff one."""
+    plain = RUNGS[under][1]
+    stiff: Fit = partial(_on_top, under=plain, spacing=spacing, stiff=STIFF[-1])
+    kinds = {under: plain, f"{under}+spline({STIFF[-1]:g})": stiff, contest.taken: contest.fit}
+    return [(f"{n}+ledge", partial(fit_behind, ledge=ledge, fit=kind)) for n, kind in kinds.items()]
 
 
 def _on_top(observations: Observations, *, under: Fit, spacing: float, stiff: float) -> Transform:

@@ -112,7 +112,7 @@ def _refine(task: Task, *, stiff: bool) -> Refined:
     planned = [step] * (STIFF_ROUNDS if stiff else ROUNDS) if small else [2 * step, step]
     for tried, at in enumerate(planned + [step] * (MOST_ROUNDS - len(planned)), 1):
         here = task.look(bands, [model.transform(i) for i in range(len(bands))], base, at)
-        rung = _settle(task, base, here, at, climbs, stiff=stiff)
+        rung = _settle(task, base, here, at, climbs, stiff=stiff, ledge=at == step)
         moved = correction(base, rung.transform, rung.observations.points)
         if len(bands) > 1:
             common = correction(base, rung.transform, here[0].centres)

@@ -1,8 +1,9 @@
 """How well the position of every point is known: one standard deviation, band by band.
 
-Three things are added up: how far the base map moves when a fold of blocks is left out, how well
-windows tell the band from its neighbours in wavelength, and how well the reference's own bands, from
-which this one was predicted, are known to lie where they should.
+Four things are added up: how far the base map moves when a fold of blocks is left out, how far models
+lie from it that predict those blocks nearly as well, how well windows tell the band from its neighbours
+in wavelength, and how well the reference's own bands, from which this one was predicted, are known to
+lie where they should.
 """
 
 from __future__ import annotations

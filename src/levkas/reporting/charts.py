@@ -68,7 +68,7 @@ def _blur_notes(measure: ChartMeasure) -> list[str]:
     if not found:
         return []
     return [
-        "The camera blurs before it hands over its data: "
+        "Neighbouring pixels share their noise, for the camera blurs or a mosaic was interpolated: "
         + ", ".join(found[:8])
         + (f" and {len(found) - 8} more" if len(found) > 8 else "")
         + ". Its SNR is corrected for that."

@@ -86,6 +86,7 @@ def serve(
     from levkas.screen import read_built
     from levkas.workbench.library import Library
 
+    _check_campaign(Path(campaign))
     library = Library(campaign, output)
     if not library.views:
         raise ServerRefused(
@@ -110,6 +111,22 @@ def serve(
         pass
     finally:
         listening.close()
+
+
+def _check_campaign(folder: Path) -> None:
+    """Tell someone who gave a database what to give instead."""
+    from levkas.database.catalogue import NAME
+
+    if (folder / NAME).is_file() and not (folder / "campaign.toml").is_file():
+        raise ServerRefused(
+            Problem(
+                "E_UNREADABLE",
+                "this is a database: a registration is corrected in its campaign",
+                file=str(folder),
+                expected="a folder with campaign.toml",
+                fix="Give the campaign's folder. To look at a database, run levkas publish and open index.html.",
+            )
+        )
 
 
 def _warm_up(library: Library) -> None:

@@ -1,0 +1,185 @@
+"""Finding the ledge of a panel in how windows are displaced, and fitting maps with its term.
+
+No polynomial follows a step in depth. Where it lies is looked for as the rectangle whose inside,
+displaced by (1, u, v), takes most from what a quintic leaves; what it displaces is fitted with every
+map anew. A window sees the mean of its pixels: the step is averaged over the window before it is
+compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from levkas.ledge import LedgeShift
+from levkas.registration.models import Observations, fit_polynomial
+from levkas.transforms import Composed, Transform, design_matrix, frame_of
+
+ORDER = 5
+#: Margins that are tried, shares of the shorter side of what was observed.
+NARROWEST, WIDEST, TRIED = 0.04, 0.3, 14
+#: Narrower slopes than windows can tell are laid at two cells, and wider where more is displaced: a map
+#: with a sharp step in it would have to be evaluated at every pixel.
+LEAST_WIDTH_CELLS, MOST_WIDTH_CELLS, USUAL_PX = 2.0, 4.0, 0.15
+#: A window is three cells wide, the middle one weighs as much as the two others.
+OFFSETS = np.arange(-4, 5) / 3
+WEIGHTS = np.repeat([0.25, 0.5, 0.25], 3) / 3
+HALVINGS, MOST_SEARCHED = 5, 2000
+#: What the best of all rectangles takes from windows that overlap by chance alone, in units of their
+#: variance, is some tens; the ledge of a simulated panel takes 200 to 1400.
+LEAST_GAIN = 150.0
+
+
+@dataclass(frozen=True)
+class Ledge:
+    """Where a ledge lies, reference px.
+
+    Parameters
+    ----------
+    edges : ndarray, (6,)
+        Left, right, top and bottom begin of the slope about `centre`, the width of the slope, and by
+        how much it is turned, radians.
+    centre, spread : (2,) and float
+    cell : float
+        Side of a window's cell.
+    """
+
+    edges: np.ndarray
+    centre: np.ndarray
+    spread: float
+    cell: float
+
+    def averaged(self, points: np.ndarray) -> np.ndarray:
+        """Return the share of each window, (n,), that the lowered part makes up, slope included."""
+        left, right, top, bottom, width, turned = self.edges
+        c, s = np.cos(turned), np.sin(turned)
+        away = points - self.centre
+        u, v = away @ [c, s], away @ [-s, c]
+        shares = []
+        for place, low, high in ((u, left, right), (v, top, bottom)):
+            spots = place[:, None] + OFFSETS * self.cell
+            both = _rise((spots - low) / width) * _rise((high - spots) / width)
+            shares.append(both @ WEIGHTS)
+        return np.asarray(shares[0] * shares[1])
+
+    def columns(self, points: np.ndarray) -> np.ndarray:
+        """Return the share of each window times 1, u, v, (n, 3)."""
+        terms = np.column_stack([np.ones(len(points)), (points - self.centre) / self.spread])
+        return np.asarray(self.averaged(points)[:, None] * terms)
+
+    def displacing(self, shift: np.ndarray) -> LedgeShift:
+        """Return the displacement, (3, 2) px of 1, u, v, as a map."""
+        left, right, top, bottom, width, turned = self.edges
+        c, s = np.cos(turned), np.sin(turned)
+        normals = np.array([[c, s], [-c, -s], [-s, c], [s, -c]])
+        begins = np.array([-left, right, -top, bottom]) - normals @ self.centre
+        lines = np.column_stack([normals, begins])
+        return LedgeShift(lines, float(width), self.centre, self.spread, shift)
+
+
+def find_ledge(observations: Observations, cell: float) -> Ledge | None:
+    """Return where a ledge would explain most; None where none explains enough.
+
+    Parameters
+    ----------
+    observations : Observations
+    cell : float, reference px
+        Side of the cells of which a window has three by three.
+    """
+    every = 1 + len(observations) // MOST_SEARCHED
+    left = _Left(observations.part(np.arange(len(observations)) % every == 0))
+    low, high = observations.points.min(0), observations.points.max(0)
+    half, middle = (high - low) / 2, (high + low) / 2
+    centre, spread = frame_of(observations.points)
+    best, most = None, 0.0
+    for share in np.linspace(NARROWEST, WIDEST, TRIED):
+        margin = share * 2 * half.min()
+        x, y = half - margin
+        if min(x, y) < 3 * cell:
+            break
+        off = middle - centre
+        edges = np.array([off[0] - x, off[0] + x, off[1] - y, off[1] + y, 2.0 * cell, 0.0])
+        tried = Ledge(edges, centre, spread, cell)
+        gain = left.explained(tried)
+        if gain > most:
+            best, most = tried, gain
+    if best is None:
+        return None
+    best, most = _descend(left, best, most)
+    return _softened(best, left) if every * most > LEAST_GAIN else None
+
+
+def _softened(ledge: Ledge, left: _Left) -> Ledge:
+    """Widen the slope about its middle for how much it displaces."""
+    edges = ledge.edges.copy()
+    corners = (edges[:2, None] + 1j * edges[2:4]).ravel() / ledge.spread
+    terms = np.column_stack([np.ones(4), corners.real, corners.imag])
+    most = float(np.linalg.norm(terms @ left.shift(ledge), axis=1).max())
+    width = LEAST_WIDTH_CELLS * ledge.cell * max(1.0, most / USUAL_PX) ** 0.5
+    wider = max(width - edges[4], 0.0)
+    edges[:5] += wider * np.array([-0.5, 0.5, -0.5, 0.5, 1.0])
+    return replace(ledge, edges=edges)
+
+
+def _descend(left: _Left, best: Ledge, most: float) -> tuple[Ledge, float]:
+    """Move one edge at a time while that explains more, by ever smaller steps."""
+    least, widest = LEAST_WIDTH_CELLS * best.cell, MOST_WIDTH_CELLS * best.cell
+    steps = np.array([1.5, 1.5, 1.5, 1.5, 0.8, 1.5]) * best.cell
+    steps[5] /= 2 * best.spread
+    for _ in range(HALVINGS):
+        for _ in range(3):
+            before = most
+            for k in range(6):
+                for sign in (-1, 1):
+                    edges = best.edges.copy()
+                    edges[k] += sign * steps[k]
+                    edges[4] = np.clip(edges[4], least, widest)
+                    tried = replace(best, edges=edges)
+                    gain = left.explained(tried)
+                    if gain > most:
+                        best, most = tried, gain
+            if most - before < 1e-3 * most:
+                break
+        steps = steps / 2
+    return best, most
+
+
+class _Left:
+    """What a quintic leaves, and how much of it a ledge would explain."""
+
+    def __init__(self, observations: Observations) -> None:
+        self.points = observations.points
+        self.root = np.sqrt(np.trace(observations.information, axis1=1, axis2=2) / 2)[:, None]
+        design = design_matrix(self.points, ORDER, *frame_of(self.points))
+        self.basis = np.linalg.qr(self.root * design)[0]
+        residuals = observations.residuals(fit_polynomial(observations, ORDER))
+        self.rest = self._freed(self.root * residuals)
+
+    def _freed(self, columns: np.ndarray) -> np.ndarray:
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
+    def shift(self, ledge: Ledge) -> np.ndarray:
+        """Return the displacement, (3, 2) px, that explains most."""
+        columns = self._freed(self.root * ledge.columns(self.points))
+        return np.linalg.lstsq(columns, self.rest, rcond=1e-6)[0]
+
+    def explained(self, ledge: Ledge) -> float:
+        """Return by how much the weighted squares fall."""
+        columns = self._freed(self.root * ledge.columns(self.points))
+        return float(((np.linalg.qr(columns)[0].T @ self.rest) ** 2).sum())
+
+
+def fit_behind(
+    observations: Observations, ledge: Ledge, fit: Callable[[Observations], Transform]
+) -> Transform:
+    """Fit what a ledge displaces, and by `fit` the map of the rest."""
+    shift = _Left(observations).shift(ledge)
+    moved = observations.points + ledge.columns(observations.points) @ shift
+    return Composed(ledge.displacing(shift), fit(replace(observations, points=moved)))
+
+
+def _rise(x: np.ndarray) -> np.ndarray:
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x**3 * (x * (6 * x - 15) + 10))

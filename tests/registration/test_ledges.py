@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from levkas.ledge import LedgeShift
+from levkas.registration.ladder import climb
+from levkas.registration.ledges import find_ledge, fit_behind
+from levkas.registration.models import Observations, fit_polynomial
+from levkas.transforms import Affine, Composed, from_dict
+
+CELL, NOISE = 16.0, 0.03
+VIEW = Affine(np.array([[1.2, 0.01, 8.0], [-0.02, 1.21, 5.0]]))
+
+
+def sunk(turned=0.01, shift=((0.1, -0.05), (0.3, 0.0), (0.0, 0.25))):
+    """A centre that is lowered between 150 and 850, 120 and 640 px, behind a slope of 24 px."""
+    c, s = np.cos(turned), np.sin(turned)
+    normals = np.array([[c, s], [-c, -s], [-s, c], [s, -c]])
+    middle, half = np.array([500.0, 380]), np.array([350.0, 350, 260, 260])
+    lines = np.column_stack([normals, half - normals @ middle])
+    return LedgeShift(lines, 24.0, middle, 500.0, np.array(shift))
+
+
+def windows(truth, seed=0):
+    """What windows of three cells see: the mean of where their pixels lie."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(24, 1000, CELL), np.arange(24, 760, CELL))
+    points = np.stack([x, y], -1).reshape(-1, 2)
+    spots = (np.arange(-23, 24, 2.0), 1 - np.abs(np.arange(-23, 24, 2.0)) / 24)
+    around = np.stack(np.meshgrid(spots[0], spots[0]), -1).reshape(-1, 2)
+    weights = np.outer(spots[1], spots[1]).ravel() / np.outer(spots[1], spots[1]).sum()
+    target = sum(w * truth(points + a) for a, w in zip(around, weights, strict=True))
+    target = target + NOISE * rng.standard_normal(points.shape)
+    jacobian = VIEW.jacobian(points)
+    information = np.broadcast_to(np.eye(2) / NOISE**2, (len(points), 2, 2))
+    return Observations(points, target, jacobian, information)
+
+
+def test_a_ledge_is_found_where_it_was_planted_and_its_displacement_with_it():
+    truth = Composed(sunk(), VIEW)
+    seen = windows(truth)
+    ledge = find_ledge(seen, CELL)
+    assert ledge is not None
+    middles = ledge.edges[:4] + ledge.edges[4] / 2 * np.array([1, -1, 1, -1])
+    middles += np.repeat(ledge.centre, 2)
+    assert np.abs(middles - [162, 838, 132, 628]).max() < 4  # a quarter of a cell
+    turned = ledge.edges[5]
+    assert abs(turned - 0.01) < 0.01
+    fitted = fit_behind(seen, ledge, lambda o: fit_polynomial(o, 2))
+    inside = np.stack(np.meshgrid(np.linspace(190, 810, 20), np.linspace(160, 600, 20)), -1)
+    points = inside.reshape(-1, 2)
+    error = np.linalg.norm(fitted(points) - truth(points), axis=1)
+    assert error.max() < 0.03  # as far as one window errs
+
+
+def test_the_ladder_takes_a_ledge_where_there_is_one_and_is_nearer_to_the_truth_for_it():
+    truth = Composed(sunk(), VIEW)
+    seen = windows(truth, 1)
+    with_it, without = climb(seen, spacing=192, cell=CELL), climb(seen, spacing=192)
+    assert with_it.name.endswith("+ledge") and "ledge" not in without.name
+    rng = np.random.default_rng(2)
+    points = rng.uniform([20, 20], [980, 740], (2000, 2))
+    errors = [
+        np.linalg.norm(r.transform(points) - truth(points), axis=1) for r in (with_it, without)
+    ]
+    assert errors[0].mean() < 0.5 * errors[1].mean()
+
+
+def test_there_is_no_ledge_in_an_even_panel():
+    seen = windows(VIEW, 3)
+    assert find_ledge(seen, CELL) is None
+    assert "ledge" not in climb(seen, spacing=192, cell=CELL).name
+
+
+def test_a_ledge_goes_there_and_back_and_its_slopes_are_those_of_differences():
+    ledge = sunk()
+    points = np.random.default_rng(4).uniform([120, 90], [880, 670], (400, 2))
+    assert np.allclose(ledge.inverse(ledge(points)), points, atol=1e-6)
+    assert np.array_equal(from_dict(ledge.to_dict())(points), ledge(points))
+    across, down = np.array([1e-4, 0]), np.array([0, 1e-4])
+    slopes = [(ledge(points + d) - ledge(points - d)) / 2e-4 for d in (across, down)]
+    assert ledge.jacobian(points) == pytest.approx(np.stack(slopes, 2), abs=1e-6)
