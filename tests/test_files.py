@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas import digests, files, plain_json
+from levkas import digests, disk, files, plain_json
 from levkas.disk import WriteRefused
 
 OLD, NEW = b"old" * 1000, b"new" * 400_000
@@ -289,3 +289,25 @@ def test_hashes_and_copies(tmp_path):
     files.remove(tmp_path / "a")
     files.remove(tmp_path / "never")
     assert digests.hash_tree(tmp_path) == {"two": vector}
+
+
+def test_a_folder_into_which_something_comes_meanwhile_is_taken_away_all_the_same(
+    tmp_path, monkeypatch
+):
+    left = tmp_path / "left"
+    files.write_text(left / "one", "1")
+    rmtree, late = files.shutil.rmtree, [3]
+
+    def interrupted(path, **more):
+        if late[0]:
+            late[0] -= 1
+            raise OSError(errno.ENOTEMPTY, "Directory not empty", str(path))
+        rmtree(path, **more)
+
+    monkeypatch.setattr(files.shutil, "rmtree", interrupted)
+    files.remove(left)
+    assert not left.exists() and late == [0]
+    files.write_text(left / "one", "1")
+    late[0] = 1000
+    with pytest.raises(disk.WriteRefused, match="not empty"):
+        files.remove(left)

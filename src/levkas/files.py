@@ -37,6 +37,8 @@ except ImportError:  # Windows has no advisory locks of this kind: nothing is sw
 PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
 LONGEST_NAME = 200
+PATIENCE = 20
+"""Times that a folder is taken away again where something comes into it meanwhile."""
 
 
 def _no_fault(step: str, path: Path) -> None:
@@ -412,9 +414,16 @@ def together(before: Callable[[], object] | None = None) -> Iterator[None]:
 
 def _discard(path: Path) -> None:
     fault("remove", path)
-    while path.is_dir() and not path.is_symlink():
-        with contextlib.suppress(FileNotFoundError):  # another builder sweeps it too
+    for last in (*[False] * PATIENCE, True):
+        if not path.is_dir() or path.is_symlink():
+            break
+        try:
             shutil.rmtree(path)
+        except FileNotFoundError:  # another builder sweeps it too
+            continue
+        except OSError as error:  # a thread of the run that left it may put one more file there
+            if error.errno != errno.ENOTEMPTY or last:
+                raise
     path.unlink(missing_ok=True)
 
 
