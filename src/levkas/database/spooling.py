@@ -170,8 +170,12 @@ class SpooledTiffs:
 
 @dataclass
 class _Rows:
-    """Writes rows to the files of a layer, one block at a time, and paints them in its picture."""
+    """Writes rows to the files of a layer, one block at a time, and paints them in its picture.
 
+    The store is filled by a thread of its own, `beside` the pages.
+    """
+
+    beside: ThreadPoolExecutor
     tiffs: SpooledTiffs
     store: LayerWriter
     rendering: Rendering
@@ -181,13 +185,14 @@ class _Rows:
 
     def write(self, block: Cube) -> None:
         rows = rounded(block)
+        stored = self.beside.submit(self.store.write_rows, rows.values, rows.flags, rows.sigma)
         self.tiffs.write_rows(rows)
-        self.store.write_rows(rows.values, rows.flags, rows.sigma)
         if self.shown is None:
             self.shown = counts_white(rows.values, self.rendering)
         end = self._row + len(rows.values)
         self.picture[self._row : end] = self.rendering(rows.values, white=self.shown)
         self._row = end
+        stored.result()
 
 
 @dataclass(frozen=True)
@@ -245,9 +250,12 @@ def write_rows(
             root, layer.name, shape=shape, bands=bands, attributes=attributes, sigma=sigma
         ) as store,
     ):
-        passing = _Rows(tiffs, store, rendering, picture, shown)
         # The next rows are made while these are compressed and written.
-        with ThreadPoolExecutor(1, thread_name_prefix="rows") as behind:
+        with (
+            ThreadPoolExecutor(1, thread_name_prefix="store") as beside,
+            ThreadPoolExecutor(1, thread_name_prefix="rows") as behind,
+        ):
+            passing = _Rows(beside, tiffs, store, rendering, picture, shown)
             job = None
             for block in blocks:
                 if job is not None:
