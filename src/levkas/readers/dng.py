@@ -50,7 +50,8 @@ def check_parts(path: Path) -> None:
 
 def _directories(handle: BinaryIO, order: str, first: int) -> list[Tags]:
     """Return the tags of all directories, those within others too; each place is gone to once."""
-    left, seen, found = [first], set(), []
+    left, seen = [first], set[int]()
+    found: list[Tags] = []
     while left and len(found) < MOST_DIRECTORIES:
         at = left.pop(0)
         if at in seen or not at:
