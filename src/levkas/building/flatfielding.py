@@ -12,10 +12,42 @@ from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.gaps import describe_gaps, gaps_of
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.cube import Cube, Flag
+from levkas.problems import Problem
 from levkas.rounding import round_root, round_values
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from levkas.calibration.noise_fit import NoiseModel
+
+
+def require_same_size(
+    bench: Bench, shape: tuple[int, ...], darks: Sequence[Template], whites: Sequence[Template]
+) -> None:
+    """Refuse templates of another size than the object, before anything is made of both.
+
+    Raises CalibrationRefused, ``E_SIZE``; a template one line high stands for all lines.
+    """
+    problems = [
+        placed(
+            Problem(
+                "E_SIZE",
+                f"{name} and object are of different sizes",
+                found=str(template.mean.shape),
+                expected=str(shape),
+                fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+            ),
+            frames,
+        )
+        for name, found, frames in (
+            ("dark", darks, bench.sensor.dark),
+            ("white", whites, bench.sensor.white),
+        )
+        for template in found
+        if template.mean.shape[1:] != shape[1:] or template.mean.shape[0] not in (1, shape[0])
+    ]
+    if problems:
+        raise CalibrationRefused(*problems)
 
 
 def flatten(
