@@ -566,12 +566,26 @@ def nef_of_a_tiff_head_and_noise(folder):
     return put(folder / "shot.nef", b"MM\0*\0\0\0\x08" + noise)
 
 
-@bomb("E_UNREADABLE")
+def dng(side, compression, data=bytes(64)):
+    tags = page(side, side, data, bits=16)
+    tags |= {259: ("H", [compression]), 262: ("H", [32803]), 50706: ("B", [1, 4, 0, 0])}
+    tags |= {33421: ("H", [2, 2]), 33422: ("B", [0, 1, 1, 2])}
+    return tiff(tags, data)
+
+
+@bomb("E_TRUNCATED")
 def dng_of_sixty_thousand_columns(folder):
-    tags = page(60_000, 60_000, bytes(64), bits=16)
-    tags[262] = ("H", [32803])
-    tags |= {50706: ("B", [1, 4, 0, 0]), 33421: ("H", [2, 2]), 33422: ("B", [0, 1, 1, 2])}
-    return put(folder / "shot.dng", tiff(tags, bytes(64)))
+    return put(folder / "shot.dng", dng(60_000, 1))
+
+
+@bomb("E_TRUNCATED")
+def dng_of_lossless_jpeg_that_is_none(folder):
+    return put(folder / "shot.dng", dng(30_000, 7))
+
+
+@bomb("E_UNREADABLE")
+def dng_of_deflate_that_is_none(folder):
+    return put(folder / "shot.dng", dng(30_000, 8))
 
 
 @bomb("E_UNREADABLE")
