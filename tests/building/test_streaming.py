@@ -372,7 +372,7 @@ def test_values_of_a_mirror_scan_that_are_no_numbers_are_flagged_as_in_the_whole
     cubes = {name: cube.astype(np.float32) for name, cube in cubes.items()}
     for number, name in enumerate(spoilt):
         cubes[name][40, 30 + number, 2] = [np.nan, np.inf, -np.inf][number]
-    scan, whole = write_scan(tmp_path, cubes, MIRROR)
+    scan, whole = write_scan(tmp_path, cubes, MIRROR + "\nsaturation = 65535")
     monkeypatch.setenv("LEVKAS_TILE", "7")
     found, native = passed(scan), whole()
     assert same(found, native.cubes[""])
@@ -380,6 +380,8 @@ def test_values_of_a_mirror_scan_that_are_no_numbers_are_flagged_as_in_the_whole
     assert any(f"{len(spoilt)} value" in text for text in scan.warnings)
     lost = found.flags & (Flag.DEFECT | Flag.OUTSIDE) == Flag.DEFECT | Flag.OUTSIDE
     assert lost.sum() == len(spoilt)
+    told = native.learnt[""]["sensor"]
+    assert told["gain"] == pytest.approx(0.4, rel=0.06) and np.isfinite(told["read_noise"])
 
 
 def darker(cubes):

@@ -24,10 +24,25 @@ if TYPE_CHECKING:
 def require_same_size(
     bench: Bench, shape: tuple[int, ...], darks: Sequence[Template], whites: Sequence[Template]
 ) -> None:
-    """Refuse templates of another size than the object, before anything is made of both.
+    """Refuse templates of another size than the object, and frames that are smaller than their pattern.
 
-    Raises CalibrationRefused, ``E_SIZE``; a template one line high stands for all lines.
+    Raises CalibrationRefused, ``E_SIZE``, before anything is made of them. The templates of a push-broom
+    camera are one line.
     """
+    lines = shape[0]
+    if bench.camera.kind == "cube" and bench.camera.scan != "mirror":
+        lines = 1
+    pattern = bench.sensor.pattern
+    if pattern is not None and (shape[0] < len(pattern) or shape[1] < len(pattern[0])):
+        found, expected = (f"{w} x {h}" for h, w in (shape[:2], (len(pattern), len(pattern[0]))))
+        small = Problem(
+            "E_SIZE",
+            "the frame is smaller than its pattern",
+            field="pattern",
+            found=found,
+            expected=f"at least {expected}",
+        )
+        raise CalibrationRefused(placed(small, bench.sensor.object))
     problems = [
         placed(
             Problem(
@@ -44,7 +59,7 @@ def require_same_size(
             ("white", whites, bench.sensor.white),
         )
         for template in found
-        if template.mean.shape[1:] != shape[1:] or template.mean.shape[0] not in (1, shape[0])
+        if template.mean.shape != (lines, *shape[1:])
     ]
     if problems:
         raise CalibrationRefused(*problems)

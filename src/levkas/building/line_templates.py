@@ -31,7 +31,7 @@ class FrameLines:
     bench : Bench
     frames : tuple of FrameRef
     opened : tuple of EnviFile
-        Of each; one line high, or as high as the scan.
+        Of each.
     """
 
     bench: Bench
@@ -44,7 +44,7 @@ class FrameLines:
     ) -> FrameLines | None:
         """Open shots for a scan of a shape; None without one.
 
-        Raises CalibrationRefused, ``E_SIZE``, where one is of another size than the scan or the first.
+        Raises CalibrationRefused, ``E_SIZE``, where one is of another size than the scan, or type than the first.
         """
         from levkas.readers.envi import open_envi
 
@@ -54,15 +54,14 @@ class FrameLines:
         first = opened[0].facts
         for frame, one in zip(frames, opened, strict=True):
             found = one.facts
-            fits = found.shape[1:] == shape[1:] and found.shape[0] in (1, shape[0])
-            if not fits or (found.shape, found.dtype) != (first.shape, first.dtype):
+            if found.shape != shape or found.dtype != first.dtype:
                 raise CalibrationRefused(
                     Problem(
                         "E_SIZE",
                         "dark or white and object are of different sizes",
                         str(frame.path),
                         found=f"{found.shape} {found.dtype}",
-                        expected=f"{shape if fits else first.shape} {first.dtype}",
+                        expected=f"{shape} {first.dtype}",
                         fix="Capture templates in the object's mode; crops of other sessions do not fit.",
                     )
                 )
@@ -91,8 +90,7 @@ class FrameLines:
 
     def _read(self, start: int, stop: int) -> Iterator[np.ndarray]:
         for one, frame in zip(self.opened, self.frames, strict=True):
-            rows = (0, 1) if one.facts.shape[0] == 1 else (start, stop)
-            yield self.bench.checked(one.read_lines(*rows), frame)
+            yield self.bench.checked(one.read_lines(start, stop), frame)
 
 
 def gaps_marked(shot: Template) -> Template:
@@ -175,14 +173,12 @@ def _triples(bench: Bench, frame: FrameRef) -> Template | None:
     with np.errstate(invalid="ignore"):
         spread = np.square(rest) / 6  # 1 + 4 + 1 variances of one shot
         saturated, black = np.any(codes >= full, axis=1), np.any(codes <= 0, axis=1)
-    return Template(mean.astype(np.float32), spread.astype(np.float32), 2, saturated, black)
+    made = Template(mean.astype(np.float32), spread.astype(np.float32), 2, saturated, black)
+    return bench.whole(made, [frame])
 
 
 def _mean_line(dark: Template) -> Template:
-    """Return a dark as one line, the mean of those values that are numbers."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        known = np.isfinite(dark.mean)
-        sums = np.where(known, dark.mean, 0).sum(0, dtype=np.float64, keepdims=True)
-        mean = (sums / known.sum(0, keepdims=True)).astype(np.float32)
+    """Return a dark as one line, the mean of all."""
+    mean = dark.mean.mean(0, dtype=np.float64, keepdims=True).astype(np.float32)
     none = np.zeros(mean.shape, bool)
     return Template(mean, None, dark.count, none, none)
