@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 export PYTHONUTF8 := 1
 
-.PHONY: demo test lint bench docs reference lock frontend clean
+.PHONY: demo test lint bench docs reference lock frontend peers compare fuzz clean
 
 demo: $(READY)
 	$(BIN)/levkas demo demo
@@ -62,6 +62,18 @@ OUT ?= comparison
 compare: peers
 	PYTHONPATH=src $(PEERS)/bin/python -c 'from levkas.cli import main; main()' evaluate $(CAMPAIGN) --compare -o $(OUT)
 
+# Readers under mutation, guided by coverage: atheris, in an environment of its own.
+FUZZ := $(VENV)-fuzz
+SECONDS ?= 20
+fuzz: requirements-fuzz.lock
+	test -x $(FUZZ)/bin/python || $(PYTHON) -m venv $(FUZZ)
+	if command -v uv >/dev/null 2>&1; then \
+		uv pip install --python $(FUZZ)/bin/python --require-hashes -r requirements-fuzz.lock; \
+	else \
+		$(FUZZ)/bin/python -m pip install --disable-pip-version-check --require-hashes -r requirements-fuzz.lock; \
+	fi
+	PYTHONPATH=src $(FUZZ)/bin/python benchmarks/guided_fuzzing.py $(SECONDS)
+
 lock:
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 		--no-header --extra test --extra lint --extra docs pyproject.toml requirements-build.in -o requirements.lock
@@ -69,6 +81,8 @@ lock:
 		--no-header --extra render --constraint requirements.lock pyproject.toml -o requirements-render.lock
 	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 		--no-header --extra peers pyproject.toml -o requirements-peers.lock
+	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+		--no-header --extra fuzz --constraint requirements.lock pyproject.toml -o requirements-fuzz.lock
 
 clean:
-	rm -rf $(VENV) $(PEERS) build dist demo docs/_build .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(PEERS) $(FUZZ) build dist demo docs/_build .pytest_cache .mypy_cache .ruff_cache

@@ -1,38 +1,30 @@
-"""Change bytes of small files at random and read them: whatever comes must be a value or a refusal.
+"""Change bytes of small files at random and read them: whatever comes must be a sound value or a refusal.
 
     python benchmarks/fuzzing.py [SECONDS] [SEED]
 
-TIFF, PNG and JPEG frames, ENVI headers, campaign.toml and a JSON record, each with its data; then, for as
-long again, camera raw: DNGs, whose decoder runs in a process of its own, forked here from one that has
-loaded LibRaw, and sometimes started as a build starts it. Where atheris can be imported it drives the same readers by coverage (`python benchmarks/fuzzing.py atheris`); else, and
-by default, a seeded loop of our own. Prints runs, distinct refusals, the slowest run, and everything that
-was neither a value nor a refusal.
+Frames, scans, campaign.toml, records, tables and control points (`small_files.py`), each judged by
+`judging.py`; then, for as long again, camera raw: DNGs, whose decoder runs in a process of its own, forked
+here from one that has loaded LibRaw, and sometimes started as a build starts it. A seeded loop without
+coverage guidance; `guided_fuzzing.py` has it. Prints runs, distinct refusals, the run that took most
+processor time, and everything that was neither a sound value nor a refusal.
 """
 
-import contextlib
-import io
-import json
 import logging
 import struct
 import subprocess
 import sys
 import tempfile
 import time
-import traceback
 import warnings
 from collections import Counter
 from pathlib import Path
 
+import judging
 import numpy as np
-import tifffile
+from small_files import TOKENS, raw_seeds, seeds
 
-from levkas.campaign import load_campaign
-from levkas.problems import Refused
 from levkas.readers import raw
-from levkas.readers.frames import read_facts, read_frame
-from levkas.readers.texts import read_json
 
-SLOW_S = 2.0
 STARTED_WHOLE = 50
 """Every so-many-th camera raw is decoded by a new process."""
 FORKING = """
@@ -56,113 +48,21 @@ for line in sys.stdin:
             runpy.run_path(program, run_name="__main__")
             answer.flush()
             os._exit(0)
-        _, status = os.waitpid(child, 0)
+        _, status, used = os.wait4(child, 0)
         answer.seek(0)
         data = answer.read()
-        sys.__stdout__.buffer.write(struct.pack(">iI", os.waitstatus_to_exitcode(status), len(data)))
+        told = os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, len(data)
+        sys.__stdout__.buffer.write(struct.pack(">idI", *told))
         sys.__stdout__.buffer.write(data)
         sys.__stdout__.buffer.flush()
 """
-CAMPAIGN = b"""[campaign]
-title = "Two paintings"
-date = 2024-05-31
-reference = { camera = "vis", band = "550" }
-[grid]
-mirror = true
-region = [0, 0, 40, 30]
-[cameras.vis]
-kind = "bands"
-files = "vis/{target}/{wavelength}nm.tif"
-wavelengths = { start = 400, stop = 720, step = 10 }
-bits = 12
-[cameras.msfa]
-kind = "mosaic"
-files = ["msfa/{target}_{shot}.tif"]
-pattern = [["B1", "B2"], ["B3", "B4"]]
-exposures = "merge"
-[targets]
-dark = "dark"
-white = { names = ["white"], reflectance = 0.98 }
-[objects.icon1]
-size_mm = [300, 400]
-"""
-TOKENS = [
-    *(b"\0", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80\0\0\0", b"-1", b"0", b"nan"),
-    *(b"inf", b"1e999", b"99999999999999999999", b"{", b"}", b"[", b"]", b'"', b'"""', b"=", b"\n"),
-    *(b",", b";", b".", b"\\u0000", b"\xc3", b" ", b"{target}", b"[[", b"'''", b"NaN", b"true"),
-]
-
-
-def seeds():
-    """Return (name of the file, its bytes, files beside it) of every kind."""
-    codes = (np.arange(15 * 13, dtype=np.uint16) * 21).reshape(15, 13)
-    for name, options in {
-        "plain": {}, "deflate": {"compression": "zlib", "predictor": True}, "big": {"bigtiff": True},
-        "lzw": {"compression": "lzw", "rowsperstrip": 4}, "tiles": {"tile": (16, 16)},
-        "zstd": {"compression": "zstd"}, "order": {"byteorder": ">"},
-        "tags": {"extratags": [(33434, "2I", 1, (1, 4), True), (270, "s", 0, "a frame", True)]},
-    }.items():  # fmt: skip
-        stream = io.BytesIO()
-        tifffile.imwrite(stream, codes, **options)
-        yield f"{name}.tif", stream.getvalue(), {}
-    stream = io.BytesIO()
-    tifffile.imwrite(stream, np.stack([codes] * 3), photometric="minisblack", metadata=None)
-    yield "pages.tif", stream.getvalue(), {}
-    stream = io.BytesIO()
-    tifffile.imwrite(stream, (codes >> 4).astype(np.uint8), compression="jpeg")
-    yield "jpeg.tif", stream.getvalue(), {}
-    import imagecodecs
-
-    yield "gray.png", bytes(imagecodecs.png_encode(codes)), {}
-    yield "colour.png", bytes(imagecodecs.png_encode(np.dstack([codes >> 4] * 3).astype("u1"))), {}
-    yield "photo.jpg", bytes(imagecodecs.jpeg8_encode((codes >> 4).astype(np.uint8))), {}
-    header = (
-        "ENVI\n; from a scanner\nsamples = 5\nlines = 4\nbands = 3\ndata type = 12\ninterleave = bil\n"
-        "header offset = 0\nbyte order = 0\nwavelength units = nm\nwavelength = {400.1, 500,\n 600}\n"
-        'band names = {"a", b, c}\nreflectance scale factor = 1\ndata ignore value = -1\n'
-    )
-    yield "scan.hdr", header.encode(), {"scan.raw": bytes(range(120))}
-    yield "campaign.toml", CAMPAIGN, {}
-    record = {"campaign": "x", "cameras": {"vis": {"bands": ["a"], "size": [1.5, 2e3]}}, "n": None}
-    yield "record.json", json.dumps(record).encode(), {}
-
-
-def raw_seeds():
-    """Return DNGs as `seeds` does, written with tifffile."""
-    codes = (np.arange(32 * 48, dtype=np.uint16) * 21 % 4096).reshape(32, 48)
-    levels = tuple(int(c) for c in np.round(np.linspace(0, 1, 200) ** 2 * 4095))
-    for name, mosaic, extra, options in (
-        ("plain", codes, [], {}),
-        ("strips", codes, [(33434, "2I", 1, (1, 4), True)], {"rowsperstrip": 8}),
-        ("tiles", codes, [], {"tile": (16, 16)}),
-        ("curve", codes % 200, [(50712, "H", 200, levels, True)], {}),
-        ("area", codes, [(50829, "I", 4, (2, 4, 30, 44), True)], {}),
-        ("order", codes, [], {"byteorder": ">"}),
-    ):
-        tags = [
-            (50706, "B", 4, (1, 4, 0, 0), True),
-            (50708, "s", 0, "Levkas test", True),
-            (33421, "H", 2, (2, 2), True),
-            (33422, "B", 4, (0, 1, 1, 2), True),
-            (50714, "H", 1, 64, True),
-            (50717, "I", 1, 4095, True),
-            (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
-            (50778, "H", 1, 21, True),
-            (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
-            *extra,
-        ]
-        stream = io.BytesIO()
-        tifffile.imwrite(
-            stream, mosaic, photometric=32803, extratags=tags, metadata=None, **options
-        )
-        yield f"{name}.dng", stream.getvalue(), {}
 
 
 class Forking:
     """In place of `subprocess` in `levkas.readers.raw`: the decoder without its second of starting."""
 
     DEVNULL, PIPE = subprocess.DEVNULL, subprocess.PIPE
-    TimeoutExpired, count = subprocess.TimeoutExpired, 0
+    TimeoutExpired, count, seconds = subprocess.TimeoutExpired, 0, 0.0
 
     def __init__(self):
         command = [sys.executable, "-c", FORKING, str(raw.PROGRAM)]
@@ -174,21 +74,9 @@ class Forking:
             return subprocess.run(command, **options)
         self.server.stdin.write(f"{command[-2]}|{command[-1]}\n".encode())
         self.server.stdin.flush()
-        status, length = struct.unpack(">iI", self.server.stdout.read(8))
+        status, used, length = struct.unpack(">idI", self.server.stdout.read(16))
+        self.seconds += used
         return subprocess.CompletedProcess(command, status, self.server.stdout.read(length))
-
-
-def read(path):
-    """Read a file as the package would; raises Refused."""
-    if path.suffix == ".toml":
-        load_campaign(path)
-    elif path.suffix == ".json":
-        read_json(path)
-    else:
-        read_facts(path)
-        values = read_frame(path)
-        if values.size == 0 or not values.dtype.isnative:
-            raise AssertionError(f"read as {values.shape} {values.dtype}")
 
 
 def changed(data, rng):
@@ -227,90 +115,58 @@ def main(seconds, seed):
     finally:
         raw.subprocess.server.stdin.close()
         raw.subprocess.server.wait()
+        raw.subprocess = subprocess
 
 
 def fuzz(corpus, seconds, seed):
     """Change and read files of a corpus in turn, and print what came of it."""
     rng = np.random.default_rng(seed)
-    runs, read_well, refusals, kinds = Counter(), Counter(), Counter(), {}
-    odd, slowest = {}, (0.0, "")
+    runs, came, ways, odd, most = Counter(), Counter(), {}, {}, (0.0, "")
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         for number in range(sys.maxsize):
             if time.perf_counter() - started > seconds:
                 break
             name, data, beside = corpus[number % len(corpus)]
-            path = Path(folder) / name
+            path, made, kind = Path(folder) / name, changed(data, rng), judging.reader_of(name)
             for other, content in beside.items():
                 (Path(folder) / other).write_bytes(content)
-            made = changed(data, rng)
             path.write_bytes(made)
-            runs[path.suffix] += 1
-            begun = time.perf_counter()
-            try:
-                read(path)
-                read_well[path.suffix] += 1
-            except Refused as refused:
-                refusals[path.suffix] += 1
-                kinds.setdefault(path.suffix, set()).update(
-                    (p.code, p.message) for p in refused.problems
-                )
-                if not all(p.file and p.fix for p in refused.problems):
-                    for p in refused.problems:
-                        kinds.setdefault("without a file or a fix", set()).add((p.code, p.message))
-            except Exception as error:
-                odd.setdefault(
-                    (name, f"{type(error).__name__}: {str(error)[:80]}"),
-                    (made[:300], "".join(traceback.format_exc()[-600:])),
-                )
-            took = time.perf_counter() - begun
-            slowest = max(slowest, (took, name))
-            if took > SLOW_S:
-                odd.setdefault((name, "slow"), (made[:300], f"{took:.1f} s"))
-    for suffix in runs:
+            what, refusals, wrong, used = timed(path)
+            runs[kind] += 1
+            came[kind, what] += 1
+            ways.setdefault(kind, set()).update(refusals)
+            most = max(most, (used, name))
+            if wrong:
+                odd.setdefault((name, wrong), made[:300])
+    for kind in runs:
         print(
-            f"{suffix:6} {runs[suffix]:7} runs, {read_well[suffix]:7} read, {refusals[suffix]:7} refused "
-            f"in {len(kinds.get(suffix, ()))} ways"
+            f"{kind:9} {runs[kind]:7} runs, {came[kind, 'read']:7} read, "
+            f"{came[kind, 'refused']:7} refused in {len(ways[kind])} ways"
         )
-    for code, message in sorted(kinds.get("without a file or a fix", ())):
-        print(f"without a file or a fix: {code} {message}")
     print(
-        f"{runs.total()} runs in {seconds:g} s from seed {seed}; slowest {slowest[0]:.2f} s "
-        f"({slowest[1]}); {len(odd)} that were no refusal"
+        f"{runs.total()} runs in {seconds:g} s from seed {seed}; most processor time {most[0]:.2f} s "
+        f"({most[1]}); {len(odd)} that were neither"
     )
-    for (name, error), (made, trace) in odd.items():
-        print(f"--- {name}: {error}\n{made!r}\n{trace}")
+    for (name, wrong), made in odd.items():
+        print(f"--- {name}: {wrong}\n{made!r}")
     return len(odd)
 
 
-def main_atheris():
-    """Let atheris choose the bytes: the first picks the kind, the rest is the file."""
-    import atheris
-
-    corpus = list(seeds())
-    folder = Path(tempfile.mkdtemp())
-    for _, _, beside in corpus:
-        for other, content in beside.items():
-            (folder / other).write_bytes(content)
-
-    def once(data):
-        if not data:
-            return
-        path = folder / corpus[data[0] % len(corpus)][0]
-        path.write_bytes(data[1:])
-        with contextlib.suppress(Refused):
-            read(path)
-
-    atheris.instrument_all()
-    atheris.Setup(sys.argv[:1], once)
-    atheris.Fuzz()
+def timed(path):
+    """Judge a file, with the processor time that it took, that of forked decoders too."""
+    before = judging.processor_s(), getattr(raw.subprocess, "seconds", 0.0)
+    what, refusals, wrong = judging.judge(path)
+    forked = getattr(raw.subprocess, "seconds", 0.0) - before[1]
+    used = judging.processor_s() - before[0] + forked
+    if not wrong and used > judging.SLOW_S:
+        wrong = "slow"
+        print(f"slow: {path.name}, {used:.1f} s of processor time", flush=True)
+    return what, refusals, wrong, used
 
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     logging.disable(logging.ERROR)  # tifffile tells of every tag that it leaves out
-    if sys.argv[1:] == ["atheris"]:
-        main_atheris()
-    else:
-        given = [float(n) for n in sys.argv[1:]] + [180.0, 0][len(sys.argv) - 1 :]
-        sys.exit(1 if main(given[0], int(given[1])) else 0)
+    given = [float(n) for n in sys.argv[1:]] + [180.0, 0][len(sys.argv) - 1 :]
+    sys.exit(1 if main(given[0], int(given[1])) else 0)

@@ -73,7 +73,7 @@ def work(folder: Path, memory: float) -> None:
     import resource
     import threading
 
-    from levkas.building.scans import open_scan
+    from levkas.building.scan_opening import open_scan
     from levkas.building.shelf import Shelf
     from levkas.building.streaming import resample_scan
     from levkas.campaign import load_campaign

@@ -29,7 +29,7 @@ def test_pages_of_the_documentation_are_in_its_index():
 
 
 def test_the_lock_file_names_no_registry_and_pins_by_hash():
-    for name in ("requirements-render.lock", "requirements-peers.lock"):
+    for name in ("requirements-render.lock", "requirements-peers.lock", "requirements-fuzz.lock"):
         assert "://" not in (ROOT / name).read_text()
     text = (ROOT / "requirements.lock").read_text()
     assert "://" not in text and text.count("--hash=sha256:") > 300

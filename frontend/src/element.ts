@@ -36,6 +36,18 @@ export function draw<K extends keyof SVGElementTagNameMap>(
   return element;
 }
 
+/** Fill an element anew; what is open in it stays so, and who works with the keyboard stays where they were. */
+export function refill(root: HTMLElement, ...children: Child[]): void {
+  const held = root.contains(document.activeElement) ? document.activeElement!.id : null;
+  const open = [...root.querySelectorAll("details[open]")].map((one) => one.id);
+  root.replaceChildren();
+  append(root, children);
+  for (const id of open) if (id) root.querySelector(`#${CSS.escape(id)}`)?.setAttribute("open", "");
+  if (held === null) return;
+  const again = held ? root.querySelector<HTMLElement>(`#${CSS.escape(held)}`) : null;
+  (again ?? root.querySelector<HTMLElement>("button") ?? root).focus({ preventScroll: true });
+}
+
 /** Find an element of the page by its id; its absence is a defect of the page. */
 export function find<T extends HTMLElement>(id: string): T {
   const element = document.getElementById(id);

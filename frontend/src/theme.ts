@@ -28,6 +28,30 @@ export function startTheme(button: HTMLButtonElement): void {
   say();
 }
 
+const known = new Map<string, string>();
+const waiting: (() => void)[] = [];
+
+/** A colour of the page, by its name in the style sheet; asked once, as asking lays the page out. */
+export function ink(name: string): string {
+  if (!waiting.length) onTheme(() => {});
+  let colour = known.get(name);
+  if (colour === undefined) known.set(name, (colour = getComputedStyle(document.documentElement).getPropertyValue(name).trim()));
+  return colour;
+}
+
+/** Call whenever colours change. */
+export function onTheme(listener: () => void): void {
+  if (!waiting.length) {
+    const changed = (): void => {
+      known.clear();
+      for (const one of waiting) one();
+    };
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", changed);
+    new MutationObserver(changed).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+  }
+  waiting.push(listener);
+}
+
 function current(): Theme {
   const chosen = document.documentElement.dataset["theme"];
   if (chosen === "light" || chosen === "dark") return chosen;

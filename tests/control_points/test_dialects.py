@@ -1,5 +1,7 @@
 """Every dialect: what is written is what is read, and a file as its program writes it is understood."""
 
+import struct
+
 import numpy as np
 import pytest
 import scipy.io
@@ -265,7 +267,17 @@ def test_cpselect_reads_exported_points_and_the_structure_of_the_tool(tmp_path):
     np.testing.assert_allclose(points.reference, [[163.5639, 112.2890]])
 
 
+def mat_without_numbers(*shape):
+    """Return a MAT file of one variable whose size has a side of 0."""
+    size = struct.pack(f"<II{len(shape)}i", 5, 4 * len(shape), *shape)
+    size += bytes(-len(size) % 8)
+    parts = struct.pack("<IIII", 6, 8, 6, 0) + size + struct.pack("<IIII", 1 | 1 << 16, 97, 9, 0)
+    return b"MATLAB 5.0".ljust(126) + b"IM" + struct.pack("<II", 14, len(parts)) + parts
+
+
 BROKEN = {
+    "mat of no rows": (mat_without_numbers(0, 2), "found: a; expected: movingPoints"),
+    "mat of a long side": (mat_without_numbers(0, 2**31 - 1, 2**31 - 1), "a variable of"),
     "empty": (b"", "no control points that are known"),
     "picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "no control points that are known"),
     "bigwarp text": (b'"Pt-0","true","1","2","3","four"\n', "'four' in line 1"),

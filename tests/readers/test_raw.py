@@ -1,3 +1,6 @@
+import struct
+
+import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -5,13 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.problems import Refused
+from levkas.readers import raw
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 RNG = np.random.default_rng(5)
 MOSAIC = RNG.integers(64, 4096, (64, 96)).astype(np.uint16)
 
 
-def write_dng(path, mosaic, *, pattern=(0, 1, 1, 2), black=(64,), white=4095, extra=()):
+def write_dng(path, mosaic, *, pattern=(0, 1, 1, 2), black=(64,), white=4095, extra=(), **more):
     tags = [
         (50706, "B", 4, (1, 4, 0, 0), True),
         (50708, "s", 0, "Levkas test", True),
@@ -24,8 +28,20 @@ def write_dng(path, mosaic, *, pattern=(0, 1, 1, 2), black=(64,), white=4095, ex
         (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
         *extra,
     ]
-    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None)
+    tifffile.imwrite(path, mosaic, photometric=32803, extratags=tags, metadata=None, **more)
     return path
+
+
+def write_lossless(path, mosaic, tile=32):
+    """Write a DNG of tiles in lossless JPEG; return their places and the places of their byte counts."""
+    h, w = mosaic.shape
+    places = [(y, x) for y in range(0, h, tile) for x in range(0, w, tile)]
+    parts = (imagecodecs.ljpeg_encode(mosaic[y : y + tile, x : x + tile].copy()) for y, x in places)
+    facts = {"shape": mosaic.shape, "dtype": mosaic.dtype, "compression": 7, "tile": (tile, tile)}
+    write_dng(path, parts, **facts)
+    with tifffile.TiffFile(path) as tiff:
+        tags = tiff.pages[0].tags
+        return tiff.pages[0].dataoffsets, tags["TileByteCounts"].valueoffset
 
 
 @pytest.mark.parametrize(("codes", "letters"), [((0, 1, 1, 2), "RGGB"), ((1, 2, 0, 1), "GBRG")])
@@ -106,4 +122,62 @@ def test_a_raw_without_a_header_beside_it_says_what_was_looked_for(tmp_path):
     path = tmp_path / "scan.raw"
     path.write_bytes(bytes(range(256)) * 40)
     with pytest.raises(UnreadableCapture, match=r"scan\.hdr beside it"):
+        read_facts(path)
+
+
+def test_tiles_of_lossless_jpeg_come_bit_exact(tmp_path):
+    write_lossless(tmp_path / "a.dng", MOSAIC)
+    assert np.array_equal(read_frame(tmp_path / "a.dng"), MOSAIC)
+
+
+def spoil_mark(data, starts, _):
+    data[starts[2] + 2] = 0  # the first marker after the beginning of a JPEG
+
+
+def spoil_beginning(data, starts, _):
+    data[starts[2]] = 0
+
+
+def spoil_size(data, starts, _):
+    at = data.index(b"\xff\xc3", starts[2])
+    data[at + 5 : at + 7] = b"\0\x08"  # 8 rows of 32
+
+
+def spoil_count(data, _, counts):
+    struct.pack_into("<I", data, counts + 8, 1 << 20)  # past the end of the file
+
+
+def leave_out(data, _, counts):
+    struct.pack_into("<I", data, counts + 8, 0)
+
+
+@pytest.mark.parametrize("spoil", [spoil_mark, spoil_beginning, spoil_size, spoil_count, leave_out])
+def test_a_tile_that_libraw_would_leave_as_zeros_is_refused(tmp_path, spoil):
+    path = tmp_path / "a.dng"
+    starts, counts = write_lossless(path, MOSAIC)
+    data = bytearray(path.read_bytes())
+    spoil(data, starts, counts)
+    path.write_bytes(data)
+    for read in (read_facts, read_frame):
+        with pytest.raises(UnreadableCapture, match=r"a\.dng") as refused:
+            read(path)
+        assert refused.value.problems[0].code == "E_TRUNCATED"
+
+
+def test_a_mosaic_of_zeros_alone_was_not_decoded(tmp_path):
+    with pytest.raises(UnreadableCapture, match="nothing but zeros"):
+        read_frame(write_dng(tmp_path / "a.dng", np.zeros((64, 96), np.uint16)))
+
+
+@pytest.mark.skipif(not hasattr(raw.signal, "setitimer"), reason="processor time of Unix")
+def test_a_decoder_that_does_not_end_is_ended_by_its_processor_time(tmp_path, monkeypatch):
+    path = write_dng(tmp_path / "a.dng", MOSAIC)
+    program = tmp_path / "endless.py"
+    program.write_text(
+        f"import runpy, sys\nfound = runpy.run_path({str(raw.PROGRAM)!r})\n"
+        "limit = found['limit_reading']\nlimit.__globals__['READING_S'] = 0.1\n"
+        "limit(sys.argv[1])\nwhile True:\n    pass\n"
+    )
+    monkeypatch.setattr(raw, "PROGRAM", program)
+    with pytest.raises(UnreadableCapture, match="processor time"):
         read_facts(path)

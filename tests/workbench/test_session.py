@@ -1,7 +1,5 @@
 """Corrections on planted pairs: what an edit makes of the fit, and undo without end."""
 
-import base64
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +7,7 @@ from hypothesis import strategies as st
 
 from levkas.edits import FrameEdits
 from levkas.registration.record import Matches
-from levkas.workbench.answer import describe
+from levkas.workbench.answer import describe, from_bytes, to_bytes
 from levkas.workbench.operations import OPERATIONS, OperationRefused
 from levkas.workbench.session import Found, Session
 
@@ -119,24 +117,41 @@ def test_sliders_replay_the_removal_and_are_one_change_each():
         session.slide("stop", 1e5)
 
 
-def test_packed_columns_say_what_plain_ones_say():
+def test_pictures_are_brought_over_anew_only_where_the_map_has_moved():
+    session = Session(plant(n=2000, wrong=1, off=90, stop=99))
+    first = session.drawn
+    session.apply("delete", pair_of(session, 0))
+    assert session.drawn == session.version > first
+    seen, then = session.drawn, session.view.forward
+    spots = np.random.default_rng(1).uniform(0, np.array(SIZE), (200, 2))
+    renewed = 0
+    for row in range(1, 60):
+        session.apply("delete", pair_of(session, row))
+        if session.drawn != seen:
+            seen, then, renewed = session.drawn, session.view.forward, renewed + 1
+        assert np.abs(session.view.forward(spots) - then(spots)).max() < 0.03
+    assert renewed < 6
+
+
+def test_an_answer_in_bytes_says_what_a_plain_one_says():
     session = Session(plant(wrong=60, stop=1.0))
     session.apply("delete", describe(session)["pairs"][70])
-    plain, packed = describe(session), describe(session, packed=True)
-
-    def numbers(told):
-        kind, shape = np.dtype(f"<{told['kind']}"), told["shape"]
-        return np.frombuffer(base64.b64decode(told["data"]), kind).reshape(shape)
-
+    plain, told = describe(session), from_bytes(to_bytes(describe(session, packed=True)))
     for name in ("residual", "leave_one_out", "weight", "round", "pairs"):
-        assert np.array_equal(
-            numbers(packed[name]), np.array(plain[name], numbers(packed[name]).dtype)
-        )
+        assert np.array_equal(told[name], np.array(plain[name], told[name].dtype))
     for name in ("largest", "removed", "models"):
-        assert np.allclose(numbers(packed["trace"][name]), plain["trace"][name], atol=1e-4)
+        assert np.allclose(told["trace"][name], plain["trace"][name], atol=1e-4)
     for name in ("state", "reason"):
-        told = packed[name]
-        assert [told["words"][i] for i in numbers(told["codes"])] == plain[name]
+        assert [told[name]["words"][i] for i in told[name]["codes"]] == plain[name]
+    same = {"version", "drawn", "places", "summary", "refusal", "reject", "stop", "corrections"}
+    assert {name: told[name] for name in same} == {name: plain[name] for name in same}
+
+
+def test_an_answer_of_no_pairs_comes_back_too():
+    told = describe(Session(plant(n=0)), packed=True)
+    again = from_bytes(to_bytes(told))
+    assert again["pairs"].shape == (0, 4) and again["trace"] is None
+    assert again["state"]["words"] == [] and len(again["state"]["codes"]) == 0
 
 
 def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():

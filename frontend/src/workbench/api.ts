@@ -22,22 +22,28 @@ export async function enter(): Promise<void> {
   await post("/enter", { token });
 }
 
-export function get<T>(path: string): Promise<T> {
-  return ask<T>(path, { method: "GET" });
+export async function get<T>(path: string): Promise<T> {
+  return (await (await ask(path)).json()) as T;
 }
 
-export function post<T>(path: string, body: unknown): Promise<T> {
-  return ask<T>(path, { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } });
+export async function post<T>(path: string, body: unknown): Promise<T> {
+  return (await (await ask(path, body)).json()) as T;
 }
 
-async function ask<T>(path: string, how: RequestInit): Promise<T> {
+/** Ask for what comes in columns; with a body it is a change. */
+export async function bytes(path: string, body?: unknown): Promise<ArrayBuffer> {
+  return (await ask(path, body)).arrayBuffer();
+}
+
+async function ask(path: string, body?: unknown): Promise<Response> {
+  const how: RequestInit = body === undefined ? {} : { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } };
   let answer: Response;
   try {
     answer = await fetch(path, { ...how, credentials: "same-origin", cache: "no-store" });
   } catch {
     throw new Refusal(0, [{ code: "E_GONE", message: "The workbench's server does not answer", fix: "Was it ended with Ctrl-C? Start `levkas inspect` again and open the new address" }]);
   }
-  const record = (await answer.json().catch(() => ({}))) as T & { problems?: Problem[] };
-  if (!answer.ok) throw new Refusal(answer.status, record.problems ?? []);
-  return record;
+  if (answer.ok) return answer;
+  const record = (await answer.json().catch(() => ({}))) as { problems?: Problem[] };
+  throw new Refusal(answer.status, record.problems ?? []);
 }

@@ -1,7 +1,7 @@
 // Control points of other programs: in and out.
 import { make } from "../element";
-import { post } from "./api";
-import type { PackedTold } from "./record";
+import { bytes, post } from "./api";
+import { read } from "./columns";
 import type { Store } from "./store";
 
 const DIALECTS: [string, string][] = [
@@ -60,8 +60,8 @@ async function open(store: Store, files: File[], said: HTMLElement): Promise<voi
   files.sort((a, b) => (a.name.includes("reference") ? -1 : b.name.includes("reference") ? 1 : a.name < b.name ? -1 : 1));
   const data = await Promise.all(files.map(encode));
   const before = store.refused;
-  await store.take(async () => {
-    const told = await post<PackedTold & { imported: number; known: number }>(`${store.path}/import`, { files: data });
+  await store.take(async (pairs) => {
+    const told = read<{ imported: number; known: number }>(await bytes(`${store.path}/import`, { files: data }), pairs);
     said.textContent = `${told.imported} pairs came in; ${told.known} were there already or are switched off.`;
     return told;
   });

@@ -1,7 +1,7 @@
 // The registration workbench, served by `levkas inspect`.
 import "../style/tokens.css";
 import "./workbench.css";
-import { make } from "../element";
+import { make, refill } from "../element";
 import { startTheme } from "../theme";
 import { enter, Refusal } from "./api";
 import { filesDialog } from "./files";
@@ -140,13 +140,16 @@ function build(store: Store): void {
 }
 
 function drawCameras(nav: HTMLElement, store: Store, open: (id: string) => Promise<void>): void {
+  const shown = JSON.stringify([store.campaign, store.cameras, store.frame?.id]);
+  if (nav.dataset["shown"] === shown) return;
+  nav.dataset["shown"] = shown;
   const groups = new Map<string, CameraRow[]>();
   for (const row of store.cameras) groups.set(row.object, [...(groups.get(row.object) ?? []), row]);
   const made = [...groups].map(([, rows]) => {
     const items = rows.map((row) => {
       const button = make(
         "button",
-        { type: "button", "aria-current": row.id === store.frame?.id ? "true" : null, title: row.reason },
+        { type: "button", id: `camera-${row.id}`, "aria-current": row.id === store.frame?.id ? "true" : null, title: row.reason },
         make("span", { class: "name" }, row.sensor ? `${row.camera} · ${row.sensor}` : row.camera),
         make("span", { class: "soft of" }, [row.setup && `under ${row.setup}`, row.bands].filter(Boolean).join(", ")),
         row.reference ? make("span", { class: "badge reference" }, "Reference") : make("span", { class: `badge ${row.decision}` }, DECISIONS[row.decision] ?? row.decision),
@@ -156,7 +159,7 @@ function drawCameras(nav: HTMLElement, store: Store, open: (id: string) => Promi
     });
     return make("section", {}, make("h2", {}, rows[0]!.title), make("ul", {}, ...items));
   });
-  nav.replaceChildren(make("p", { class: "soft campaign" }, store.campaign), ...made);
+  refill(nav, make("p", { class: "soft campaign" }, store.campaign), ...made);
 }
 
 function allKeys(store: Store, stage: Stage, table: PairTable, pair: PairCard, setMode: (mode: Mode) => void, step: (by: number) => void, help: () => void): Key[] {

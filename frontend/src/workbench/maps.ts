@@ -1,5 +1,5 @@
 // Maps between the pictures, as the server sent them: polynomials target → reference, and back by Newton's steps.
-import type { Point, Trace } from "./record";
+import type { Numbers, Point, Trace } from "./record";
 
 export type Map2 = (x: number, y: number) => Point;
 
@@ -8,23 +8,26 @@ export function mapOf(trace: Trace, round: number): Map2 {
   if (round < 0) return affine(trace.scale);
   let at = 0;
   while (at + 1 < trace.rounds.length && trace.rounds[at + 1]! <= round) at++;
-  return polynomial(trace.order, trace.centre, trace.spread, trace.models[at]!);
+  const terms = (trace.order + 1) * (trace.order + 2);
+  return polynomial(trace.order, trace.centre, trace.spread, trace.models.subarray(at * terms, (at + 1) * terms));
 }
 
 function affine(m: Trace["scale"]): Map2 {
   return (x, y) => [m[0][0] * x + m[0][1] * y + m[0][2], m[1][0] * x + m[1][1] * y + m[1][2]];
 }
 
-function polynomial(order: number, centre: Point, spread: number, terms: [number, number][]): Map2 {
+function polynomial(order: number, centre: Point, spread: number, terms: Numbers): Map2 {
   return (x, y) => {
     const u = (x - centre[0]) / spread;
     const v = (y - centre[1]) / spread;
-    let [a, b, term] = [0, 0, 0];
+    let [a, b, at] = [0, 0, 0];
     for (let degree = 0; degree <= order; degree++)
-      for (let j = 0; j <= degree; j++, term++) {
-        const value = u ** (degree - j) * v ** j;
-        a += terms[term]![0] * value;
-        b += terms[term]![1] * value;
+      for (let j = 0; j <= degree; j++, at += 2) {
+        let value = 1;
+        for (let k = j; k < degree; k++) value *= u;
+        for (let k = 0; k < j; k++) value *= v;
+        a += terms[at]! * value;
+        b += terms[at + 1]! * value;
       }
     return [a, b];
   };

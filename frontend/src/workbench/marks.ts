@@ -1,83 +1,121 @@
 // Pairs drawn on a canvas: kept ones green to red by their error, removed ones hollow, check points as diamonds.
+import { ink } from "../theme";
+import { Dots, packed } from "./dots";
 import type { Map2 } from "./maps";
-import { errorColour, type Partner, type Point, type Told } from "./record";
+import { errorColour, shareOf, type Partner, type Point, type Told } from "./record";
 
 type Place = (x: number, y: number) => Point;
 
 const BINS = 16;
+const REMOVED = BINS;
 const MANY = 3000;
+const LEAST_LINE = 1.5; // px of the screen
+const GREY = "#9a9a9a";
 
-export function paintPairs(context: CanvasRenderingContext2D, told: Told, selected: number, part: 0 | 2, place: Place, map: Map2 | null): void {
-  const style = getComputedStyle(document.documentElement);
-  const light = style.getPropertyValue("--error-light").trim() || "45%";
+/** Places on screen of the pairs in view, and the shade of each. */
+interface InView {
+  x: Float32Array;
+  y: Float32Array;
+  bin: Uint8Array;
+  count: number;
+  special: number[];
+}
+
+export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, told: Told, selected: number, part: 0 | 2, place: Place, map: Map2 | null): void {
+  const light = ink("--error-light") || "45%";
   const colour = (share: number): string => errorColour(share, 1).replace("var(--error-light)", light);
-  const [width, height] = [context.canvas.clientWidth, context.canvas.clientHeight];
   // Maps of the view are affine: three places tell where all the others are.
   const [o, ex, ey] = [place(0, 0), place(1000, 0), place(0, 1000)];
   const [ax, ay, bx, by] = [(ex[0] - o[0]) / 1000, (ex[1] - o[1]) / 1000, (ey[0] - o[0]) / 1000, (ey[1] - o[1]) / 1000];
   const at = (x: number, y: number): Point => [o[0] + ax * x + bx * y, o[1] + ay * x + by * y];
-  const radius = Math.min(3.6, Math.max(1.7, 1 + (100 * Math.hypot(ax, ay)) / 60));
-  const bins = Array.from({ length: BINS }, () => new Path2D());
-  const [removed, lines] = [new Path2D(), new Path2D()];
-  const special: number[] = [];
-  const square = told.pairs.length > MANY;
-  for (let row = 0; row < told.pairs.length; row++) {
+  const scale = Math.hypot(ax, ay);
+  const radius = Math.min(3.6, Math.max(1.7, 1 + (100 * scale) / 60));
+  const lines = new Path2D();
+  const join = (row: number, x: number, y: number): void => {
+    if (part !== 0 || !map || !(told.residual[row]! * scale > LEAST_LINE)) return;
+    lines.moveTo(x, y);
+    lines.lineTo(...at(...map(told.pairs[row]![2], told.pairs[row]![3])));
+  };
+  const seen = findInView(context, told, selected, part, at, join);
+  context.lineWidth = 0.4 + radius / 4;
+  context.strokeStyle = "#ddd";
+  context.stroke(lines);
+  if (told.pairs.length > MANY) paintMany(context, dots, seen, radius, colour);
+  else paintFew(context, seen, radius, colour);
+  for (const row of seen.special) {
+    const pair = told.pairs[row]!;
+    const [x, y] = at(pair[part], pair[part + 1]!);
+    if (row !== selected) mark(context, x, y, told.state[row]!, colour(shareOf(told, row)), told.reason[row] !== "", 3.6);
+  }
+  const pair = told.pairs[selected];
+  if (!pair) return;
+  const [x, y] = place(pair[part], pair[part + 1]!);
+  mark(context, x, y, told.state[selected]!, colour(shareOf(told, selected)), false, 3.6);
+  ring(context, x, y, "#fff", 5);
+  ring(context, x, y, ink("--gold") || "#d9b45b", 2.5);
+}
+
+function findInView(context: CanvasRenderingContext2D, told: Told, selected: number, part: 0 | 2, at: Place, join: (row: number, x: number, y: number) => void): InView {
+  const [width, height] = [context.canvas.clientWidth, context.canvas.clientHeight];
+  const n = told.pairs.length;
+  const seen: InView = { x: new Float32Array(n), y: new Float32Array(n), bin: new Uint8Array(n), count: 0, special: [] };
+  for (let row = 0; row < n; row++) {
     const pair = told.pairs[row]!;
     const [x, y] = at(pair[part], pair[part + 1]!);
     if (x < -9 || y < -9 || x > width + 9 || y > height + 9) continue;
     const state = told.state[row]!;
     if (row === selected || state === "check" || (state === "kept" && told.reason[row] !== "")) {
-      special.push(row);
+      seen.special.push(row);
       continue;
     }
-    if (state === "removed") {
-      const r = 0.8 * radius;
-      removed.moveTo(x - r, y - r);
-      removed.lineTo(x + r, y + r);
-      removed.moveTo(x - r, y + r);
-      removed.lineTo(x + r, y - r);
-      continue;
-    }
-    if (part === 0 && map) {
-      const [a, b] = at(...map(pair[2], pair[3]));
-      if (Math.hypot(a - x, b - y) > 1.5) {
-        lines.moveTo(x, y);
-        lines.lineTo(a, b);
-      }
-    }
-    const share = Math.min(1, (told.residual[row] ?? 0) / Math.max(told.stop, 1e-9));
-    const path = bins[Math.round(share * (BINS - 1))]!;
-    if (square) path.rect(x - radius, y - radius, 2 * radius, 2 * radius);
-    else {
+    if (state === "kept") join(row, x, y);
+    seen.bin[seen.count] = state === "removed" ? REMOVED : Math.round(shareOf(told, row) * (BINS - 1));
+    seen.x[seen.count] = x;
+    seen.y[seen.count++] = y;
+  }
+  return seen;
+}
+
+/** Circles with a rim, as paths of one shade each. */
+function paintFew(context: CanvasRenderingContext2D, seen: InView, radius: number, colour: (share: number) => string): void {
+  const bins = Array.from({ length: BINS + 1 }, () => new Path2D());
+  const r = 0.8 * radius;
+  for (let i = 0; i < seen.count; i++) {
+    const [x, y, path] = [seen.x[i]!, seen.y[i]!, bins[seen.bin[i]!]!];
+    if (seen.bin[i] === REMOVED) {
+      path.moveTo(x - r, y - r);
+      path.lineTo(x + r, y + r);
+      path.moveTo(x - r, y + r);
+      path.lineTo(x + r, y - r);
+    } else {
       path.moveTo(x + radius, y);
       path.arc(x, y, radius, 0, 2 * Math.PI);
     }
   }
-  context.lineWidth = 0.4 + radius / 4;
-  context.strokeStyle = "#9a9a9acc";
-  context.stroke(removed);
-  context.strokeStyle = "#ddd";
-  context.stroke(lines);
-  bins.forEach((path, bin) => {
+  context.strokeStyle = `${GREY}cc`;
+  context.stroke(bins[REMOVED]!);
+  for (let bin = 0; bin < BINS; bin++) {
     context.fillStyle = colour(bin / (BINS - 1));
-    context.fill(path);
-    if (square) return;
+    context.fill(bins[bin]!);
     context.strokeStyle = "#000b";
-    context.stroke(path);
-  });
-  for (const row of special) {
-    const pair = told.pairs[row]!;
-    const [x, y] = at(pair[part], pair[part + 1]!);
-    const share = Math.min(1, (told.residual[row] ?? 0) / Math.max(told.stop, 1e-9));
-    if (row !== selected) mark(context, x, y, told.state[row]!, colour(share), told.reason[row] !== "", 3.6);
+    context.stroke(bins[bin]!);
   }
-  const pair = told.pairs[selected];
-  if (!pair) return;
-  const [x, y] = place(pair[part], pair[part + 1]!);
-  const share = Math.min(1, (told.residual[selected] ?? 0) / Math.max(told.stop, 1e-9));
-  mark(context, x, y, told.state[selected]!, colour(share), false, 3.6);
-  ring(context, x, y, "#fff", 5);
-  ring(context, x, y, style.getPropertyValue("--gold").trim() || "#d9b45b", 2.5);
+}
+
+/** Squares without one, the worst on top. */
+function paintMany(context: CanvasRenderingContext2D, dots: Dots, seen: InView, radius: number, colour: (share: number) => string): void {
+  const ratio = devicePixelRatio || 1;
+  const side = Math.round(2 * radius * ratio);
+  dots.begin(context.canvas.width, context.canvas.height);
+  const rows = Array.from({ length: BINS + 1 }, (): number[] => []);
+  for (let i = 0; i < seen.count; i++) rows[seen.bin[i]!]!.push(i);
+  const grey = packed(GREY, context, 0.8);
+  for (const i of rows[REMOVED]!) dots.cross(seen.x[i]! * ratio, seen.y[i]! * ratio, side, grey);
+  for (let bin = 0; bin < BINS; bin++) {
+    const pixel = packed(colour(bin / (BINS - 1)), context);
+    for (const i of rows[bin]!) dots.square(seen.x[i]! * ratio, seen.y[i]! * ratio, side, pixel);
+  }
+  dots.drawOn(context);
 }
 
 export function paintProposal(context: CanvasRenderingContext2D, partner: Pick<Partner, "pair" | "predicted" | "sure">, part: 0 | 2, place: Place): void {
@@ -99,9 +137,8 @@ export function paintProposal(context: CanvasRenderingContext2D, partner: Pick<P
 /** The chosen pair in an overlay: its place in the reference, and the handle of the other one. */
 export function paintHandle(context: CanvasRenderingContext2D, here: Point, there: Point): void {
   line(context, here, there);
-  const style = getComputedStyle(document.documentElement);
   ring(context, here[0], here[1], "#fff", 4);
-  ring(context, here[0], here[1], style.getPropertyValue("--gold").trim() || "#d9b45b", 2);
+  ring(context, here[0], here[1], ink("--gold") || "#d9b45b", 2);
   for (const [colour, width] of [["#000a", 4], ["#fff", 1.6]] as const) {
     context.strokeStyle = colour;
     context.lineWidth = width;

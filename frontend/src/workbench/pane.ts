@@ -1,6 +1,8 @@
 // One deep-zoom picture with the pairs drawn over it. Pixel centres are whole numbers.
 import OpenSeadragon from "openseadragon";
 import { make } from "../element";
+import { onTheme } from "../theme";
+import { Dots } from "./dots";
 import type { Point } from "./record";
 
 const TILE = 256;
@@ -19,6 +21,7 @@ export class Pane {
   readonly foot = make("div", { class: "foot" });
   readonly label = make("span", { class: "label" });
   readonly host: HTMLElement;
+  readonly dots = new Dots();
   layers: OpenSeadragon.TiledImage[] = [];
   private addresses: string[] = [];
   onClick: (x: number, y: number, event: MouseEvent) => void = () => {};
@@ -29,6 +32,7 @@ export class Pane {
   private dragging = false;
   private generation = 0;
   private waiting = false;
+  private showing = 0;
   private smooth: boolean | null = null;
 
   constructor(name: string, private size: Point) {
@@ -66,6 +70,7 @@ export class Pane {
       this.onDrag(...this.pixelAt(at.clientX, at.clientY), true);
     });
     new ResizeObserver(() => this.redraw()).observe(this.host);
+    onTheme(() => this.redraw());
   }
 
   set name(words: string) {
@@ -74,6 +79,16 @@ export class Pane {
 
   /** Show layers, the first one below; with patience what was there stays until they are loaded. */
   async show(layers: Layer[], patient: boolean): Promise<void> {
+    this.showing++;
+    await this.exchange(layers, patient).finally(() => this.showing--);
+  }
+
+  /** Whether all that is in view is there, and nothing else is on its way. */
+  get settled(): boolean {
+    return this.showing === 0 && this.layers.length > 0 && this.layers.every((image) => image.getFullyLoaded());
+  }
+
+  private async exchange(layers: Layer[], patient: boolean): Promise<void> {
     const addresses = layers.map((layer) => layer.address);
     if (addresses.join() === this.addresses.join()) return;
     const mine = ++this.generation;

@@ -1,5 +1,5 @@
 // The verdict in words, what is chosen and what can be done with it.
-import { make } from "../element";
+import { make, refill } from "../element";
 import { get, post, Refusal } from "./api";
 import { DECISIONS, length, px, type Pair, type Partner } from "./record";
 import type { Store } from "./store";
@@ -22,6 +22,7 @@ export class VerdictCard {
   private readonly again = make("button", { type: "button", class: "primary", id: "build" }, "Register again");
   private readonly progress = make("p", { class: "soft", "aria-live": "polite", id: "build-said" });
   private running = false;
+  private shown: unknown[] = [];
 
   constructor(private readonly store: Store) {
     this.root.append(make("h2", { id: "verdict-head" }, "Can it be believed?"), this.content, this.again, this.progress);
@@ -33,9 +34,13 @@ export class VerdictCard {
   private draw(): void {
     const { frame, told } = this.store;
     if (!frame || !told) return;
+    this.again.disabled = this.running;
+    if (this.shown[0] === frame && this.shown[1] === told) return;
+    this.shown = [frame, told];
     const { decision, reasons, next_step } = frame.verdict;
     const stale = told.corrections !== "";
-    this.content.replaceChildren(
+    refill(
+      this.content,
       make("p", {}, make("span", { class: `badge ${decision}` }, DECISIONS[decision] ?? decision), stale ? make("span", { class: "soft" }, " as of the last registration") : null),
       make("p", { class: "sum", id: "sum" }, ...this.sum()),
       ...(reasons.length ? [make("ul", {}, ...reasons.map((reason) => make("li", {}, reason)))] : []),
@@ -43,7 +48,6 @@ export class VerdictCard {
       ...this.models(),
       ...(stale ? [make("p", { class: "soft", id: "corrections" }, `Your corrections: ${told.corrections.replace(/ \([0-9a-f]+\)$/, "")}. Saved in edits.toml.`)] : []),
     );
-    this.again.disabled = this.running;
   }
 
   /** What the pairs say, for someone who has never heard of a residual. */
@@ -65,7 +69,7 @@ export class VerdictCard {
     if (!ladder.length) return [];
     const chosen = this.store.frame!.chosen[0];
     const rows = ladder.map(([name, error]) => make("tr", { class: name === chosen ? "taken" : null }, make("th", { scope: "row" }, name), make("td", {}, error.toFixed(3)), make("td", {}, name === chosen ? "taken" : "")));
-    return [make("details", {}, make("summary", {}, "Models that were tried"), make("p", { class: "soft" }, "Error on parts of the picture that the model had not seen, px. A richer one is taken only where it is better there."), make("table", {}, ...rows))];
+    return [make("details", { id: "models" }, make("summary", { id: "models-head" }, "Models that were tried"), make("p", { class: "soft" }, "Error on parts of the picture that the model had not seen, px. A richer one is taken only where it is better there."), make("table", {}, ...rows))];
   }
 
   private async build(): Promise<void> {
@@ -93,7 +97,10 @@ export class VerdictCard {
 
 /** The chosen pair, a proposed one, or a measured place. */
 export class PairCard {
-  readonly root = make("section", { class: "card pair", "aria-live": "polite", "aria-labelledby": "pair-head" });
+  private readonly head = make("h2", { id: "pair-head" });
+  private readonly said = make("div", { "aria-live": "polite" });
+  private readonly actions = make("div", { class: "actions", tabindex: -1, role: "group", "aria-labelledby": "pair-head" });
+  readonly root = make("section", { class: "card pair", "aria-labelledby": "pair-head" }, this.head, this.said, this.actions);
 
   constructor(private readonly store: Store) {
     store.listen(() => this.draw());
@@ -140,58 +147,56 @@ export class PairCard {
   private draw(): void {
     const { told, selected, proposal, measured, frame } = this.store;
     if (!told || !frame) return;
-    if (proposal) return this.show("A new pair", ...this.proposed(proposal));
-    if (measured) return this.show("How far off here?", ...this.told(measured));
+    if (proposal) return this.show("A new pair", this.proposed(proposal), this.choices("Add it", "Cancel"));
+    if (measured) return this.show("How far off here?", this.told(measured), this.choices("Keep as check point", "Close"));
     const pair = this.store.pair(selected);
     if (!pair)
-      return this.show("No pair chosen", make("p", { class: "soft" }, "Click a mark in a picture or a row of the table. Click an empty place to add a pair: its partner in the other picture is found for you."));
+      return this.show("No pair chosen", [make("p", { class: "soft" }, "Click a mark in a picture or a row of the table. Click an empty place to add a pair: its partner in the other picture is found for you.")], []);
     const state = told.state[selected]!;
-    const error = told.residual[selected] ?? null;
     const said = state === "check" ? "measures only; the map does not know it" : state === "kept" ? "the map rests on it" : `removed: ${told.reason[selected]}`;
-    const button = (words: string, operation: string, key: string, title: string): HTMLElement => {
-      const made = make("button", { type: "button", title: `${title} (${key})`, "data-operation": operation }, words);
+    const button = (id: string, words: string, operation: string, key: string, title: string): HTMLElement => {
+      const made = make("button", { type: "button", id: `pair-${id}`, title: `${title} (${key})`, "data-operation": operation }, words);
       made.addEventListener("click", () => this.act(operation));
       return made;
     };
     this.show(
       `Pair ${selected + 1}`,
-      make("p", {}, make("strong", {}, length(error, frame.px_per_mm)), ` off; ${said}.`),
-      make("p", { class: "soft" }, `By a map that does not know it: ${px(told.leave_one_out[selected])} px. `, `Reference ${pair[0].toFixed(1)}, ${pair[1].toFixed(1)}; here ${pair[2].toFixed(1)}, ${pair[3].toFixed(1)}.`),
-      make(
-        "div",
-        { class: "actions" },
-        state === "removed" ? button("Restore", "restore", "R", "Let the map rest on it, come what may") : button("Delete", "delete", "Del", "The map no longer rests on it"),
-        button(told.reason[selected] === "pinned by hand" ? "Unpin" : "Pin", "pin", "P", "Never to be removed"),
-        button("Snap", "snap", "S", "Move it to where its surroundings agree best"),
-        button(state === "check" ? "No check point" : "Check point", "check", "C", "Measures, and is never fitted"),
-      ),
+      [
+        make("p", {}, make("strong", {}, length(told.residual[selected], frame.px_per_mm)), ` off; ${said}.`),
+        make("p", { class: "soft" }, `By a map that does not know it: ${px(told.leave_one_out[selected])} px. `, `Reference ${pair[0].toFixed(1)}, ${pair[1].toFixed(1)}; here ${pair[2].toFixed(1)}, ${pair[3].toFixed(1)}.`),
+      ],
+      [
+        state === "removed" ? button("use", "Restore", "restore", "R", "Let the map rest on it, come what may") : button("use", "Delete", "delete", "Del", "The map no longer rests on it"),
+        button("pin", told.reason[selected] === "pinned by hand" ? "Unpin" : "Pin", "pin", "P", "Never to be removed"),
+        button("snap", "Snap", "snap", "S", "Move it to where its surroundings agree best"),
+        button("check", state === "check" ? "No check point" : "Check point", "check", "C", "Measures, and is never fitted"),
+      ],
     );
   }
 
   private proposed(partner: Partner): HTMLElement[] {
     const score = partner.score < 0 ? "Placed by you." : partner.score === 0 ? "Nothing here can be compared: place it yourself." : `The partner was found by comparing, likeness ${Math.round(100 * partner.score)} %${partner.sure ? "" : ": look before you accept"}.`;
-    return [
-      make("p", {}, score),
-      make("p", { class: "soft" }, `Not there? Click the right place in the other picture. Here ${partner.pair[2].toFixed(1)}, ${partner.pair[3].toFixed(1)}. Arrow keys move it by 0.1 px, with Shift by 1 px.`),
-      make("div", { class: "actions" }, this.button("Add it", "accept", "primary", () => this.accept()), this.button("Cancel", "cancel", "", () => this.cancel())),
-    ];
+    return [make("p", {}, score), make("p", { class: "soft" }, `Not there? Click the right place in the other picture. Here ${partner.pair[2].toFixed(1)}, ${partner.pair[3].toFixed(1)}. Arrow keys move it by 0.1 px, with Shift by 1 px.`)];
   }
 
   private told(partner: Partner): HTMLElement[] {
     const known = partner.score > 0;
-    return [
-      make("p", { id: "measured" }, known ? make("strong", {}, length(partner.length, this.store.frame!.px_per_mm)) : "Nothing here can be compared.", known ? ` off (likeness ${Math.round(100 * partner.score)} %).` : ""),
-      make("div", { class: "actions" }, this.button("Keep as check point", "accept", "primary", () => this.accept()), this.button("Close", "cancel", "", () => this.cancel())),
-    ];
+    return [make("p", { id: "measured" }, known ? make("strong", {}, length(partner.length, this.store.frame!.px_per_mm)) : "Nothing here can be compared.", known ? ` off (likeness ${Math.round(100 * partner.score)} %).` : "")];
   }
 
-  private button(words: string, id: string, kind: string, act: () => void): HTMLElement {
-    const made = make("button", { type: "button", id: `pair-${id}`, class: kind }, words);
-    made.addEventListener("click", act);
-    return made;
+  /** To accept what is proposed or measured, or to let it go. */
+  private choices(accept: string, cancel: string): HTMLElement[] {
+    const button = (words: string, id: string, kind: string, act: () => void): HTMLElement => {
+      const made = make("button", { type: "button", id: `pair-${id}`, class: kind }, words);
+      made.addEventListener("click", act);
+      return made;
+    };
+    return [button(accept, "accept", "primary", () => this.accept()), button(cancel, "cancel", "", () => this.cancel())];
   }
 
-  private show(title: string, ...content: HTMLElement[]): void {
-    this.root.replaceChildren(make("h2", { id: "pair-head" }, title), ...content);
+  private show(title: string, said: HTMLElement[], actions: HTMLElement[]): void {
+    this.head.textContent = title;
+    refill(this.said, ...said);
+    refill(this.actions, ...actions);
   }
 }

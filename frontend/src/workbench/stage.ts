@@ -66,8 +66,7 @@ export class Stage {
 
   /** Whether all that is in view has been drawn. */
   get settled(): boolean {
-    const images = [...this.left.layers, ...(this.mode === "side" ? this.right.layers : [])];
-    return images.length > 0 && images.every((image) => image.getFullyLoaded());
+    return this.left.settled && (this.mode !== "side" || this.right.settled);
   }
 
   setMode(mode: Mode): void {
@@ -132,9 +131,10 @@ export class Stage {
     if (!frame || !told) return;
     const tiles = `${this.store.path}/tiles`;
     const { number } = this.trial;
-    const warped = number ? `map=trial&v=${number}` : `map=${map}&v=${map === "built" ? "built" : told.version}`;
+    const warped = number ? `map=trial&v=${number}` : `map=${map}&v=${map === "built" ? `built${frame.builds}` : told.drawn}`;
     const tint = this.mode === "redcyan";
-    const [ours, theirs] = [`bands=${this.bands.left.query}`, `bands=${this.bands.right.query}`];
+    // What a browser kept of another day's server, at the same port, is not asked for again.
+    const [ours, theirs] = [this.bands.left, this.bands.right].map((bands) => `bands=${bands.query}&page=${Math.round(performance.timeOrigin)}`);
     const wanted: Layer[] = [{ address: `${tiles}/reference?${ours}${tint ? "&tint=red" : ""}`, size: frame.size }];
     if (this.mode !== "side") wanted.push({ address: `${tiles}/warped?${warped}&${theirs}${tint ? "&tint=cyan" : ""}`, size: frame.size });
     const target: Layer = { address: `${tiles}/target?${theirs}`, size: frame.target_size };
@@ -343,7 +343,7 @@ export class Stage {
       context.globalAlpha = 1;
     }
     const place = (x: number, y: number): Point => pane.placeOf(x, y);
-    if (this.mode === "side" || this.drawn) paintPairs(context, told, selected, part, place, this.map);
+    if (this.mode === "side" || this.drawn) paintPairs(context, pane.dots, told, selected, part, place, this.map);
     else if (part === 0) this.paintChosen(context, place);
     const held = this.dragged && this.mode === "side" ? { pair: this.dragged, predicted: this.moving ?? this.dragged, sure: true } : null;
     const partner = held ?? proposal ?? measured;

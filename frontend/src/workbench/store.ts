@@ -1,6 +1,7 @@
 // What the page knows, in one place; whoever draws something of it listens.
-import { get, post, Refusal } from "./api";
-import { unpack, type CameraRow, type FrameInfo, type PackedTold, type Pair, type Partner, type Told } from "./record";
+import { bytes, get, Refusal } from "./api";
+import { read } from "./columns";
+import type { CameraRow, FrameInfo, Pair, Partner, Told } from "./record";
 
 type Listener = () => void;
 
@@ -41,7 +42,7 @@ export class Store {
 
   async open(id: string): Promise<void> {
     this.frame = await get<FrameInfo>(`/api/cameras/${id}`);
-    this.told = unpack(await get<PackedTold>(`${this.path}/pairs`), []);
+    this.told = read(await bytes(`${this.path}/pairs`), []);
     [this.selected, this.proposal, this.measured, this.message] = [-1, null, null, ""];
     this.map = this.frame.built && !this.told.corrections ? "built" : "pairs";
     this.changed();
@@ -54,15 +55,14 @@ export class Store {
 
   /** Change something; answers come in the order of the questions. */
   edit(body: Record<string, unknown>, keep?: Pair): Promise<void> {
-    return this.take(() => post<PackedTold>(`${this.path}/edit`, { ...body, known: this.told?.places ?? "" }), keep);
+    return this.take((pairs) => bytes(`${this.path}/edit`, { ...body, known: this.told?.places ?? "" }).then((answer) => read(answer, pairs)), keep);
   }
 
-  take(question: () => Promise<PackedTold>, keep?: Pair): Promise<void> {
+  take(question: (pairs: Pair[]) => Promise<Told>, keep?: Pair): Promise<void> {
     const before = keep ?? this.pair(this.selected);
     const run = this.queue.then(async () => {
       try {
-        const pairs = this.told?.pairs ?? [];
-        this.told = unpack(await question(), pairs);
+        this.told = await question(this.told?.pairs ?? []);
         this.refused = "";
         this.selected = before ? this.rowAt(before) : -1;
         if (this.map === "built" && this.told.corrections) this.map = "pairs";
@@ -89,6 +89,7 @@ export class Store {
     const pairs = this.told?.pairs ?? [];
     let [best, at] = [0.03, -1];
     pairs.forEach((p, i) => {
+      if (Math.abs(p[0] - pair[0]) >= best) return;
       const apart = Math.max(...p.map((v, k) => Math.abs(v - pair[k]!)));
       if (apart < best) [best, at] = [apart, i];
     });

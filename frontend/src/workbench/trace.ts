@@ -1,5 +1,7 @@
 // How the outliers left: the paper's Figure 9 as a picture to scrub through, its Figure 10 beneath.
 import { find, make } from "../element";
+import { ink, onTheme } from "../theme";
+import { Dots, packed } from "./dots";
 import { mapOf, type Map2 } from "./maps";
 import type { Point, Told } from "./record";
 import type { Store } from "./store";
@@ -11,6 +13,7 @@ const PLAY_MS = 4000;
 export class TraceView {
   readonly root: HTMLElement;
   private readonly figure = canvas(FIGURE, "The course of the removal of outliers");
+  private readonly dots = new Dots();
   private readonly curve = canvas(CURVE, "Largest error by round");
   private readonly range = make("input", { type: "range", min: -1, max: 0, value: 0, id: "round", "aria-label": "Round of the removal" });
   private readonly said = make("p", { class: "said", "aria-live": "polite" });
@@ -40,8 +43,7 @@ export class TraceView {
       if (rounds) this.go(Math.round(-1 + share * rounds));
     });
     store.listen(() => this.update());
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-    new MutationObserver(() => this.draw()).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+    onTheme(() => this.draw());
   }
 
   /** Go to a round; -1 is the start, under scale alone. */
@@ -126,33 +128,38 @@ export class TraceView {
 
   private draw(): void {
     const told = this.store.told;
-    drawFigure(this.figure, told, this.round);
+    const kept = told ? keptAt(told, this.round) : [];
+    drawFigure(this.figure, this.dots, told, this.round, kept);
     drawCurve(this.curve, told, this.round);
-    this.said.textContent = told ? words(told, this.round) : "";
+    this.said.textContent = told ? words(told, this.round, kept.length) : "";
   }
 }
 
 /** The pairs that the fit of a round rests on. */
-export function keptAt(told: Told, round: number): boolean[] {
+export function keptAt(told: Told, round: number): number[] {
   const trace = told.trace;
-  const fitted = told.pairs.map((_, row) => told.state[row] !== "check" && told.reason[row] !== "deleted by hand");
-  if (!trace || round < 0) return fitted;
-  const gone = new Set(trace.removed.slice(0, round).filter((row) => row >= 0));
-  return fitted.map((is, row) => is && told.round[row] !== 0 && !gone.has(row));
+  const gone = new Uint8Array(told.pairs.length);
+  if (trace && round >= 0) for (const row of trace.removed.subarray(0, round)) if (row >= 0) gone[row] = 1;
+  const rows: number[] = [];
+  for (let row = 0; row < gone.length; row++) {
+    if (gone[row] || told.state[row] === "check" || told.reason[row] === "deleted by hand") continue;
+    if (trace && round >= 0 && told.round[row] === 0) continue;
+    rows.push(row);
+  }
+  return rows;
 }
 
-function words(told: Told, round: number): string {
+function words(told: Told, round: number, kept: number): string {
   const trace = told.trace;
   if (!trace) return told.refusal ? `No map yet: ${told.refusal}.` : "";
   const rounds = trace.largest.length;
-  const kept = keptAt(told, round).filter(Boolean).length;
   if (round < 0) return `Start: ${kept} pairs, under ${trace.cut ? "a first map" : "scale"} alone; ${trace.cut} lie too far apart and are cut.`;
   const end = round === rounds - 1 ? "the end" : `round ${round + 1} of ${rounds}`;
   return `${end[0]!.toUpperCase()}${end.slice(1)}: ${kept} pairs, the worst ${trace.largest[round]!.toFixed(2)} px off.`;
 }
 
-function drawFigure(view: HTMLCanvasElement, told: Told | null, round: number): void {
-  const [context, ink] = begin(view, FIGURE);
+function drawFigure(view: HTMLCanvasElement, dots: Dots, told: Told | null, round: number, rows: number[]): void {
+  const context = begin(view, FIGURE);
   const trace = told?.trace;
   if (!told || !trace) return;
   const scale = mapOf(trace, -1);
@@ -164,8 +171,6 @@ function drawFigure(view: HTMLCanvasElement, told: Told | null, round: number): 
   const box = bounds(told);
   outline(context, edge(box, scale).map(place), ink("--reference"));
   if (round >= 0) outline(context, edge(box, map).map(place), ink("--fit"));
-  const kept = keptAt(told, round);
-  const rows = kept.flatMap((is, row) => (is ? [row] : []));
   const every = Math.max(1, Math.floor(rows.length / 1500));
   const ends = rows.filter((_, i) => i % every === 0).map((row) => {
     const [a, b, c, d] = told.pairs[row]!;
@@ -179,19 +184,19 @@ function drawFigure(view: HTMLCanvasElement, told: Told | null, round: number): 
     context.lineTo(...to);
   }
   context.stroke();
-  for (const [which, colour] of [[1, ink("--target")], [0, ink("--reference")]] as const) {
-    context.fillStyle = colour;
-    for (const point of ends) context.fillRect(point[which][0] - 1, point[which][1] - 1, 2, 2);
+  dots.begin(view.width, view.height);
+  for (const [which, name] of [[1, "--target"], [0, "--reference"]] as const) {
+    const pixel = packed(ink(name), context);
+    for (const point of ends) dots.square(2 * point[which][0], 2 * point[which][1], 4, pixel);
   }
+  dots.drawOn(context);
 }
 
 /** Where the target's pairs lie: the frame that is drawn of it. */
 function bounds(told: Told): [number, number, number, number] {
-  const xs = told.pairs.map((p) => p[2]);
-  const ys = told.pairs.map((p) => p[3]);
-  const least = (v: number[]): number => v.reduce((a, b) => Math.min(a, b), Infinity);
-  const most = (v: number[]): number => v.reduce((a, b) => Math.max(a, b), -Infinity);
-  return [least(xs), least(ys), most(xs), most(ys)];
+  const box: [number, number, number, number] = [Infinity, Infinity, -Infinity, -Infinity];
+  for (const [, , x, y] of told.pairs) [box[0], box[1], box[2], box[3]] = [Math.min(box[0], x), Math.min(box[1], y), Math.max(box[2], x), Math.max(box[3], y)];
+  return box;
 }
 
 function edge([x0, y0, x1, y1]: [number, number, number, number], map: Map2): Point[] {
@@ -202,12 +207,12 @@ function edge([x0, y0, x1, y1]: [number, number, number, number], map: Map2): Po
 }
 
 function drawCurve(view: HTMLCanvasElement, told: Told | null, round: number): void {
-  const [context, ink] = begin(view, CURVE);
+  const context = begin(view, CURVE);
   const trace = told?.trace;
   if (!told || !trace) return;
-  const values = [Math.max(told.reject, trace.largest[0] ?? 1), ...trace.largest].map((v) => Math.max(v, 1e-3));
-  const high = Math.log10(Math.max(...values)) + 0.1;
-  const low = Math.log10(Math.min(told.stop, values.reduce((a, b) => Math.min(a, b)))) - 0.15;
+  const values = Float64Array.from([Math.max(told.reject, trace.largest[0] ?? 1), ...trace.largest], (v) => Math.max(v, 1e-3));
+  const [least, most] = values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)] as [number, number], [told.stop, 0] as [number, number]);
+  const [low, high] = [Math.log10(least) - 0.15, Math.log10(most) + 0.1];
   const x = (i: number): number => CURVE.left + ((CURVE.width - CURVE.left - 6) * i) / Math.max(values.length - 1, 1);
   const y = (v: number): number => 4 + ((CURVE.height - CURVE.bottom - 4) * (high - Math.log10(v))) / (high - low);
   context.font = "10px system-ui, sans-serif";
@@ -234,7 +239,10 @@ function drawCurve(view: HTMLCanvasElement, told: Told | null, round: number): v
   context.strokeStyle = ink("--reference");
   context.lineWidth = 1.6;
   context.beginPath();
-  values.forEach((v, i) => context.lineTo(x(i), y(v)));
+  // Of thousands of rounds as many as can be told apart, and the largest of those that fall together.
+  const every = Math.ceil(values.length / (2 * CURVE.width));
+  for (let i = 0; i < values.length; i += every) context.lineTo(x(i), y(values.subarray(i, i + every).reduce((a, b) => Math.max(a, b))));
+  context.lineTo(x(values.length - 1), y(values[values.length - 1]!));
   context.stroke();
   context.fillStyle = ink("--gold");
   context.beginPath();
@@ -246,13 +254,12 @@ function canvas(size: { width: number; height: number }, label: string): HTMLCan
   return make("canvas", { width: 2 * size.width, height: 2 * size.height, role: "img", "aria-label": label });
 }
 
-function begin(view: HTMLCanvasElement, size: { width: number; height: number }): [CanvasRenderingContext2D, (name: string) => string] {
+function begin(view: HTMLCanvasElement, size: { width: number; height: number }): CanvasRenderingContext2D {
   const context = view.getContext("2d")!;
-  const style = getComputedStyle(document.documentElement);
   context.setTransform(2, 0, 0, 2, 0, 0);
   context.clearRect(0, 0, size.width, size.height);
   context.lineWidth = 1;
-  return [context, (name) => style.getPropertyValue(name).trim() || "#888"];
+  return context;
 }
 
 function placing(points: Point[], size: { width: number; height: number }): (p: Point) => Point {

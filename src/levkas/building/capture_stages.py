@@ -90,7 +90,8 @@ class CaptureStages:
         """The calibrated cubes, from this run or from the database."""
         if not native:
             from levkas.building.native import read_native
-            from levkas.building.scans import is_streamed, open_scan
+            from levkas.building.scan_opening import open_scan
+            from levkas.building.scans import is_streamed
 
             if is_streamed(capture, self.campaign):
                 native.append(open_scan(capture, self.campaign, self.shelf))
@@ -117,7 +118,8 @@ class CaptureStages:
         from levkas.building.developing import develop
         from levkas.building.focusing import focus_of
         from levkas.building.native import Native, PackedSigma, least_bytes, write_native
-        from levkas.building.scans import is_streamed, open_scan
+        from levkas.building.scan_opening import open_scan
+        from levkas.building.scans import is_streamed
         from levkas.building.streaming import write_scan
         from levkas.disk import require_space
         from levkas.files import together

@@ -48,12 +48,14 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
     Returns
     -------
     wavelengths : ndarray, (n,), nm
+        Ascending, whatever the order of the rows.
     table : ndarray, (n, channels)
 
     Raises
     ------
     Refused
-        Where it cannot be read, or has not as many columns as there are channels.
+        Where it cannot be read, a wavelength stands twice, or it has not as many columns as there
+        are channels.
     """
     from levkas.problems import Problem, Refused
 
@@ -74,6 +76,9 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
         table = np.array(rows, float)
         if table.ndim != 2 or len(table) < 2 or table.shape[1] < 2:
             raise ValueError(f"{len(rows)} rows of numbers")
+        table = table[np.argsort(table[:, 0])]
+        if np.isinf(table).any() or not table[0, 0] > 0 or not (np.diff(table[:, 0]) > 0).all():
+            raise ValueError("wavelengths that stand twice, or are none, or values without end")
     except (ValueError, csv.Error) as error:
         raise Refused(
             Problem(
@@ -85,7 +90,7 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
             )
         ) from error
     columns = list(range(1, table.shape[1]))
-    if head and all(label in head for label in labels):
+    if len(head) == table.shape[1] and all(label in head for label in labels):
         columns = [head.index(label) for label in labels]
     if len(columns) != len(labels):
         raise Refused(

@@ -65,17 +65,18 @@ def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     Raises SpectrumRefused where it is not that.
     """
-    rows = []
+    rows, headed = [], False
     try:
         lines = io.StringIO(read_text(path, "a CSV of wavelength in nm and value"), newline="")
-        for number, row in enumerate(csv.reader(lines)):
+        for row in csv.reader(lines):
             if not row or row[0].lstrip().startswith("#"):
                 continue
             try:
                 rows.append((float(row[0]), float(row[1])))
             except (ValueError, IndexError):
-                if number:
+                if rows or headed:
                     raise
+                headed = True
     except TextRefused as refused:
         raise SpectrumRefused(*refused.problems) from None
     except (ValueError, IndexError, csv.Error) as error:
@@ -89,13 +90,14 @@ def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
             )
         ) from error
     table = np.array(sorted(rows), float).reshape(-1, 2)
-    if len(table) < 2 or not np.isfinite(table).all() or table[0, 0] < 100:
+    twice = len(table) > 1 and not (np.diff(table[:, 0]) > 0).all()
+    if len(table) < 2 or twice or not np.isfinite(table).all() or table[0, 0] < 100:
         raise SpectrumRefused(
             Problem(
                 "E_VALUE",
                 "this is no spectrum",
                 str(path),
-                found=f"{len(table)} rows",
+                found="a wavelength that stands twice" if twice else f"{len(table)} rows",
                 expected="two rows or more of wavelength in nm and value",
             )
         )

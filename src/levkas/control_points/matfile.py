@@ -92,7 +92,8 @@ def _matrix(data: bytes, order: str, depth: int) -> tuple[str, Any]:
         raise unreadable("a variable without its class or size", "a whole MAT file")
     kind = struct.unpack_from(order + "I", flags)[0] & 0xFF
     shape = struct.unpack(f"{order}{len(sizes) // 4}i", sizes)
-    if min(shape) < 0 or prod(shape) > len(data):  # no element takes less than a byte
+    # No element takes less than a byte; an empty array may still have a side of any length.
+    if min(shape) < 0 or max(prod(shape), *shape) > len(data):
         raise unreadable(f"a variable of {shape}", "a size that its content has")
     return name.decode("latin-1"), _value(kind, shape, parts, order, depth)
 

@@ -93,6 +93,7 @@ def _read_angles(path: Path, field: str, file: str) -> tuple[np.ndarray, np.ndar
     except ValueError as error:
         raise PlanRefused(wrong(file, field, f"{path.name}: no table", str(error)[:80])) from None
     sound = table.ndim == 2 and table.shape[1] == 2 and len(table) > 1 and table[0, 0] == 0
+    sound = sound and np.isfinite(table).all() and (table[:, 1] >= 0).all()
     if not sound or (np.diff(table[:, 0]) <= 0).any() or not table[0, 1] > 0:
         raise PlanRefused(
             wrong(file, field, f"{path.name} is no lobe", f"{len(rows)} rows",

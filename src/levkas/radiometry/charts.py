@@ -160,7 +160,11 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> Reference:
     ChartRefused
         ``E_CHART_REFERENCE`` where patches are missing or numbers are none.
     """
-    rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
+    try:
+        lines = csv.reader(io.StringIO(text, newline=""))
+        rows = [row for row in lines if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise _bad_reference(file, str(error), "a table") from None
     if len(rows) < 3:
         raise _bad_reference(file, f"{len(rows)} rows", "a header and two wavelengths or more")
     names = ["".join(c for c in cell if c.isalnum()).upper() for cell in rows[0][1:]]
@@ -179,6 +183,8 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> Reference:
     if table.shape[1] != len(names) + 1 or not np.isfinite(table).all():
         raise _bad_reference(file, "rows of several lengths, or NaN", "a number a patch")
     table = table[np.argsort(table[:, 0])]
+    if not table[0, 0] > 0 or not (np.diff(table[:, 0]) > 0).all():
+        raise _bad_reference(file, "wavelengths that stand twice, or are none", "each once, in nm")
     spectra = table[:, 1:].T[[names.index(patch) for patch in chart.patches]]
     spectra = spectra / 100 if spectra.max() > 2 else spectra
     return Reference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV", note)

@@ -11,12 +11,18 @@ writes 4 bytes with the length of a JSON object, the object, and, for ``mosaic``
 from __future__ import annotations
 
 import json
+import signal
 import struct
 import sys
+from pathlib import Path
 from typing import Any
 
 MEMORY = 8 << 30
 SECONDS = 300
+READING_S, READING_S_PER_MB = 2.0, 1.0
+"""Of processor time for opening and unpacking, without the start; cameras' own files take a tenth."""
+LARGEST_RATIO, FREE_BYTES = 400, 64 << 20
+"""Most bytes that a byte of the file may unpack to, and what is allowed whatever the file's size."""
 
 
 def limit() -> None:
@@ -30,6 +36,13 @@ def limit() -> None:
         hard = resource.getrlimit(kind)[1]
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (most, hard))
+
+
+def limit_reading(path: str) -> None:
+    """Bound the processor time from here on by the size of the file; the process is ended by SIGPROF."""
+    if hasattr(signal, "setitimer"):
+        most = READING_S + READING_S_PER_MB * Path(path).stat().st_size / 1e6
+        signal.setitimer(signal.ITIMER_PROF, most)
 
 
 def describe(raw: Any) -> dict[str, Any]:
@@ -60,14 +73,18 @@ def read(path: str, *, pixels: bool) -> tuple[dict[str, Any], bytes]:
     import numpy as np
     import rawpy
 
+    limit_reading(path)
     with rawpy.imread(path) as raw:
         sizes = raw.sizes
-        if sizes.raw_height * sizes.raw_width > 2_000_000_000:
+        needed = 2 * sizes.raw_height * sizes.raw_width
+        if needed > max(FREE_BYTES, LARGEST_RATIO * Path(path).stat().st_size):
             return {"error": f"a size of {sizes.raw_width} x {sizes.raw_height}"}, b""
         mosaic = raw.raw_image_visible
         if mosaic is None or mosaic.ndim != 2 or mosaic.dtype != np.uint16:
             found = "already rendered" if mosaic is None else f"{mosaic.shape} {mosaic.dtype}"
             return {"error": f"no mosaic of a sensor: {found}"}, b""
+        if not mosaic.any():  # what LibRaw leaves where it could not begin to decode
+            return {"error": "nothing but zeros"}, b""
         # Levels and pattern only now: some formats have them set while their pixels unpack.
         facts = {"shape": list(mosaic.shape), **describe(raw)}
         return facts, np.ascontiguousarray(mosaic).tobytes() if pixels else b""

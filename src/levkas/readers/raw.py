@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import struct
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from levkas.readers.dng import check_parts
 from levkas.readers.exif import iso_date, read_exif
 from levkas.readers.facts import COPY_AGAIN, Facts, check_size, decoding, unreadable
 
@@ -23,6 +25,8 @@ EXTENSIONS = """
 SUFFIXES = frozenset(f".{name}" for name in EXTENSIONS.split())
 PROGRAM = Path(__file__).with_name("libraw.py")
 PATIENCE_S = 600
+OUT_OF_TIME = -int(getattr(signal, "SIGPROF", 0)) or None
+"""Exit status of a decoder that took too much processor time; None where the system sets no limit."""
 
 
 def read_raw_facts(path: Path) -> Facts:
@@ -71,6 +75,8 @@ def read_raw_mosaic(path: Path) -> np.ndarray:
 
 def _ask(path: Path, what: str) -> tuple[dict[str, Any], memoryview]:
     """Run the decoder in a process of its own; its death is a refusal of this file."""
+    with decoding(path, "camera raw"):
+        check_parts(path)
     command = [sys.executable, "-P", str(PROGRAM), str(path.absolute()), what]
     # numpy's thread pools would count against the limits and are of no use there.
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -86,6 +92,8 @@ def _ask(path: Path, what: str) -> tuple[dict[str, Any], memoryview]:
         )
     except subprocess.TimeoutExpired as error:
         raise _refused(path, f"no end after {PATIENCE_S} s") from error
+    if done.returncode == OUT_OF_TIME:
+        raise _refused(path, "no end after as much processor time as its size allows")
     if done.returncode or len(done.stdout) < 4:
         raise _refused(path, f"the decoder ended with status {done.returncode}")
     (length,) = struct.unpack(">I", done.stdout[:4])

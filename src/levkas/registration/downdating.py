@@ -22,7 +22,7 @@ LARGEST_INVERSE = 50.0
 LEAST_FREEDOM = 1e-3
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def orthonormalise(columns):  # type: ignore[no-untyped-def]
     """Factor the transposed design, (terms, n), into orthonormal rows q and triangular r.
 
@@ -62,7 +62,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return (s0 + s1) + (s2 + s3)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def fit_rows(q, values):  # type: ignore[no-untyped-def]
     """Return (solved, residual), (terms, 2) and (2, n), of `values`, (2, n), on orthonormal q."""
     terms, n = q.shape
@@ -76,7 +76,22 @@ def fit_rows(q, values):  # type: ignore[no-untyped-def]
     return solved, residual
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
+def solve_triangular(r, history):  # type: ignore[no-untyped-def]
+    """Return x, (rounds, terms, 2), of r x = each of `history`; r is upper triangular."""
+    solved = np.empty_like(history)
+    terms = len(r)
+    for i in range(len(history)):
+        for axis in range(2):
+            for a in range(terms - 1, -1, -1):
+                rest = history[i, a, axis]
+                for b in range(a + 1, terms):
+                    rest -= r[a, b] * solved[i, b, axis]
+                solved[i, a, axis] = rest / r[a, a]
+    return solved
+
+
+@njit(cache=True, nogil=True)
 def remove_worst(q, residual, solved, rank, stop, pinned):  # type: ignore[no-untyped-def]
     """Remove the worst pair until `stop`, or until the factorisation should be made anew.
 

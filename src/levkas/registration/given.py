@@ -7,6 +7,7 @@ places again, numbers of rows it does not.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 DECIMALS = 2
 NEAR_PX = 0.011
+FEW = 64
+"""Pairs up to which a tree costs more than it saves."""
 LEAST_TO_START = 4
 """Pairs by hand from which a registration can begin where key points give no start."""
 HAND_PX = 0.5
@@ -114,12 +117,12 @@ class Marked:
     target: np.ndarray
     reason: np.ndarray
 
-    @property
+    @cached_property
     def dropped(self) -> np.ndarray:
         """Mask of the pairs that no fit may rest on, (n,) bool."""
-        return np.asarray(np.isin(self.reason, UNUSED), bool)
+        return np.asarray(np.logical_or.reduce([self.reason == word for word in UNUSED]), bool)
 
-    @property
+    @cached_property
     def sure(self) -> np.ndarray:
         """Mask of the pairs that are never removed, (n,) bool."""
         return np.asarray((self.reason != "") & ~self.dropped, bool)
@@ -142,11 +145,28 @@ def near(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
     """
     if not len(pairs) or not len(among):
         return np.full(len(pairs), -1)
+    if len(among) <= FEW:
+        return _near_few(pairs, among)
     from scipy.spatial import cKDTree
 
     reach = np.nextafter(NEAR_PX, 1)
     distance, row = cKDTree(among).query(pairs, p=np.inf, distance_upper_bound=reach)
     return np.where(np.isfinite(distance), row, -1)
+
+
+def _near_few(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """`near` without a tree: few pairs lie beside those that are looked for even in x alone."""
+    order = np.argsort(pairs[:, 0], kind="stable")
+    along = pairs[order, 0]
+    begin = np.searchsorted(along, among[:, 0] - NEAR_PX)
+    end = np.searchsorted(along, among[:, 0] + NEAR_PX, side="right")
+    at, best = np.full(len(pairs), -1), np.full(len(pairs), np.inf)
+    for row, (i, j) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+        beside = order[i:j]
+        apart = np.abs(pairs[beside] - among[row]).max(1, initial=0)
+        closer = (apart <= NEAR_PX) & (apart < best[beside])
+        at[beside[closer]], best[beside[closer]] = row, apart[closer]
+    return at
 
 
 def measure_checks(checks: np.ndarray, transform: Transform) -> np.ndarray:

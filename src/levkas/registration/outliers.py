@@ -14,7 +14,12 @@ import numpy as np
 
 from levkas.problems import Problem
 from levkas.registration.arguments import check_thresholds
-from levkas.registration.downdating import fit_rows, orthonormalise, remove_worst
+from levkas.registration.downdating import (
+    fit_rows,
+    orthonormalise,
+    remove_worst,
+    solve_triangular,
+)
 from levkas.registration.record import RegistrationRefused, Trace
 from levkas.transforms import Polynomial, design_matrix, frame_of
 
@@ -152,7 +157,7 @@ def _remove(
     if len(rows) < terms:
         raise _too_few(len(rows), terms, order, len(kept))
     rank = np.empty(len(target), np.int64)
-    rank[np.lexsort((*target.T[::-1], *reference.T[::-1]))] = np.arange(len(target))
+    rank[_sorted_rows(reference, target)] = np.arange(len(target))
     frame = frame_of(target[rows])
     middle = reference[rows].mean(0)
     while True:
@@ -164,13 +169,21 @@ def _remove(
         history, worst, largest = remove_worst(
             q, residual, solved, rank[rows], float(stop), stays[rows]
         )
-        models = np.linalg.solve(r, history.transpose(1, 0, 2).reshape(terms, -1))
-        models = models.reshape(terms, -1, 2).transpose(1, 0, 2).copy()
+        models = solve_triangular(r, history)
         models[:, 0] += middle
         yield _Many(frame[0], frame[1], models, rows[worst], largest)
         if largest[-1] <= stop:
             return
         rows = np.delete(rows, worst)
+
+
+def _sorted_rows(reference: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Rows by reference x, y, target x, y; the first alone decides where no two pairs share it."""
+    rows = np.argsort(reference[:, 0], kind="stable")
+    along = reference[rows, 0]
+    if (along[1:] > along[:-1]).all():
+        return rows
+    return np.lexsort((*target.T[::-1], *reference.T[::-1]))
 
 
 def _cut_but(
@@ -296,7 +309,9 @@ def _trace(
         first, models = rounds[0], np.concatenate([many.models for many in rounds])
         order = int(np.sqrt(2 * models.shape[1])) - 1
         design = design_matrix(corners, order, first.centre, first.spread)
-        shapes = np.einsum("ct,rtk->rck", design, models)
+        terms = np.ascontiguousarray(models.transpose(1, 0, 2)).reshape(len(design.T), -1)
+        shapes = sum(design[:, [i]] * term for i, term in enumerate(terms))
+        shapes = shapes.reshape(len(corners), -1, 2).transpose(1, 0, 2).copy()
         largest = np.concatenate([many.largest for many in rounds])
         removed = np.concatenate([many.worst for many in rounds])
         removed = np.where(largest <= stop, -1, removed)

@@ -19,7 +19,7 @@ from levkas.problems import Problem, Refused
 from levkas.screen import read_built
 from levkas.web.pages import PAGE
 from levkas.web.rebuilding import Busy, Rebuild
-from levkas.workbench.answer import describe
+from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.frame import SIDES, Frame
 from levkas.workbench.library import FrameMissing, Library
 from levkas.workbench.maps import KINDS, MapMissing, find_kinds
@@ -102,15 +102,13 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
     def pairs(request: Request, body: dict[str, Any]) -> Response:
         frame = frame_of(request)
         with frame.lock:
-            return JSONResponse({"ok": True, **describe(frame.session, packed=True)})
+            return _told(describe(frame.session, packed=True))
 
     def edit(request: Request, body: dict[str, Any]) -> Response:
         frame = frame_of(request)
         with frame.lock:
             change(frame, body)
-            return JSONResponse(
-                {"ok": True, **describe(frame.session, str(body.get("known", "")), packed=True)}
-            )
+            return _told(describe(frame.session, str(body.get("known", "")), packed=True))
 
     def attempt(request: Request, body: dict[str, Any]) -> Response:
         frame = frame_of(request)
@@ -155,7 +153,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
         frame = frame_of(request)
         with frame.lock:
             told = frame.take(_files(body.get("files")), body.get("dialect") or None)
-            return JSONResponse({"ok": True, **told, **describe(frame.session, packed=True)})
+            return _told({**told, **describe(frame.session, packed=True)})
 
     def start_build(request: Request, body: dict[str, Any]) -> Response:
         rebuild.start(request.path_params["id"])
@@ -183,6 +181,10 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
         ("/api/build", build_state, "GET"),
     ]
     return [Route(path, answering(handler), methods=[method]) for path, handler, method in table]
+
+
+def _told(told: dict[str, Any]) -> Response:
+    return Response(to_bytes({"ok": True, **told}), media_type="application/octet-stream")
 
 
 def change(frame: Frame, body: dict[str, Any]) -> None:
@@ -234,6 +236,7 @@ def describe_frame(frame: Frame) -> dict[str, Any]:
         "target_size": list(found.target_size),
         "px_per_mm": frame.px_per_mm,
         "built": frame.built is not None,
+        "builds": frame.builds,
         "maps": find_kinds(frame.record),
         "method": frame.record.get("method", ""),
         "verdict": told,

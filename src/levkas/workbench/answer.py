@@ -1,12 +1,12 @@
 """What a screen is told of a session after each change: columns of one length, a sum, the trace.
 
-Thousands of pairs are told with every edit, so that columns may be packed: little-endian numbers in
-base64, words by their number.
+Thousands of pairs are told with every edit, so that columns may travel as they stand in memory: little-endian
+numbers behind a JSON text that says where each begins, words by their number.
 """
 
 from __future__ import annotations
 
-import base64
+import json
 from collections.abc import Callable
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from levkas.workbench.session import Session
 
 SAMPLED_ROUNDS = 120
+ALIGNED = 8
+MOST_OF_A_BYTE = 256
 
 
 def describe(session: Session, known: str = "", *, packed: bool = False) -> dict[str, Any]:
@@ -33,7 +35,7 @@ def describe(session: Session, known: str = "", *, packed: bool = False) -> dict
     known : str
         What `places` said when the screen was last told them: ``pairs`` is None where they are the same.
     packed : bool
-        Whether long columns are packed (`pack`, `pack_words`) rather than lists.
+        Whether long columns are arrays, as `to_bytes` takes them, rather than lists.
 
     Returns
     -------
@@ -43,11 +45,12 @@ def describe(session: Session, known: str = "", *, packed: bool = False) -> dict
     """
     view = session.view
     matches = view.matches
-    numbers, words = (pack, pack_words) if packed else (_list, _words)
+    numbers, words = (_array, number_words) if packed else (_list, _words)
     pairs = np.round(np.hstack([matches.reference, matches.target]), 3)
     places = sha256(pairs.tobytes()).hexdigest()[:16]
     return {
         "version": session.version,
+        "drawn": session.drawn,
         "places": places,
         "pairs": None if places == known else numbers(pairs, "f8"),
         "residual": numbers(np.round(matches.residual, 3), "f4"),
@@ -68,26 +71,65 @@ def describe(session: Session, known: str = "", *, packed: bool = False) -> dict
     }
 
 
-def pack(values: np.ndarray, kind: str) -> dict[str, Any]:
-    """Return numbers as little-endian `kind` (``"f4"``, ``"f8"``, ``"i4"``) in base64, with their shape.
+def to_bytes(told: dict[str, Any]) -> bytes:
+    """Return an answer with arrays in it as one body.
 
-    >>> pack(np.array([1, -1]), "i4")
-    {'kind': 'i4', 'shape': [2], 'data': 'AQAAAP////8='}
+    Four bytes, little-endian, hold the length of a JSON text; arrays in it are ``{"kind", "shape", "at"}``, and
+    stand behind it, `at` bytes from its end, each from a multiple of eight bytes of the body.
+
+    >>> to_bytes({"round": np.array([1, -1], "<i4")})[-8:]
+    b'\\x01\\x00\\x00\\x00\\xff\\xff\\xff\\xff'
     """
-    data = np.ascontiguousarray(values, f"<{kind}").tobytes()
-    shape = [int(n) for n in np.shape(values)]
-    return {"kind": kind, "shape": shape, "data": base64.b64encode(data).decode("ascii")}
+    parts: list[bytes] = []
+    length = 0
+
+    def place(values: Any) -> dict[str, Any]:
+        nonlocal length
+        if not isinstance(values, np.ndarray):
+            raise TypeError(type(values).__name__)
+        at, data = length, values.tobytes()
+        parts.extend((data, b"\0" * (-len(data) % ALIGNED)))
+        length += len(data) + len(parts[-1])
+        return {"kind": values.dtype.str[1:], "shape": list(values.shape), "at": at}
+
+    text = json.dumps(told, default=place, allow_nan=False, separators=(",", ":")).encode()
+    text += b" " * (-(4 + len(text)) % ALIGNED)
+    return b"".join((len(text).to_bytes(4, "little"), text, *parts))
 
 
-def pack_words(words: np.ndarray) -> dict[str, Any]:
-    """Return words, each once, and the number of each in its place, packed.
+def from_bytes(body: bytes) -> dict[str, Any]:
+    """Return what `to_bytes` was given.
 
-    >>> pack_words(np.array(["kept", "removed", "kept"], object))["words"]
-    ['kept', 'removed']
+    >>> from_bytes(to_bytes({"round": np.array([1, -1], "<i4")}))
+    {'round': array([ 1, -1], dtype=int32)}
+    """
+    start = 4 + int.from_bytes(body[:4], "little")
+
+    def column(told: dict[str, Any]) -> Any:
+        if set(told) != {"kind", "shape", "at"}:
+            return told
+        count = int(np.prod(told["shape"]))
+        values = np.frombuffer(body, f"<{told['kind']}", count, start + told["at"])
+        return values.reshape(told["shape"])
+
+    return dict(json.loads(body[4:start], object_hook=column))
+
+
+def number_words(words: np.ndarray) -> dict[str, Any]:
+    """Return words, each once, and the number of each in its place.
+
+    >>> number_words(np.array(["kept", "removed", "kept"], object))
+    {'words': ['kept', 'removed'], 'codes': array([0, 1, 0], dtype=uint8)}
     """
     listed = words.tolist()
     number = {word: i for i, word in enumerate(dict.fromkeys(listed))}
-    return {"words": list(number), "codes": pack(np.array([number[w] for w in listed], int), "i4")}
+    kind = "u1" if len(number) <= MOST_OF_A_BYTE else "<i4"
+    codes = np.fromiter(map(number.__getitem__, listed), kind, len(listed))
+    return {"words": list(number), "codes": codes}
+
+
+def _array(values: np.ndarray, kind: str) -> np.ndarray:
+    return np.ascontiguousarray(values, f"<{kind}")
 
 
 def _list(values: np.ndarray, kind: str) -> list[Any]:

@@ -60,6 +60,8 @@ class Frame:
     trial: View | None = None
     """What the map would be if a pair lay elsewhere."""
     trials: int = 0
+    builds: int = 0
+    """How often it was registered again."""
 
     @property
     def key(self) -> str:
@@ -120,7 +122,7 @@ class Frame:
             self.record, self.main_record = fresh.record, fresh.main_record
             for name in ("_built", "_own"):
                 self.__dict__.pop(name, None)
-            self.trial = None
+            self.trial, self.builds = None, self.builds + 1
             self.session.refresh(fresh.session.found)
 
     def forward(self, which: str) -> Transform:

@@ -7,6 +7,7 @@ undo has no end and nothing is ever taken back by hand.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LEAST_FITTED = 3
+STILL_PX = 0.02
+"""Target px that a map may move before pictures are brought over anew: less than can be seen."""
 OWN = "added by hand"
 CUT = "farther than `reject` at the start"
 
@@ -98,6 +101,19 @@ class Session:
     _undone: list[FrameEdits] = field(default_factory=list)
     _done: list[FrameEdits] = field(default_factory=list)
     _view: View | None = None
+    _drawn: tuple[int, np.ndarray] | None = None
+
+    @property
+    def drawn(self) -> int:
+        """The version by whose map pictures are brought over: the present one only where that map has moved."""
+        places = self.view.forward(_over(self.found.size))
+        if self._drawn is not None:
+            moved = np.abs(places - self._drawn[1]) > STILL_PX
+            moved |= np.isnan(places) != np.isnan(self._drawn[1])
+            if not moved.any():
+                return self._drawn[0]
+        self._drawn = (self.version, places)
+        return self.version
 
     @property
     def view(self) -> View:
@@ -194,8 +210,12 @@ class Session:
             return
         self.edits, self._view = edits, None
         self.version += 1
-        if self.save is not None:
-            self.save(edits)
+        if self.save is None:
+            return
+        with ThreadPoolExecutor(1) as beside:  # the disk is waited for while the fit is made
+            saving = beside.submit(self.save, edits)
+            self._view = look(self.found, edits)
+            saving.result()
 
 
 def look(found: Found, edits: FrameEdits) -> View:
@@ -274,6 +294,12 @@ def _with_checks(matches: Matches, checks: np.ndarray, forward: Transform) -> Ma
     if not len(checks):
         return matches
     return with_checks(matches, checks, measure_checks(checks, forward))
+
+
+def _over(size: tuple[int, int]) -> np.ndarray:
+    """Places all over a picture, its corners too, (n, 2)."""
+    along, down = (np.linspace(-0.5, n - 0.5, 9) for n in size)
+    return np.stack(np.meshgrid(along, down), -1).reshape(-1, 2)
 
 
 def _place(pair: Sequence[float], found: Found) -> Pair:

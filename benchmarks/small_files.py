@@ -1,0 +1,188 @@
+"""Small sound files of every kind that is read, for `fuzzing.py` and `guided_fuzzing.py` to spoil."""
+
+import io
+import json
+
+import imagecodecs
+import numpy as np
+import tifffile
+
+from levkas.control_points.dialects import DIALECTS, format_points
+from levkas.control_points.points import ControlPoints
+
+CAMPAIGN = b"""[campaign]
+title = "Two paintings"
+date = 2024-05-31
+reference = { camera = "vis", band = "550" }
+[grid]
+mirror = true
+region = [0, 0, 40, 30]
+[cameras.vis]
+kind = "bands"
+files = "vis/{target}/{wavelength}nm.tif"
+wavelengths = { start = 400, stop = 720, step = 10 }
+bits = 12
+[cameras.msfa]
+kind = "mosaic"
+files = ["msfa/{target}_{shot}.tif"]
+pattern = [["B1", "B2"], ["B3", "B4"]]
+exposures = "merge"
+[targets]
+dark = "dark"
+white = { names = ["white"], reflectance = 0.98 }
+[objects.icon1]
+size_mm = [300, 400]
+"""
+EDITS = b"""version = 1
+[objects.icon1.cameras.d80]
+deleted = [[1.5, 2.0, 3.25, 4.0]]
+moved = [[1, 2, 3, 4, 1, 2, 3, 5]]
+reject = 12.0
+note = "by eye"
+[objects.icon1.cameras."msbs:IR"]
+added = [[10.0, 20.0, 30.0, 40.0]]
+"""
+TOKENS = [
+    *(b"\0", b"\xff", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80\0\0\0", b"-1", b"0", b"nan"),
+    *(b"inf", b"1e999", b"99999999999999999999", b"{", b"}", b"[", b"]", b'"', b'"""', b"=", b"\n"),
+    *(b",", b";", b".", b"\\u0000", b"\xc3", b" ", b"{target}", b"[[", b"'''", b"NaN", b"true"),
+]
+
+
+def seeds():
+    """Return (name of the file, its bytes, files beside it) of every kind."""
+    codes = (np.arange(15 * 13, dtype=np.uint16) * 21).reshape(15, 13)
+    for name, options in {
+        "plain": {}, "deflate": {"compression": "zlib", "predictor": True}, "big": {"bigtiff": True},
+        "lzw": {"compression": "lzw", "rowsperstrip": 4}, "tiles": {"tile": (16, 16)},
+        "zstd": {"compression": "zstd"}, "order": {"byteorder": ">"},
+        "tags": {"extratags": [(33434, "2I", 1, (1, 4), True), (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (34855, "H", 1, 100, True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (270, "s", 0, "a frame", True), (306, "s", 20, "2019:02:08 17:43:35", True),
+ (272, "s", 0, "D80", True)]},
+    }.items():  # fmt: skip
+        stream = io.BytesIO()
+        tifffile.imwrite(stream, codes, **options)
+        yield f"{name}.tif", stream.getvalue(), {}
+        if name == "tags":
+            yield "shot.exif", stream.getvalue(), {}
+    stream = io.BytesIO()
+    tifffile.imwrite(stream, np.stack([codes] * 3), photometric="minisblack", metadata=None)
+    yield "pages.tif", stream.getvalue(), {}
+    stream = io.BytesIO()
+    tifffile.imwrite(stream, (codes >> 4).astype(np.uint8), compression="jpeg")
+    yield "jpeg.tif", stream.getvalue(), {}
+    yield "gray.png", bytes(imagecodecs.png_encode(codes)), {}
+    yield "colour.png", bytes(imagecodecs.png_encode(np.dstack([codes >> 4] * 3).astype("u1"))), {}
+    yield "photo.jpg", bytes(imagecodecs.jpeg8_encode((codes >> 4).astype(np.uint8))), {}
+    header = (
+        "ENVI\n; from a scanner\nsamples = 5\nlines = 4\nbands = 3\ndata type = 12\ninterleave = bil\n"
+        "header offset = 0\nbyte order = 0\nwavelength units = nm\nwavelength = {400.1, 500,\n 600}\n"
+        'band names = {"a", b, c}\nreflectance scale factor = 1\ndata ignore value = -1\n'
+    )
+    yield "scan.hdr", header.encode(), {"scan.raw": bytes(range(120))}
+    yield "campaign.toml", CAMPAIGN, {}
+    yield "edits.toml", EDITS, {}
+    record = {"campaign": "x", "cameras": {"vis": {"bands": ["a"], "size": [1.5, 2e3]}}, "n": None}
+    yield "record.json", json.dumps(record).encode(), {}
+    yield from table_seeds()
+    yield from point_seeds()
+
+
+def table_seeds():
+    """Return CSVs as `seeds` does."""
+    yield "exposures.csv", b'file,exposure_s\r\na.tif,0.25\n"sub\\b.tif",1e-3\n', {}
+    yield "spectrum.csv", b"# a board\nwavelength,share\n380,0.9\n580,95\n780.5,.97\n", {}
+    yield "sensitivity.csv", b"nm,B1,B2,B3\n400,0,1,.5\n500,1,0,\n600,.5,0,1e-3\n", {}
+    yield "light.csv", b"wavelength,lamp\n400,0.5\n500,1\n700,0.25\n", {}
+    yield "lobe.csv", b"0,1\n10,0.8\n45,.1\n", {}
+    head = ",".join(f"{column}:{row}" for row in "12" for column in "AB")
+    yield "chart.csv", f"nm,{head}\n400,1,2,3,4\n500,5,60,7,8\n".encode(), {}
+
+
+def point_seeds():
+    """Return control points in every dialect that is read, as `seeds` does."""
+    points = ControlPoints(
+        [[0, 0.5], [10, 20], [30.25, 7]],
+        [[1, 2], [11, 21.5], [28, 9]],
+        names=("eye", "hand", ""),
+        enabled=[True, False, True],
+    ).sized((640, 480), (320, 240))
+    for dialect, facts in DIALECTS.items():
+        first, *other = format_points(points, dialect)
+        suffix = facts.suffixes[0].rpartition(".")[2]
+        beside = {f"{dialect}.target.{suffix}": other[0]} if other else {}
+        name = f"{dialect}.reference.{suffix}" if other else f"{dialect}.points.{suffix}"
+        yield name, first, beside
+    frames = (
+        b"object,camera,band,reference_x,reference_y,x,y\nicon,d80,R,1,2,3,4\nicon,d80,,5,6,7,8\n"
+    )
+    yield "frames.csv", frames, {}
+
+
+def raw_seeds():
+    """Return DNGs as `seeds` does, written with tifffile."""
+    codes = (np.arange(32 * 48, dtype=np.uint16) * 21 % 4096).reshape(32, 48)
+    levels = tuple(int(c) for c in np.round(np.linspace(0, 1, 200) ** 2 * 4095))
+    for name, mosaic, extra, options in (
+        ("plain", codes, [], {}),
+        ("strips", codes, [(33434, "2I", 1, (1, 4), True)], {"rowsperstrip": 8}),
+        ("tiles", codes, [], {"tile": (16, 16)}),
+        ("curve", codes % 200, [(50712, "H", 200, levels, True)], {}),
+        ("area", codes, [(50829, "I", 4, (2, 4, 30, 44), True)], {}),
+        ("order", codes, [], {"byteorder": ">"}),
+        ("lossless", codes, [], {"compression": 7, "tile": (16, 16)}),
+    ):
+        tags = [
+            (50706, "B", 4, (1, 4, 0, 0), True),
+            (50708, "s", 0, "Levkas test", True),
+            (33421, "H", 2, (2, 2), True),
+            (33422, "B", 4, (0, 1, 1, 2), True),
+            (50714, "H", 1, 64, True),
+            (50717, "I", 1, 4095, True),
+            (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
+            (50778, "H", 1, 21, True),
+            (50728, "2I", 3, (1, 1, 1, 1, 1, 1), True),
+            *extra,
+        ]
+        stream = io.BytesIO()
+        if "compression" in options:
+            places = [(y, x) for y in range(0, 32, 16) for x in range(0, 48, 16)]
+            tiles = [mosaic[y : y + 16, x : x + 16].copy() for y, x in places]
+            options |= {"shape": mosaic.shape, "dtype": mosaic.dtype}
+            mosaic = map(imagecodecs.ljpeg_encode, tiles)
+        tifffile.imwrite(
+            stream, mosaic, photometric=32803, extratags=tags, metadata=None, **options
+        )
+        yield f"{name}.dng", stream.getvalue(), {}
