@@ -105,9 +105,7 @@ def main() -> None:
     parser.add_argument("--presets", nargs="+", default=["small", "hard"])
     parser.add_argument("--scale", type=float, default=0.2)
     parser.add_argument("--objects", type=int, default=1)
-    parser.add_argument(
-        "--methods", nargs="+", choices=KEYS, default=["levkas", "mirhashemi2019"]
-    )
+    parser.add_argument("--methods", nargs="+", choices=KEYS, default=["levkas", "mirhashemi2019"])
     arguments = parser.parse_args()
     results: dict[str, list[dict]] = defaultdict(list)
     for seed in arguments.seeds:
