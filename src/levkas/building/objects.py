@@ -17,6 +17,7 @@ from levkas.building.ledger import Key, Ledger
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.standing import Standing, is_of_the_disk
 from levkas.building.steps import Step
+from levkas.building.withdrawing import CATALOGUE, no_reference, refused_step, withdraw
 from levkas.machine import give_back_memory, steady_libraries
 from levkas.problems import Problem, Refused
 
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from levkas.discovery import Capture
 
     Grey = tuple[np.ndarray, np.ndarray]
-
-CATALOGUE = Key("", stage="catalogue")
 
 
 class Planned(NamedTuple):
@@ -107,7 +106,7 @@ class ObjectBuild:
         broken: Refused | None = None
         for capture in self._largest_first():
             if broken is not None and capture is not self.reference:
-                yield _refused(self.keys(capture)["calibrate"], broken)
+                yield refused_step(self.keys(capture)["calibrate"], broken)
                 continue
             failed = None
             plan = self._plan(capture)
@@ -119,17 +118,17 @@ class ObjectBuild:
                 yield step
                 failed = step if step.state in ("refused", "failed") else failed
             if failed is not None and capture is self.reference:
-                broken = NoReference(_no_reference(self.name, capture.layer, failed))
+                broken = no_reference(self.name, capture.layer, failed)
         yield from self._written()
 
     def without_reference(self, ended: Sequence[Step]) -> Iterator[Step]:
         """Refuse what cannot be registered, the reference camera having been lost before."""
         lost = [s for s in ended if s.state in ("refused", "failed")]
         mine = next(s for s in lost if s.key.layer == self.reference.layer)
-        broken = NoReference(_no_reference(self.name, self.reference.layer, mine))
+        broken = no_reference(self.name, self.reference.layer, mine)
         for capture in self.captures[1:]:
             if all(step.key.layer != capture.layer for step in lost):
-                yield _refused(self.keys(capture)["calibrate"], broken)
+                yield refused_step(self.keys(capture)["calibrate"], broken)
 
     def _largest_first(self) -> list[Capture]:
         """The reference, then the others, most bands first: little is left to write at the end."""
@@ -297,7 +296,7 @@ class ObjectBuild:
         """Return the step of a refused stage; what it made before stays where only the disk refused."""
         if not is_of_the_disk(refused.problems):
             self.ledger.forget(key)
-        return _refused(key, refused)
+        return refused_step(key, refused)
 
     def _write(
         self, key: Key, capture: Capture, write: Callable[[], Step], *, wait: bool = False
@@ -326,39 +325,5 @@ class ObjectBuild:
                 told = f"{self.name}/{capture.layer}: the layer of an earlier build stays"
                 return replace(step, warnings=(*step.warnings, told))
             self.ledger.forget(step.key)
-        self._withdraw(capture)
+        withdraw(capture, self.places, self.ledger)
         return step
-
-    def _withdraw(self, capture: Capture) -> None:
-        """Take away what an earlier build published of a layer that is refused now."""
-        from levkas.files import remove
-
-        # By name, not by record: an interrupted build has dropped the record and left the files.
-        self.ledger.forget(CATALOGUE)
-        self.ledger.forget(fingerprints.keys_of(capture)["resample"])
-        places = [
-            self.places.layer(self.name, capture.camera, capture.setup, kind=kind)
-            for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")
-        ]
-        for path in (*places, self.places.store(self.name) / capture.layer):
-            if path.exists():
-                remove(path)
-
-
-class NoReference(Refused):
-    """Nothing can be registered to a reference that is not there."""
-
-
-def _no_reference(name: str, layer: str, failed: Step) -> Problem:
-    return Problem(
-        "E_NO_REFERENCE",
-        f"{name}: the reference camera could not be built, so nothing can be registered to it",
-        field="campaign.reference",
-        found=f"{layer}: {failed.why}",
-        fix="Mend the reference camera's frames first.",
-    )
-
-
-def _refused(key: Key, refused: Refused) -> Step:
-    why = refused.problems[0].message if refused.problems else str(refused)
-    return Step(key, "refused", why, problems=tuple(refused.problems))
