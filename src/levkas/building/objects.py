@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from levkas.discovery import Capture
 
     Grey = tuple[np.ndarray, np.ndarray]
+
+
+#: The rounds of a build where captures are adjusted together; else there is only the last.
+Round = Literal["references", "others", "last"]
 
 
 class Planned(NamedTuple):
@@ -65,7 +69,7 @@ class ObjectBuild:
     _standing: Standing = field(init=False)
     _stages: CaptureStages = field(init=False)
     _being_written: list[tuple[Capture, Future[Step]]] = field(default_factory=list)
-    _measuring: bool = False
+    _round: Round = "last"
 
     def __post_init__(self) -> None:
         self._standing = Standing(self.ledger)
@@ -86,13 +90,14 @@ class ObjectBuild:
         """The capture that all others are registered to."""
         return self.captures[0]
 
-    def run(self, *, measuring: bool = False) -> Iterator[Step]:
+    def run(self, of: Round = "last") -> Iterator[Step]:
         """Yield every stage as it begins and as it ends.
 
-        What a stage made is compressed and written while the next one computes. `measuring` does only
-        what others that are adjusted together with these captures have to know.
+        What a stage made is compressed and written while the next one computes. Earlier rounds than the
+        last do only what others that are adjusted together with these captures have to know: first the
+        reference cameras of all objects by themselves, then what is registered to them.
         """
-        self._measuring = measuring
+        self._round = of
         with (
             ThreadPoolExecutor(1, thread_name_prefix="writing") as self._writer,
             ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
@@ -133,7 +138,9 @@ class ObjectBuild:
     def _largest_first(self) -> list[Capture]:
         """The reference, then the others, most bands first: little is left to write at the end."""
         others = sorted(self.captures[1:], key=lambda c: -len(c.bands))
-        if self._measuring:
+        if self._round == "references":
+            others = []
+        elif self._round == "others":
             others = [c for c in others if self.campaign.is_joint(c.camera)]
         return [self.reference, *others]
 
@@ -160,19 +167,21 @@ class ObjectBuild:
                     break
         return steps
 
-    def note(self) -> None:
-        """Tell the mates of all captures what these hang on now."""
-        for capture in self.captures:
-            for stage in ("calibrate", "measure"):
-                if key := self.keys(capture).get(stage):
-                    self.digests[key] = digest(self._prints(capture, stage))
+    def note(self, of: Round) -> None:
+        """Tell the mates of all captures of a round what these hang on now."""
+        self._round = of
+        for capture in self._largest_first():
+            for stage, key in self.keys(capture).items():
+                self.digests[key] = digest(self._prints(capture, stage))
+        self._round = "last"
 
     def keys(self, capture: Capture) -> dict[str, Key]:
         """Return the keys of a capture's stages, as far as they are to be done now."""
         keys = joint_keys(self.campaign, capture)
-        if not self._measuring:
+        if self._round == "last":
             return keys
-        last = "measure" if "measure" in keys else "register"
+        wanted = self._round == "others" and capture is self.reference
+        last = "register" if wanted or "measure" not in keys else "measure"
         return {stage: keys[stage] for stage in list(keys)[: list(keys).index(last) + 1]}
 
     # --- one capture --------------------------------------------------------------------------
@@ -247,6 +256,8 @@ class ObjectBuild:
         if stage == "measure" or (stage == "register" and "measure" not in keys):
             ends = self.digests[keys["calibrate"]], self.digests[base["calibrate"]]
             prints = fingerprints.of_registration(self.campaign, capture, *ends)
+            if "measure" in base and capture is not self.reference:
+                prints["registration of the reference"] = self.digests[base["register"]]
             if stage == "measure":
                 self.mates.note(capture, digest(prints))
             return prints

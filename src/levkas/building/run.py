@@ -13,7 +13,7 @@ from levkas.building.cataloguing import write_catalogue_of
 from levkas.building.fingerprints import digest
 from levkas.building.joint_round import JointRound
 from levkas.building.ledger import Key, Ledger
-from levkas.building.objects import ObjectBuild
+from levkas.building.objects import ObjectBuild, Round
 from levkas.building.places import Places
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.shelf import Shelf
@@ -93,7 +93,8 @@ class _Counting:
         self._stages: dict[tuple[str, str], list[str]] = {}
         for capture in first.captures():
             stages = list(joint_keys(campaign, capture))
-            self._stages[capture.object, capture.layer] = stages[: -1 if len(stages) == 3 else -2]
+            until = "register" if first.leads(capture) or "measure" not in stages else "measure"
+            self._stages[capture.object, capture.layer] = stages[: stages.index(until) + 1]
         for capture in captures:
             self._stages[capture.object, capture.layer] = list(joint_keys(campaign, capture))
         self.total = sum(map(len, self._stages.values())) + more
@@ -124,8 +125,10 @@ def status(path: str | Path, *, output: str | Path | None = None) -> BuildReport
         )
         for name in dict.fromkeys(c.object for c in captures)
     ]
-    for mine in objects:
-        mine.note()
+    rounds: list[Round] = ["references", "others"]
+    for of in rounds:
+        for mine in objects:
+            mine.note(of)
     for mine in objects:
         steps += mine.states()
     steps += CameraPages(campaign, places, ledger, captures).states()
