@@ -1,8 +1,9 @@
 """Strike a small build at every step on the disk, and run it again: how often all is as it should be.
 
-    python benchmarks/faults.py [EVERY] [KILLS]
+    python benchmarks/faults.py [EVERY] [KILLS] [PART …]
 
-EVERY takes each so-many-th point only; KILLS is the number of processes that are really ended.
+EVERY takes each so-many-th point only; KILLS is the number of processes that are really ended. Parts are the
+scenes (new, over, withdrawn), careless (the writer without temporary files) and power (the loss of it); all.
 """
 
 import importlib.util
@@ -26,24 +27,25 @@ def load():
     return module
 
 
-def main(every=1, kills=20):
+def main(every=1, kills=20, parts=()):
     """Print a row for each scene and kind: points, whole after the fault, same bytes at the end."""
     faults, started = load(), time.perf_counter()
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
         faults.hasten(patch)
         scenes = faults.make_scenes(Path(folder))
         print(f"{'scene':10} {'kind':8} {'points':>7} {'whole':>7} {'mended':>7} {'share':>7}")
-        for name, scene in scenes.items():
+        chosen = {name: scene for name, scene in scenes.items() if not parts or name in parts}
+        for name, scene in chosen.items():
             for kind in faults.KINDS:
                 _row(name, kind, list(_all(faults, scene, kind, every)))
             share = [(n + 0.5) / kills for n in range(kills)]
             real = [faults.strike_for_real(scene, 1 + int(s * len(scene.steps))) for s in share]
             _row(name, "exit", [outcome for outcome in real if outcome.struck == ("exit", 9)])
-        for name in ("new", "over"):
+        for name in ("new", "over") if not parts or "careless" in parts else ():
             writer = faults.write_carelessly
             struck = _all(faults, scenes[name], "kill", every, writer)
             _row(name, "careless", [o for o in struck if o.struck[0] == "write"], quiet=True)
-        for name, scene in scenes.items():
+        for name, scene in scenes.items() if not parts or "power" in parts else ():
             operations, wrong = faults.replay(scene)
             print(
                 f"{name}: power lost after each of {operations} operations, {wrong.total()} wrong"
@@ -73,4 +75,4 @@ def _row(name, kind, outcomes, *, quiet=False):
 
 
 if __name__ == "__main__":
-    main(*(int(n) for n in sys.argv[1:3]))
+    main(*(int(n) for n in sys.argv[1:3]), parts=sys.argv[3:])

@@ -1,7 +1,9 @@
 """Simulated campaigns, several seeds, the default method and the paper's side by side in one run.
 
     python benchmarks/registration.py [FOLDER] [--seeds 1 2 3 …] [--presets small hard] [--scale 0.2]
-        [--methods levkas mirhashemi2019]
+        [--objects 1] [--methods levkas joint mirhashemi2019]
+
+"joint" is the default method with all objects of a camera adjusted together; it wants several.
 
 Of every camera: the mean error of all its bands, and the largest 99.9th percentile of any, in px of the
 reference band, against exact truth on the whole frame. FOLDER keeps campaigns, databases and results.
@@ -43,19 +45,30 @@ def measure(database: Path, truth: Path) -> dict[str, dict]:
     return found
 
 
-def run(folder: Path, preset: str, seed: int, scale: float, methods: list[str]) -> dict[str, dict]:
+KEYS = {
+    "levkas": "",
+    "joint": "\n[registration]\njoint = true\n",
+    "mirhashemi2019": '\n[registration]\nmethod = "mirhashemi2019"\n',
+}
+
+
+def run(
+    folder: Path, preset: str, seed: int, scale: float, methods: list[str], objects: int
+) -> dict[str, dict]:
     """Simulate one campaign where it is not there yet, and build it by every method."""
-    campaign = folder / f"{preset}-{seed}-{scale:g}"
+    several = "" if objects == 1 else f"-{objects}"
+    campaign = folder / f"{preset}-{seed}-{scale:g}{several}"
     if not (campaign / "truth" / "truth.json").is_file():
-        for _ in simulate_campaign(campaign, preset=preset, seed=seed, scale=scale):
+        for _ in simulate_campaign(
+            campaign, preset=preset, seed=seed, scale=scale, objects=objects
+        ):
             pass
     plain = (
         (campaign / "campaign.toml").read_text(encoding="utf-8").partition("\n[registration]")[0]
     )
     result = {}
     for method in methods:
-        text = plain if method == "levkas" else f'{plain}\n[registration]\nmethod = "{method}"\n'
-        (campaign / "campaign.toml").write_text(text, encoding="utf-8")
+        (campaign / "campaign.toml").write_text(plain + KEYS[method], encoding="utf-8")
         database = campaign / method
         for step in build(campaign, output=database):
             if step.state in ("refused", "failed"):
@@ -74,7 +87,7 @@ def tell(results: dict[str, list[dict]]) -> None:
         for result in several:
             for method, captures in result.items():
                 for name, row in captures.items():
-                    rows[name, method].append(row)
+                    rows[name.partition("/")[2], method].append(row)
         for (name, method), row in sorted(rows.items()):
             means, highs = ([r[k] for r in row if r[k] is not None] for k in ("mean", "p999"))
             said = [r["verdict"] for r in row]
@@ -91,12 +104,16 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(1, 11)))
     parser.add_argument("--presets", nargs="+", default=["small", "hard"])
     parser.add_argument("--scale", type=float, default=0.2)
-    parser.add_argument("--methods", nargs="+", default=["levkas", "mirhashemi2019"])
+    parser.add_argument("--objects", type=int, default=1)
+    parser.add_argument("--methods", nargs="+", choices=KEYS, default=["levkas", "mirhashemi2019"])
     arguments = parser.parse_args()
     results: dict[str, list[dict]] = defaultdict(list)
     for seed in arguments.seeds:
         for preset in arguments.presets:
-            one = run(arguments.folder, preset, seed, arguments.scale, arguments.methods)
+            one = run(
+                arguments.folder, preset, seed, arguments.scale, arguments.methods,
+                arguments.objects,
+            )  # fmt: skip
             results[preset].append(one)
             print(f"== {preset}, seeds up to {seed}", flush=True)
     tell(results)

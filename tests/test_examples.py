@@ -89,7 +89,8 @@ def test_a_campaign_made_by_other_hands_is_registered(two_paintings, tmp_path, m
 
     text = (EXAMPLES / "two-paintings/campaign.toml").read_text(encoding="utf-8")
     text = text.replace("../../../shared/campaigns/two-paintings", two_paintings.as_posix())
-    (tmp_path / "campaign.toml").write_text(text + f'\n[registration]\nmethod = "{method}"\n')
+    text = text.partition("\n[registration]")[0] + f'\n[registration]\nmethod = "{method}"\n'
+    (tmp_path / "campaign.toml").write_text(text)
     report = summarise(build(tmp_path, output=tmp_path / "database", objects=["icon1"]))
     results = assess(tmp_path / "database", truth=two_paintings / "truth").results
     accepted = [r for r in results if r["verdict"] != "refuse"]

@@ -13,6 +13,7 @@ from levkas.declaring.contradictions import find_contradictions
 from levkas.declaring.messages import explain
 from levkas.declaring.tables import (
     OF_THE_POINTS,
+    OF_THE_RIG,
     ONLY_OF_THE_PAPER,
     CameraKeys,
     Document,
@@ -81,10 +82,15 @@ class Campaign(Document):
     def registration_of(self, camera: str) -> dict[str, Any]:
         """Registration keys for one camera: its own over the campaign's, those of its method only."""
         keys = {**self.registration.given(), **self.cameras[camera].registration.given()}
-        left_out: tuple[str, ...] = OF_THE_POINTS
+        left_out: tuple[str, ...] = (*OF_THE_POINTS, *OF_THE_RIG)
         if keys.get("method") != "mirhashemi2019":
             left_out = (*left_out, *ONLY_OF_THE_PAPER)
         return {k: v for k, v in keys.items() if k not in left_out}
+
+    def is_joint(self, camera: str) -> bool:
+        """Tell whether the captures of a camera are adjusted together."""
+        keys = {**self.registration.given(), **self.cameras[camera].registration.given()}
+        return bool(keys.get("joint")) and keys.get("method", "levkas") == "levkas"
 
     def darks_of(self, camera: Camera) -> tuple[str, ...]:
         """Values of {target} that are darks of a camera; none for a plain image."""

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from levkas.building import focusing, scans, streaming
+from levkas.building import focusing, streaming
 from levkas.building.default_setup import DefaultLayer, gains_of_scan
 from levkas.building.developing import develop
 from levkas.building.flatfielding import mark_glare_in
 from levkas.building.focusing import Middle, focus_of
 from levkas.building.measuring import flag_and_count
 from levkas.building.native import Native
+from levkas.building.scan_opening import open_scan
 from levkas.building.shelf import Shelf
 from levkas.campaign import load_campaign
 from levkas.cube import Band, Cube, Flag
@@ -57,7 +58,7 @@ def test_glare_is_flagged_in_the_lines_as_in_the_whole_cube(tmp_path, monkeypatc
     shelf = Shelf(tmp_path, None, shared=False)
     monkeypatch.setenv("LEVKAS_TILE", tile)
     whole = develop(capture, campaign, shelf).cubes[""].flags
-    flags = scans.open_scan(capture, campaign, shelf).lines(0, shape[0]).flags
+    flags = open_scan(capture, campaign, shelf).lines(0, shape[0]).flags
     planted = np.zeros(shape, bool)
     planted[11:14, 4:9, 2] = True
     np.testing.assert_array_equal((whole & Flag.GLARE) != 0, planted)

@@ -4,12 +4,15 @@ import shutil
 
 import numpy as np
 import pytest
+import tifffile
 
 from levkas import disk
-from levkas.building import build, registering, scans, streaming, summarise
+from levkas.building import build, line_templates, registering, scans, streaming, summarise
 from levkas.building.developing import develop
 from levkas.building.held_lines import HeldLines
-from levkas.building.scans import Scan, is_streamed, open_scan
+from levkas.building.passages import Passage
+from levkas.building.scan_opening import open_scan
+from levkas.building.scans import Scan, is_streamed
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign import load_campaign
@@ -219,8 +222,8 @@ kind = "cube"
 files = "{target}.hdr"
 MORE
 [targets]
-dark = "dark"
-white = { names = "white", reflectance = 0.9 }
+DARK
+WHITE
 objects = ["panel"]
 """
 
@@ -235,7 +238,11 @@ def write_scan(folder, cubes, more=""):
             f"data type = {12 if cube.dtype == np.uint16 else 4}\nbyte order = 0\n"
             f"wavelength = {{{', '.join(str(400 + 8 * b) for b in range(bands))}}}\n"
         )
-    (folder / "campaign.toml").write_text(KEYS.replace("MORE", more))
+    said = {"DARK": 'dark = "dark"', "WHITE": 'white = { names = "white", reflectance = 0.9 }'}
+    text = KEYS.replace("MORE", more)
+    for name, line in said.items():
+        text = text.replace(name, line if name.lower() in cubes else "")
+    (folder / "campaign.toml").write_text(text)
     campaign = load_campaign(folder)
     (capture,), _ = find_captures(campaign)
     shelf = Shelf(folder, None, shared=False)
@@ -249,7 +256,7 @@ def levels(dtype, shape=(30, 20, 5)):
 
 
 def passed(scan):
-    blocks = list(scans.Passage(scan))
+    blocks = list(Passage(scan))
     arrays = zip(*((b.values, b.flags, b.sigma) for b in blocks), strict=True)
     return Cube(*(np.concatenate(parts) for parts in arrays), scan.bands, scan.quantity)
 
@@ -285,7 +292,8 @@ def test_a_band_of_a_scan_without_a_finite_value_is_refused(tmp_path):
         assert "panel.hdr" in refused.value.problems[0].file
 
 
-def test_hysime_of_a_streamed_scan_is_that_of_the_whole_cube(tmp_path, monkeypatch):
+@pytest.mark.parametrize("more", ["", 'scan = "mirror"\n'], ids=["push-broom", "mirror"])
+def test_hysime_of_a_streamed_scan_is_that_of_the_whole_cube(tmp_path, monkeypatch, more):
     rng, at = np.random.default_rng(3), np.linspace(0, 1, 60)
     spectra = np.array([np.exp(-(((at - c) / 0.15) ** 2)) + 0.1 for c in np.linspace(0, 1, 5)])
     signal = 3000 * rng.dirichlet(np.full(5, 0.5), (40, 50)) @ spectra
@@ -293,10 +301,144 @@ def test_hysime_of_a_streamed_scan_is_that_of_the_whole_cube(tmp_path, monkeypat
     cubes["panel"] = (100 + signal + rng.normal(0, 8, signal.shape)).round().astype(np.uint16)
     cubes["white"] = cubes["white"].astype(np.float32)
     cubes["white"][0, 9, 9] = np.nan
-    scan, whole = write_scan(tmp_path, cubes, 'denoise = "hysime"')
+    scan, whole = write_scan(tmp_path, cubes, more + 'denoise = "hysime"')
     monkeypatch.setenv("LEVKAS_TILE", "7")
     found, native = passed(scan), whole()
     assert same(found, native.cubes[""])
     assert scan.warnings == native.warnings
     assert any("hysime kept 5 of 60" in text for text in scan.warnings)
     assert np.array_equal(scan.lines(3, 25).values, found.values[3:25])
+
+
+MIRROR = 'scan = "mirror"'
+
+
+def behind_a_mirror(rng, shape=(90, 60, 6), gain=0.4, read=3.0):
+    """Return cubes whose dark and white change from line to line, as a mirror sees them."""
+    line, sample, band = (np.linspace(-1, 1, n) for n in shape)
+    board = np.exp(-((line[:, None] - 0.2) ** 2) - 0.5 * (sample + 0.3 * line[:, None]) ** 2)
+    response = 1 + 0.012 * rng.standard_normal(shape[1:])
+    light = 9000 * board[..., None] * (0.6 + 0.4 * np.cos(band)) * response
+    under = 100 + 10 * line[:, None, None] + rng.normal(0, 4, shape[1:])
+    paint = np.kron(rng.uniform(0.1, 0.8, (9, 6, 6)), np.ones((10, 10, 1)))
+    lit = {"dark": 0 * light, "white": light, "panel": paint / 0.9 * light}
+    noisy = {n: gain * rng.poisson(e) + under + rng.normal(0, read, shape) for n, e in lit.items()}
+    return {n: c.round().clip(0).astype(np.uint16) for n, c in noisy.items()}, paint
+
+
+@pytest.mark.parametrize("most", [2_000_000, 8000])  # all samples, every second
+def test_a_mirror_scan_is_as_exact_as_its_sigma_says(tmp_path, monkeypatch, most):
+    monkeypatch.setattr(line_templates, "MOST_VALUES", most)
+    cubes, paint = behind_a_mirror(np.random.default_rng(7))
+    _, whole = write_scan(tmp_path, cubes, MIRROR)
+    native = whole()
+    cube, told = native.cubes[""], native.learnt[""]["sensor"]
+    assert told["gain"] == pytest.approx(0.4, rel=0.05)
+    assert told["read_noise"] == pytest.approx(3.0, rel=0.05)
+    pull = (cube.values - paint)[cube.flags == 0] / cube.sigma[cube.flags == 0]
+    assert abs(pull.mean()) < 0.03 and pull.std() == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize("tile", ["1", "7", "whole"])
+@pytest.mark.parametrize("more", ["", '\ndenoise = "hysime"'])
+def test_lines_of_a_mirror_scan_are_what_the_whole_cube_is(tmp_path, monkeypatch, tile, more):
+    cubes, _ = behind_a_mirror(np.random.default_rng(8))
+    cubes["panel"][20:24, 5:9, 2] = 65535
+    scan, whole = write_scan(tmp_path, cubes, MIRROR)
+    monkeypatch.setenv("LEVKAS_TILE", tile)
+    found, native = passed(scan), whole()
+    assert same(found, native.cubes[""])
+    assert scan.warnings == native.warnings and scan.learnt == native.learnt
+    assert np.array_equal(scan.lines(11, 40).sigma, native.cubes[""].sigma[11:40])
+
+
+@pytest.mark.parametrize("missing", ["dark", "white"])
+def test_a_mirror_scan_without_dark_or_white_is_streamed_as_the_whole(tmp_path, missing):
+    cubes, _ = behind_a_mirror(np.random.default_rng(9))
+    del cubes[missing]
+    scan, whole = write_scan(tmp_path, cubes, MIRROR)
+    native = whole()
+    if missing == "white":
+        assert native.cubes[""].sigma is None and not scan.has_sigma
+        assert native.quantity == scan.quantity == "counts"
+        assert np.array_equal(scan.lines(0, 90).values, native.cubes[""].values)
+    else:
+        assert same(passed(scan), native.cubes[""])
+
+
+@pytest.mark.parametrize("spoilt", [("panel",), ("white",), ("dark",), ("dark", "white", "panel")])
+def test_values_of_a_mirror_scan_that_are_no_numbers_are_flagged_as_in_the_whole(
+    tmp_path, monkeypatch, spoilt
+):
+    cubes, _ = behind_a_mirror(np.random.default_rng(10))
+    cubes = {name: cube.astype(np.float32) for name, cube in cubes.items()}
+    for number, name in enumerate(spoilt):
+        cubes[name][40, 30 + number, 2] = [np.nan, np.inf, -np.inf][number]
+    scan, whole = write_scan(tmp_path, cubes, MIRROR + "\nsaturation = 65535")
+    monkeypatch.setenv("LEVKAS_TILE", "7")
+    found, native = passed(scan), whole()
+    assert same(found, native.cubes[""])
+    assert scan.warnings == native.warnings
+    assert any(f"{len(spoilt)} value" in text for text in scan.warnings)
+    lost = found.flags & (Flag.DEFECT | Flag.OUTSIDE) == Flag.DEFECT | Flag.OUTSIDE
+    assert lost.sum() == len(spoilt)
+    told = native.learnt[""]["sensor"]
+    assert told["gain"] == pytest.approx(0.4, rel=0.06) and np.isfinite(told["read_noise"])
+
+
+def darker(cubes):
+    cubes["white"], cubes["dark"] = cubes["dark"], cubes["white"]
+
+
+def clipped(cubes):
+    cubes["white"][:60] = 65535
+
+
+def shorter(cubes):
+    cubes["white"] = cubes["white"][:-1]
+
+
+def narrower(cubes):
+    cubes["dark"] = cubes["dark"][:, 1:]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code"),
+    [
+        (darker, "E_WHITE_DARK"),
+        (clipped, "E_WHITE_SATURATED"),
+        (shorter, "E_SIZE"),
+        (narrower, "E_SIZE"),
+    ],
+)
+def test_templates_that_cannot_serve_are_refused_before_a_line_of_a_mirror_scan_is_read(
+    tmp_path, spoil, code
+):
+    cubes, _ = behind_a_mirror(np.random.default_rng(11))
+    write_scan(tmp_path, cubes, MIRROR)
+    spoil(cubes)
+    with pytest.raises(CalibrationRefused) as streamed:
+        write_scan(tmp_path, cubes, MIRROR)
+    campaign = load_campaign(tmp_path)
+    (capture,), _ = find_captures(campaign)
+    with pytest.raises(CalibrationRefused) as whole:
+        develop(capture, campaign, Shelf(tmp_path, None, shared=False))
+    assert streamed.value.problems[0].code == whole.value.problems[0].code == code
+    if code != "E_SIZE":
+        assert streamed.value.problems == whole.value.problems
+
+
+def test_a_mirror_scan_counts_three_times_and_needs_envi_templates(tmp_path, monkeypatch):
+    cubes, _ = behind_a_mirror(np.random.default_rng(12))
+    write_scan(tmp_path, cubes, MIRROR)
+    text = (tmp_path / "campaign.toml").read_text()
+    other = '[cameras.photo]\nkind = "image"\nfiles = "{target}.png"\n[targets]'
+    text = text.replace("[targets]", other).replace('reference = "scan"', 'reference = "photo"')
+    (tmp_path / "campaign.toml").write_text(text)
+    tifffile.imwrite(tmp_path / "panel.png", cubes["panel"][..., 0])
+    campaign = load_campaign(tmp_path)
+    capture = next(c for c in find_captures(campaign)[0] if c.camera == "scan")
+    size = cubes["panel"].size
+    for most, streamed in ((3 * size - 1, True), (3 * size, False)):
+        monkeypatch.setattr(scans, "STREAMED_SAMPLES", most)
+        assert is_streamed(capture, campaign) == streamed

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.blocks import block_statistics
+from levkas.calibration.blocks import Blocks, block_statistics
 from levkas.calibration.clipping import fit_clipped_dark, is_clipped
 from levkas.calibration.curves import count_codes, find_levels
 from levkas.calibration.drift import Light, measure_drift
@@ -155,6 +155,9 @@ def test_what_tells_nothing_is_refused_with_what_to_capture():
     darks, once, over = camera.darks(), camera.stack(0.4, count=1), camera.stack(1.5)
     assert "twice or more" in refusal(darks, [once], "E_SHOTS")
     assert "two darks" in refusal([], [camera.stack(0.4)], "E_TEMPLATE_MISSING")
+    whole = camera.stack(0.4)
+    cut = Blocks(*(a[:-4] for a in (whole.mean, whole.temporal, whole.spatial)), whole.shots)
+    assert "one mode" in refusal(darks, [cut], "E_SIZE")
     assert "85 %" in refusal(darks, [over], "E_WHITE_SATURATED")
     camera.shade = np.ones(SIZE)
     assert "half the exposure" in refusal(darks, [camera.stack(0.95)], "E_WHITE_SATURATED")

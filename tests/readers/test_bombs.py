@@ -390,12 +390,32 @@ def png_with_four_thousand_texts(folder):
     return put(folder / "a.png", png(8, 8, ROWS, extra=chunk(b"tEXt", b"a\0b") * 4000))
 
 
+def exif_of(count):
+    """EXIF of `count` directories at one place, each of as many numbers: their product is walked."""
+    start = 8 + 2 + 12 * count + 4
+    outer, inner = (struct.pack("<HHII", tag, 4, 1, start) * count for tag in (0x8769, 0xA005))
+    length = struct.pack("<H", count)
+    return b"II*\0" + struct.pack("<I", 8) + length + outer + bytes(4) + length + inner + bytes(4)
+
+
+@bomb(None)
+def png_of_exif_that_is_walked_ten_million_times(folder):
+    return put(folder / "a.png", png(8, 8, ROWS, extra=chunk(b"eXIf", exif_of(3200))))
+
+
 @bomb("E_TRUNCATED", field="IHDR")
 def png_whose_header_is_not_first(folder):
     return put(folder / "a.png", b"\x89PNG\r\n\x1a\n" + chunk(b"IDAT", ROWS))
 
 
 # --- JPEG -------------------------------------------------------------------------------------
+
+
+@bomb(None)
+def jpeg_of_exif_that_is_walked_seven_million_times(folder):
+    data, exif = _jpeg(16, 16), b"Exif\0\0" + exif_of(2700)
+    marker = b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif
+    return put(folder / "a.jpg", data[:2] + marker + data[2:])
 
 
 @bomb("E_SIZE", field="width, height")
@@ -573,7 +593,7 @@ def dng(side, compression, data=bytes(64)):
     return tiff(tags, data)
 
 
-@bomb("E_TRUNCATED")
+@bomb("E_UNREADABLE")
 def dng_of_sixty_thousand_columns(folder):
     return put(folder / "shot.dng", dng(60_000, 1))
 

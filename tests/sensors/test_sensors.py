@@ -252,6 +252,20 @@ def test_a_mirror_scanner_tells_its_noise_whatever_the_light_does_from_line_to_l
     assert not sensor.light and any("mirror scanner" in note for note in sensor.notes)
 
 
+def test_a_mirror_scanner_of_one_line_tells_no_noise_and_ends_in_no_traceback(tmp_path):
+    for name, level in (("dark", 100), ("white", 3000), ("panel", 1500)):
+        (tmp_path / f"{name}.raw").write_bytes(np.full(160 * 96, level, np.uint16).tobytes())
+        (tmp_path / f"{name}.hdr").write_text(
+            "ENVI\nsamples = 160\nlines = 1\nbands = 96\ninterleave = bil\ndata type = 12\n"
+        )
+    text = CAMPAIGN.format(more='scan = "mirror"').replace(
+        'kind = "mosaic"\npattern = "RGGB"', 'kind = "cube"'
+    )
+    (tmp_path / "campaign.toml").write_text(text.replace("raw/{target}_{shot}.tif", "{target}.hdr"))
+    (sensor,) = examine_with_seed(tmp_path).sensors
+    assert not sensor.channels and sensor.problems
+
+
 def test_a_camera_that_bends_and_a_white_that_saturates_are_told(tmp_path):
     rng, raw = np.random.default_rng(5), tmp_path / "raw"
     raw.mkdir()

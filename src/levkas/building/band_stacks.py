@@ -10,7 +10,7 @@ import numpy as np
 
 from levkas.building.bench import Bench
 from levkas.building.exposing import average_shots, check_scaling, expose, noise_of, white_of
-from levkas.building.flatfielding import cube_of, defects_of, flatten
+from levkas.building.flatfielding import cube_of, defects_of, flatten, require_same_size
 from levkas.building.native import GROUP, ROWS
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated
@@ -66,10 +66,11 @@ def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None
     sensor = bench.sensor
     darks = bench.templates(_of_band(sensor.dark, label))
     shots = average_shots(bench, [f for f in sensor.object if f.band == label])
-    exposed = expose(bench, shots, darks, noise)
     frames = _require(_of_band(sensor.white, label), bench, label)
-    white = white_of(bench, frames, darks, noise=noise, above_dark=exposed.above_dark)
     whites = bench.templates(frames) if frames else []
+    require_same_size(bench, shots[0].mean.shape, darks, whites)
+    exposed = expose(bench, shots, darks, noise)
+    white = white_of(bench, frames, darks, noise=noise, above_dark=exposed.above_dark)
     doubt = check_scaling(bench, exposed, white, (shots, whites), darks)
     under = [] if exposed.above_dark else darks
     codes = not (exposed.above_dark and len(whites) > 1)
@@ -141,5 +142,7 @@ def _noise_of_bands(bench: Bench) -> NoiseModel | None:
         label = bands[i].label
         shots.append(bench.average([f for f in bench.sensor.object if f.band == label][:1]))
         darks = bench.templates(_of_band(bench.sensor.dark, label))
-        whites.append(white_of(bench, _of_band(bench.sensor.white, label), darks))
+        white = white_of(bench, _of_band(bench.sensor.white, label), darks)
+        require_same_size(bench, shots[-1].mean.shape, darks, [white] if white else [])
+        whites.append(white)
     return noise_of(bench, shots, whites, darks)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from math import nan
 from typing import TYPE_CHECKING, Any
@@ -13,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from levkas.building.fingerprints import keys_of
 from levkas.building.fitting import require_memory
 from levkas.building.reference import ReferenceFrame, record_of, transforms_of
+from levkas.building.registration_stages import RegistrationStages
 from levkas.building.steps import Step
-from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from levkas.building.native import Native, PackedSigma
     from levkas.building.places import Places
     from levkas.building.reference import Grey
+    from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
     from levkas.campaign import Campaign
@@ -55,6 +55,8 @@ class CaptureStages:
         Runs what writes a stage's files beside the work, and gives its step.
     being_written : callable
         Gives what is still being written of a capture.
+    mates : RigMates
+        What is adjusted together.
     """
 
     campaign: Campaign
@@ -65,19 +67,31 @@ class CaptureStages:
     captures: list[Capture]
     write: Callable[..., Future[Step]]
     being_written: Callable[[Capture], list[Future[Step]]]
+    mates: RigMates
     frame: ReferenceFrame = field(init=False)
+    _registering: RegistrationStages = field(init=False)
     _sigmas: dict[str, PackedSigma] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.frame = ReferenceFrame(
-            self.campaign, self.places, self.name, self.captures, self.calibrated
+            self.campaign, self.places, self.name, self.captures, self.calibrated, self.mates
+        )
+        self._registering = RegistrationStages(
+            self.campaign,
+            self.places,
+            self.ledger,
+            self.mates,
+            self.frame,
+            self.calibrated,
+            self.being_written,
         )
 
     def calibrated(self, capture: Capture, native: list[Native | Scan]) -> Native | Scan:
         """The calibrated cubes, from this run or from the database."""
         if not native:
             from levkas.building.native import read_native
-            from levkas.building.scans import is_streamed, open_scan
+            from levkas.building.scan_opening import open_scan
+            from levkas.building.scans import is_streamed
 
             if is_streamed(capture, self.campaign):
                 native.append(open_scan(capture, self.campaign, self.shelf))
@@ -104,7 +118,8 @@ class CaptureStages:
         from levkas.building.developing import develop
         from levkas.building.focusing import focus_of
         from levkas.building.native import Native, PackedSigma, least_bytes, write_native
-        from levkas.building.scans import is_streamed, open_scan
+        from levkas.building.scan_opening import open_scan
+        from levkas.building.scans import is_streamed
         from levkas.building.streaming import write_scan
         from levkas.disk import require_space
         from levkas.files import together
@@ -130,7 +145,7 @@ class CaptureStages:
                     files = write_native(made, capture, self.places, credits)
                 else:
                     files = write_scan(made, capture, self.places, credits)
-            notes = {
+            notes: dict[str, Any] = {
                 "quantity": made.quantity,
                 "warnings": list(made.warnings),
                 "captured": made.captured or "",
@@ -142,87 +157,13 @@ class CaptureStages:
 
         return self.write(key, capture, write, wait=streamed)
 
-    def register(
-        self,
-        key: Key,
-        prints: dict[str, Any],
-        capture: Capture,
-        native: list[Native | Scan],
-        why: str,
-    ) -> Step:
-        from levkas.building import registering
-        from levkas.files import together
-        from levkas.registration import RegistrationRefused
-        from levkas.reporting.figures import draw_trace
+    def register(self, *stage: Any) -> Step:
+        """As `RegistrationStages.register`."""
+        return self._registering.register(*stage)
 
-        started = time.monotonic()
-        here = self.calibrated(capture, native)
-        options = dict(self.campaign.registration_of(capture.camera))
-        given, by_hand = registering.corrections_of(self.campaign, capture)
-        options |= by_hand
-        own = None if capture is self.frame.capture else self.frame.registration()
-        registration, refused = None, None
-        grid, sampling, region = self.frame.layout(native if capture is self.frame.capture else [])
-        if options.get("method", "levkas") == "levkas":
-            options["ready"] = partial(self.frame.ready, native, region, own)
-        try:
-            registration = registering.register_capture(
-                here,
-                self.frame.images(native if own is None else []),
-                self.frame.band(),
-                own,
-                region,
-                options,
-                given,
-            )
-        except RegistrationRefused as error:
-            refused = error
-        if capture is self.frame.capture and registration is not None:
-            self.frame.own = registration
-            self.frame.settle()
-        if self.frame.made_ready is not None:
-            self.frame.made_ready.rest()
-        if registration is not None:
-            width, height = self.frame.description()["size"]
-            across, down = here.size_of(here.bands[0].label)
-            trace = registering.trace_of(registration, (width, height), (across, down), options)
-            registration = replace(registration, trace=trace)
-        record = registering.record_of(
-            registration,
-            refused,
-            capture,
-            here,
-            grid,
-            self.frame.description(),
-            sampling,
-            self.frame.channel(capture),
-            options.get("method", "levkas"),
-        )
-        # A registration of frames that could not be written would stand beside older ones.
-        for job in self.being_written(capture):
-            if (calibrated := job.result()).state == "refused":
-                return calibrated
-        with together(partial(self.ledger.forget, key)):
-            files = registering.write_registration(self.places, capture, record, registration)
-        problems = _verdict_problems(record, capture, refused)
-        figures = []
-        if registration is not None:
-            figures = draw_trace(registration.matches, registration.trace)
-        notes = {
-            "seconds": round(time.monotonic() - started, 2),
-            "refused": [p.to_dict() for p in problems],
-            "figures": [[f.svg, f.caption] for f in figures],
-        }
-        self.ledger.keep(key, prints, files, **notes)
-        if problems:
-            return Step(key, "refused", problems[0].message, problems=problems)
-        verdict = record["verdict"]
-        warned = (
-            ()
-            if verdict["decision"] != "warn"
-            else (f"{self.name}/{capture.layer}: {' '.join(verdict['reasons'])}",)
-        )
-        return Step(key, "done", why, warnings=warned)
+    def measure(self, *stage: Any) -> Step:
+        """As `RegistrationStages.measure`."""
+        return self._registering.measure(*stage)
 
     def resample(
         self,
@@ -365,23 +306,3 @@ def default_of(capture: Capture, captures: list[Capture]) -> Capture | None:
     if not capture.setup:
         return None
     return next((c for c in captures if c.camera == capture.camera and not c.setup), None)
-
-
-def _verdict_problems(
-    record: dict[str, Any], capture: Capture, refused: Refused | None
-) -> tuple[Problem, ...]:
-    """The problems of a registration that is refused; none for one that is accepted."""
-    if refused is not None:
-        return tuple(refused.problems)
-    verdict = record["verdict"]
-    if verdict["decision"] != "refuse":
-        return ()
-    reasons = " ".join(verdict["reasons"])
-    return (
-        Problem(
-            "E_VERDICT",
-            f"{capture.object}/{capture.layer}: the registration cannot be believed: {reasons}",
-            field=f"cameras.{capture.camera}.registration",
-            fix=verdict["next_step"] or None,
-        ),
-    )

@@ -11,7 +11,14 @@ from levkas.building.band_stacks import develop_bands
 from levkas.building.bench import Bench, doubts_of, placed, read_cube
 from levkas.building.codes import CodesRefused
 from levkas.building.exposing import average_shots, check_scaling, expose, noise_of, white_of
-from levkas.building.flatfielding import cube_of, defects_of, flatten, mark_glare_in
+from levkas.building.flatfielding import (
+    cube_of,
+    defects_of,
+    flatten,
+    mark_glare_in,
+    require_same_size,
+)
+from levkas.building.line_templates import noise_behind_mirror, thinned
 from levkas.building.native import Native
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.gaps import describe_gaps
@@ -94,12 +101,13 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     sensor, camera = bench.sensor, bench.camera
     darks = bench.templates(sensor.dark)
     shots = average_shots(bench, sensor.object)
+    whites = bench.templates(sensor.white) if sensor.white else []
+    require_same_size(bench, shots[0].mean.shape, darks, whites)
     white = white_of(bench, sensor.white, darks)
     noise = noise_of(bench, shots, [white] * len(shots), darks)
     exposed = expose(bench, shots, darks, noise)
     if exposed.above_dark:
         white = white_of(bench, sensor.white, darks, noise=noise, above_dark=True)
-    whites = bench.templates(sensor.white) if sensor.white else []
     notes.append(check_scaling(bench, exposed, white, (shots, whites), darks))
     pattern = sensor.pattern
     under = [] if exposed.above_dark else darks
@@ -140,6 +148,7 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
     from levkas.building.measuring import note_light
     from levkas.calibration.scanning import average_lines, join_strips
+    from levkas.calibration.whites import thinning
 
     sensor, mirror = bench.sensor, bench.camera.scan == "mirror"
 
@@ -152,16 +161,23 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
 
     dark, white = template(sensor.dark), template(sensor.white)
     darks = [dark] if dark else []
-    note_light(bench.told, white, darks, None, [b.label for b in sensor.bands])
+    require_same_size(bench, _shape_of(sensor.object[0]), darks, [white] if white else [])
+    step = thinning(white.mean.shape[:2]) if mirror and white else 1
+    note_light(
+        bench.told,
+        thinned(white, step) if white else None,
+        [thinned(d, step) for d in darks],
+        None,
+        [b.label for b in sensor.bands],
+        period=(step, step),
+    )
     reflectance = white_reflectance(bench.campaign, sensor.bands)
-    noise = None if mirror else line_noise(bench, dark, white)
+    noise = noise_behind_mirror(bench) if mirror else line_noise(bench, dark, white)
     strips = []
     for frame in sensor.object:
         block = bench.checked(read_cube(frame), frame)
         shot = bench.whole(average(iter([block]), saturation=bench.saturation), [frame])
         del block
-        if mirror:
-            noise = noise or noise_of(bench, [shot], [], darks)
         flat = flatten(
             bench,
             shot,
@@ -179,6 +195,14 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
         notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
     values = _denoised(bench, whole.values, notes) if bench.camera.denoise else whole.values
     return cube_of(bench, values, whole.flags, whole.variance, whole.quantity)
+
+
+def _shape_of(frame: FrameRef) -> tuple[int, ...]:
+    """(lines, samples, bands) of a cube, from its headers."""
+    facts = read_facts(frame.path)
+    if facts.pages > 1:
+        return (*facts.shape[:2], facts.pages)
+    return facts.shape if len(facts.shape) == 3 else (*facts.shape, 1)
 
 
 def line_noise(bench: Bench, dark: Template | None, white: Template | None) -> NoiseModel | None:

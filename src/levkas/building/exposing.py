@@ -158,7 +158,7 @@ def noise_of(
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
     black = bench.black or 0.0
     fitted = fit_noise(stacks, dark, black=black) if stacks else None
-    if fitted is None:
+    if fitted is None and len(shots) == len(whites):  # of a line scan there is no shot beside it
         pattern = bench.sensor.pattern
         fitted = fit_noise_single(shots, whites, dark, black=black, pattern=pattern)
     note_noise(bench.told, fitted, dark, black, bench.saturation)

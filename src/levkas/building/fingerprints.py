@@ -27,6 +27,9 @@ CODE = {
         "building/developing.py",
         "building/exposing.py",
         "building/flatfielding.py",
+        "building/line_templates.py",
+        "building/passages.py",
+        "building/scan_opening.py",
         "building/scans.py",
         "building/whiteboard.py",
         "building/measuring.py",
@@ -46,6 +49,15 @@ CODE = {
         "ledge.py",
         "lanes.py",
         "map_kernels.py",
+    ),
+    "adjust": (
+        "registration",
+        "building/adjusting.py",
+        "building/measured.py",
+        "building/rig_mates.py",
+        "transforms.py",
+        "spline.py",
+        "ledge.py",
     ),
     "resample": (
         "rounding.py",
@@ -133,6 +145,13 @@ def of_registration(
             frame = f"{capture.layer}:{band}" if band else capture.layer
             prints[f"edits.toml: correction of {frame}"] = told
     prints |= told_points(campaign, capture)
+    return _plain(prints)
+
+
+def of_adjustment(own: str, mates: dict[str, str]) -> dict[str, Any]:
+    """The capture's own registration, and those of all that it is adjusted with."""
+    prints: dict[str, Any] = {"code": code_version(*CODE["adjust"]), "its own registration": own}
+    prints |= {f"registration of {name}": made_of for name, made_of in mates.items()}
     return _plain(prints)
 
 

@@ -47,7 +47,7 @@ def require_memory(capture: Capture, kind: str) -> None:
             found=f"{free / 1e9:.1f} GB free",
             expected=f"at least {needed / 1e9:.1f} GB",
             fix="Build on a machine with more memory, or cut or bin the frames. Only a line scan in one "
-            "ENVI file, of another camera than the reference and without a mirror, is built line by line.",
+            "ENVI file, of another camera than the reference, is built line by line.",
         )
     )
 

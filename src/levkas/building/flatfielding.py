@@ -12,10 +12,57 @@ from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.gaps import describe_gaps, gaps_of
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.cube import Cube, Flag
+from levkas.problems import Problem
 from levkas.rounding import round_root, round_values
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from levkas.calibration.noise_fit import NoiseModel
+
+
+def require_same_size(
+    bench: Bench, shape: tuple[int, ...], darks: Sequence[Template], whites: Sequence[Template]
+) -> None:
+    """Refuse templates of another size than the object, and frames that are smaller than their pattern.
+
+    Raises CalibrationRefused, ``E_SIZE``, before anything is made of them. The templates of a push-broom
+    camera are one line.
+    """
+    lines = shape[0]
+    if bench.camera.kind == "cube" and bench.camera.scan != "mirror":
+        lines = 1
+    pattern = bench.sensor.pattern
+    if pattern is not None and (shape[0] < len(pattern) or shape[1] < len(pattern[0])):
+        found, expected = (f"{w} x {h}" for h, w in (shape[:2], (len(pattern), len(pattern[0]))))
+        small = Problem(
+            "E_SIZE",
+            "the frame is smaller than its pattern",
+            field="pattern",
+            found=found,
+            expected=f"at least {expected}",
+        )
+        raise CalibrationRefused(placed(small, bench.sensor.object))
+    problems = [
+        placed(
+            Problem(
+                "E_SIZE",
+                f"{name} and object are of different sizes",
+                found=str(template.mean.shape),
+                expected=str(shape),
+                fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+            ),
+            frames,
+        )
+        for name, found, frames in (
+            ("dark", darks, bench.sensor.dark),
+            ("white", whites, bench.sensor.white),
+        )
+        for template in found
+        if template.mean.shape != (lines, *shape[1:])
+    ]
+    if problems:
+        raise CalibrationRefused(*problems)
 
 
 def flatten(

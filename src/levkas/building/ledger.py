@@ -17,7 +17,7 @@ from levkas.files import make_folder, remove, write_json
 from levkas.plain_json import to_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 PACKAGE = Path(__file__).resolve().parents[1]
 DIGEST_CHUNK = 1 << 20
@@ -118,10 +118,9 @@ class Ledger:
             return "its record was damaged" if self._path(key).is_file() else "not yet built"
         if changed := _difference(record.get("fingerprint", {}), fingerprint):
             return changed
-        root = str(self.output)
-        for name, digest in record.get("products", {}).items():
+        for path, name, digest in self._made(record):
             try:
-                if self.hashes(f"{root}{os.sep}{name}") != digest:
+                if self.hashes(path) != digest:
                     return f"{name} was changed after it was built"
             except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
                 return f"{name} is missing"
@@ -133,9 +132,8 @@ class Ledger:
         `why_stale` believes size and time of a file; before a product is read again, nothing is
         believed.
         """
-        for name, digest in self.products(key).items():
-            path = self.output / name
-            if not path.is_file() or hash_file(path) != digest:
+        for path, name, digest in self._made(self._record(key)):
+            if not _is_file(path) or hash_file(path) != digest:
                 return name
         return ""
 
@@ -163,14 +161,25 @@ class Ledger:
         return dict(self._record(key).get("notes", {}))
 
     def keep(
-        self, key: Key, fingerprint: dict[str, Any], products: Iterable[Path], **notes: Any
+        self,
+        key: Key,
+        fingerprint: dict[str, Any],
+        products: Iterable[Path],
+        *,
+        aside: Iterable[Path] = (),
+        **notes: Any,
     ) -> None:
-        """Record a finished stage; called last, so that an interrupted one is done again."""
+        """Record a finished stage; called last, so that an interrupted one is done again.
+
+        `products` stand in the database, what is kept `aside` for later stages beside it.
+        """
         made = {p.relative_to(self.output).as_posix(): self.hashes(p) for p in sorted(products)}
+        told = {"fingerprint": fingerprint, "products": made, "notes": notes}
+        if kept := {p.relative_to(self.folder).as_posix(): self.hashes(p) for p in sorted(aside)}:
+            told["aside"] = kept
         path = self._path(key)
         make_folder(path.parent)
-        text = to_json({"fingerprint": fingerprint, "products": made, "notes": notes})
-        record = json.loads(text)
+        record = json.loads(to_json(told))
         write_json(path, {**record, "check": _check(record)})
         self._known[str(path)] = record
         self.hashes.save()
@@ -180,6 +189,12 @@ class Ledger:
         self._known[str(self._path(key))] = {}
         if self._path(key).is_file():
             remove(self._path(key))
+
+    def _made(self, record: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
+        """Yield path, name and hash of everything that a stage made."""
+        for part, folder in (("products", self.output), ("aside", self.folder)):
+            for name, digest in record.get(part, {}).items():
+                yield f"{folder}{os.sep}{name}", name, digest
 
     def _record(self, key: Key) -> dict[str, Any]:
         return self._recorded(str(self._path(key)))

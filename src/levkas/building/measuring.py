@@ -85,24 +85,26 @@ def note_light(
     labels: Sequence[str],
     *,
     codes: bool = True,
+    period: tuple[int, int] = (1, 1),
 ) -> None:
     """Note how even the light is on the white, channel by channel, in `told`.
 
     A white that cannot say, because it saturates, is noted with its reason. One that is merged is in
-    counts a second, no `codes`: how many bits the corners keep cannot be told.
+    counts a second, no `codes`: how many bits the corners keep cannot be told. Of a cube that is only
+    every so-many-th pixel a side, these are the `period`.
     """
     from levkas.radiometry.light import LightRefused, light_field
 
     if white is None:
         return
     light = told.setdefault("light", {})
-    for label, plane, saturated, period in _planes(white, darks, pattern, labels):
+    for label, plane, saturated, apart in _planes(white, darks, pattern, labels):
         try:
             field = light_field(plane, saturated=saturated)
         except LightRefused as refused:
             light[label] = {"refused": str(refused.problems[0])}
             continue
-        light[label] = record_light(field, period)
+        light[label] = record_light(field, (apart[0] * period[0], apart[1] * period[1]))
         if codes:
             light[label]["bits"] = [round(b, 2) for b in field.bits]
 

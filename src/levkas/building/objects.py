@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,6 +14,7 @@ from levkas.building.capture_stages import CaptureStages, default_of
 from levkas.building.fingerprints import digest
 from levkas.building.fitting import ran_out
 from levkas.building.ledger import Key, Ledger
+from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.standing import Standing, is_of_the_disk
 from levkas.building.steps import Step
 from levkas.machine import give_back_memory, steady_libraries
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
     Grey = tuple[np.ndarray, np.ndarray]
 
-STAGES = ("calibrate", "register", "resample")
 CATALOGUE = Key("", stage="catalogue")
 
 
@@ -49,6 +49,8 @@ class ObjectBuild:
     ----------
     captures : list of Capture
         The reference camera's own first.
+    mates : RigMates
+        What is adjusted together.
     """
 
     campaign: Campaign
@@ -57,12 +59,14 @@ class ObjectBuild:
     shelf: Shelf
     name: str
     captures: list[Capture]
+    mates: RigMates
     digests: dict[Key, str] = field(default_factory=dict)
     _hashing: bool = False
     _checked: bool = False
     _standing: Standing = field(init=False)
     _stages: CaptureStages = field(init=False)
     _being_written: list[tuple[Capture, Future[Step]]] = field(default_factory=list)
+    _measuring: bool = False
 
     def __post_init__(self) -> None:
         self._standing = Standing(self.ledger)
@@ -75,6 +79,7 @@ class ObjectBuild:
             self.captures,
             self._write,
             lambda capture: [job for waiting, job in self._being_written if waiting is capture],
+            self.mates,
         )
 
     @property
@@ -82,11 +87,13 @@ class ObjectBuild:
         """The capture that all others are registered to."""
         return self.captures[0]
 
-    def run(self) -> Iterator[Step]:
+    def run(self, *, measuring: bool = False) -> Iterator[Step]:
         """Yield every stage as it begins and as it ends.
 
-        What a stage made is compressed and written while the next one computes.
+        What a stage made is compressed and written while the next one computes. `measuring` does only
+        what others that are adjusted together with these captures have to know.
         """
+        self._measuring = measuring
         with (
             ThreadPoolExecutor(1, thread_name_prefix="writing") as self._writer,
             ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
@@ -115,9 +122,21 @@ class ObjectBuild:
                 broken = NoReference(_no_reference(self.name, capture.layer, failed))
         yield from self._written()
 
+    def without_reference(self, ended: Sequence[Step]) -> Iterator[Step]:
+        """Refuse what cannot be registered, the reference camera having been lost before."""
+        lost = [s for s in ended if s.state in ("refused", "failed")]
+        mine = next(s for s in lost if s.key.layer == self.reference.layer)
+        broken = NoReference(_no_reference(self.name, self.reference.layer, mine))
+        for capture in self.captures[1:]:
+            if all(step.key.layer != capture.layer for step in lost):
+                yield _refused(self.keys(capture)["calibrate"], broken)
+
     def _largest_first(self) -> list[Capture]:
         """The reference, then the others, most bands first: little is left to write at the end."""
-        return [self.reference, *sorted(self.captures[1:], key=lambda c: -len(c.bands))]
+        others = sorted(self.captures[1:], key=lambda c: -len(c.bands))
+        if self._measuring:
+            others = [c for c in others if self.campaign.is_joint(c.camera)]
+        return [self.reference, *others]
 
     def _hash_ahead(self) -> None:
         """Hash the frames of all captures beside the work; what fails is met again when it is due."""
@@ -132,7 +151,7 @@ class ObjectBuild:
         """Say of every stage whether it is fresh or stale, and why, without doing any."""
         steps = []
         for capture in self.captures:
-            for stage, key in self.keys(capture).items():
+            for stage, key in joint_keys(self.campaign, capture).items():
                 prints = self._prints(capture, stage)
                 self.digests[key] = digest(prints)
                 why = self.ledger.why_stale(key, prints)
@@ -142,9 +161,20 @@ class ObjectBuild:
                     break
         return steps
 
+    def note(self) -> None:
+        """Tell the mates of all captures what these hang on now."""
+        for capture in self.captures:
+            for stage in ("calibrate", "measure"):
+                if key := self.keys(capture).get(stage):
+                    self.digests[key] = digest(self._prints(capture, stage))
+
     def keys(self, capture: Capture) -> dict[str, Key]:
-        """Return the keys of a capture's stages."""
-        return fingerprints.keys_of(capture)
+        """Return the keys of a capture's stages, as far as they are to be done now."""
+        keys = joint_keys(self.campaign, capture)
+        if not self._measuring:
+            return keys
+        last = "measure" if "measure" in keys else "register"
+        return {stage: keys[stage] for stage in list(keys)[: list(keys).index(last) + 1]}
 
     # --- one capture --------------------------------------------------------------------------
 
@@ -163,7 +193,7 @@ class ObjectBuild:
             for one in (self.reference, capture):
                 self._standing.note(self.keys(one).values())
         for stage, planned in plan.items():
-            read = verify or (due and STAGES.index(stage) < STAGES.index(due[-1]))
+            read = verify or (due and list(plan).index(stage) < list(plan).index(due[-1]))
             if read and not planned.why and (name := self.ledger.damaged(planned.key)):
                 plan[stage] = planned._replace(why=f"{name} was damaged")
         return plan
@@ -178,7 +208,7 @@ class ObjectBuild:
     def _capture(self, capture: Capture, plan: dict[str, Planned]) -> Iterator[Step]:
         native: list[Native | Scan] = []
         for stage, (key, prints, why) in plan.items():
-            if stage == "register":
+            if stage in ("measure", "register"):
                 # Two cubes at once are enough; the one of the capture before goes first.
                 yield from self._written(but=capture)
             if why:
@@ -214,13 +244,19 @@ class ObjectBuild:
     def _prints(self, capture: Capture, stage: str) -> dict[str, Any]:
         if stage == "calibrate":
             return fingerprints.of_calibration(self.campaign, capture, self.ledger.hashes)
-        keys, base = self.keys(capture), self.keys(self.reference)
-        if stage == "register":
+        keys, base = (joint_keys(self.campaign, c) for c in (capture, self.reference))
+        if stage == "measure" or (stage == "register" and "measure" not in keys):
             ends = self.digests[keys["calibrate"]], self.digests[base["calibrate"]]
-            return fingerprints.of_registration(self.campaign, capture, *ends)
+            prints = fingerprints.of_registration(self.campaign, capture, *ends)
+            if stage == "measure":
+                self.mates.note(capture, digest(prints))
+            return prints
+        if stage == "register":
+            own = self.digests[keys["measure"]]
+            return fingerprints.of_adjustment(own, self.mates.prints(capture))
         ends = self.digests[keys["register"]], self.digests[base["register"]]
         default = default_of(capture, self.captures)
-        other = "" if default is None else self.digests[self.keys(default)["resample"]]
+        other = "" if default is None else self.digests[fingerprints.keys_of(default)["resample"]]
         return fingerprints.of_resampling(self.campaign, capture, *ends, default=other)
 
     def _fresh(self, key: Key) -> Step:
@@ -244,6 +280,7 @@ class ObjectBuild:
         self.ledger.forget(CATALOGUE)  # what it lists is about to change
         stages: dict[str, Callable[..., Step | Future[Step]]] = {
             "calibrate": self._stages.calibrate,
+            "measure": self._stages.measure,
             "register": self._stages.register,
             "resample": self._stages.resample,
         }
@@ -278,13 +315,6 @@ class ObjectBuild:
             job.exception()
         return job
 
-    def _default_of(self, capture: Capture) -> Capture | None:
-        """The same camera's capture under its default setup, None for that itself."""
-        if not capture.setup:
-            return None
-        mine = (c for c in self.captures if c.camera == capture.camera and not c.setup)
-        return next(mine, None)
-
     def _lost(self, capture: Capture, step: Step) -> Step:
         """Withdraw a layer whose stage was refused, or say that the older one stays.
 
@@ -305,7 +335,7 @@ class ObjectBuild:
 
         # By name, not by record: an interrupted build has dropped the record and left the files.
         self.ledger.forget(CATALOGUE)
-        self.ledger.forget(self.keys(capture)["resample"])
+        self.ledger.forget(fingerprints.keys_of(capture)["resample"])
         places = [
             self.places.layer(self.name, capture.camera, capture.setup, kind=kind)
             for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")

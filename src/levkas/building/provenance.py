@@ -6,12 +6,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
-from levkas.building.fingerprints import keys_of
+from levkas.building.rig_mates import joint_keys
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.building.ledger import Key, Ledger
+    from levkas.campaign import Campaign
     from levkas.discovery import Capture
 
 NAME = "provenance.json"
@@ -29,7 +30,9 @@ FILE = "file "
 """Begins the names of input files in a fingerprint."""
 
 
-def provenance_of(ledger: Ledger, name: str, captures: Sequence[Capture]) -> dict[str, Any]:
+def provenance_of(
+    campaign: Campaign, ledger: Ledger, name: str, captures: Sequence[Capture]
+) -> dict[str, Any]:
     """Return what the stages of an object were made of.
 
     Returns
@@ -40,7 +43,7 @@ def provenance_of(ledger: Ledger, name: str, captures: Sequence[Capture]) -> dic
         ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
         chunks, which hold the same numbers as the TIFFs).
     """
-    keys = [key for capture in captures for key in keys_of(capture).values()]
+    keys = [key for capture in captures for key in joint_keys(campaign, capture).values()]
     steps = [step for key in keys if (step := _step(ledger, key))]
     return {"object": name, "levkas": __version__, "libraries": _libraries(), "steps": steps}
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from levkas.building.native import Native
     from levkas.building.places import Places
+    from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.campaign import Campaign
     from levkas.discovery import Capture
@@ -39,6 +40,8 @@ class ReferenceFrame:
         The reference camera's own first.
     calibrated : callable
         Gives the calibrated cubes of a capture; it keeps them in the list that it is given.
+    mates : RigMates
+        Where its own registration is kept, if it is adjusted with others.
     """
 
     campaign: Campaign
@@ -46,6 +49,7 @@ class ReferenceFrame:
     name: str
     captures: list[Capture]
     calibrated: Callable[[Capture, list[Native | Scan]], Native | Scan]
+    mates: RigMates
     own: Registration | None = None
     made_ready: Reference | None = None
     _images: list[BandImage] | None = None
@@ -105,10 +109,17 @@ class ReferenceFrame:
             from levkas.registration import Matches, Registration, Verdict
             from levkas.registration.uncertainty import Sigma
 
-            bands = record_of(self.places, self.name, self.capture)["bands"]
+            # Others are registered to its bands as these were measured, before any adjustment.
+            joint = self.campaign.is_joint(self.capture.camera)
+            record = (
+                self.mates.read(self.capture).record
+                if joint
+                else record_of(self.places, self.name, self.capture)
+            )
+            bands = record["bands"]
             self.own = Registration(
                 "",
-                transforms_of(self.places, self.name, self.capture),
+                maps_of(record),
                 Verdict("accept"),
                 {},
                 Matches.of(np.zeros((0, 2)), np.zeros((0, 2))),
@@ -168,7 +179,11 @@ def record_of(places: Places, name: str, capture: Capture) -> dict[str, Any]:
 
 def transforms_of(places: Places, name: str, capture: Capture) -> dict[str, Any]:
     """Return the maps of a capture's bands, reference px to native px, by label."""
+    return maps_of(record_of(places, name, capture))
+
+
+def maps_of(record: dict[str, Any]) -> dict[str, Any]:
+    """Return the maps of a record's bands, reference px to native px, by label."""
     from levkas.transforms import from_dict
 
-    bands = record_of(places, name, capture)["bands"]
-    return {label: from_dict(band["transform"]) for label, band in bands.items()}
+    return {label: from_dict(band["transform"]) for label, band in record["bands"].items()}

@@ -99,6 +99,7 @@ def _enlarged(found: Registration, factor: int) -> Registration:
         matches=replace(found.matches, target=grow(found.matches.target)),
         others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
         trace=None,
+        sightings=tuple(one.enlarged(grow) for one in found.sightings),
     )
 
 
@@ -202,28 +203,23 @@ def table_of(matches: Matches) -> str:
 
 
 def write_registration(
-    places: Places, capture: Capture, record: dict[str, Any], registration: Registration | None
+    places: Places, capture: Capture, record: dict[str, Any], matches: Mapping[str, Matches]
 ) -> list[Path]:
     """Write a registration's record and its tables of matches, and take older tables away.
 
-    Raises WriteRefused.
+    `matches` are by sensor, the first one's under "". Raises WriteRefused.
     """
     from levkas.files import make_folder, remove, write_json, write_text
 
     name, layer = capture.object, capture.layer
-    path, table = places.registration(name, layer), places.matches(name, layer)
+    path = places.registration(name, layer)
     make_folder(path.parent)
     write_json(path, record)
-    tables = {}
-    if registration is not None:
-        tables = {table: registration.matches} | {
-            places.matches(name, layer, sensor): matches
-            for sensor, matches in registration.others.items()
-        }
-    for place, matches in tables.items():
-        write_text(place, table_of(matches))
+    tables = {places.matches(name, layer, sensor): pairs for sensor, pairs in matches.items()}
+    for place, pairs in tables.items():
+        write_text(place, table_of(pairs))
     names = [places.matches(name, layer, sensor.name) for sensor in capture.sensors]
-    for place in sorted({table, *names} - tables.keys()):
+    for place in sorted({places.matches(name, layer), *names} - tables.keys()):
         if place.is_file():
             remove(place)
     return [path, *tables]

@@ -12,9 +12,11 @@ from levkas.building.camera_pages import CameraPages
 from levkas.building.fingerprints import digest
 from levkas.building.imprint import NAME as IMPRINT
 from levkas.building.imprint import imprint_of, spectra_of
+from levkas.building.joint_round import JointRound
 from levkas.building.ledger import Key, Ledger
 from levkas.building.objects import CATALOGUE, NoReference, ObjectBuild
 from levkas.building.places import Places
+from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.shelf import Shelf
 from levkas.building.steps import BuildReport, Step, summarise
 from levkas.campaign import Campaign, CampaignInvalid, load_campaign
@@ -24,8 +26,6 @@ from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
-
-STAGES_A_CAPTURE = 3
 
 
 def build(
@@ -66,33 +66,45 @@ def build(
     # What cameras told is gathered from all objects: a build of some leaves their pages alone.
     cameras = None if objects else CameraPages(campaign, places, ledger, captures)
     pages = len(cameras.cameras) if cameras else 0
-    total = STAGES_A_CAPTURE * len(captures) + len(refusals) + len(names) + pages + 1
-    done = 0
+    every = captures if objects is None else _plan(path, None)[1]
+    mates = RigMates(campaign, places, ledger, every)
+    first = JointRound(campaign, places, ledger, shelf, mates)
+    counting = _Counting(campaign, captures, first, len(refusals) + len(names) + pages + 1)
+    for step in first.run():
+        yield counting(step)
     for name in names:
         mine = [c for c in captures if c.object == name]
         theirs = {key: r for key, r in refusals.items() if key[0] == name}
-        for step in _object(campaign, places, ledger, shelf, name, mine, theirs):
-            skipped = 0
-            if step.finished:
-                stages = ("calibrate", "register", "resample")
-                lost = (
-                    step.state in ("refused", "failed")
-                    and step.key.stage in stages
-                    and step.key.camera
-                )
-                skipped = (
-                    2 - stages.index(step.key.stage)
-                    if lost and not _is_refusal(step, theirs)
-                    else 0
-                )
-                done += 1 + skipped
-            yield replace(step, done=done, total=total)
+        for step in _object(campaign, places, ledger, shelf, name, mine, theirs, first):
+            yield counting(step, refused=_is_refusal(step, theirs))
     for step in cameras.run(shelf) if cameras else ():
-        done += step.finished
-        yield replace(step, done=done, total=total)
+        yield counting(step)
     catalogue = _write_catalogue(campaign, places, ledger, captures, names)
-    yield replace(catalogue, done=total, total=total)
+    yield replace(catalogue, done=counting.total, total=counting.total)
     ledger.hashes.save()
+
+
+class _Counting:
+    """Says of every step how many stages are behind it; a lost capture takes its later ones along."""
+
+    def __init__(
+        self, campaign: Campaign, captures: list[Capture], first: JointRound, more: int
+    ) -> None:
+        self._stages: dict[tuple[str, str], list[str]] = {}
+        for capture in first.captures():
+            stages = list(joint_keys(campaign, capture))
+            self._stages[capture.object, capture.layer] = stages[: -1 if len(stages) == 3 else -2]
+        for capture in captures:
+            self._stages[capture.object, capture.layer] = list(joint_keys(campaign, capture))
+        self.total = sum(map(len, self._stages.values())) + more
+        self._done = 0
+
+    def __call__(self, step: Step, *, refused: bool = False) -> Step:
+        if step.finished:
+            stages = self._stages.get((step.key.object, step.key.layer), [])
+            lost = step.state in ("refused", "failed") and step.key.stage in stages and not refused
+            self._done += 1 + (len(stages) - 1 - stages.index(step.key.stage) if lost else 0)
+        return replace(step, done=self._done, total=self.total)
 
 
 def status(path: str | Path, *, output: str | Path | None = None) -> BuildReport:
@@ -105,10 +117,16 @@ def status(path: str | Path, *, output: str | Path | None = None) -> BuildReport
     ledger = Ledger(places.kept, places.output)
     steps = [_refusal(key, refused) for key, refused in refusals.items()]
     shelf = Shelf(places.kept / "templates", ledger.hashes, shared=True)
-    for name in dict.fromkeys(c.object for c in captures):
-        mine = ObjectBuild(
-            campaign, places, ledger, shelf, name, [c for c in captures if c.object == name]
+    mates = RigMates(campaign, places, ledger, captures)
+    objects = [
+        ObjectBuild(
+            campaign, places, ledger, shelf, name, [c for c in captures if c.object == name], mates
         )
+        for name in dict.fromkeys(c.object for c in captures)
+    ]
+    for mine in objects:
+        mine.note()
+    for mine in objects:
         steps += mine.states()
     steps += CameraPages(campaign, places, ledger, captures).states()
     return summarise(steps, places.output)
@@ -174,8 +192,9 @@ def _object(
     name: str,
     captures: list[Capture],
     refusals: Refusals,
+    first: JointRound,
 ) -> Iterator[Step]:
-    """All stages of one object, then its page."""
+    """All stages of one object, then its page; what the first round has told is not told again."""
     steps: list[Step] = []
     for key, refused in refusals.items():
         steps.append(_refusal(key, refused))
@@ -194,10 +213,18 @@ def _object(
         for capture in captures:
             yield _refusal((name, capture.camera, capture.setup), NoReference(problem))
         return
-    mine = ObjectBuild(campaign, places, ledger, shelf, name, captures)
-    for step in mine.run():
-        steps.append(step)
-        yield step
+    steps += first.steps(name)
+    left = first.left(captures)
+    mine = ObjectBuild(campaign, places, ledger, shelf, name, left or captures, first.mates)
+    if left:
+        for step in mine.run():
+            if not first.told(step):
+                steps.append(step)
+                yield step
+    else:
+        for step in mine.without_reference(steps):
+            steps.append(step)
+            yield step
     yield from _page(campaign, places, ledger, name, mine, steps)
 
 
@@ -232,7 +259,7 @@ def _page(
         with together(lambda: ledger.forget(key)):
             write_text(page, report_of(campaign, places, ledger, name, mine.captures, steps))
             write_text(facts, _object_toml(campaign, name))
-            write_json(made_of, provenance.provenance_of(ledger, name, mine.captures))
+            write_json(made_of, provenance.provenance_of(campaign, ledger, name, mine.captures))
     except Refused as error:
         yield Step(key, "refused", error.problems[0].message, problems=error.problems)
         return

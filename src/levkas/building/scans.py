@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.flatfielding import mark_glare_in
-from levkas.building.native import UNRELIABLE
-from levkas.calibration.denoising import describe_removed
-from levkas.calibration.gaps import describe_lost, gaps_of, no_values
+from levkas.building.line_templates import FrameLines, gaps_marked
 from levkas.calibration.lines import LineField
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.templates import Template
 from levkas.cube import Cube, Flag
 from levkas.machine import count_threads, tile_rows
 from levkas.registration.images import BandImage
@@ -25,14 +23,13 @@ if TYPE_CHECKING:
     from levkas.building.developing import Bench
     from levkas.calibration.denoising import Projecting, Subspace
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.calibration.templates import Template
     from levkas.campaign import Campaign
     from levkas.cube import Band
     from levkas.discovery import Capture
     from levkas.readers.envi import EnviFile
 
 STREAMED_SAMPLES = 400_000_000
-"""A cube of more samples is streamed. A constant, not a share of the memory that happens to be
+"""A cube of more samples, of a mirror scanner of a third as many, is streamed. A constant, not a share of the memory that happens to be
 there: which way a scan goes shows in its bytes."""
 BLOCK_SAMPLES = 8_000_000
 """Calibrated at once, where $LEVKAS_TILE does not say how many lines."""
@@ -41,17 +38,35 @@ LOOKED_AT_PX = 1_000_000
 
 
 def is_streamed(capture: Capture, campaign: Campaign) -> bool:
-    """Tell whether a capture is a line scan in one ENVI file that is larger than is held in memory."""
+    """Tell whether a capture is a line scan in one ENVI file that is larger than is held in memory.
+
+    Dark and white of a mirror scanner are as large, and have to be ENVI files too.
+    """
     from levkas.readers.frames import read_facts
 
-    camera = campaign.cameras[capture.camera]
-    if camera.kind != "cube" or camera.scan == "mirror":
+    camera, sensor = campaign.cameras[capture.camera], capture.sensors[0]
+    if camera.kind != "cube" or capture.camera == campaign.reference.camera:
         return False
-    frames = capture.sensors[0].object
-    if len(frames) != 1 or capture.camera == campaign.reference.camera:
+    if len(sensor.object) != 1:
         return False
-    facts = read_facts(frames[0].path)
-    return facts.kind == "envi" and int(np.prod(facts.shape, dtype=object)) > STREAMED_SAMPLES
+    frames = [*sensor.object]
+    if camera.scan == "mirror":
+        frames += [*sensor.dark, *sensor.white]
+    facts = [read_facts(frame.path) for frame in frames]
+    samples = int(np.prod(facts[0].shape, dtype=object)) * (3 if camera.scan == "mirror" else 1)
+    return all(one.kind == "envi" for one in facts) and samples > STREAMED_SAMPLES
+
+
+@dataclass(frozen=True, eq=False)
+class RawLines:
+    """Some lines as they are in the file, with the dark and the white that belong to them.
+
+    Templates are one line high for all, or as high as `codes`.
+    """
+
+    codes: np.ndarray
+    dark: Template | None
+    white: Template | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +77,8 @@ class Scan:
     ----------
     opened : EnviFile
     bench : Bench
-    dark, white : Template or None
-        One line each.
+    dark, white : Template, FrameLines or None
+        One line each, or of a mirror scanner what its lines are read from.
     noise : NoiseModel or None
     reflectance : float or ndarray
         Of the white.
@@ -81,8 +96,8 @@ class Scan:
 
     opened: EnviFile
     bench: Bench
-    dark: Template | None
-    white: Template | None
+    dark: Template | FrameLines | None
+    white: Template | FrameLines | None
     noise: NoiseModel | None
     reflectance: Any
     where: str
@@ -120,8 +135,10 @@ class Scan:
         return self._flat(self._raw(0, 1)).sigma is not None
 
     @cached_property
-    def field(self) -> LineField:
-        """The flat field of every line."""
+    def field(self) -> LineField | None:
+        """The flat field of every line; None where each line has its own, as behind a mirror."""
+        if isinstance(self.dark, FrameLines) or isinstance(self.white, FrameLines):
+            return None
         return LineField.of(
             self.dark,
             self.white,
@@ -169,7 +186,7 @@ class Scan:
         step = lines_at_once(self.shape)
         for y in range(start, stop, step):
             last = min(y + step, stop)
-            self._block(y, last, rows_of(whole, y - start, last - start))
+            self.calibrated(self._raw(y, last), into=rows_of(whole, y - start, last - start))
         return whole
 
     def room(self, lines: int) -> Cube:
@@ -183,14 +200,14 @@ class Scan:
         """Yield all lines, some at a time."""
         return (self.calibrated(raw) for raw in self.raw_blocks())
 
-    def raw_blocks(self) -> Iterator[np.ndarray]:
+    def raw_blocks(self) -> Iterator[RawLines]:
         """Yield all lines as they are in the file."""
         step = lines_at_once(self.shape)
         for start in range(0, self.shape[0], step):
             yield self._raw(start, min(start + step, self.shape[0]))
 
     def calibrated(
-        self, raw: np.ndarray, projecting: Projecting | None = None, into: Cube | None = None
+        self, raw: RawLines, projecting: Projecting | None = None, into: Cube | None = None
     ) -> Cube:
         """Calibrate raw lines; `projecting` gathers what HySime takes away.
 
@@ -208,39 +225,45 @@ class Scan:
             cube = replace(cube, values=round_values(values, out=out))
         return mark_glare_in(cube)
 
-    def _block(self, start: int, stop: int, into: Cube | None = None) -> Cube:
-        return self.calibrated(self._raw(start, stop), into=into)
-
-    def _raw(self, start: int, stop: int) -> np.ndarray:
-        raw = self.opened.read_lines(start, stop, turned=False)
-        return self.bench.checked(raw, self.bench.sensor.object[0])
+    def _raw(self, start: int, stop: int) -> RawLines:
+        codes = self.opened.read_lines(start, stop, turned=False)
+        return RawLines(
+            self.bench.checked(codes, self.bench.sensor.object[0]),
+            self.dark.lines(start, stop) if isinstance(self.dark, FrameLines) else self.dark,
+            self.white.lines(start, stop) if isinstance(self.white, FrameLines) else self.white,
+        )
 
     @property
     def _exact(self) -> bool:
         """Whether values are rounded when noise is taken away, and not before."""
         return bool(self.bench.camera.denoise)
 
-    def _flat(self, raw: np.ndarray, into: Cube | None = None) -> Cube:
+    def _flat(self, raw: RawLines, into: Cube | None = None) -> Cube:
+        if self.field is None or raw.codes.dtype not in (np.uint8, np.uint16):
+            return self._flat_by_frames(raw, into)
+        made = self.field.develop(
+            raw.codes,
+            saturation=self.bench.saturation,
+            threads=count_threads(),
+            exact=self._exact,
+            out=None if into is None else (into.values, into.flags, into.sigma),
+        )
+        return Cube(*made, self.bands, self.quantity)
+
+    def _flat_by_frames(self, raw: RawLines, into: Cube | None) -> Cube:
+        """Calibrate lines as whole frames are; the white of a mirror scanner was looked at as it was opened."""
         from levkas.building.developing import cube_of, flatten
         from levkas.calibration.templates import average
 
-        if raw.dtype in (np.uint8, np.uint16):
-            made = self.field.develop(
-                raw,
-                saturation=self.bench.saturation,
-                threads=count_threads(),
-                exact=self._exact,
-                out=None if into is None else (into.values, into.flags, into.sigma),
-            )
-            return Cube(*made, self.bands, self.quantity)
         flat = flatten(
             self.bench,
-            _with_gaps(average(iter([raw]), saturation=self.bench.saturation)),
-            [self.dark] if self.dark else [],
-            self.white,
+            gaps_marked(average(iter([raw.codes]), saturation=self.bench.saturation)),
+            [raw.dark] if raw.dark else [],
+            raw.white,
             white_reflectance=self.reflectance,
             noise=self.noise,
             labels=[band.label for band in self.bands],
+            white_checked=self.field is None,
         )
         parts = flat.values, flat.flags, flat.variance, flat.quantity
         cube = cube_of(self.bench, *parts, exact=self._exact)
@@ -254,6 +277,8 @@ class Scan:
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""
         if not self.pictures:
+            from levkas.building.passages import Reducer
+
             reducer = Reducer(self)
             for cube in self.blocks():
                 reducer.add(cube)
@@ -264,145 +289,6 @@ class Scan:
 def _as_numbers(cube: Cube) -> np.ndarray:
     """Return the values, NaN where there is none: `developing.cube_of` writes 0 there."""
     return np.where(cube.flags & np.uint8(Flag.OUTSIDE), np.float32(np.nan), cube.values)
-
-
-class Passage:
-    """All lines of a scan, calibrated once, and what is to be told of them.
-
-    To be iterated over once; `Scan.told` has the warnings then.
-    """
-
-    def __init__(self, scan: Scan) -> None:
-        from levkas.calibration.denoising import Projecting
-
-        self._scan = scan
-        self._lost = np.zeros(scan.shape[2], np.int64)
-        self._projecting = Projecting(scan.subspace) if scan.subspace else None
-
-    def __iter__(self) -> Iterator[Cube]:
-        """Yield some lines at a time.
-
-        Raises CalibrationRefused where a band has no finite value at all.
-        """
-        templates = gaps_of(self._scan.dark, self._scan.white)
-        for raw in self._scan.raw_blocks():
-            lost = np.zeros((1, 1, 1), bool) if raw.dtype.kind in "ui" else ~np.isfinite(raw)
-            if templates is not None:
-                lost = lost | templates
-            if lost.any():
-                self._lost += np.broadcast_to(lost, raw.shape).sum((0, 1))
-            yield self._scan.calibrated(raw, self._projecting)
-        self._tell()
-
-    def _tell(self) -> None:
-        from levkas.building.developing import placed
-
-        bench, shape = self._scan.bench, self._scan.shape
-        every = shape[0] * shape[1]
-        if (empty := np.flatnonzero(self._lost == every)).size:
-            refused = no_values(int(empty[0]), shape)
-            raise CalibrationRefused(*(placed(p, bench.sensor.object) for p in refused.problems))
-        notes = []
-        if count := int(self._lost.sum()):
-            notes.append(describe_lost(count, every * shape[2], bench.camera.name))
-        if (made := self._projecting) is not None:
-            notes.append(describe_removed(made.subspace, made.removed, made.most))
-        self._scan.told[:] = [f"{self._scan.where}: {note}" for note in notes]
-
-
-def _with_gaps(shot: Template) -> Template:
-    """Mark what is no number; unlike `gaps.close_gaps`, the same for any lines around it."""
-    lost = ~np.isfinite(shot.mean)
-    if not lost.any():
-        return shot
-    return replace(
-        shot,
-        mean=np.where(lost, np.float32(0), shot.mean),
-        saturated=shot.saturated & ~lost,
-        black=shot.black & ~lost,
-        lost=lost,
-    )
-
-
-class Reducer:
-    """Gathers the pictures of a scan while its lines pass by."""
-
-    def __init__(self, scan: Scan) -> None:
-        self._scan, self._factor = scan, scan.factor
-        lines, samples, bands = scan.shape
-        height, width = lines // self._factor, samples // self._factor
-        self._sums = np.zeros((bands, height, width), np.float32)
-        self._counts = np.zeros((bands, height, width), np.uint16)
-        self._row: tuple[np.ndarray, np.ndarray] | None = None
-        self._line = 0
-
-    def add(self, cube: Cube) -> None:
-        """Take the next lines."""
-        factor, width = self._factor, self._sums.shape[2]
-        shape = (width, factor, cube.values.shape[2])
-        for values, flags in zip(cube.values, cube.flags, strict=True):
-            row = self._line // factor
-            self._line += 1
-            if row >= self._sums.shape[1]:
-                return
-            good = (flags[: width * factor] & UNRELIABLE) == 0
-            seen = np.where(good, values[: width * factor], np.float32(0)).reshape(shape)
-            # Line by line and sample by sample: the sums do not depend on how lines come in.
-            for k in range(factor):
-                self._sums[:, row] += seen[:, k].T
-            self._counts[:, row] += good.reshape(shape).sum(1, dtype=np.uint16).T
-
-    def images(self) -> list[BandImage]:
-        """Return the pictures."""
-        least = self._factor**2 / 2
-        return [
-            BandImage(
-                band.label,
-                band.wavelength,
-                (sums / np.maximum(counts, 1)).astype(np.float32),
-                counts >= least,
-            )
-            for band, sums, counts in zip(self._scan.bands, self._sums, self._counts, strict=True)
-        ]
-
-
-def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
-    """Average the templates of a line scan; no line of the object is read.
-
-    Raises Refused as `developing.develop` does.
-    """
-    from levkas.building.developing import Bench, doubts_of, line_noise
-    from levkas.building.measuring import note_light
-    from levkas.building.whiteboard import white_reflectance
-    from levkas.calibration.scanning import average_lines
-    from levkas.readers.envi import open_envi
-    from levkas.readers.frames import read_facts
-
-    sensor = capture.sensors[0]
-    facts = read_facts(sensor.object[0].path)
-    bench = Bench(campaign, campaign.cameras[capture.camera], sensor, facts, shelf)
-
-    def template(frames: Any) -> Template | None:
-        if not frames:
-            return None
-        blocks = (bench.checked(block, frame) for frame in frames for block in _line_blocks(frame))
-        return bench.whole(average_lines(blocks, saturation=bench.saturation), frames)
-
-    dark, white = template(sensor.dark), template(sensor.white)
-    note_light(bench.told, white, [dark] if dark else [], None, [b.label for b in sensor.bands])
-    where = f"{capture.object}/{capture.layer}"
-    return Scan(
-        open_envi(sensor.object[0].path),
-        bench,
-        dark,
-        white,
-        line_noise(bench, dark, white),
-        white_reflectance(campaign, sensor.bands),
-        where,
-        facts.captured,
-        tuple(f"{where}: {doubt}" for doubt in doubts_of(bench)),
-        {sensor.name: sensor.align},
-    )
 
 
 def rows_of(cube: Cube, start: int, stop: int) -> Cube:
@@ -416,18 +302,3 @@ def lines_at_once(shape: tuple[int, int, int]) -> int:
     """Return how many lines of a scan, (lines, samples, bands), are calibrated at a time."""
     lines, samples, bands = shape
     return tile_rows(BLOCK_SAMPLES // (samples * bands), lines)
-
-
-def _line_blocks(frame: Any) -> Iterator[np.ndarray]:
-    from levkas.building.developing import read_cube
-    from levkas.readers.envi import open_envi
-    from levkas.readers.frames import read_facts
-
-    if read_facts(frame.path).kind != "envi":
-        yield read_cube(frame)
-        return
-    opened = open_envi(frame.path)
-    lines, samples, bands = opened.facts.shape
-    step = lines_at_once((lines, samples, bands))
-    for start in range(0, lines, step):
-        yield opened.read_lines(start, min(start + step, lines))

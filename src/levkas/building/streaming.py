@@ -48,7 +48,7 @@ class ScanRefused(Refused):
 def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -> list[Path]:
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
     from levkas.building.focusing import Middle
-    from levkas.building.scans import Passage, Reducer
+    from levkas.building.passages import Passage, Reducer
     from levkas.database.layers import Layer
     from levkas.database.spooling import SpooledTiffs
     from levkas.files import make_folder

@@ -97,9 +97,13 @@ def phase_gains(
     phases, marks = split(values, *shape), split(flags, *shape)
     shares = np.array([np.mean((m & _CLIPS) != 0) for m in marks])
     usable = shares <= max(clipped, shares.min())
-    blocks = [_cut(p) for p in phases]
+    size = tuple(
+        np.array([p.shape for p in phases]).min(0) // BLOCK
+    )  # an odd frame has longer phases
+    blocks = [_cut(p, size) for p in phases]
     means = np.array([b.mean((1, 2)) for b in blocks])
-    clean = ~np.any([_cut(m).any((1, 2)) for m, u in zip(marks, usable, strict=True) if u], axis=0)
+    marked = [_cut(m, size).any((1, 2)) for m, u in zip(marks, usable, strict=True) if u]
+    clean = ~np.any(marked, axis=0)
     strength = np.array([np.median(m[clean]) if clean.any() else 0.0 for m in means])
     best = int(np.argmax(np.where(usable, strength, -np.inf)))
     if not strength[best] > 0:
@@ -123,9 +127,9 @@ def phase_gains(
     return PhaseGains(gains.reshape(shape), (weights / weights.max()).reshape(shape))
 
 
-def _cut(phase: np.ndarray) -> np.ndarray:
-    """Return whole blocks of a phase, (n, BLOCK, BLOCK)."""
-    high, wide = (n // BLOCK for n in phase.shape)
+def _cut(phase: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """Return as many whole blocks of a phase, down and across, as `size` says, (n, BLOCK, BLOCK)."""
+    high, wide = size
     whole = phase[: high * BLOCK, : wide * BLOCK].astype(float)
     return whole.reshape(high, BLOCK, wide, BLOCK).swapaxes(1, 2).reshape(-1, BLOCK, BLOCK)
 

@@ -59,6 +59,7 @@ def flat_field(
     defects: np.ndarray | None = None,
     pattern: str | Sequence[Sequence[str]] | None = None,
     labels: Sequence[str] | None = None,
+    white_checked: bool = False,
 ) -> Calibrated:
     """Turn an object's raw counts into reflectance, or into counts above dark.
 
@@ -82,6 +83,8 @@ def flat_field(
         Of a mosaic: `white_reflectance` and the checks of the white go channel by channel.
     labels : sequence of str, optional
         Names of the bands for messages.
+    white_checked : bool
+        These are some lines of frames whose white was looked at as a whole: it is not refused.
 
     Returns
     -------
@@ -116,7 +119,8 @@ def flat_field(
     if white is None:
         scale, lit, lit_saturated = np.ones((1, 1)), exact_side(1.0), np.zeros((1, 1), np.uint8)
     else:
-        check_white(white, white_under, pattern, labels)
+        if not white_checked:
+            check_white(white, white_under, pattern, labels)
         lit, lit_saturated = Side.of_shots(white), as_marks(white.saturated)
     sides = Side.of_shots(shot), Side.of_dark(under), lit, Side.of_dark(white_under)
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))

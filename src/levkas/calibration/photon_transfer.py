@@ -172,7 +172,7 @@ def measure_sensor(
     Raises
     ------
     CalibrationRefused
-        E_TEMPLATE_MISSING without a dark, E_SHOTS without two shots of anything lit,
+        E_TEMPLATE_MISSING without a dark, E_SIZE where sizes differ, E_SHOTS without two shots of anything lit,
         E_WHITE_SATURATED where nothing lit is below 70 % of saturation, E_WHITE_DARK where it is no
         brighter than the dark, E_NOISE where noise does not grow with the light.
 
@@ -263,6 +263,16 @@ def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> N
             0,
             "two shots or more",
             "Capture two darks with the lens covered, at the exposure of the white.",
+        )
+    sizes = {np.size(b.mean) for b in lit}
+    sizes |= {np.size(d.level) for d in darks if isinstance(d.level, np.ndarray)}
+    if len(sizes) > 1:
+        raise _refusal(
+            "E_SIZE",
+            "darks, whites and scenes are of different sizes",
+            f"{', '.join(map(str, sorted(sizes)))} blocks",
+            "as many blocks in each",
+            "Capture all in one mode; crops of other sessions do not fit.",
         )
     repeated = [b for b in lit if b.shots > 1]
     if not repeated:

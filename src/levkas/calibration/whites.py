@@ -91,6 +91,15 @@ def check_white(
         raise CalibrationRefused(*problems)
 
 
+def thinning(size: tuple[int, ...]) -> int:
+    """Return which so-many-th pixel a side of a white of (height, width) is looked at.
+
+    >>> thinning((1000, 2000))
+    4
+    """
+    return max(1, int(np.sqrt(size[0] * size[1] / SAMPLE)))
+
+
 def _too_dark(name: str, lit: np.ndarray, under: np.ndarray) -> Problem:
     return Problem(
         "E_WHITE_DARK",
@@ -106,8 +115,7 @@ def _channels(
     white: Template, pattern: str | Sequence[Sequence[str]] | None, labels: Sequence[str] | None
 ) -> list[tuple[str, tuple]]:
     """Return (how to name it, index) of each channel, thinned to about `SAMPLE` pixels."""
-    height, width = white.mean.shape[:2]
-    step = max(1, int(np.sqrt(height * width / SAMPLE)))
+    step = thinning(white.mean.shape[:2])
     if white.mean.ndim == 3:
         names = labels or [str(band) for band in range(white.mean.shape[2])]
         thin = (slice(None, None, step), slice(None, None, step))

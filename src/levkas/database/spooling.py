@@ -6,6 +6,7 @@ for byte; only a few rows of them are in memory.
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -95,12 +96,21 @@ class PageSpool:
         """
         if self._filled or self._strip != self._places.shape[1]:
             raise ValueError(f"{self._strip} strips of {self._places.shape[1]} were written")
+        # The strips of a page lie far apart: a buffer would read all between them, for each page anew.
+        self._handle.flush()
+        plain = getattr(self._handle, "raw", self._handle)
         for places in self._places:
-            yield [self._read(int(start), int(size)) for start, size in places]
+            yield [_read(plain, int(start), int(size)) for start, size in places]
 
-    def _read(self, start: int, size: int) -> bytes:
-        self._handle.seek(start)
-        return self._handle.read(size)
+
+def _read(handle: BinaryIO, start: int, size: int) -> bytes:
+    handle.seek(start)
+    found = handle.read(size)
+    while len(found) < size:
+        if not (more := handle.read(size - len(found))):
+            raise OSError(errno.EIO, f"{len(found)} bytes of {size} could be read back")
+        found += more
+    return found
 
 
 class SpooledTiffs:

@@ -170,7 +170,11 @@ def _registration(document: Document) -> Iterator[Problem]:
         yield wrong("registration.use", "there are no points to use", common.use)
     if "mirhashemi2019" not in methods.values():
         yield from _of_the_paper("registration", common)
+    if common.joint and "levkas" not in methods.values():
+        yield _not_joint("registration.joint")
     for name, keys in own.items():
+        if keys.joint and methods[name] != "levkas":
+            yield _not_joint(f"cameras.{name}.registration.joint")
         if methods[name] != "mirhashemi2019":
             yield from _of_the_paper(f"cameras.{name}.registration", keys)
         if keys.use is not None and (keys.points or common.points) is None:
@@ -179,6 +183,15 @@ def _registration(document: Document) -> Iterator[Problem]:
         if reject is not None and reject <= stop:
             where = f"cameras.{name}.registration" if keys.given() else "registration"
             yield wrong(f"{where}.reject", "reject is not above stop", reject, f"> {stop:g} px")
+
+
+def _not_joint(where: str) -> Problem:
+    return wrong(
+        where,
+        "the method 'mirhashemi2019' adjusts no captures together",
+        "true",
+        fix='Take it out, or write method = "levkas".',
+    )
 
 
 def _of_the_paper(where: str, keys: RegistrationKeys) -> Iterator[Problem]:

@@ -115,6 +115,7 @@ class RegistrationKeys(Table):
     matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
     points: Annotated[Text, Field(min_length=1)] | None = None
     use: Literal["check", "seeds"] | None = None
+    joint: bool | None = None
 
     def given(self) -> dict[str, Any]:
         """Return what was said, by key."""
@@ -125,6 +126,8 @@ ONLY_OF_THE_PAPER = ("ratio", "order", "detector", "matching")
 """Keys of [registration] that only the method "mirhashemi2019" has."""
 OF_THE_POINTS = ("points", "use")
 """Keys of [registration] that say where control points are, and what for."""
+OF_THE_RIG = ("joint",)
+"""Keys of [registration] that say what captures are adjusted together."""
 
 
 class Sensor(Table):

@@ -106,13 +106,17 @@ def find_mosaic(phases: dict[int, np.ndarray], *, dark: float = 0.0) -> int:
     >>> flat = {p: np.ones((p, p)) for p in (2, 3, 4, 5)}
     >>> find_mosaic(flat), find_mosaic(flat | {3: np.arange(1.0, 10).reshape(3, 3)})
     (0, 3)
+    >>> find_mosaic({p: np.full((p, p), np.nan) for p in (2, 3, 4, 5)})
+    0
     """
     spans = {
         # A frame no brighter than its dark shows noise, not colours.
         side: float(np.ptp(means)) / max(means.mean() - dark, 0.1 * means.mean(), 1e-9)
         for side, means in phases.items()
     }
-    best = max(spans.values())
+    # A frame smaller than a tile has no mean of every phase.
+    spans = {side: span for side, span in spans.items() if np.isfinite(span)}
+    best = max(spans.values(), default=0.0)
     if best < LEAST_SPAN:
         return 0
     # A tile of 4 shows what one of 2 is: the smallest that shows nearly all of it is meant.

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 PROVENANCE = "provenance.json"
 VERBS = {
     "calibrate": "Calibrated on native pixels",
+    "measure": "Registered by itself, to be adjusted with other captures",
     "register": "Registered to the reference band",
     "resample": "Resampled once, on to the grid",
 }

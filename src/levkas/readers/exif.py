@@ -7,6 +7,8 @@ from datetime import datetime
 from math import isfinite
 from typing import Any, BinaryIO
 
+MOST_READS = 50_000
+"""Numbers that are read of one file's EXIF, maker notes left out; cameras write some hundred."""
 # A preference order: IFD names as exifread writes them. TIFF/EP raws keep exposure in the main IFD.
 EXPOSURE = ("EXIF ExposureTime", "Image ExposureTime")
 ISO = ("EXIF ISOSpeedRatings", "Image ISOSpeedRatings", "EXIF ISOSpeed")
@@ -25,7 +27,7 @@ def read_exif(stream: BinaryIO) -> dict[str, Any]:
     import exifread
 
     try:
-        tags = exifread.process_file(stream, details=False)
+        tags = exifread.process_file(_Counted(stream), details=False)  # type: ignore[arg-type]
     except Exception:  # exifread raises whatever a damaged header leads it to
         tags = {}
 
@@ -39,6 +41,30 @@ def read_exif(stream: BinaryIO) -> dict[str, Any]:
         "captured": iso_date(first(DATE), tags.get("EXIF OffsetTimeOriginal")),
         "model": model or None,
     }
+
+
+class _Counted:
+    """A file that may be read from `MOST_READS` times, a kilobyte each, and ends then.
+
+    Directories of EXIF within directories may say the same thousand entries a thousand times over: 64 kB
+    of them take exifread a minute.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream, self._left = stream, MOST_READS
+
+    def read(self, size: int = -1) -> bytes:
+        if self._left < 0:
+            raise ValueError(f"EXIF of more than {MOST_READS} numbers")
+        data = self._stream.read(size)
+        self._left -= 1 + len(data) // 1000
+        return data
+
+    def seek(self, place: int, start: int = 0) -> int:
+        return self._stream.seek(place, start)
+
+    def tell(self) -> int:
+        return self._stream.tell()
 
 
 def iso_date(value: Any, offset: Any = None) -> str | None:

@@ -10,6 +10,7 @@ import numpy as np
 from levkas.registration.ladder import RUNGS
 from levkas.registration.pyramid import GOOD_PX
 from levkas.registration.record import Matches, Registration, Verdict
+from levkas.registration.sightings import Sighting
 from levkas.registration.verdict import (
     COVERAGE,
     LOOK,
@@ -68,6 +69,7 @@ def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
         },
         sigma={label: sigma[label] for label in labels},
         others={s.name: _matches(s) for s in sensors[1:] if s.start is not None},
+        sightings=tuple(Sighting.of(sensor) for sensor in sensors),
     )
 
 

@@ -138,6 +138,12 @@ def _size(kind: str) -> int:
     return sum(len(fields) for _, fields in _FIELDS[: KINDS.index(kind) + 1])
 
 
+def groups_of(kind: str) -> list[tuple[int, int]]:
+    """Return (first, after the last) of the columns of each group of fields up to `kind`."""
+    ends = [_size(name) for name in KINDS[: KINDS.index(kind) + 1]]
+    return list(zip([0, *ends], ends, strict=False))
+
+
 def _tensor(count: int) -> np.ndarray:
     fields = [field for _, group in _FIELDS for field in group][:count]
     tensor = np.zeros((count, 10, 2))

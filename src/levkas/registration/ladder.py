@@ -7,12 +7,13 @@ alike), and a richer one is taken only where it is better there.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from levkas.registration.contest import STANDING, Contest, Fit, Part, Rival, deal
 from levkas.registration.ledges import Ledge, find_ledge, fit_behind
 from levkas.registration.models import (
     Observations,
@@ -23,22 +24,10 @@ from levkas.registration.models import (
     solve_pairs,
     temper,
 )
-from levkas.transforms import Transform
+from levkas.transforms import Composed, Transform
 
-#: Folds are blocks of every third row and column: nine of them.
-EVERY = 3
-FOLDS = EVERY**2
-BLOCKS = 8
-#: Side of a block, in lengths within which windows share pixels.
-LEAST_BLOCK = 3.0
 ROUNDS = 5
-GAIN = 0.01
-#: Models whose held-out error is up to so much above the best might as well be right.
-NEAR = 0.1
 MOST_JUDGED = 2000
-
-Fit = Callable[[Observations], Transform]
-Folds = list[tuple[np.ndarray, np.ndarray]]
 
 #: Name → (least number of observations, fit); from the stiffest to the most yielding.
 RUNGS: dict[str, tuple[int, Fit]] = {
@@ -55,23 +44,20 @@ SPLINE_LEAST, LEDGE_LEAST = 150, 250
 COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
-STANDING = "as it was"
+#: What is tried before the map of a rig; it is near already, and seen afresh in so many steps.
+RIG, NEWTON = ("similarity", "affine", "homography", "quadratic"), 2
 
 
 @dataclass(frozen=True)
-class Part:
-    """A model fitted without some blocks, and the share of all information that these hold."""
+class Terms:
+    """On what terms models are tried; as the arguments of `climb` are called."""
 
-    transform: Transform
-    without: float
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Another model, and how close it comes to the one that was taken, 0..1."""
-
-    transform: Transform
-    weight: float
+    spacing: float
+    apart: float = 0.0
+    cell: float = 0.0
+    coarse: bool = False
+    reaching: bool = False
+    sure: int = 0
 
 
 @dataclass(frozen=True)
@@ -92,6 +78,10 @@ class Rung:
         The same model fitted without each fold of blocks.
     rivals : tuple of Rival
         Models that predict blocks nearly as well.
+    terms : Terms or None
+        On which it was taken.
+    fit : callable or None
+        How it was fitted.
     """
 
     name: str
@@ -101,6 +91,8 @@ class Rung:
     weights: np.ndarray
     parts: tuple[Part, ...] = ()
     rivals: tuple[Rival, ...] = ()
+    terms: Terms | None = None
+    fit: Fit | None = None
 
     @property
     def knowledge(self) -> float:
@@ -140,6 +132,7 @@ def climb(
     reaching: bool = False,
     sure: int = 0,
     standing: Transform | None = None,
+    rig: Fit | None = None,
 ) -> Rung:
     """Return the model that predicts held-out blocks best.
 
@@ -161,6 +154,9 @@ def climb(
         So many of the last observations keep their weight, whatever their residual.
     standing : Transform, optional
         A map from elsewhere; it stays where no model predicts blocks better.
+    rig : callable, optional
+        Fits one map to observations and to what other captures of the same rig saw; plain models
+        before it are tried too.
 
     Raises
     ------
@@ -173,83 +169,71 @@ def climb(
         raise ValueError(f"a similarity needs at least 6 windows, got {len(observations)}")
     model, tempered, weights = _robust(observations, names[-1], sure)
     # Which model is right shows in some thousands of windows; all of them decide how it lies.
-    judged = tempered.part(np.arange(len(tempered)) % (1 + len(tempered) // MOST_JUDGED) == 0)
-    contest = _Contest(judged, deal(judged.points, apart))
+    every = 1 + len(tempered) // MOST_JUDGED
+    judged = tempered.part(np.arange(len(tempered)) % every == 0)
+    if rig is not None:
+        judged = judged.weighted(np.full(len(judged), float(every)))
+    contest = Contest(judged, deal(judged.points, apart))
     for name in names:
         contest.enter(name, *RUNGS[name])
     if standing is not None and contest.withstands(standing):
         return Rung(STANDING, standing, contest.scores, tempered, weights)
     if contest.taken == names[-1]:
         contest.fitted = model
-    if not (coarse or reaching) and len(observations) >= SPLINE_LEAST:
-        under = contest.taken
-        for stiff in STIFF[::-1]:
-            bent = partial(_on_top, under=RUNGS[under][1], spacing=spacing, stiff=stiff)
-            contest.enter(f"{under}+spline({stiff:g})", RUNGS[under][0], bent)
-        ledge = find_ledge(tempered, cell) if cell and len(observations) >= LEDGE_LEAST else None
-        for name, behind in _behind(contest, under, spacing, ledge) if ledge else ():
-            contest.enter(name, RUNGS[under][0], behind)
+    bending = not (coarse or reaching) and len(observations) >= SPLINE_LEAST
+    seen = bending and cell and len(observations) >= LEDGE_LEAST
+    ledge = find_ledge(tempered, cell) if seen else None
+    if bending:
+        _bend(contest, contest.taken, spacing, ledge)
+    if rig is not None:
+        through = _enter_rig(contest, rig, [name for name in RIG if name in names])
+        if bending:
+            _bend(contest, through, spacing, ledge)
     parts = () if coarse else contest.parts()
     transform = contest.fitted or contest.fit(tempered)
     rivals = () if coarse else contest.rivals()
-    return Rung(contest.taken, transform, contest.scores, tempered, weights, parts, rivals)
+    terms = Terms(spacing, apart, cell, coarse, reaching, sure)
+    return Rung(
+        contest.taken, transform, contest.scores, tempered, weights, parts, rivals, terms, contest.fit
+    )  # fmt: skip
 
 
-class _Contest:
-    """Which of several models predicts blocks best that it did not see.
-
-    `scores` by name, `taken` the name of the best so far, `fit` how it is fitted, and `fitted` itself
-    where that is known already.
-    """
-
-    def __init__(self, judged: Observations, folds: Folds) -> None:
-        self._judged, self._folds = judged, folds
-        self.scores: dict[str, float] = {}
-        self._fits: dict[str, Fit] = {}
-        self.taken = ""
-        self.fit: Fit = fit_similarity
-        self.fitted: Transform | None = None
-
-    def enter(self, name: str, least: int, fit: Fit) -> None:
-        """Try one more model, richer than those before."""
-        score = self.scores[name] = _held_out(self._judged, self._folds, least, fit)
-        self._fits[name] = fit
-        if not self.taken or score < self.scores[self.taken] * (1 - GAIN):
-            self.taken, self.fit, self.fitted = name, fit, None
-
-    def withstands(self, standing: Transform) -> bool:
-        """Tell whether a map that was not fitted to any of this is as good as the best."""
-        self.scores[STANDING] = _missed(self._judged, standing)
-        return not self.scores[self.taken] < self.scores[STANDING] * (1 - GAIN)
-
-    def parts(self) -> tuple[Part, ...]:
-        """Return the best model fitted without each fold, and the share of knowledge left out."""
-        know = np.trace(self._judged.information, axis1=1, axis2=2)
-        return tuple(
-            Part(self.fit(self._judged.part(rest)), float(know[~rest].sum() / know.sum()))
-            for unseen, rest in self._folds
-            if unseen.any() and rest.sum() >= 6
-        )
-
-    def rivals(self) -> tuple[Rival, ...]:
-        """Return the models that come within `NEAR` of the best."""
-        best = self.scores[self.taken]
-        close = (
-            {n: 1 - (score / best - 1) / NEAR for n, score in self.scores.items()} if best else {}
-        )
-        return tuple(
-            Rival(self._fits[name](self._judged), min(weight, 1.0))
-            for name, weight in close.items()
-            if weight > 0 and name != self.taken and name in self._fits
-        )
+def _bend(contest: Contest, under: str, spacing: float, ledge: Ledge | None) -> None:
+    """Try a model with splines of falling stiffness; behind a ledge itself, stiff and as it did best."""
+    bent = [under]
+    for stiff in STIFF[::-1]:
+        bent.append(f"{under}+spline({stiff:g})")
+        on_top = partial(_on_top, under=contest.fits[under], spacing=spacing, stiff=stiff)
+        contest.enter(bent[-1], contest.least[under], on_top)
+    if ledge is None:
+        return
+    best = contest.taken if contest.taken in bent else min(bent, key=lambda n: contest.scores[n])
+    for name in dict.fromkeys([*bent[:2], best]):
+        behind = partial(fit_behind, ledge=ledge, fit=contest.fits[name])
+        contest.enter(f"{name}+ledge", contest.least[under], behind)
 
 
-def _behind(contest: _Contest, under: str, spacing: float, ledge: Ledge) -> list[tuple[str, Fit]]:
-    """What may stand behind a ledge: what was taken, without its spline, and with a stiff one."""
-    plain = RUNGS[under][1]
-    stiff: Fit = partial(_on_top, under=plain, spacing=spacing, stiff=STIFF[-1])
-    kinds = {under: plain, f"{under}+spline({STIFF[-1]:g})": stiff, contest.taken: contest.fit}
-    return [(f"{n}+ledge", partial(fit_behind, ledge=ledge, fit=kind)) for n, kind in kinds.items()]
+def _enter_rig(contest: Contest, rig: Fit, names: Sequence[str]) -> str:
+    """Try the rig's map, and plain models before it; return the best of them."""
+    entered = ["rig", *(f"rig+{name}" for name in names)]
+    contest.enter("rig", RUNGS[names[0]][0], rig)
+    for name, through in zip(names, entered[1:], strict=True):
+        contest.enter(through, RUNGS[name][0], partial(_through, rig=rig, fit=RUNGS[name][1]))
+    return min(entered, key=lambda name: contest.scores[name])
+
+
+def _through(observations: Observations, *, rig: Fit, fit: Fit) -> Transform:
+    whole = rig(observations)
+    return Composed(fit(seen_through(whole, observations)), whole)
+
+
+def seen_through(rig: Transform, observations: Observations) -> Observations:
+    """Return where `rig` would have to be asked to answer what was observed."""
+    places = observations.points
+    for _ in range(NEWTON):
+        places = places + solve_pairs(rig.jacobian(places), observations.target - rig(places))
+    alike = np.broadcast_to(np.eye(2), (len(places), 2, 2))
+    return replace(observations, target=places, jacobian=alike)
 
 
 def _on_top(observations: Observations, *, under: Fit, spacing: float, stiff: float) -> Transform:
@@ -272,48 +256,3 @@ def _robust(
         ).weighted(weights)
         model = fit(current)
     return model, current, weights
-
-
-def deal(points: np.ndarray, apart: float = 0.0) -> Folds:
-    """Return (held out, fitted), masks (n,), of every fold of blocks.
-
-    Windows within `apart` of a held-out block are neither: they share pixels with what they would
-    predict.
-    """
-    low, high = points.min(0), points.max(0)
-    size = max(float((high - low).max()) / BLOCKS, LEAST_BLOCK * apart, 1e-9)
-    number = _numbers(points - low, size)
-    near = np.stack([_numbers(points - low + shift, size) for shift in _around(apart)])
-    return [(number == fold, (near != fold).all(0)) for fold in range(FOLDS)]
-
-
-def _around(apart: float) -> np.ndarray:
-    steps = np.array([-apart, 0.0, apart])
-    return np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-
-
-def _numbers(offsets: np.ndarray, size: float) -> np.ndarray:
-    block = np.floor(offsets / size).astype(int) % EVERY
-    return np.asarray(block[:, 0] + EVERY * block[:, 1])
-
-
-def _missed(observations: Observations, model: Transform) -> float:
-    """Return the root mean square, reference px under the weights, by which a map misses."""
-    residuals, information = observations.residuals(model), observations.information
-    total = float(np.einsum("na,nab,nb->", residuals, information, residuals))
-    return float(np.sqrt(total / np.trace(information, axis1=1, axis2=2).sum()))
-
-
-def _held_out(observations: Observations, folds: Folds, least: int, fit: Fit) -> float:
-    """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
-    total = weight = 0.0
-    for unseen, rest in folds:
-        if not unseen.any():
-            continue
-        if rest.sum() < least:
-            return np.inf
-        seen = observations.part(unseen)
-        residuals = seen.residuals(fit(observations.part(rest)))
-        total += float(np.einsum("na,nab,nb->", residuals, seen.information, residuals))
-        weight += float(np.trace(seen.information, axis1=1, axis2=2).sum()) / 2
-    return float(np.sqrt(total / (2 * weight))) if weight else np.inf

@@ -12,6 +12,7 @@ from levkas.problems import Problem, Refused
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from levkas.registration.sightings import Sighting
     from levkas.registration.uncertainty import Sigma
     from levkas.transforms import Transform
 
@@ -233,6 +234,8 @@ class Registration:
         Band label → one standard deviation of where it lies; empty where a method does not know.
     others : dict of str to Matches
         Sensor → its matches, for the target's other sensors; empty where a method has none.
+    sightings : tuple of Sighting
+        One a sensor, for adjusting several captures together; empty where a method has none.
     """
 
     method: str
@@ -244,6 +247,7 @@ class Registration:
     model: dict[str, Any] = field(default_factory=dict)
     sigma: dict[str, Sigma] = field(default_factory=dict)
     others: dict[str, Matches] = field(default_factory=dict)
+    sightings: tuple[Sighting, ...] = ()
 
     def to_dict(self, *, reference: str = "", target: str = "") -> dict[str, Any]:
         """Return the record of CAMERA.json; `reference` and `target` are the names of frames."""

@@ -84,6 +84,7 @@ def measure_sigma(
     chromatic: Chromatic,
     rung: Rung | None = None,
     reference: Mapping[str, Sigma] | None = None,
+    behind: Rung | None = None,
 ) -> dict[str, Sigma]:
     """Return the sigma of every band of a sensor.
 
@@ -97,6 +98,8 @@ def measure_sigma(
         The base map; the reference's own sensor has none.
     reference : mapping of label to Sigma, optional
         Of the bands that predicted these.
+    behind : Rung, optional
+        A map that the base map rests on, fitted to more than this sensor saw.
     """
     x, y = (
         np.round(np.linspace(0, n - 1, k), 2) for n, k in zip(shape[::-1], LATTICE, strict=True)
@@ -109,6 +112,8 @@ def measure_sigma(
         inside = np.all((points >= seen.min(0)) & (points <= seen.max(0)), 1)
         middle = float(np.median(folds[inside])) if inside.any() else float(np.median(folds))
         common += FOLDS_FACTOR**2 * (LOCAL_SHARE * folds + (1 - LOCAL_SHARE) * middle)
+    if behind is not None:
+        common += behind.sigma(points) ** 2
     if reference:
         common += np.mean([one(points) ** 2 for one in reference.values()], 0)
     result = {}

@@ -133,6 +133,8 @@ def describe_model(model: dict[str, Any]) -> str:
         if not isinstance(sensor, dict):
             continue
         base, apart = sensor.get("base"), sensor.get("chromatic")
+        if isinstance(base, str) and base.startswith("rig"):
+            base = base.replace("rig", "one map with other captures", 1)
         name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
         told.append(name + (f"{base}, " if base else "") + f"bands apart by {apart}")
     return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")

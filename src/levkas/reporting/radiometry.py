@@ -69,13 +69,19 @@ def _noise(ranges: Sequence[Mapping[str, Any]], quantity: str) -> str:
 
 
 def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
+    """Say the middle of the bands and the least; values below black have no decibels.
+
+    >>> _snr([{"snr": 100.0}, {"snr": None}]), _snr([{"snr": -2.0}])
+    ('100 (20.0 dB), least 100', '-2, least -2')
+    """
     import math
 
     known = [r["snr"] for r in ranges if r["snr"]]
     if not known:
         return "–"
     middle, least = median(known), min(known)
-    return f"{middle:.0f} ({10 * math.log10(middle):.1f} dB), least {least:.0f}"
+    decibels = f" ({10 * math.log10(middle):.1f} dB)" if middle > 0 else ""
+    return f"{middle:.0f}{decibels}, least {least:.0f}"
 
 
 def _glare(glare: Mapping[str, int], quantity: str) -> str:

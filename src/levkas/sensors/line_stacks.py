@@ -93,8 +93,10 @@ def _neighbours(shots: Sequence[FrameRef]) -> Iterator[tuple[np.ndarray, np.ndar
     most = max(1, MOST_PAIRS // len(shots))
     for frame in shots:
         cube = read_cube(frame)
+        if len(cube) < 2:
+            continue
         starts = np.unique(np.linspace(0, len(cube) - 2, most).round().astype(int))
-        for k in starts[starts >= 0].tolist():
+        for k in starts.tolist():
             yield cube[k], cube[k + 1]
 
 

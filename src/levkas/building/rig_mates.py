@@ -1,0 +1,132 @@
+"""Which captures are adjusted together, and what each of them was made of."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+from zipfile import BadZipFile
+
+from levkas.building import fingerprints
+from levkas.building.fingerprints import digest
+from levkas.building.ledger import Key
+from levkas.building.measured import Measured
+from levkas.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from levkas.building.ledger import Ledger
+    from levkas.building.places import Places
+    from levkas.campaign import Campaign
+    from levkas.discovery import Capture
+
+NOT_THERE = "not registered"
+
+
+@dataclass
+class RigMates:
+    """All captures of a campaign, by the cameras that `[registration] joint` is said of.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Of all objects.
+    """
+
+    campaign: Campaign
+    places: Places
+    ledger: Ledger
+    captures: Sequence[Capture]
+    _noted: dict[tuple[str, str], str] = field(default_factory=dict)
+    _read: dict[tuple[str, str], Measured] = field(default_factory=dict)
+
+    def of(self, capture: Capture) -> list[Capture]:
+        """Return the other captures by the same camera, in the order of their names.
+
+        The reference camera's own under its default setup are the frames of all others: they are
+        adjusted with one another only, and other setups of that camera with other setups.
+        """
+        mates = [
+            other
+            for other in self.captures
+            if other.camera == capture.camera
+            and (other.object, other.layer) != (capture.object, capture.layer)
+            and self._is_frame(other) == self._is_frame(capture)
+        ]
+        return sorted(mates, key=lambda c: (c.object, c.layer))
+
+    def path(self, capture: Capture) -> Path:
+        """Return where a capture's own registration is kept."""
+        return self.places.kept / capture.object / capture.layer / "measured.npz"
+
+    def key(self, capture: Capture) -> Key:
+        """Return the key of the stage that registers a capture by itself."""
+        return Key(capture.object, capture.camera, capture.setup, "measure")
+
+    def read(self, capture: Capture) -> Measured:
+        """Return a capture's own registration; raises Refused where it is damaged."""
+        where = capture.object, capture.layer
+        if where not in self._read:
+            path = self.path(capture)
+            try:
+                self._read[where] = Measured.read(path)
+            except (OSError, KeyError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+                self.ledger.forget(self.key(capture))
+                raise Refused(_damaged(path, error)) from error
+        return self._read[where]
+
+    def keep(self, capture: Capture, measured: Measured) -> Path:
+        """Write a capture's own registration; raises WriteRefused."""
+        from levkas.files import make_folder, write_bytes
+
+        path = self.path(capture)
+        make_folder(path.parent)
+        write_bytes(path, measured.to_bytes())
+        self._read[capture.object, capture.layer] = measured
+        return path
+
+    def note(self, capture: Capture, of: str) -> None:
+        """Learn the digest of what a capture's own registration hangs on now."""
+        self._noted[capture.object, capture.layer] = of
+
+    def prints(self, capture: Capture) -> dict[str, str]:
+        """Return what the mates of a capture were made of, by name; those that failed say so."""
+        return {f"{m.object}/{m.layer}": self._digest(m) for m in self.of(capture)}
+
+    def there(self, capture: Capture) -> dict[str, Measured]:
+        """Return the mates' own registrations, by name, without those that failed."""
+        return {
+            f"{m.object}/{m.layer}": self.read(m)
+            for m in self.of(capture)
+            if self._digest(m) != NOT_THERE
+        }
+
+    def _digest(self, capture: Capture) -> str:
+        kept = self.ledger.fingerprint(self.key(capture))
+        if not kept or not self.path(capture).is_file():
+            return NOT_THERE
+        return self._noted.get((capture.object, capture.layer)) or digest(kept)
+
+    def _is_frame(self, capture: Capture) -> bool:
+        return capture.camera == self.campaign.reference.camera and not capture.setup
+
+
+def _damaged(path: Path, error: Exception) -> Problem:
+    return Problem(
+        "E_DAMAGED",
+        "the registration that was kept of a capture cannot be read",
+        str(path),
+        found=str(error),
+        fix="Build again: it is made anew.",
+    )
+
+
+def joint_keys(campaign: Campaign, capture: Capture) -> dict[str, Key]:
+    """Return the keys of a capture's stages in their order, with `measure` where it is adjusted."""
+    keys = fingerprints.keys_of(capture)
+    if not campaign.is_joint(capture.camera):
+        return keys
+    measure = Key(capture.object, capture.camera, capture.setup, "measure")
+    return {"calibrate": keys["calibrate"], "measure": measure, **keys}

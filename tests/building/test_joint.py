@@ -1,0 +1,142 @@
+"""Captures of one camera adjusted together: the two rounds of a build, what is redone, what is lost."""
+
+import json
+import shutil
+
+import cv2
+import pytest
+
+from levkas.building import build, status
+from levkas.campaign import CampaignInvalid, load_campaign
+
+NAMES = ("one", "two", "three")
+
+
+@pytest.fixture(scope="module")
+def plates(tmp_path_factory, make_plates):
+    folder = make_plates(tmp_path_factory.mktemp("joint") / "campaign", NAMES)
+    _joint(folder)
+    for _ in build(folder):
+        pass
+    return folder
+
+
+@pytest.fixture
+def built(plates, tmp_path):
+    return shutil.copytree(plates, tmp_path / "campaign")
+
+
+def _joint(folder):
+    with (folder / "campaign.toml").open("a") as handle:
+        handle.write("[registration]\njoint = true\n")
+
+
+def _states(steps):
+    return {step.label: step for step in steps if step.finished}
+
+
+def _record(folder, name, layer):
+    path = folder / "database" / "objects" / name / "registration" / f"{layer}.json"
+    return json.loads(path.read_text())
+
+
+def _files(folder):
+    root = folder / "database"
+    return {p.relative_to(root).as_posix(): p.read_bytes() for p in root.rglob("*") if p.is_file()}
+
+
+def test_a_record_says_with_whom_it_was_adjusted_and_how_far_it_moved(plates):
+    told = _record(plates, "one", "infrared")["model"]["sensors"][0]["joint"]
+    assert set(told["with"]) <= {"two/infrared", "three/infrared"}
+    assert told["with"]
+    assert 0 <= told["moved_px"]["mean"] <= told["moved_px"]["max"] < 1
+    reasons = _record(plates, "one", "infrared")["verdict"]["reasons"]
+    assert any("adjusted together with" in reason for reason in reasons)
+
+
+def test_a_second_build_does_nothing_and_status_agrees(built):
+    before = _files(built)
+    states = {step.state for step in build(built) if step.finished}
+    assert states == {"fresh"}
+    assert {stage.state for stage in status(built).stages} == {"fresh"}
+    assert _files(built) == before
+
+
+def test_what_changes_in_one_object_is_told_of_the_others_and_redone(built):
+    path = built / "infrared" / "two.png"
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    picture[40:60, 40:60] //= 2
+    cv2.imwrite(str(path), picture)
+    stale = {s.label: s.why for s in status(built).stages if s.state == "stale"}
+    assert stale["one/infrared register"].startswith("registration of two/infrared")
+    assert "one/infrared measure" not in stale
+    states = _states(build(built))
+    assert states["one/infrared measure"].state == "fresh"
+    assert states["one/infrared register"].state == "done"
+    assert states["one/photo register"].state == "fresh"
+
+
+def test_one_object_alone_is_built_as_with_all_of_them(built, tmp_path):
+    whole = _files(built)
+    alone = tmp_path / "alone"
+    steps = _states(build(built, output=alone, objects=["one"]))
+    assert "two/infrared measure" in steps
+    assert "two/infrared resample" not in steps
+    for name in ("one_infrared.tif", "registration/infrared.json"):
+        assert (alone / "objects" / "one" / name).read_bytes() == whole[f"objects/one/{name}"]
+
+
+def test_a_capture_that_cannot_be_read_leaves_the_others_their_adjustment(built):
+    (built / "infrared" / "two.png").write_bytes(b"no picture")
+    steps = list(build(built))
+    states = _states(steps)
+    assert states["two/infrared calibrate"].state == "refused"
+    assert states["one/infrared register"].state == "done"
+    assert _record(built, "one", "infrared")["model"]["sensors"][0]["joint"]["with"] == [
+        "three/infrared"
+    ]
+    assert [s.label for s in steps if s.state == "refused"].count("two/infrared calibrate") == 1
+    assert steps[-1].done == steps[-1].total
+
+
+def test_without_its_reference_an_object_is_refused_once_and_the_others_go_on(built):
+    (built / "photo" / "two.png").write_bytes(b"no picture")
+    states = _states(build(built))
+    assert states["two/photo calibrate"].state == "refused"
+    assert states["two/infrared calibrate"].problems[0].code == "E_NO_REFERENCE"
+    assert states["one/infrared resample"].state == "done"
+
+
+def test_a_kept_registration_that_was_damaged_is_never_read_silently(built):
+    path = built / "database.kept" / "two" / "infrared" / "measured.npz"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    before = _files(built)
+    states = _states(build(built))
+    assert states["two/infrared measure"].state == "done"
+    assert states["two/infrared measure"].why.endswith("was changed after it was built")
+    assert _files(built) == before
+
+
+def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
+    other = tmp_path / "other"
+    shutil.copytree(plates, other, ignore=shutil.ignore_patterns("database*"))
+    text = (other / "campaign.toml").read_text()
+    shuffled = text.replace('["one", "two", "three"]', '["three", "one", "two"]')
+    assert shuffled != text
+    (other / "campaign.toml").write_text(shuffled)
+    for _ in build(other):
+        pass
+    one, two = _files(plates), _files(other)
+    pictures = [name for name in one if name.endswith((".tif", ".csv", ".png"))]
+    assert pictures
+    assert all(one[name] == two[name] for name in pictures)
+
+
+def test_the_papers_method_adjusts_nothing_together(built):
+    text = (built / "campaign.toml").read_text()
+    (built / "campaign.toml").write_text(text + 'method = "mirhashemi2019"\n')
+    with pytest.raises(CampaignInvalid) as refused:
+        load_campaign(built)
+    assert refused.value.problems[0].field == "registration.joint"
