@@ -1,11 +1,12 @@
 """A line scan far larger than memory: calibrated, resampled and written within 2 GB.
 
-    python benchmarks/large_scan.py [--gigabytes 64] [--memory 2] [--folder FOLDER]
+    python benchmarks/large_scan.py [--gigabytes 64] [--memory 2] [--folder FOLDER] [--mirror]
 
 The scan is a sparse file, 2048 samples of 256 bands a line, so that any size costs no disk; a child
 process whose private memory (RLIMIT_DATA) is limited calibrates it with dark and white, resamples
 every band through one map on a grid of half the scan's sampling, and writes the layer: values, flags
-and sigma as spectral TIFF and Zarr.
+and sigma as spectral TIFF and Zarr. With ``--mirror`` it is a mirror scanner's: dark and white, which take
+the disk space, are as large as the scan.
 """
 
 import argparse
@@ -39,7 +40,7 @@ objects = ["panel"]
 
 
 def write_envi(path: Path, lines: int, values: np.ndarray | None) -> None:
-    """Write lines of `values`, or a hole of as many lines."""
+    """Write lines of `values`, over and over, or a hole of as many lines."""
     path.with_suffix(".hdr").write_text(
         f"ENVI\nsamples = {SAMPLES}\nlines = {lines}\nbands = {BANDS}\ndata type = 12\n"
         f"interleave = bil\nbyte order = 0\nwavelength units = nm\n"
@@ -49,22 +50,25 @@ def write_envi(path: Path, lines: int, values: np.ndarray | None) -> None:
         if values is None:
             handle.truncate(lines * SAMPLES * BANDS * 2)
         else:
-            handle.write(values.astype("<u2").tobytes())
+            some = values.astype("<u2")
+            for y in range(0, lines, len(some)):
+                handle.write(some[: lines - y].tobytes())
 
 
-def make(folder: Path, gigabytes: float) -> int:
+def make(folder: Path, gigabytes: float, mirror: bool) -> int:
     import cv2
 
     rng = np.random.default_rng(1)
     for part in ("photo", "scan"):
         (folder / part).mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(folder / "photo/panel.png"), rng.integers(0, 255, (60, 80)).astype(np.uint8))
-    for name, level in (("dark", 100), ("white", 3000)):
-        lines = level + rng.normal(0, 3 + level / 300, (40, BANDS, SAMPLES))
-        write_envi(folder / "scan" / name, 40, np.clip(lines, 0, 4095))
     lines = round(gigabytes * 1e9 / (2 * SAMPLES * BANDS))
+    for name, level in (("dark", 100), ("white", 3000)):
+        some = level + rng.normal(0, 3 + level / 300, (40, BANDS, SAMPLES))
+        write_envi(folder / "scan" / name, lines if mirror else 40, np.clip(some, 0, 4095))
     write_envi(folder / "scan/panel", lines, None)
-    (folder / "campaign.toml").write_text(CAMPAIGN)
+    text = CAMPAIGN.replace("bits = 12", 'bits = 12\nscan = "mirror"') if mirror else CAMPAIGN
+    (folder / "campaign.toml").write_text(text)
     return lines
 
 
@@ -121,13 +125,14 @@ def main() -> None:
     parser.add_argument("--gigabytes", type=float, default=64)
     parser.add_argument("--memory", type=float, default=2)
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--mirror", action="store_true")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work:
         work(options.folder, options.memory)
         return
     folder = options.folder or Path(tempfile.mkdtemp())
-    lines = make(folder, options.gigabytes)
+    lines = make(folder, options.gigabytes, options.mirror)
     command = [sys.executable, __file__, "--work", "--folder", folder, "--memory", options.memory]
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
     if done.returncode:

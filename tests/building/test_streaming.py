@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from levkas import disk
-from levkas.building import build, registering, scans, streaming, summarise
+from levkas.building import build, line_templates, registering, scans, streaming, summarise
 from levkas.building.developing import develop
 from levkas.building.held_lines import HeldLines
 from levkas.building.passages import Passage
@@ -326,7 +326,9 @@ def behind_a_mirror(rng, shape=(90, 60, 6), gain=0.4, read=3.0):
     return {n: c.round().clip(0).astype(np.uint16) for n, c in noisy.items()}, paint
 
 
-def test_a_mirror_scan_is_as_exact_as_its_sigma_says(tmp_path):
+@pytest.mark.parametrize("most", [2_000_000, 8000])  # all samples, every second
+def test_a_mirror_scan_is_as_exact_as_its_sigma_says(tmp_path, monkeypatch, most):
+    monkeypatch.setattr(line_templates, "MOST_VALUES", most)
     cubes, paint = behind_a_mirror(np.random.default_rng(7))
     _, whole = write_scan(tmp_path, cubes, MIRROR)
     native = whole()

@@ -593,7 +593,7 @@ def dng(side, compression, data=bytes(64)):
     return tiff(tags, data)
 
 
-@bomb("E_TRUNCATED")
+@bomb("E_UNREADABLE")
 def dng_of_sixty_thousand_columns(folder):
     return put(folder / "shot.dng", dng(60_000, 1))
 

@@ -9,24 +9,27 @@ from typing import BinaryIO
 
 from levkas.readers.facts import COPY_AGAIN, unreadable
 
-WIDTH, LENGTH, BITS, COMPRESSION, COLOURS, SAMPLES = 256, 257, 258, 259, 262, 277
+WIDTH, LENGTH, COMPRESSION, COLOURS, SAMPLES = 256, 257, 259, 262, 277
 STRIPS, STRIP_ROWS, STRIP_BYTES = 273, 278, 279
 TILE_WIDTH, TILE_LENGTH, TILES, TILE_BYTES = 322, 323, 324, 325
 INNER, VERSION = 330, 50706  # directories within, and what makes a TIFF a DNG
-PLAIN, LOSSLESS_JPEG, MOSAIC = 1, 7, 32803
+LOSSLESS_JPEG, MOSAIC = 7, 32803
 FRAMES = (0xC0, 0xC1, 0xC3)
 """Markers of JPEG frames that LibRaw decodes in a mosaic."""
 SIZES = {1: "B", 3: "H", 4: "I", 13: "I"}
 """Types of tags that count: bytes, numbers of two and four bytes, and places of directories."""
-MOST_DIRECTORIES, MOST_TAGS, MOST_PARTS = 64, 4096, 1 << 20
-
+MOST_DIRECTORIES, MOST_TAGS, MOST_PARTS, MOST_MARKERS = 16, 4096, 1 << 16, 64
+WANTED = frozenset((
+    WIDTH, LENGTH, COMPRESSION, COLOURS, SAMPLES, STRIPS, STRIP_ROWS, STRIP_BYTES, TILE_WIDTH, TILE_LENGTH,
+    TILES, TILE_BYTES, INNER, VERSION,
+))  # fmt: skip
 Tags = dict[int, tuple[int, ...]]
 
 
 def check_parts(path: Path) -> None:
-    """Refuse a DNG whose mosaic lacks a strip or tile; what is no DNG is passed over.
+    """Refuse a DNG of lossless JPEG whose mosaic lacks a strip or tile; what is none is passed over.
 
-    LibRaw leaves zeros where a tile is no lossless JPEG, and clears as large a frame as the tags say.
+    LibRaw leaves zeros where a part is no JPEG; of other compressions it complains itself.
 
     Raises
     ------
@@ -44,7 +47,7 @@ def check_parts(path: Path) -> None:
         if not any(VERSION in tags for tags in found):
             return
         for tags in found:
-            if tags.get(COLOURS) == (MOSAIC,):
+            if tags.get(COLOURS) == (MOSAIC,) and tags.get(COMPRESSION) == (LOSSLESS_JPEG,):
                 _check_mosaic(path, handle, tags, size)
 
 
@@ -72,7 +75,7 @@ def _tags(handle: BinaryIO, order: str, at: int) -> tuple[Tags, int]:
     tags: Tags = {}
     for start in range(0, min(12 * count, len(data) - 11), 12):
         tag, kind, many = struct.unpack_from(order + "HHI", data, start)
-        if kind not in SIZES or many > MOST_PARTS:
+        if tag not in WANTED or tag in tags or kind not in SIZES or many > MOST_PARTS:
             continue
         form = f"{order}{many}{SIZES[kind]}"
         values = data[start + 8 : start + 12]
@@ -104,28 +107,25 @@ def _check_mosaic(path: Path, handle: BinaryIO, tags: Tags, size: int) -> None:
     if there < max(expected, len(starts)):
         raise _lacking(path, f"{there} with data", f"{max(expected, len(starts))}")
     end = max(s + c for s, c in zip(starts, counts, strict=False))
-    if end > size:
-        raise _lacking(path, f"{size} bytes", f"at least {end} bytes")
-    method = one(COMPRESSION, PLAIN)
-    needed = length * ceil(width * one(BITS, 16) * one(SAMPLES, 1) / 8)
-    if method == PLAIN and sum(counts) < needed:
-        raise _lacking(path, f"{sum(counts)} bytes", f"{needed} bytes")
-    if method == LOSSLESS_JPEG:
-        for number, (start, count) in enumerate(zip(starts, counts, strict=False)):
-            left = length - number // ceil(width / across) * down
-            least = across * (down if tiled else min(down, left)) * one(SAMPLES, 1)
-            if (found := _samples(handle, start, start + count)) < least:
-                raise _lacking(path, f"{found} samples in part {number}", f"{least} in a JPEG")
+    if max(end, sum(counts)) > size:
+        raise _lacking(path, f"{size} bytes", f"at least {max(end, sum(counts))} bytes")
+    for number, (start, count) in enumerate(zip(starts, counts, strict=False)):
+        left = length - number // ceil(width / across) * down
+        least = across * (down if tiled else min(down, left)) * one(SAMPLES, 1)
+        if (found := _samples(handle, start, start + count)) < least:
+            raise _lacking(path, f"{found} samples in part {number}", f"{least} in a JPEG")
 
 
 def _samples(handle: BinaryIO, start: int, end: int) -> int:
     """Return how many samples a JPEG says that it has; 0 for what is none."""
     handle.seek(start)
-    found, head = 0, handle.read(4)
-    if head[:2] != b"\xff\xd8":
+    found = 0
+    if handle.read(2) != b"\xff\xd8":
         return 0
-    handle.seek(start + 2)
-    while handle.tell() < end and len(head := handle.read(4)) == 4 and head[0] == 0xFF:
+    for _ in range(MOST_MARKERS):
+        head = handle.read(4)
+        if handle.tell() > end or len(head) < 4 or head[0] != 0xFF:
+            return 0
         body = handle.read(struct.unpack(">H", head[2:])[0] - 2 if head[2:] > b"\0\2" else 0)
         if head[1] in FRAMES and len(body) >= 6:
             bits, down, across, channels = struct.unpack_from(">BHHB", body)
