@@ -356,7 +356,7 @@ export class Stage {
       context.globalAlpha = 1;
     }
     const place = (x: number, y: number): Point => pane.placeOf(x, y);
-    if (this.mode === "side" || this.drawn) paintPairs(context, pane.dots, told, selected, part, place, this.map);
+    if (this.mode === "side" || this.drawn) paintPairs(context, pane.dots, told, selected, part, place, this.map, this.left.scale);
     else if (part === 0) this.paintChosen(context, place);
     const held = this.dragged && this.mode === "side" ? { pair: this.dragged, predicted: this.moving ?? this.dragged, sure: true } : null;
     const partner = held ?? proposal ?? measured;
