@@ -129,7 +129,10 @@ def load_campaign(path: str | Path) -> Campaign:
     except TomlRefused as refused:
         missing = refused.problems[0].found == "no such file"
         fix = (
-            "Write one beside the raw frames; docs/campaign.md has every key." if missing else None
+            "Give a campaign's folder; levkas look writes a first campaign.toml for a folder of raw"
+            " frames, and docs/campaign.md has every key."
+            if missing
+            else None
         )
         raise CampaignInvalid(*(replace(p, fix=fix or p.fix) for p in refused.problems)) from None
     document, problems = _validate(path, record)

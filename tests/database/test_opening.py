@@ -1,9 +1,12 @@
 import pickle
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import xarray
+import zarr
 
 import levkas
 from levkas.cube import Band, Cube
@@ -239,3 +242,31 @@ def test_transform_maps_between_frames(database, tmp_path):
     cube = levkas.open(tmp_path / "db")["icon1"]["vis"]
     mapped = cube.transform("grid", "d80")(np.array([[10.0, 20.0]]))
     np.testing.assert_allclose(mapped, [[21, 43]])
+
+
+def test_a_spectrum_is_read_without_loading_what_only_writing_needs(tmp_path):
+    build(tmp_path / "db")
+    code = (
+        "import sys, levkas; levkas.open(sys.argv[1])['icon1']['vis'][3, 4].values;"
+        "print([m for m in ('numba', 'scipy', 'imagecodecs', 'cv2') if m in sys.modules])"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "db")]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"
+
+
+def test_labels_are_read_as_zarr_reads_them_and_left_to_it_where_they_are_damaged(tmp_path):
+    from levkas.database.pixels import _decode_whole
+
+    build(tmp_path / "db")
+    group = tmp_path / "db" / "zarr" / "icon1.zarr" / "vis"
+    for name in ("band", "wavelength", "fwhm"):
+        theirs = zarr.open_array(str(group / name), mode="r")[:]
+        assert _decode_whole(group / name).tolist() == theirs.tolist()
+    chunk = group / "band" / "c" / "0"
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 2] ^= 1
+    chunk.write_bytes(data)
+    assert _decode_whole(group / "band") is None
+    with pytest.raises(DatabaseRefused, match="damaged"):
+        levkas.open(tmp_path / "db")["icon1"]["vis"]

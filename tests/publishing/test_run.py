@@ -3,6 +3,7 @@ import pytest
 from levkas.database.manifest import NAME, write_manifest
 from levkas.digests import hash_tree
 from levkas.disk import WriteRefused
+from levkas.publishing import run
 from levkas.publishing.facts import licence_of, read_facts
 from levkas.publishing.publication import PublishRefused
 from levkas.validation import validate
@@ -118,3 +119,38 @@ def test_the_gamut_of_the_reference_camera_is_published(database, publish):
     pixels = 120 * 90 - 4 * 4 - 4 * 3 + 48 * 64 - 4 * 4 - 4 * 3  # outside and saturated left out
     assert sum(int(row.split(",")[3]) for row in rows) == pixels
     assert (folder / "colour/gamut.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("what", ["missing", "empty", "file.txt"])
+def test_what_is_no_database_is_one_clear_problem_to_the_check_too(tmp_path, what):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file.txt").write_text("x")
+    (problem,) = run.check(tmp_path / what).problems
+    assert problem.code == "E_UNREADABLE" and "campaign's folder" in problem.fix
+
+
+def test_a_publication_is_not_published_again(database, publish):
+    folder = publish(database, editions="full", iiif=False)
+    with pytest.raises(PublishRefused, match="publication already"):
+        publish(folder)
+    assert not folder.with_name("database.published.published").exists()
+
+
+@pytest.mark.parametrize("where", ["other", "database/bag", "database.published/bag", "file.txt"])
+def test_a_bag_that_cannot_be_is_refused_before_anything_is_written(database, publish, where):
+    root = database.parent
+    (root / "other").mkdir()
+    for name in ("other/a", "file.txt"):
+        (root / name).write_text("x")
+    with pytest.raises(PublishRefused, match="the bag cannot be written"):
+        publish(database, bag=root / where)
+    assert not (root / "database.published").exists()
+
+
+def test_names_may_hold_spaces_and_letters_of_any_script(database, publish, tmp_path):
+    folder = tmp_path / "Ikonen, größer 名"
+    folder.mkdir()
+    moved = database.rename(folder / "Daten bank")
+    bag = folder / "Tüte 袋"
+    made = publish(moved, editions="full", iiif=False, bag=bag)
+    assert made == folder / "Daten bank.published" and (bag / "bagit.txt").is_file()

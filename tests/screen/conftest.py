@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from .database import write_database
+from .serving import Served, opened
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 
@@ -120,6 +121,40 @@ class _Quiet(SimpleHTTPRequestHandler):
         pass
 
 
+@pytest.fixture(scope="module")
+def inspected():
+    """Serve campaigns; needs the built page."""
+    from levkas.screen import ScreenMissing, read_built
+
+    try:
+        read_built("workbench.js")
+    except ScreenMissing:
+        pytest.skip("the front-end is not built: run `make frontend`")
+    served = []
+
+    def start(folder):
+        served.append(Served(folder))
+        return served[-1]
+
+    yield start
+    for one in served:
+        one.stop()
+
+
+@pytest.fixture(scope="module")
+def served(correctable, inspected, tmp_path_factory):
+    """The server of a campaign with one planted wrong pair."""
+    return inspected(correctable.make(tmp_path_factory.mktemp("bench") / "campaign"))
+
+
+@pytest.fixture
+def bench(served, browser):
+    """The workbench without any correction, opened: (page, server)."""
+    served.edits_path.unlink(missing_ok=True)
+    served.library._frames.clear()
+    return opened(browser, served), served
+
+
 @pytest.fixture(scope="session")
 def add_viewer():
     """Return a function that writes the viewer into a database's folder."""
@@ -155,3 +190,14 @@ def viewer(add_viewer, tmp_path_factory):
     """Folder of a database of two objects with its viewer; the second has a refused camera."""
     folder = tmp_path_factory.mktemp("viewer") / "database"
     return add_viewer(write_database(folder, {"icon1": "First icon", "icon2": "Second icon"}))
+
+
+@pytest.fixture
+def address(viewer, serve):
+    """Return a function giving the address of a page of the small viewer, by file or http."""
+
+    def find(how, name="viewer/objects/icon1/index.html", fragment=""):
+        base = viewer.as_uri() if how == "file" else serve(viewer)
+        return f"{base}/{name}{fragment}"
+
+    return find

@@ -19,17 +19,6 @@ SETTLED = (
 FLIGHTS = ["file", "http"]
 
 
-@pytest.fixture
-def address(viewer, serve):
-    """Return a function giving the address of a page of the small viewer, by file or http."""
-
-    def find(how, name="viewer/objects/icon1/index.html", fragment=""):
-        base = viewer.as_uri() if how == "file" else serve(viewer)
-        return f"{base}/{name}{fragment}"
-
-    return find
-
-
 def open_object(browser, url, **options):
     page = browser.open(url, **options)
     page.wait_for_function(SETTLED)

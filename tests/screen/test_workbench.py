@@ -2,19 +2,16 @@
 
 import io
 import json
-import threading
-import time
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from levkas.edits import FrameEdits, read_edits
-from levkas.screen import ScreenMissing, read_built
-from levkas.workbench.library import Library, id_of
+from levkas.workbench.library import id_of
 
-TOKEN = "t" * 43
-READY = "() => window.levkasWorkbench && levkasWorkbench.stage.settled"
+from .serving import READY, TOKEN, opened, told
+
 HOSTILE = [
     "<script>alert(1)</script>", "<img src=x onerror=alert(1)>", "\"><svg onload=alert(1)>",
     "';alert(1)//", "</title><script>alert(1)</script>", "javascript:alert(1)", "{{7*7}}", "${7*7}",
@@ -31,90 +28,6 @@ NAMES = [
     "icon=1", "icon+1", "icon~", "icon,1", "icon!", "(icon)", "[icon]", "icon^", "icon name", "ícône",
     "иконка", "アイコン", "icon\u202egnp", "😀", "icon%00", "icon%2f", "__proto__", "constructor",
 ]  # fmt: skip
-
-
-class Served:
-    """A server in a thread: its address, and the folder of its campaign."""
-
-    def __init__(self, folder):
-        import uvicorn
-
-        from levkas.web.app import _listen, make_app
-
-        self.folder, self.library = folder, Library(folder)
-        self.listening = _listen(0)
-        self.port = self.listening.getsockname()[1]
-        app = make_app(self.library, port=self.port, token=TOKEN)
-        config = uvicorn.Config(app, log_level="error", ws="none", lifespan="off")
-        self.server = uvicorn.Server(config)
-        self.thread = threading.Thread(
-            target=self.server.run, kwargs={"sockets": [self.listening]}, daemon=True
-        )
-        self.thread.start()
-        while not self.server.started:
-            time.sleep(0.01)
-
-    @property
-    def edits_path(self):
-        return self.folder / "edits.toml"
-
-    @property
-    def address(self):
-        return f"http://127.0.0.1:{self.port}/#{TOKEN}"
-
-    @property
-    def edits(self):
-        edits = read_edits(self.edits_path)
-        return edits.frames.get(("icon", "xray"), FrameEdits())
-
-    def stop(self):
-        self.server.should_exit = True
-        self.thread.join(10)
-        self.listening.close()
-
-
-@pytest.fixture(scope="module")
-def inspected():
-    """Serve campaigns; needs the built page."""
-    try:
-        read_built("workbench.js")
-    except ScreenMissing:
-        pytest.skip("the front-end is not built: run `make frontend`")
-    served = []
-
-    def start(folder):
-        served.append(Served(folder))
-        return served[-1]
-
-    yield start
-    for one in served:
-        one.stop()
-
-
-@pytest.fixture(scope="module")
-def served(correctable, inspected, tmp_path_factory):
-    """The server of a campaign with one planted wrong pair."""
-    return inspected(correctable.make(tmp_path_factory.mktemp("bench") / "campaign"))
-
-
-@pytest.fixture
-def bench(served, browser):
-    """The workbench without any correction, opened: (page, server)."""
-    served.edits_path.unlink(missing_ok=True)
-    served.library._frames.clear()
-    return opened(browser, served), served
-
-
-def opened(browser, server, **options):
-    page = browser.open(server.address, **options)
-    page.wait_for_function(READY)
-    return page
-
-
-def told(page, what):
-    return page.evaluate(
-        f"async () => {{ await levkasWorkbench.store.settled(); return levkasWorkbench.store.{what}; }}"
-    )
 
 
 def place(page, pane, x, y):

@@ -312,7 +312,7 @@ function openViewer(element: HTMLElement): OpenSeadragon.Viewer {
 
 function startViewer(element: HTMLElement): OpenSeadragon.Viewer {
   const drawer = findDrawer();
-  return OpenSeadragon({
+  const viewer = OpenSeadragon({
     element,
     drawer: drawer as OpenSeadragon.Options["drawer"],
     crossOriginPolicy: false,
@@ -330,6 +330,9 @@ function startViewer(element: HTMLElement): OpenSeadragon.Viewer {
     gestureSettingsTouch: { clickToZoom: false, dblClickToZoom: true },
     gestureSettingsPen: { clickToZoom: false },
   });
+  // The stage around it has the name, takes the focus and listens to the keys.
+  viewer.canvas.removeAttribute("tabindex");
+  return viewer;
 }
 
 /** WebGL where it is done by a graphics card and may use the tiles; from file:// it may not, and stays blank. */

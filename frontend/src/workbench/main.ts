@@ -70,13 +70,26 @@ function build(store: Store): void {
   const setMode = (mode: Mode): void => {
     stage.setMode(mode);
     bar.dataset["mode"] = mode;
-    for (const button of modes.children) button.setAttribute("aria-checked", String(button.getAttribute("data-mode") === mode));
+    for (const button of modes.querySelectorAll("button")) {
+      const chosen = button.dataset["mode"] === mode;
+      button.setAttribute("aria-checked", String(chosen));
+      button.tabIndex = chosen ? 0 : -1;
+    }
   };
   for (const [mode, words] of MODES) {
     const button = make("button", { type: "button", role: "radio", "data-mode": mode, "aria-checked": "false" }, words);
     button.addEventListener("click", () => setMode(mode));
     modes.append(button);
   }
+  modes.addEventListener("keydown", (event) => {
+    const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+    if (!by) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const next = (MODES.findIndex(([mode]) => mode === stage.mode) + by + MODES.length) % MODES.length;
+    setMode(MODES[next]![0]);
+    modes.querySelectorAll("button")[next]!.focus();
+  });
   which.addEventListener("change", () => {
     store.map = which.value === "built" ? "built" : "pairs";
     store.changed();
@@ -170,14 +183,15 @@ function allKeys(store: Store, stage: Stage, table: PairTable, pair: PairCard, s
     { keys: ["Esc"], words: "let go", match: plain("Escape"), act: () => pair.cancel() },
     {
       keys: ["←", "→", "↑", "↓"],
-      words: "move the pair by 0.1 px, with Shift by 1 px",
+      words: "move the pair by 0.1 px, with Shift by 1 px; the pictures where none is chosen",
       match: plain(...Object.keys(nudges)),
       act: (event) => {
         const [dx, dy] = nudges[event.key]!;
         const by = event.shiftKey ? 1 : 0.1;
-        pair.nudge(dx * by, dy * by);
+        if (!pair.nudge(dx * by, dy * by)) stage.pan(dx, dy);
       },
     },
+    { keys: ["N"], words: "propose a pair in the middle of the reference; in an overlay, measure there", match: plain("n", "N"), act: () => void stage.pointAtMiddle() },
     { keys: ["Del"], words: "delete the pair", match: plain("Delete", "Backspace"), act: () => pair.act("delete") },
     { keys: ["R"], words: "restore it", match: plain("r", "R"), act: () => pair.act("restore") },
     { keys: ["P"], words: "pin it: never to be removed", match: plain("p", "P"), act: () => pair.act("pin") },

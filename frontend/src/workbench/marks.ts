@@ -40,7 +40,7 @@ export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, told: 
   context.lineWidth = 0.4 + radius / 4;
   context.strokeStyle = "#ddd";
   context.stroke(lines);
-  if (told.pairs.length > MANY) paintMany(context, dots, seen, radius, colour);
+  if (seen.count > MANY) paintMany(context, dots, seen, radius, colour);
   else paintFew(context, seen, radius, colour);
   for (const row of seen.special) {
     const pair = told.pairs[row]!;

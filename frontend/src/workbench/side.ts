@@ -112,18 +112,19 @@ export class PairCard {
     if (pair) void this.store.edit({ operation, pair });
   }
 
-  /** Move what is chosen or proposed in the target, by px of it. */
-  nudge(dx: number, dy: number): void {
+  /** Move what is chosen or proposed in the target, by px of it; whether there is anything. */
+  nudge(dx: number, dy: number): boolean {
     const { proposal, selected } = this.store;
     if (proposal) {
       proposal.pair = [proposal.pair[0], proposal.pair[1], proposal.pair[2] + dx, proposal.pair[3] + dy];
       this.store.changed();
-      return;
+      return true;
     }
     const pair = this.store.pair(selected);
-    if (!pair) return;
+    if (!pair) return false;
     const to: Pair = [pair[0], pair[1], pair[2] + dx, pair[3] + dy];
     void this.store.edit({ operation: "move", pair, to }, to);
+    return true;
   }
 
   /** Add the proposed pair, or keep the measured place as a check point. */

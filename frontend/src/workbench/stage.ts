@@ -104,6 +104,19 @@ export class Stage {
     }
   }
 
+  /** Do what a click into the middle of the reference does. */
+  pointAtMiddle(): Promise<void> {
+    return this.click(this.left, 0, ...this.left.centre);
+  }
+
+  /** Move both pictures by a part of the view. */
+  pan(dx: number, dy: number): void {
+    const by = (0.15 * this.left.host.clientHeight) / this.left.scale;
+    const [x, y] = this.left.centre;
+    this.left.look(x + by * dx, y + by * dy, this.left.scale);
+    this.follow(this.left);
+  }
+
   /** Show the band before or after in one of the pictures. */
   stepBand(side: "left" | "right", by: number): void {
     this.bands[side].step(by);

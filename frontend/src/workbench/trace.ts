@@ -103,7 +103,7 @@ export class TraceView {
     const [low, high] = name === "reject" ? [0.5, 3.3] : [-2, 1.7];
     const range = make("input", { type: "range", id: `${name}-range`, min: low, max: high, step: 0.01, "aria-label": `${label}, logarithmic` });
     const number = make("input", { type: "number", id: `${name}-number`, min: 0.001, step: "any", "aria-label": `${label}, reference pixels` });
-    const reset = make("button", { type: "button", class: "small", id: `${name}-reset`, hidden: true, title: "The campaign's own value again" }, "↺");
+    const reset = make("button", { type: "button", class: "small", id: `${name}-reset`, hidden: true, "aria-label": `${label}: the campaign's own value again`, title: "The campaign's own value again" }, "↺");
     let [pending, wanted] = [false, NaN];
     const send = async (value: number): Promise<void> => {
       wanted = value;

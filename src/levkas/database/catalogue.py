@@ -102,7 +102,8 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
             entries.append(entry_of(row))
         except ValueError as error:
             field = f"line {number}"
-            problems.append(Problem("E_VALUE", f"a row is damaged: {error}", str(path), field))
+            what, fix = f"a row is damaged: {error}", "Copy the file anew, or build it again."
+            problems.append(Problem("E_VALUE", what, str(path), field, fix=fix))
     if problems:
         raise DatabaseRefused(*problems[:10])
     return tuple(entries)

@@ -134,18 +134,13 @@ def read_group(path: Path) -> Group:
     ------
     DatabaseRefused
     """
-    import zarr
-
     try:
         attributes = {
             name: _attributes(path / name)
             for name in ("values", "flags", "sigma")
             if (path / name / "zarr.json").is_file()
         }
-        columns = [
-            zarr.open_array(str(path / name), mode="r", zarr_format=3)[:]
-            for name in ("band", "wavelength", "fwhm")
-        ]
+        columns = [_read_whole(path / name) for name in ("band", "wavelength", "fwhm")]
         bands = [
             Band(str(label), _number(wavelength), _number(width))
             for label, wavelength, width in zip(*columns, strict=True)
@@ -153,6 +148,43 @@ def read_group(path: Path) -> Group:
     except DAMAGE as error:
         raise DatabaseRefused(_damaged(path, error)) from error
     return Group(tuple(attributes), attributes, tuple(bands))
+
+
+def _read_whole(path: Path) -> np.ndarray:
+    """Read a small array of a group: as Levkas writes it within a tenth of the time that zarr takes."""
+    import zarr
+
+    found = _decode_whole(path)
+    if found is not None:
+        return found
+    return np.asarray(zarr.open_array(str(path), mode="r", zarr_format=3)[:])
+
+
+def _decode_whole(path: Path) -> np.ndarray | None:
+    """Decode the only chunk of an array; None where it is of another form, or damaged: zarr says how."""
+    try:
+        from google_crc32c import value as crc32c
+        from numcodecs import blosc
+        from numcodecs.vlen import VLenUTF8
+
+        record = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+        data = (path / "c" / "0").read_bytes()
+        first, *packing = [codec["name"] for codec in record["codecs"]]
+        endian = record["codecs"][0].get("configuration", {}).get("endian", "little")
+        whole = record["chunk_grid"]["configuration"]["chunk_shape"] == record["shape"]
+        good = crc32c(data[:-4]) == int.from_bytes(data[-4:], "little")
+        if not (whole and good and packing == ["blosc", "crc32c"]):
+            return None
+        raw = blosc.decompress(data[:-4])
+        if (first, record["data_type"]) == ("vlen-utf8", "string"):
+            values = VLenUTF8().decode(raw)
+        elif (first, record["data_type"], endian) == ("bytes", "float64", "little"):
+            values = np.frombuffer(raw, "<f8")
+        else:
+            return None
+    except (ImportError, OSError, ValueError, KeyError, TypeError, RuntimeError):
+        return None
+    return values if list(values.shape) == record["shape"] else None
 
 
 def _attributes(path: Path) -> dict[str, Any]:

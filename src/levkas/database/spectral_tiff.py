@@ -17,8 +17,6 @@ import numpy as np
 
 from levkas import __version__
 from levkas.database.credits import Credits
-from levkas.database.planes import planes_of
-from levkas.database.predicting import predict_rows
 from levkas.database.tiff_pages import TiffRefused, open_pages
 from levkas.files import replacing
 from levkas.icc import srgb_profile
@@ -235,6 +233,8 @@ def encode_strip(strip: Any) -> bytes:
     """Predict and deflate one strip, (rows, width)."""
     import imagecodecs
 
+    from levkas.database.predicting import predict_rows
+
     if strip.dtype == np.uint8:
         return bytes(imagecodecs.zlibng_encode(strip, level=MARKS_LEVEL))
     if strip.dtype == np.float32 and strip.dtype.isnative:
@@ -268,6 +268,8 @@ def write_stiff(
     ------
     TiffRefused, WriteRefused
     """
+    from levkas.database.planes import planes_of
+
     cube = np.asarray(cube)
     keep = cube.dtype in (np.uint8, np.uint16)
     if cube.ndim != 3 or (cube.dtype.kind != "f" and not keep):

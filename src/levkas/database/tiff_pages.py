@@ -161,6 +161,8 @@ def _check_chain(path: Path, tiff: TiffFile) -> None:
 
 def _check_page(path: Path, page: TiffPage, index: int, size: int) -> None:
     expected = int(np.prod(page.chunked))
+    if expected == 0:
+        raise ValueError(f"page {index} declares no pixels")
     counts, offsets = page.databytecounts, page.dataoffsets
     if len(counts) != expected or len(offsets) != expected or 0 in counts or 0 in offsets:
         raise TiffRefused(_truncated(path, f"page {index} lacks strips", len(counts), expected))

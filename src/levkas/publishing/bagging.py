@@ -46,7 +46,7 @@ def write_bag(published: str | Path, target: str | Path, facts: Facts) -> Iterat
     from levkas.files import publishing
 
     root, target = Path(published).resolve(), Path(target).resolve()
-    _check_target(root, target)
+    check_target(root, target)
     manifest = read_manifest(root / MANIFEST_NAME)
     wanted = {name: file.sha256 for name, file in manifest.files.items()}
     wanted[MANIFEST_NAME] = hash_file(root / MANIFEST_NAME)
@@ -97,11 +97,12 @@ def _encoded(name: str) -> str:
     return name.replace("%", "%25").replace("\n", "%0A").replace("\r", "%0D")
 
 
-def _check_target(root: Path, target: Path) -> None:
+def check_target(root: Path, target: Path) -> None:
+    """Refuse a folder that is no bag of ours, holds what is bagged, or lies in it."""
     inside = target == root or root in target.parents or target in root.parents
     ours = not target.exists() or (target / "bagit.txt").is_file()
     if inside or not ours:
-        why = "it holds what is bagged" if inside else "something else stands there"
+        why = "it holds what is bagged, or lies in it" if inside else "something else stands there"
         raise PublishRefused(
             Problem(
                 "E_UNWRITABLE",

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.problems import Problem
+from levkas.publishing.crate_rules import NAME as CRATE
+from levkas.publishing.facts import NAME as FACTS
 from levkas.publishing.facts import Facts, facts_of, missing_facts, read_facts
 from levkas.publishing.parts import PARTS, load_part
 from levkas.publishing.publication import Editions, Publication, PublishRefused
@@ -100,7 +102,8 @@ class CheckReport:
         """What a person wants to know."""
         lines = [f"Advised: {problem}" for problem in self.advice]
         end = "Nothing that is required is missing." if self.ok else ""
-        end = end or f"{len(self.problems)} things that are required are missing."
+        count = len(self.problems)
+        end = end or f"{count} thing{'s are' if count > 1 else ' is'} required and missing."
         return "\n".join([*lines, end])
 
     def to_dict(self) -> dict[str, Any]:
@@ -128,6 +131,8 @@ def check(path: str | Path) -> CheckReport:
     try:
         find_manifest(subject.database)
     except PublishRefused as refused:
+        if subject.campaign is None and not (subject.database / FACTS).is_file():
+            return CheckReport(refused.problems, ())
         problems += refused.problems
     required, advice = check_datacite(facts_of_subject(subject))
     return CheckReport((*problems, *required), tuple(advice))
@@ -204,7 +209,7 @@ def publish(
     """
     from levkas.database.manifest import write_manifest
     from levkas.files import publishing, sweep_beside
-    from levkas.publishing.bagging import write_bag
+    from levkas.publishing.bagging import check_target, write_bag
 
     subject = find_subject(path)
     manifest = find_manifest(subject.database)
@@ -213,6 +218,9 @@ def publish(
         raise PublishRefused(*problems)
     final = Path(output).resolve() if output else subject.default_output.resolve()
     _check_output(final, subject)
+    if bag is not None:
+        for root in (final, subject.database.resolve()):
+            check_target(root, Path(bag).resolve())
     if final.parent.is_dir():
         sweep_beside(final)
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
@@ -261,7 +269,8 @@ def find_manifest(database: Path) -> Manifest:
 
     path = database / NAME
     if not path.is_file():
-        found = "a folder without one" if database.is_dir() else "no such folder"
+        found = "a file" if database.exists() else "no such folder"
+        found = "a folder without one" if database.is_dir() else found
         raise PublishRefused(
             Problem(
                 "E_UNREADABLE",
@@ -274,6 +283,17 @@ def find_manifest(database: Path) -> Manifest:
     manifest = read_manifest(path)
     if manifest.problems:
         raise PublishRefused(*manifest.problems)
+    if CRATE in manifest.files:
+        raise PublishRefused(
+            Problem(
+                "E_VALUE",
+                "this folder is a publication already",
+                file=str(database),
+                found=CRATE,
+                expected="the database that it was made of",
+                fix="Give that database, or its campaign's folder.",
+            )
+        )
     listed = {*manifest.files, NAME}
     extra = [name for name in list_files(database) if name not in listed and not is_partial(name)]
     if extra:
@@ -308,7 +328,7 @@ def _check_output(final: Path, subject: Subject) -> None:
     )
     if not inside and ours:
         return
-    why = "it holds the database" if inside else "something else stands there"
+    why = "it holds the database, or lies in it" if inside else "something else stands there"
     raise PublishRefused(
         Problem(
             "E_UNWRITABLE",
