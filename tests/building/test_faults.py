@@ -47,7 +47,7 @@ from levkas.problems import Refused
 from levkas.validation import validate
 
 KINDS = ("full", "failing", "kill")
-SCENES = ("new", "over", "withdrawn")
+SCENES = ("new", "over", "withdrawn", "joint")
 POINTS = 7
 """Of every scene and kind in an ordinary run; benchmarks/faults.py takes all."""
 SIZE = (110, 96)
@@ -66,15 +66,20 @@ files = "irr/{target}.tif"
 [targets]
 objects = ["panel"]
 """
+JOINT = KEYS.replace('["panel"]', '["panel", "slab"]') + "[registration]\njoint = true\n"
+"""Two objects in two rounds: what each saw by itself is kept beside the database."""
 SPACE = {"open", "write", "folder", "fsync"}
 PLAIN_ROOT = hashlib.sha256(to_json(ROOT).encode()).hexdigest()
 TOLD = {
     "catalogue.csv": lambda data: next(csv.reader(io.StringIO(data.decode()))) == list(COLUMNS),
     "database.toml": lambda data: "reference" in tomllib.loads(data.decode()),
-    "objects/panel/provenance.json": lambda data: "steps" in json.loads(data),
-    "objects/panel/report.html": lambda data: data.rstrip().endswith(b"</html>"),
-    "zarr/panel.zarr/zarr.json": lambda data: json.loads(data)["node_type"] == "group",
 }
+for _name in ("panel", "slab"):
+    TOLD |= {
+        f"objects/{_name}/provenance.json": lambda data: "steps" in json.loads(data),
+        f"objects/{_name}/report.html": lambda data: data.rstrip().endswith(b"</html>"),
+        f"zarr/{_name}.zarr/zarr.json": lambda data: json.loads(data)["node_type"] == "group",
+    }
 """What a build with a refusal tells otherwise than an undisturbed one, and how it is known whole."""
 
 
@@ -95,19 +100,23 @@ def painting(seed):
     return np.clip(image + 60 * grain, 5, 250)
 
 
-def make(folder, *, gain=1.0, blank=False):
-    big = painting(0) * gain
+def make(folder, *, gain=1.0, blank=False, joint=False):
+    for part in ("photo", "irr"):
+        (folder / part).mkdir(parents=True)
+    for seed, name in enumerate(("panel", "slab") if joint else ("panel",)):
+        capture(folder, name, painting(seed) * gain, blank)
+    (folder / "campaign.toml").write_text(JOINT if joint else KEYS)
+    return folder
+
+
+def capture(folder, name, big, blank):
     photo = cv2.resize(big, SIZE, interpolation=cv2.INTER_AREA).astype(np.uint8)
     size = (SIZE[0] + 10, SIZE[1] + 10)
     how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     irr = cv2.warpAffine(cv2.GaussianBlur(big, (0, 0), 0.8), MATRIX, size, flags=how, borderValue=5)
-    for part in ("photo", "irr"):
-        (folder / part).mkdir(parents=True)
-    cv2.imwrite(str(folder / "photo/panel.png"), np.dstack([photo] * 3))
+    cv2.imwrite(str(folder / f"photo/{name}.png"), np.dstack([photo] * 3))
     irr = np.full_like(irr, 128) if blank else 255 - irr
-    tifffile.imwrite(folder / "irr/panel.tif", irr.clip(0, 255).astype(np.uint8))
-    (folder / "campaign.toml").write_text(KEYS)
-    return folder
+    tifffile.imwrite(folder / f"irr/{name}.tif", irr.clip(0, 255).astype(np.uint8))
 
 
 def remembered():
@@ -170,10 +179,11 @@ class Scene:
 
 
 def make_scenes(root):
-    """Three builds: into nothing, over an older database, and one that takes a layer back."""
+    """Builds into nothing, over an older database, one that takes a layer back, and one in two rounds."""
     first = make(root / "first", gain=0.96)
     second = make(root / "second")
     third = make(root / "third", blank=True)
+    fourth = make(root / "fourth", joint=True)
     work, saved = root / "work", root / "saved"
     Scene("old", first, work / "database", root / "none").learn()
     shutil.copytree(work, saved)
@@ -181,6 +191,7 @@ def make_scenes(root):
         "new": Scene("new", second, work / "database", root / "none"),
         "over": Scene("over", second, work / "database", saved),
         "withdrawn": Scene("withdrawn", third, work / "database", saved),
+        "joint": Scene("joint", fourth, work / "database", saved),
     }
     return {name: scene.learn() for name, scene in scenes.items()}
 

@@ -92,7 +92,7 @@ def _told(
     if sighting.seen is not None:
         low, high = sighting.seen.points.min(0), sighting.seen.points.max(0)
         points = points[((points >= low) & (points <= high)).all(1)]
-    moved = [0.0]
+    moved: list[float] = []
     for label, transform in transforms.items():
         before = from_dict(record["bands"][label]["transform"])
         miss = transform(points) - before(points)

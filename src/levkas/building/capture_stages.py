@@ -74,7 +74,7 @@ class CaptureStages:
 
     def __post_init__(self) -> None:
         self.frame = ReferenceFrame(
-            self.campaign, self.places, self.name, self.captures, self.calibrated, self.mates
+            self.campaign, self.places, self.name, self.captures, self.calibrated
         )
         self._registering = RegistrationStages(
             self.campaign,

@@ -1,11 +1,11 @@
-"""The first of two rounds of a build: what captures that are adjusted together saw by themselves."""
+"""The rounds of a build before its last: what captures that are adjusted together saw by themselves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from levkas.building.objects import ObjectBuild
+from levkas.building.objects import ObjectBuild, Round
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -41,23 +41,30 @@ class JointRound:
         joint = [c for c in self.mates.captures if self.campaign.is_joint(c.camera)]
         names = {c.object for c in joint}
         return [
-            c for c in self.mates.captures if c.object in names and (c in joint or self._leads(c))
+            c for c in self.mates.captures if c.object in names and (c in joint or self.leads(c))
         ]
 
     def run(self) -> Iterator[Step]:
-        """Yield the steps of all objects."""
+        """Yield the steps of all objects.
+
+        The reference cameras of all objects are adjusted before anything is registered to them.
+        """
         mine = self.captures()
-        for name in dict.fromkeys(c.object for c in mine):
-            here = [c for c in mine if c.object == name]
-            if not self._leads(here[0]):
-                continue  # without its reference it is refused as ever
-            build = ObjectBuild(
-                self.campaign, self.places, self.ledger, self.shelf, name, here, self.mates
-            )
-            for step in build.run(measuring=True):
-                if step.finished:
-                    self._ended[step.key] = step
-                yield step
+        rounds: list[Round] = ["references", "others"]
+        for of in rounds:
+            for name in dict.fromkeys(c.object for c in mine):
+                here = self.left([c for c in mine if c.object == name])
+                if not here or not self.leads(here[0]):
+                    continue  # without its reference it is refused as ever
+                build = ObjectBuild(
+                    self.campaign, self.places, self.ledger, self.shelf, name, here, self.mates
+                )
+                for step in build.run(of):
+                    if self.told(step):
+                        continue
+                    if step.finished:
+                        self._ended[step.key] = step
+                    yield step
 
     def steps(self, name: str) -> list[Step]:
         """Return how the stages of an object ended in this round."""
@@ -70,7 +77,7 @@ class JointRound:
             for key, step in self._ended.items()
             if step.state in ("refused", "failed")
         }
-        if any(self._leads(c) and (c.object, c.layer) in lost for c in captures):
+        if any(self.leads(c) and (c.object, c.layer) in lost for c in captures):
             return []
         return [c for c in captures if (c.object, c.layer) not in lost]
 
@@ -78,5 +85,6 @@ class JointRound:
         """Tell whether a step says only what this round has said already."""
         return step.key in self._ended and step.state == "fresh"
 
-    def _leads(self, capture: Capture) -> bool:
+    def leads(self, capture: Capture) -> bool:
+        """Tell whether a capture is what others of its object are registered to."""
         return capture.camera == self.campaign.reference.camera and not capture.setup

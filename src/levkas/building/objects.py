@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from levkas.building.ledger import Key, Ledger
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.standing import Standing, is_of_the_disk
 from levkas.building.steps import Step
+from levkas.building.withdrawing import CATALOGUE, no_reference, refused_step, withdraw
 from levkas.machine import give_back_memory, steady_libraries
 from levkas.problems import Problem, Refused
 
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
 
     Grey = tuple[np.ndarray, np.ndarray]
 
-CATALOGUE = Key("", stage="catalogue")
+
+#: The rounds of a build where captures are adjusted together; else there is only the last.
+Round = Literal["references", "others", "last"]
 
 
 class Planned(NamedTuple):
@@ -66,7 +69,7 @@ class ObjectBuild:
     _standing: Standing = field(init=False)
     _stages: CaptureStages = field(init=False)
     _being_written: list[tuple[Capture, Future[Step]]] = field(default_factory=list)
-    _measuring: bool = False
+    _round: Round = "last"
 
     def __post_init__(self) -> None:
         self._standing = Standing(self.ledger)
@@ -87,13 +90,14 @@ class ObjectBuild:
         """The capture that all others are registered to."""
         return self.captures[0]
 
-    def run(self, *, measuring: bool = False) -> Iterator[Step]:
+    def run(self, of: Round = "last") -> Iterator[Step]:
         """Yield every stage as it begins and as it ends.
 
-        What a stage made is compressed and written while the next one computes. `measuring` does only
-        what others that are adjusted together with these captures have to know.
+        What a stage made is compressed and written while the next one computes. Earlier rounds than the
+        last do only what others that are adjusted together with these captures have to know: first the
+        reference cameras of all objects by themselves, then what is registered to them.
         """
-        self._measuring = measuring
+        self._round = of
         with (
             ThreadPoolExecutor(1, thread_name_prefix="writing") as self._writer,
             ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
@@ -107,7 +111,7 @@ class ObjectBuild:
         broken: Refused | None = None
         for capture in self._largest_first():
             if broken is not None and capture is not self.reference:
-                yield _refused(self.keys(capture)["calibrate"], broken)
+                yield refused_step(self.keys(capture)["calibrate"], broken)
                 continue
             failed = None
             plan = self._plan(capture)
@@ -119,22 +123,24 @@ class ObjectBuild:
                 yield step
                 failed = step if step.state in ("refused", "failed") else failed
             if failed is not None and capture is self.reference:
-                broken = NoReference(_no_reference(self.name, capture.layer, failed))
+                broken = no_reference(self.name, capture.layer, failed)
         yield from self._written()
 
     def without_reference(self, ended: Sequence[Step]) -> Iterator[Step]:
         """Refuse what cannot be registered, the reference camera having been lost before."""
         lost = [s for s in ended if s.state in ("refused", "failed")]
         mine = next(s for s in lost if s.key.layer == self.reference.layer)
-        broken = NoReference(_no_reference(self.name, self.reference.layer, mine))
+        broken = no_reference(self.name, self.reference.layer, mine)
         for capture in self.captures[1:]:
             if all(step.key.layer != capture.layer for step in lost):
-                yield _refused(self.keys(capture)["calibrate"], broken)
+                yield refused_step(self.keys(capture)["calibrate"], broken)
 
     def _largest_first(self) -> list[Capture]:
         """The reference, then the others, most bands first: little is left to write at the end."""
         others = sorted(self.captures[1:], key=lambda c: -len(c.bands))
-        if self._measuring:
+        if self._round == "references":
+            others = []
+        elif self._round == "others":
             others = [c for c in others if self.campaign.is_joint(c.camera)]
         return [self.reference, *others]
 
@@ -161,19 +167,21 @@ class ObjectBuild:
                     break
         return steps
 
-    def note(self) -> None:
-        """Tell the mates of all captures what these hang on now."""
-        for capture in self.captures:
-            for stage in ("calibrate", "measure"):
-                if key := self.keys(capture).get(stage):
-                    self.digests[key] = digest(self._prints(capture, stage))
+    def note(self, of: Round) -> None:
+        """Tell the mates of all captures of a round what these hang on now."""
+        self._round = of
+        for capture in self._largest_first():
+            for stage, key in self.keys(capture).items():
+                self.digests[key] = digest(self._prints(capture, stage))
+        self._round = "last"
 
     def keys(self, capture: Capture) -> dict[str, Key]:
         """Return the keys of a capture's stages, as far as they are to be done now."""
         keys = joint_keys(self.campaign, capture)
-        if not self._measuring:
+        if self._round == "last":
             return keys
-        last = "measure" if "measure" in keys else "register"
+        wanted = self._round == "others" and capture is self.reference
+        last = "register" if wanted or "measure" not in keys else "measure"
         return {stage: keys[stage] for stage in list(keys)[: list(keys).index(last) + 1]}
 
     # --- one capture --------------------------------------------------------------------------
@@ -248,6 +256,8 @@ class ObjectBuild:
         if stage == "measure" or (stage == "register" and "measure" not in keys):
             ends = self.digests[keys["calibrate"]], self.digests[base["calibrate"]]
             prints = fingerprints.of_registration(self.campaign, capture, *ends)
+            if "measure" in base and capture is not self.reference:
+                prints["registration of the reference"] = self.digests[base["register"]]
             if stage == "measure":
                 self.mates.note(capture, digest(prints))
             return prints
@@ -297,7 +307,7 @@ class ObjectBuild:
         """Return the step of a refused stage; what it made before stays where only the disk refused."""
         if not is_of_the_disk(refused.problems):
             self.ledger.forget(key)
-        return _refused(key, refused)
+        return refused_step(key, refused)
 
     def _write(
         self, key: Key, capture: Capture, write: Callable[[], Step], *, wait: bool = False
@@ -326,39 +336,5 @@ class ObjectBuild:
                 told = f"{self.name}/{capture.layer}: the layer of an earlier build stays"
                 return replace(step, warnings=(*step.warnings, told))
             self.ledger.forget(step.key)
-        self._withdraw(capture)
+        withdraw(capture, self.places, self.ledger)
         return step
-
-    def _withdraw(self, capture: Capture) -> None:
-        """Take away what an earlier build published of a layer that is refused now."""
-        from levkas.files import remove
-
-        # By name, not by record: an interrupted build has dropped the record and left the files.
-        self.ledger.forget(CATALOGUE)
-        self.ledger.forget(fingerprints.keys_of(capture)["resample"])
-        places = [
-            self.places.layer(self.name, capture.camera, capture.setup, kind=kind)
-            for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")
-        ]
-        for path in (*places, self.places.store(self.name) / capture.layer):
-            if path.exists():
-                remove(path)
-
-
-class NoReference(Refused):
-    """Nothing can be registered to a reference that is not there."""
-
-
-def _no_reference(name: str, layer: str, failed: Step) -> Problem:
-    return Problem(
-        "E_NO_REFERENCE",
-        f"{name}: the reference camera could not be built, so nothing can be registered to it",
-        field="campaign.reference",
-        found=f"{layer}: {failed.why}",
-        fix="Mend the reference camera's frames first.",
-    )
-
-
-def _refused(key: Key, refused: Refused) -> Step:
-    why = refused.problems[0].message if refused.problems else str(refused)
-    return Step(key, "refused", why, problems=tuple(refused.problems))

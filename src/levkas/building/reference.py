@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from levkas.building.native import Native
     from levkas.building.places import Places
-    from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.campaign import Campaign
     from levkas.discovery import Capture
@@ -40,8 +39,6 @@ class ReferenceFrame:
         The reference camera's own first.
     calibrated : callable
         Gives the calibrated cubes of a capture; it keeps them in the list that it is given.
-    mates : RigMates
-        Where its own registration is kept, if it is adjusted with others.
     """
 
     campaign: Campaign
@@ -49,7 +46,6 @@ class ReferenceFrame:
     name: str
     captures: list[Capture]
     calibrated: Callable[[Capture, list[Native | Scan]], Native | Scan]
-    mates: RigMates
     own: Registration | None = None
     made_ready: Reference | None = None
     _images: list[BandImage] | None = None
@@ -109,13 +105,7 @@ class ReferenceFrame:
             from levkas.registration import Matches, Registration, Verdict
             from levkas.registration.uncertainty import Sigma
 
-            # Others are registered to its bands as these were measured, before any adjustment.
-            joint = self.campaign.is_joint(self.capture.camera)
-            record = (
-                self.mates.read(self.capture).record
-                if joint
-                else record_of(self.places, self.name, self.capture)
-            )
+            record = record_of(self.places, self.name, self.capture)
             bands = record["bands"]
             self.own = Registration(
                 "",

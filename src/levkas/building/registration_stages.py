@@ -82,7 +82,7 @@ class RegistrationStages:
         measured, figures = self._measured(capture, native)
         if (stopped := self._unwritten(capture)) is not None:
             return stopped
-        self.ledger.forget(key)
+        # What was kept before stays until this stands in its place: the record knows its hash.
         path = self.mates.keep(capture, measured)
         seconds = round(time.monotonic() - started, 2)
         self.ledger.keep(key, prints, [], aside=[path], seconds=seconds, figures=figures)

@@ -5,27 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from levkas.building import fingerprints
 from levkas.building.camera_pages import CameraPages
+from levkas.building.cataloguing import write_catalogue_of
 from levkas.building.fingerprints import digest
-from levkas.building.imprint import NAME as IMPRINT
-from levkas.building.imprint import imprint_of, spectra_of
 from levkas.building.joint_round import JointRound
 from levkas.building.ledger import Key, Ledger
-from levkas.building.objects import CATALOGUE, NoReference, ObjectBuild
+from levkas.building.objects import ObjectBuild, Round
 from levkas.building.places import Places
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.shelf import Shelf
 from levkas.building.steps import BuildReport, Step, summarise
+from levkas.building.withdrawing import NoReference
 from levkas.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.discovery import Capture, Refusals, find_captures
 from levkas.edits import FILE_NAME, Edits, check_edits
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.database.catalogue import Entry
+    pass
 
 
 def build(
@@ -79,7 +79,7 @@ def build(
             yield counting(step, refused=_is_refusal(step, theirs))
     for step in cameras.run(shelf) if cameras else ():
         yield counting(step)
-    catalogue = _write_catalogue(campaign, places, ledger, captures, names)
+    catalogue = write_catalogue_of(campaign, places, ledger, captures, names)
     yield replace(catalogue, done=counting.total, total=counting.total)
     ledger.hashes.save()
 
@@ -93,7 +93,8 @@ class _Counting:
         self._stages: dict[tuple[str, str], list[str]] = {}
         for capture in first.captures():
             stages = list(joint_keys(campaign, capture))
-            self._stages[capture.object, capture.layer] = stages[: -1 if len(stages) == 3 else -2]
+            until = "register" if first.leads(capture) or "measure" not in stages else "measure"
+            self._stages[capture.object, capture.layer] = stages[: stages.index(until) + 1]
         for capture in captures:
             self._stages[capture.object, capture.layer] = list(joint_keys(campaign, capture))
         self.total = sum(map(len, self._stages.values())) + more
@@ -124,8 +125,10 @@ def status(path: str | Path, *, output: str | Path | None = None) -> BuildReport
         )
         for name in dict.fromkeys(c.object for c in captures)
     ]
-    for mine in objects:
-        mine.note()
+    rounds: list[Round] = ["references", "others"]
+    for of in rounds:
+        for mine in objects:
+            mine.note(of)
     for mine in objects:
         steps += mine.states()
     steps += CameraPages(campaign, places, ledger, captures).states()
@@ -273,79 +276,6 @@ def _object_toml(campaign: Campaign, name: str) -> str:
 
     facts = campaign.objects.get(name)
     return to_toml({"name": name, **(facts.model_dump() if facts else {})})
-
-
-def _write_catalogue(
-    campaign: Campaign, places: Places, ledger: Ledger, captures: list[Capture], names: list[str]
-) -> Step:
-    """Catalogue, indices and manifest, where a layer came, changed or went; else nothing.
-
-    Objects of earlier builds keep their rows. A build that runs beside this one ends before or
-    after: the last to end has seen all.
-    """
-    from levkas.building.turns import in_turn
-
-    key = CATALOGUE
-    with in_turn(places.kept):
-        entries = _entries(places, ledger, captures, names)
-        products = ledger.hashes_of_products()
-        imprint = imprint_of(campaign, entries)
-        spectra = spectra_of(campaign, imprint["setups"])
-        prints = {
-            "layers": digest({"rows": [e.to_row() for e in entries], "files": products}),
-            "campaign": digest(imprint),
-            "spectra": digest({name: ledger.hashes(path) for name, path in spectra.items()}),
-        }
-        why = ledger.why_stale(key, prints)
-        if not why:
-            return Step(key, "fresh")
-        ledger.forget(key)
-        made = _published(places, products, entries, names, imprint, spectra)
-        ledger.keep(key, prints, made)
-    return Step(key, "done", why)
-
-
-def _entries(
-    places: Places, ledger: Ledger, captures: list[Capture], names: list[str]
-) -> list[Entry]:
-    """One row a layer that stands in the database."""
-    from levkas.database.catalogue import DatabaseRefused, entry_of, read_catalogue
-
-    try:
-        entries = [e for e in read_catalogue(places.output) if e.object not in names]
-    except DatabaseRefused:
-        entries = []
-    for capture in captures:
-        if row := ledger.told(fingerprints.keys_of(capture)["resample"]).get("entry"):
-            entries.append(entry_of(row))
-    return sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
-
-
-def _published(
-    places: Places,
-    products: dict[str, str],
-    entries: list[Entry],
-    names: list[str],
-    imprint: dict[str, Any],
-    spectra: dict[str, Path],
-) -> list[Path]:
-    """Write the files that speak of all layers; those that would say the same are left alone."""
-    from levkas.database.catalogue import write_catalogue
-    from levkas.database.manifest import write_manifest
-    from levkas.database.store import write_index
-    from levkas.declaring.toml import to_toml
-    from levkas.files import write_changed
-
-    made = [write_catalogue(places.output, entries), places.output / IMPRINT]
-    write_changed(made[-1], to_toml(imprint).encode())
-    for setup, path in spectra.items():
-        made.append(places.output / "setups" / setup / "spd.csv")
-        write_changed(made[-1], path.read_bytes())
-    for name in sorted({*names, *(entry.object for entry in entries)}):
-        if places.store(name).is_dir():
-            made.append(write_index(places.store(name)))
-    made.append(write_manifest(places.output, products).path)
-    return made
 
 
 def _refusal(where: tuple[str, str, str], refused: Refused) -> Step:

@@ -179,6 +179,11 @@ def _document(proposal: Proposal) -> Iterator[str]:
         yield f"\n# [objects.{_key(proposal.objects[0])}]"
         yield from _aligned('# title = ""', "what a museum says of it; all of it is optional")
         yield from _aligned("# size_mm = [width, height]", "gives the sampling in px per mm")
+    if len(proposal.objects) > 1 or any(camera.setups for camera in proposal.cameras):
+        yield "\n# [registration]"
+        yield from _aligned(
+            "# joint = true", "if nothing moved: a camera's captures share its lens"
+        )
 
 
 def _table(keys: dict[str, Said]) -> Iterator[str]:
