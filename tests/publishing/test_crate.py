@@ -98,6 +98,12 @@ BREAKS = {
     "another size": lambda g: g["catalogue.csv"].update(contentSize="3"),
     "stands inside": lambda g: g["./"].update(author={"@type": "Person", "name": "A"}),
     "conformsTo": lambda g: g[NAME].pop("conformsTo"),
+    "conformsTo is a text": lambda g: g[NAME].update(conformsTo="https://w3id.org/ro/crate/1.1"),
+    "publisher": lambda g: g["./"].update(publisher={"@id": "catalogue.csv"}),
+    "no File and no Dataset": lambda g: g["./"]["hasPart"].append(g["./"]["license"]),
+    "thumbnail": lambda g: g["./"].update(thumbnail=g["./"]["license"]),
+    "is no URI": lambda g: g.update({"#a b": {"@id": "#a b", "@type": "Thing"}}),
+    "web site": lambda g: g.update({"#w": {"@id": "#w", "@type": "WebSite"}}),
     "no @type": lambda g: g["catalogue.csv"].pop("@type"),
 }
 

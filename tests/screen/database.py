@@ -78,8 +78,11 @@ def write_record(
             "reasons": [reason] if reason else [],
             "next_step": "Add pairs." if decision != "accept" else "",
         },
-        "model": {"kind": "levkas", "sensors": [{"sensor": "", "sigma": sigma}]},
-        "bands": {n: {"transform": MAPS[camera].to_dict(), "size": [480, 420]} for n in labels},
+        "model": {"kind": "levkas", "sensors": [{"sensor": ""}]},
+        "bands": {
+            n: {"transform": MAPS[camera].to_dict(), "size": [480, 420], "sigma": sigma}
+            for n in labels
+        },
     }
     if decision == "refuse":
         record["bands"] = {}

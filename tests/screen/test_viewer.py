@@ -399,3 +399,11 @@ def test_pages_hold_no_inline_script_and_a_policy_forbids_one(viewer):
         scripts = re.findall(r"<script\b([^>]*)>", text)
         assert all("src=" in s or 'type="application/json"' in s for s in scripts)
         assert not re.search(r"\son[a-z]+=|javascript:|\sstyle=", text)
+
+
+def test_the_predicted_error_of_every_registered_camera_can_be_shown(browser, address):
+    page = open_object(browser, address("file"))
+    for digit in "123":
+        page.keyboard.press(digit)
+        options = page.locator(".picker-a select").first.locator("option").all_inner_texts()
+        assert "Registration error" in options, digit

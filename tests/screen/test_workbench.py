@@ -149,6 +149,25 @@ def test_both_pictures_show_the_same_place(bench, correctable):
     assert min(abs(turn + 6), abs(turn - 354)) < 0.5
 
 
+def test_the_view_stays_in_its_place_while_panes_change_their_size(bench):
+    page, _ = bench
+    page.keyboard.press("2")
+    page.wait_for_function(READY)
+    click(page, "left", 150, 120)
+    page.wait_for_function("() => levkasWorkbench.store.measured !== null")
+    page.set_viewport_size({"width": 1024, "height": 768})
+    page.keyboard.press("1")
+    choose_worst(page)
+    page.wait_for_function(READY)
+    page.wait_for_timeout(400)
+    scale, centre, pair, measured = page.evaluate(
+        """[levkasWorkbench.stage.left.scale, levkasWorkbench.stage.left.centre,
+            levkasWorkbench.store.pair(levkasWorkbench.store.selected), levkasWorkbench.store.measured]"""
+    )
+    assert scale == pytest.approx(3, abs=0.1) and measured is None
+    assert np.allclose(centre, pair[:2], atol=1)
+
+
 def test_a_page_that_nobody_touches_draws_nothing(bench):
     page, _ = bench
     page.evaluate("levkasWorkbench.stage.left.look(190, 140, 5)")

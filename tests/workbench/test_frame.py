@@ -8,9 +8,11 @@ import pytest
 from PIL import Image
 
 from levkas.edits import read_edits
+from levkas.registration.uncertainty import Sigma
 from levkas.transforms import Affine
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.library import FrameMissing, Library, id_of
+from levkas.workbench.maps import MapMissing, draw_sigma, find_kinds
 from levkas.workbench.operations import OperationRefused
 from levkas.workbench.pictures import TILE_PX, Picture, warped_tile
 
@@ -161,3 +163,15 @@ def test_nothing_to_snap_to_is_said(frame):
     frame.session.apply("add", [5, 5, 600, 500])
     with pytest.raises(OperationRefused):
         frame.snap([5, 5, 600, 500])
+
+
+def test_the_uncertainty_is_drawn_from_what_the_record_says_of_the_band():
+    sides = np.linspace(0.0, 99.0, 4)
+    values = np.tile(np.linspace(0.1, 0.4, 4), (4, 1))
+    told = Sigma(sides, sides, values).to_dict()
+    record = {"bands": {"900 nm": {"sigma": told}, "R": {}}}
+    assert "sigma" in find_kinds(record, "900 nm") and "sigma" not in find_kinds(record, "R")
+    drawn = draw_sigma(record, "900 nm", (100, 100))
+    assert drawn.low == 0 and drawn.high == pytest.approx(0.4, abs=0.01)
+    with pytest.raises(MapMissing):
+        draw_sigma(record, "R", (100, 100))

@@ -21,14 +21,15 @@ interface InView {
   special: number[];
 }
 
-export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, told: Told, selected: number, part: 0 | 2, place: Place, map: Map2 | null): void {
+/** Draw all pairs over a picture; `scale` is that of the reference, screen pixels a pixel. */
+export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, told: Told, selected: number, part: 0 | 2, place: Place, map: Map2 | null, scale: number): void {
   const light = ink("--error-light") || "45%";
   const colour = (share: number): string => errorColour(share, 1).replace("var(--error-light)", light);
   // Maps of the view are affine: three places tell where all the others are.
   const [o, ex, ey] = [place(0, 0), place(1000, 0), place(0, 1000)];
   const [ax, ay, bx, by] = [(ex[0] - o[0]) / 1000, (ex[1] - o[1]) / 1000, (ey[0] - o[0]) / 1000, (ey[1] - o[1]) / 1000];
   const at = (x: number, y: number): Point => [o[0] + ax * x + bx * y, o[1] + ay * x + by * y];
-  const scale = Math.hypot(ax, ay);
+  // By the scale of the reference: both pictures show the same place alike.
   const radius = Math.min(3.6, Math.max(1.7, 1 + (100 * scale) / 60));
   const lines = new Path2D();
   const join = (row: number, x: number, y: number): void => {

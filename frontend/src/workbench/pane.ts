@@ -174,6 +174,11 @@ export class Pane {
     if (place.distanceTo(viewport.getCenter(true)) * zoom * width > STILL_PX) viewport.panTo(place, immediately);
   }
 
+  /** Whether the view knows how large the pane is: for a frame after a change it does not. */
+  get isSized(): boolean {
+    return Math.abs(this.viewer.viewport.getContainerSize().x - this.host.clientWidth) < 1;
+  }
+
   fit(): void {
     const [width, height] = [1, this.size[1] / this.size[0]];
     const edge = 0.03 * Math.max(width, height);

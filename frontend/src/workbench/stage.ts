@@ -209,6 +209,7 @@ export class Stage {
   private follow(leader: Pane): void {
     const map = this.map;
     if (this.mode !== "side" || this.leading || !map || !this.store.frame) return;
+    if (!this.left.isSized || !this.right.isSized) return;
     this.leading = leader;
     const [w, h] = this.store.frame.target_size;
     if (leader === this.left) {
@@ -239,6 +240,7 @@ export class Stage {
       this.follow(this.left);
     };
     this.right.onView = () => this.follow(this.right);
+    for (const pane of [this.left, this.right]) pane.viewer.addHandler("resize", () => requestAnimationFrame(() => this.follow(this.left)));
     for (const picker of [this.bands.left, this.bands.right]) picker.onChange = () => void this.load();
     for (const [pane, part] of [[this.left, 0], [this.right, 2]] as const) {
       pane.paint = (context) => this.paint(context, pane, part);
@@ -356,7 +358,7 @@ export class Stage {
       context.globalAlpha = 1;
     }
     const place = (x: number, y: number): Point => pane.placeOf(x, y);
-    if (this.mode === "side" || this.drawn) paintPairs(context, pane.dots, told, selected, part, place, this.map);
+    if (this.mode === "side" || this.drawn) paintPairs(context, pane.dots, told, selected, part, place, this.map, this.left.scale);
     else if (part === 0) this.paintChosen(context, place);
     const held = this.dragged && this.mode === "side" ? { pair: this.dragged, predicted: this.moving ?? this.dragged, sure: true } : null;
     const partner = held ?? proposal ?? measured;

@@ -98,7 +98,7 @@ export class Store {
 
   select(row: number): void {
     if (row === this.selected) return;
-    [this.selected, this.proposal] = [row, null];
+    [this.selected, this.proposal, this.measured] = [row, null, null];
     this.changed();
   }
 }

@@ -21,6 +21,7 @@ from levkas.readers.texts import parse_json
 NAME = "ro-crate-metadata.json"
 PROFILE = "https://w3id.org/ro/crate/"
 DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?)?)?)?")
+NO_URI = re.compile(r"""[\s<>"{}|\\^`]""")
 REQUIRED = ("name", "description", "datePublished", "license")
 SECONDS = 120
 
@@ -72,8 +73,12 @@ def _check_entities(path: Path, graph: list[Entity]) -> Iterator[Problem]:
         if identifier in seen:
             yield _wrong(path, identifier, "two entities have one @id")
         seen.add(identifier)
+        if NO_URI.search(identifier):
+            yield _wrong(path, identifier, "its @id is no URI: encode what is not allowed in one")
         if not entity.get("@type"):
             yield _wrong(path, identifier, "the entity has no @type")
+        if "WebSite" in _types(entity) and not entity.get("name"):
+            yield _wrong(path, f"{identifier} name", "the web site lacks it")
         for key, value in entity.items():
             for part in value if isinstance(value, list) else [value]:
                 if isinstance(part, dict) and set(part) != {"@id"} and "@value" not in part:
@@ -88,7 +93,8 @@ def _check_descriptor(path: Path, entities: dict[str, Entity]) -> Iterator[Probl
     if descriptor.get("about") != {"@id": "./"} or "./" not in entities:
         yield _wrong(path, f"{NAME} about", "it is not about ./")
     conforms = _references(descriptor.get("conformsTo"))
-    if not any(identifier.startswith(f"{PROFILE}1.") for identifier in conforms):
+    plain = [v for v in _listed(descriptor.get("conformsTo")) if isinstance(v, str)]
+    if plain or not any(identifier.startswith(f"{PROFILE}1.") for identifier in conforms):
         yield _wrong(path, f"{NAME} conformsTo", "it does not say which RO-Crate it is")
 
 
@@ -99,6 +105,16 @@ def _check_root(path: Path, entities: dict[str, Entity]) -> Iterator[Problem]:
     for key in REQUIRED:
         if not root.get(key):
             yield _wrong(path, f"./ {key}", "the root lacks it")
+    for publisher in _references(root.get("publisher")):
+        if not {"Organization", "Person"} & _types(entities.get(publisher, {})):
+            yield _wrong(path, "./ publisher", "it is no Organization or Person", publisher)
+    for part in _references(root.get("hasPart")):
+        if part in entities and not {"File", "Dataset"} & _types(entities[part]):
+            yield _wrong(path, "./ hasPart", "it is no File and no Dataset", part)
+    for entity in entities.values():
+        for picture in _references(entity.get("thumbnail")):
+            if picture in entities and "File" not in _types(entities[picture]):
+                yield _wrong(path, f"{entity['@id']} thumbnail", "it is no File", picture)
     date = root.get("datePublished")
     if date and not (isinstance(date, str) and DATE.fullmatch(date)):
         yield _wrong(path, "./ datePublished", "it is no date as ISO 8601", date)
@@ -159,8 +175,12 @@ def _types(entity: Entity) -> set[str]:
     return {kind} if isinstance(kind, str) else set(kind)
 
 
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
 def _references(value: Any) -> list[str]:
-    parts = value if isinstance(value, list) else [value]
+    parts = _listed(value)
     return [str(p["@id"]) for p in parts if isinstance(p, dict) and set(p) == {"@id"}]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,11 +111,12 @@ def registration_map(
 ) -> tuple[np.ndarray, Legend] | None:
     """Return the predicted error of a registration over the grid, px of the reference.
 
-    The worst sensor's, as its record has it in a few nodes, linear between them. None where the
+    The worst band's, as its record has it in a few nodes, linear between them. None where the
     record has none.
     """
-    sensors = record.get("model", {}).get("sensors", []) if record else []
-    known = [s["sigma"] for s in sensors if isinstance(s, dict) and s.get("sigma")]
+    bands = record.get("bands", {}).values() if record else ()
+    tables = (band["sigma"] for band in bands if isinstance(band, dict) and band.get("sigma"))
+    known = list({json.dumps(table, sort_keys=True): table for table in tables}.values())
     if not known:
         return None
     width, height = size

@@ -237,7 +237,7 @@ def describe_frame(frame: Frame) -> dict[str, Any]:
         "px_per_mm": frame.px_per_mm,
         "built": frame.built is not None,
         "builds": frame.builds,
-        "maps": find_kinds(frame.record),
+        "maps": find_kinds(frame.record, frame.band),
         "method": frame.record.get("method", ""),
         "verdict": told,
         "ladder": [s.get("ladder", {}) for s in sensors[:1]],

@@ -311,7 +311,7 @@ class Frame:
         """
         size = self.session.found.size
         if kind == "sigma":
-            drawn = maps.draw_sigma(self.record, size)
+            drawn = maps.draw_sigma(self.record, self.band, size)
         elif kind == "leave-one-out":
             drawn = maps.draw_leave_one_out(self.session.view.matches, size)
         elif kind == "ssim":

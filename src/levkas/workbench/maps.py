@@ -47,14 +47,14 @@ class Map:
     high: float
 
 
-def find_kinds(record: dict[str, Any]) -> list[str]:
-    """Return the maps that there are for a registration's record."""
-    return [kind for kind in KINDS if kind != "sigma" or _lattice(record)]
+def find_kinds(record: dict[str, Any], band: str) -> list[str]:
+    """Return the maps that there are for a band of a registration's record."""
+    return [kind for kind in KINDS if kind != "sigma" or _lattice(record, band)]
 
 
-def draw_sigma(record: dict[str, Any], size: tuple[int, int]) -> Map:
-    """Draw the uncertainty that the registration predicted, from the lattice of its record."""
-    lattice = _lattice(record)
+def draw_sigma(record: dict[str, Any], band: str, size: tuple[int, int]) -> Map:
+    """Draw the uncertainty that the registration predicted for a band, from the lattice of its record."""
+    lattice = _lattice(record, band)
     if lattice is None:
         raise _missing("sigma", "this method predicts no uncertainty")
     values = np.array(lattice["sigma_px"], float)
@@ -119,10 +119,9 @@ def to_png(drawn: Map) -> bytes:
     return bytes(imagecodecs.png_encode(np.ascontiguousarray(drawn.pixels), level=6))
 
 
-def _lattice(record: dict[str, Any]) -> dict[str, Any] | None:
-    sensors = record.get("model", {}).get("sensors", [])
-    known = (s["sigma"] for s in sensors if isinstance(s, dict) and s.get("sigma"))
-    return next((one for one in known if one.get("sigma_px")), None)
+def _lattice(record: dict[str, Any], band: str) -> dict[str, Any] | None:
+    found = record.get("bands", {}).get(band, {}).get("sigma")
+    return found if isinstance(found, dict) and found.get("sigma_px") else None
 
 
 def _axes(size: tuple[int, int], most: int = NODES * 4) -> tuple[np.ndarray, np.ndarray]:
