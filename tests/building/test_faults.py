@@ -141,7 +141,8 @@ def remembered():
 class Scene:
     """A campaign, what stood in the output before its build, and what stands there after it.
 
-    `before` and `after` are the hashes of the database, `saved` is a copy of what stood there.
+    `before` and `after` are the hashes of the database, `saved` is a copy of what stood there, `also`
+    the hashes after builds that had to do without a capture.
     """
 
     name: str
@@ -150,6 +151,7 @@ class Scene:
     saved: Path
     before: dict = field(default_factory=dict)
     after: dict = field(default_factory=dict)
+    also: list = field(default_factory=list)
     refused: list = field(default_factory=list)
     steps: list = field(default_factory=list)
 
@@ -162,6 +164,10 @@ class Scene:
         shutil.rmtree(self.output.parent, ignore_errors=True)
         if self.saved.is_dir():
             shutil.copytree(self.saved, self.output.parent)
+
+    def states(self):
+        """Return every state that is whole."""
+        return [self.before, self.after, *self.also]
 
     def build(self):
         report = summarise(build(self.campaign, output=self.output))
@@ -193,7 +199,26 @@ def make_scenes(root):
         "withdrawn": Scene("withdrawn", third, work / "database", saved),
         "joint": Scene("joint", fourth, work / "database", saved),
     }
-    return {name: scene.learn() for name, scene in scenes.items()}
+    for scene in scenes.values():
+        scene.learn()
+    scenes["joint"].also = [without(fourth, lost, root) for lost in LOST]
+    return scenes
+
+
+LOST = ("irr/slab.tif", "photo/slab.png", "irr/panel.tif", "photo/panel.png")
+
+
+def without(campaign, lost, root):
+    """Return what a build makes of a campaign of which one frame cannot be read.
+
+    Captures that are adjusted together are adjusted without one that the disk refused.
+    """
+    folder = root / "without" / lost.replace("/", "-")
+    shutil.copytree(campaign, folder / "campaign")
+    (folder / "campaign" / lost).write_bytes(b"nothing")
+    scene = Scene(lost, folder / "campaign", folder / "database", root / "none")
+    scene.build()
+    return hash_tree(scene.output)
 
 
 def test_what_stood_there_before_leaves_no_trace(scenes, tmp_path):
@@ -312,7 +337,7 @@ def find_torn(scene, *, told):
     if scene.output.is_dir():
         found = {n: sha for n, sha in hash_tree(scene.output).items() if not is_partial(n)}
     for name, sha in found.items():
-        if sha in (scene.before.get(name), scene.after.get(name)):
+        if sha in [state.get(name) for state in scene.states()]:
             continue
         if not (sha == PLAIN_ROOT and name.endswith(".zarr/zarr.json")) and not (
             told and _is_whole(scene.output, name)
@@ -320,7 +345,7 @@ def find_torn(scene, *, told):
             yield name
     for layer in layers_of(scene):
         part = below(found, layer)
-        if part and part not in (below(scene.before, layer), below(scene.after, layer)):
+        if part and part not in [below(state, layer) for state in scene.states()]:
             yield layer
     for path in scene.kept.rglob("*.json"):
         try:

@@ -64,6 +64,7 @@ class JointRound:
                         continue
                     if step.finished:
                         self._ended[step.key] = step
+                        self.mates.look_again((step.key.object, step.key.layer))
                     yield step
 
     def steps(self, name: str) -> list[Step]:

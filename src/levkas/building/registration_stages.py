@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.measured import Measured
 from levkas.building.steps import Step
 from levkas.problems import Problem, Refused
 
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from levkas.building.ledger import Key, Ledger
+    from levkas.building.measured import Measured
     from levkas.building.native import Native
     from levkas.building.places import Places
     from levkas.building.reference import ReferenceFrame
@@ -92,6 +92,7 @@ class RegistrationStages:
         self, capture: Capture, native: list[Native | Scan]
     ) -> tuple[Measured, list[list[str]]]:
         from levkas.building import registering
+        from levkas.building.measured import Measured
         from levkas.registration import RegistrationRefused
         from levkas.reporting.figures import draw_trace
 

@@ -10,7 +10,6 @@ from zipfile import BadZipFile
 from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key
-from levkas.building.measured import Measured
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.ledger import Ledger
+    from levkas.building.measured import Measured
     from levkas.building.places import Places
     from levkas.campaign import Campaign
     from levkas.discovery import Capture
@@ -40,6 +40,7 @@ class RigMates:
     ledger: Ledger
     captures: Sequence[Capture]
     _noted: dict[tuple[str, str], str] = field(default_factory=dict)
+    _digests: dict[tuple[str, str], str] = field(default_factory=dict)
     _read: dict[tuple[str, str], Measured] = field(default_factory=dict)
 
     def of(self, capture: Capture) -> list[Capture]:
@@ -67,6 +68,8 @@ class RigMates:
 
     def read(self, capture: Capture) -> Measured:
         """Return a capture's own registration; raises Refused where it is damaged."""
+        from levkas.building.measured import Measured
+
         where = capture.object, capture.layer
         if where not in self._read:
             path = self.path(capture)
@@ -89,7 +92,10 @@ class RigMates:
 
     def note(self, capture: Capture, of: str) -> None:
         """Learn the digest of what a capture's own registration hangs on now."""
-        self._noted[capture.object, capture.layer] = of
+        where = capture.object, capture.layer
+        if self._noted.get(where) != of:
+            self._noted[where] = of
+            self.look_again(where)
 
     def prints(self, capture: Capture) -> dict[str, str]:
         """Return what the mates of a capture were made of, by name; those that failed say so."""
@@ -103,11 +109,17 @@ class RigMates:
             if self._digest(m) != NOT_THERE
         }
 
+    def look_again(self, where: tuple[str, str]) -> None:
+        """Forget what was made of a capture, (object, layer), whose stages have just ended."""
+        self._digests.pop(where, None)
+
     def _digest(self, capture: Capture) -> str:
-        kept = self.ledger.fingerprint(self.key(capture))
-        if not kept or not self.path(capture).is_file():
-            return NOT_THERE
-        return self._noted.get((capture.object, capture.layer)) or digest(kept)
+        where = capture.object, capture.layer
+        if where not in self._digests:
+            kept = self.ledger.fingerprint(self.key(capture))
+            there = kept and self.path(capture).is_file()
+            self._digests[where] = self._noted.get(where) or digest(kept) if there else NOT_THERE
+        return self._digests[where]
 
     def _is_frame(self, capture: Capture) -> bool:
         return capture.camera == self.campaign.reference.camera and not capture.setup
