@@ -134,6 +134,15 @@ def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
     assert all(one[name] == two[name] for name in pictures)
 
 
+@pytest.mark.parametrize("said", ['"yes"', "1", "[true]"])
+def test_anything_but_true_or_false_is_refused(built, said):
+    text = (built / "campaign.toml").read_text()
+    (built / "campaign.toml").write_text(text.replace("joint = true", f"joint = {said}"))
+    with pytest.raises(CampaignInvalid) as refused:
+        load_campaign(built)
+    assert refused.value.problems[0].field == "registration.joint"
+
+
 def test_the_papers_method_adjusts_nothing_together(built):
     text = (built / "campaign.toml").read_text()
     (built / "campaign.toml").write_text(text + 'method = "mirhashemi2019"\n')

@@ -115,7 +115,7 @@ class RegistrationKeys(Table):
     matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
     points: Annotated[Text, Field(min_length=1)] | None = None
     use: Literal["check", "seeds"] | None = None
-    joint: bool | None = None
+    joint: Switch | None = None
 
     def given(self) -> dict[str, Any]:
         """Return what was said, by key."""
