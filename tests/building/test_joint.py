@@ -7,7 +7,9 @@ import cv2
 import pytest
 
 from levkas.building import build, status
+from levkas.building.rig_mates import NEIGHBOURS, RigMates
 from levkas.campaign import CampaignInvalid, load_campaign
+from levkas.discovery import Capture
 
 NAMES = ("one", "two", "three")
 
@@ -132,6 +134,21 @@ def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
     pictures = [name for name in one if name.endswith((".tif", ".csv", ".png"))]
     assert pictures
     assert all(one[name] == two[name] for name in pictures)
+
+
+def test_of_many_captures_the_nearest_by_name_are_mates_and_one_more_changes_few(built):
+    campaign = load_campaign(built)
+
+    def mates_of(names):
+        captures = [Capture(name, "infrared", "", ()) for name in names]
+        all_of_them = RigMates(campaign, None, None, captures[::-1])
+        return {c.object: [m.object for m in all_of_them.of(c)] for c in captures}
+
+    names = [f"panel {n:02d}" for n in range(40)]
+    before, after = mates_of(names), mates_of([*names, "panel 20b"])
+    assert before["panel 00"] == [f"panel {n:02d}" for n in (1, 2, 3, 4, 5, 6, *range(34, 40))]
+    assert {len(mates) for mates in before.values()} == {2 * NEIGHBOURS}
+    assert sum(before[name] != after[name] for name in names) == 2 * NEIGHBOURS
 
 
 @pytest.mark.parametrize("said", ['"yes"', "1", "[true]"])

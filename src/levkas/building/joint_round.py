@@ -41,7 +41,9 @@ class JointRound:
         joint = [c for c in self.mates.captures if self.campaign.is_joint(c.camera)]
         names = {c.object for c in joint}
         return [
-            c for c in self.mates.captures if c.object in names and (c in joint or self.leads(c))
+            c
+            for c in self.mates.captures
+            if c.object in names and (c in joint or self.mates.leads(c))
         ]
 
     def run(self) -> Iterator[Step]:
@@ -54,7 +56,7 @@ class JointRound:
         for of in rounds:
             for name in dict.fromkeys(c.object for c in mine):
                 here = self.left([c for c in mine if c.object == name])
-                if not here or not self.leads(here[0]):
+                if not here or not self.mates.leads(here[0]):
                     continue  # without its reference it is refused as ever
                 build = ObjectBuild(
                     self.campaign, self.places, self.ledger, self.shelf, name, here, self.mates
@@ -78,14 +80,10 @@ class JointRound:
             for key, step in self._ended.items()
             if step.state in ("refused", "failed")
         }
-        if any(self.leads(c) and (c.object, c.layer) in lost for c in captures):
+        if any(self.mates.leads(c) and (c.object, c.layer) in lost for c in captures):
             return []
         return [c for c in captures if (c.object, c.layer) not in lost]
 
     def told(self, step: Step) -> bool:
         """Tell whether a step says only what this round has said already."""
         return step.key in self._ended and step.state == "fresh"
-
-    def leads(self, capture: Capture) -> bool:
-        """Tell whether a capture is what others of its object are registered to."""
-        return capture.camera == self.campaign.reference.camera and not capture.setup

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from levkas.discovery import Capture
 
 NOT_THERE = "not registered"
+#: On either side; more know no more of a lens, and every pair of captures is compared.
+NEIGHBOURS = 6
 
 
 @dataclass
@@ -47,16 +49,20 @@ class RigMates:
         """Return the other captures by the same camera, in the order of their names.
 
         The reference camera's own under its default setup are the frames of all others: they are
-        adjusted with one another only, and other setups of that camera with other setups.
+        adjusted with one another only, and other setups of that camera with other setups. Of many
+        captures these are the nearest in that order, so that one more changes few of the others.
         """
-        mates = [
+        alike = [
             other
             for other in self.captures
-            if other.camera == capture.camera
-            and (other.object, other.layer) != (capture.object, capture.layer)
-            and self._is_frame(other) == self._is_frame(capture)
+            if other.camera == capture.camera and self.leads(other) == self.leads(capture)
         ]
-        return sorted(mates, key=lambda c: (c.object, c.layer))
+        ring = sorted(alike, key=_name)
+        place = [_name(other) for other in ring].index(_name(capture))
+        if len(ring) > 2 * NEIGHBOURS + 1:
+            steps = range(place - NEIGHBOURS, place + NEIGHBOURS + 1)
+            ring = sorted((ring[step % len(ring)] for step in steps), key=_name)
+        return [other for other in ring if _name(other) != _name(capture)]
 
     def path(self, capture: Capture) -> Path:
         """Return where a capture's own registration is kept."""
@@ -121,8 +127,13 @@ class RigMates:
             self._digests[where] = self._noted.get(where) or digest(kept) if there else NOT_THERE
         return self._digests[where]
 
-    def _is_frame(self, capture: Capture) -> bool:
+    def leads(self, capture: Capture) -> bool:
+        """Tell whether a capture is what others of its object are registered to."""
         return capture.camera == self.campaign.reference.camera and not capture.setup
+
+
+def _name(capture: Capture) -> tuple[str, str]:
+    return capture.object, capture.layer
 
 
 def _damaged(path: Path, error: Exception) -> Problem:

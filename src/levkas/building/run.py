@@ -66,7 +66,8 @@ def build(
     # What cameras told is gathered from all objects: a build of some leaves their pages alone.
     cameras = None if objects else CameraPages(campaign, places, ledger, captures)
     pages = len(cameras.cameras) if cameras else 0
-    every = captures if objects is None else _plan(path, None)[1]
+    joint = any(map(campaign.is_joint, campaign.cameras))
+    every = _plan(path, None)[1] if objects and joint else captures
     mates = RigMates(campaign, places, ledger, every)
     first = JointRound(campaign, places, ledger, shelf, mates)
     counting = _Counting(campaign, captures, first, len(refusals) + len(names) + pages + 1)
@@ -93,7 +94,9 @@ class _Counting:
         self._stages: dict[tuple[str, str], list[str]] = {}
         for capture in first.captures():
             stages = list(joint_keys(campaign, capture))
-            until = "register" if first.leads(capture) or "measure" not in stages else "measure"
+            until = (
+                "register" if first.mates.leads(capture) or "measure" not in stages else "measure"
+            )
             self._stages[capture.object, capture.layer] = stages[: stages.index(until) + 1]
         for capture in captures:
             self._stages[capture.object, capture.layer] = list(joint_keys(campaign, capture))

@@ -78,12 +78,12 @@ def adjust(mine: Sighting, others: Sequence[Sighting]) -> Adjusted:
     """
     if mine.seen is None or mine.terms is None:
         alike = [k for k, other in enumerate(others) if _same_bands(mine, other)]
-        shared = share([mine.chromatic, *(others[k].chromatic for k in alike)])[0]
+        shared = share([mine.chromatic, *(others[k].chromatic for k in alike)])
         return Adjusted(mine.base, shared, None, None, tuple(alike))
     laid = [_laid(mine, other, _smooth(mine.base)) for other in others]
     posed = [k for k, one in enumerate(laid) if _same_bands(mine, others[k]) and _alike(one)]
     mates = [k for k, one in enumerate(laid) if one is not None and one.excess < MOST_EXCESS]
-    shared = share([mine.chromatic, *(others[k].chromatic for k in posed)])[0]
+    shared = share([mine.chromatic, *(others[k].chromatic for k in posed)])
     if not mates:
         return Adjusted(mine.base, shared, None, None, tuple(posed))
     pooled, whole = _pool(mine, [others[k] for k in mates])
@@ -94,7 +94,7 @@ def adjust(mine: Sighting, others: Sequence[Sighting]) -> Adjusted:
     )  # fmt: skip
     if not rung.name.startswith("rig"):
         return Adjusted(mine.base, shared, None, None, tuple(posed))
-    return Adjusted(rung.transform, shared, rung, pooled, tuple(mates))
+    return Adjusted(rung.transform, shared, rung, pooled, tuple(sorted({*mates, *posed})))
 
 
 def _pool(mine: Sighting, mates: Sequence[Sighting]) -> tuple[Rung, _Together]:

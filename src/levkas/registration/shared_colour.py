@@ -20,44 +20,44 @@ LEAST_VARIANCE = 1e-10
 ROUNDS = 5
 
 
-def share(measured: Sequence[Chromatic]) -> list[Chromatic]:
-    """Return the fields of each capture, drawn to those of the others.
+def share(measured: Sequence[Chromatic], which: int = 0) -> Chromatic:
+    """Return the fields of one capture, drawn to those of the others.
 
     Parameters
     ----------
     measured : sequence of Chromatic
         Of the same bands in the same order and the same frame, one a capture.
+    which : int
+        The capture.
 
     Returns
     -------
-    shared : list of Chromatic
-        In the same order; one alone comes back as it is. A band that was measured nowhere stays.
+    shared : Chromatic
+        One alone comes back as it is. A band that was measured nowhere stays.
 
     Notes
     -----
     What all bands of a capture have in common belongs to its base map and is never shared: base maps
     may weigh the bands differently.
     """
+    one = measured[which]
     if len(measured) < 2:
-        return list(measured)
+        return one
     amounts, known = _stacked(measured)
     common = _common(amounts, known)
     spread = _between(amounts - common, known)
-    shared = []
-    for k, one in enumerate(measured):
-        others = np.arange(len(measured)) != k
-        with np.errstate(divide="ignore"):
-            told = np.where(known > 0, 1 / (1 / known + spread), 0.0)[others]
+    others = np.arange(len(measured)) != which
+    with np.errstate(divide="ignore"):
+        told = np.where(known > 0, 1 / (1 / known + spread), 0.0)[others]
         total = told.sum(0)
-        expected = _mean(told, (amounts - common)[others]) + common[k]
-        with np.errstate(divide="ignore"):
-            prior = np.where(total > 0, 1 / (1 / total + spread), 0.0)
-        whole = known[k] + prior
-        values = (known[k] * amounts[k] + prior * expected) / np.where(whole > 0, whole, 1.0)
-        fixed = ~one.amounts.any(1) & (whole > 0).any(1)
-        values = np.where((whole > 0) & ~fixed[:, None], values, amounts[k])
-        shared.append(_told(one, measured, values, whole, known[k]))
-    return shared
+        prior = np.where(total > 0, 1 / (1 / total + spread), 0.0)
+    expected = _mean(told, (amounts - common)[others]) + common[which]
+    mine = known[which]
+    whole = mine + prior
+    values = (mine * amounts[which] + prior * expected) / np.where(whole > 0, whole, 1.0)
+    fixed = ~one.amounts.any(1) & (whole > 0).any(1)
+    values = np.where((whole > 0) & ~fixed[:, None], values, amounts[which])
+    return _told(one, measured, values, whole, mine)
 
 
 def _told(
