@@ -20,9 +20,9 @@ import numpy as np
 from levkas.colour import counts_white, find_rendering
 from levkas.database.catalogue import Entry
 from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
-from levkas.database.planes import GROUP, turned
+from levkas.database.planes import GROUP
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import encode_strip, strip_rows, write_encoded_pages
+from levkas.database.spectral_tiff import encode_strips, strip_rows, write_encoded_pages
 from levkas.database.store import writing_layer
 from levkas.files import spooling, together
 
@@ -79,7 +79,7 @@ class PageSpool:
         bands = self.shape[2]
 
         def encode(start: int) -> list[bytes]:
-            return [encode_strip(p) for p in turned(strip, start, min(start + GROUP, bands))]
+            return encode_strips(strip, start, min(start + GROUP, bands))
 
         starts = range(0, bands, GROUP)
         for start, group in zip(starts, self._pool.map(encode, starts), strict=True):
