@@ -102,6 +102,11 @@ class PageSpool:
         for places in self._places:
             yield [_read(plain, int(start), int(size)) for start, size in places]
 
+    def drop(self) -> None:
+        """Give the disk back what was spooled; no page can be had any more."""
+        self._handle.seek(0)
+        self._handle.truncate()
+
 
 def _read(handle: BinaryIO, start: int, size: int) -> bytes:
     handle.seek(start)
@@ -174,6 +179,7 @@ class SpooledTiffs:
                 px_per_mm=facts.get("px_per_mm"),
                 credits=layer.credits,
             )
+            spool.drop()  # the next pages may need its space
             written.append(path)
         return written
 
