@@ -74,6 +74,7 @@ CODE = {
         "taps.py",
         "lanes.py",
         "squares.py",
+        "words.py",
         "spline.py",
         "ledge.py",
         "map_kernels.py",

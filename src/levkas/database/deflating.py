@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
+
+from levkas.words import put_word, word
 
 MOST_BITS = 14
 """Of a code: four of them and what is left of a byte fit in 64 bits."""
@@ -24,34 +24,6 @@ FIRST_LENGTHS = np.array([least + step * k for least, step, count in STEPS for k
 ORDER = np.array([16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15])
 LENGTH_BITS = np.array([4, 5, *[4] * 12, 5, 5, 0, 5, 4])
 """Bits of the codes that tell the lengths of codes; 17 and 18 are runs of nought (3.2.7)."""
-
-
-@intrinsic
-def word(_typing: Any, array: Any, index: Any) -> Any:
-    """Read eight bytes of a flat uint8 array, wherever they begin."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load(_pointer(context, builder, signature, arguments), align=1)
-
-    return types.uint64(array, index), generate
-
-
-@intrinsic
-def put_word(_typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write eight bytes to a flat uint8 array, wherever they begin."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = _pointer(context, builder, signature, arguments)
-        builder.store(arguments[2], pointer, align=1)
-        return context.get_dummy_value()
-
-    return types.void(array, index, types.uint64), generate
-
-
-def _pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    array = context.make_array(signature.args[0])(context, builder, arguments[0])
-    index = context.cast(builder, arguments[1], signature.args[1], types.intp)
-    return builder.bitcast(builder.gep(array.data, [index]), ir.IntType(64).as_pointer())
 
 
 def deflate_rows(rows: np.ndarray) -> bytes:
@@ -175,20 +147,28 @@ def _distance_extra(symbol):
 
 @njit
 def _code_lengths(used):
-    """Return Huffman's lengths, none above `MOST_BITS`; of equal counts the lower symbol is longer."""
+    """Return Huffman's lengths, none above `MOST_BITS`; of equal counts the lower symbol has the longer."""
     order = np.argsort(used * SYMBOLS + np.arange(SYMBOLS))
     order = order[np.searchsorted(used[order], 1) :]
-    n = order.size
     lengths = np.zeros(SYMBOLS, np.int64)
-    if n == 1:
-        lengths[order[0]] = 1
-        return lengths
+    many = _shortened(_depths(used[order]))
+    k = 0
+    for bits in range(MOST_BITS, 0, -1):
+        for _ in range(many[bits]):
+            lengths[order[k]] = bits
+            k += 1
+    return lengths
+
+
+@njit
+def _depths(counts):
+    """Return how many leaves of Huffman's tree lie at each depth; `counts` ascend."""
+    n = counts.size
     # Two queues, of symbols and of what was joined, both in order.
-    weight, parent = np.empty(2 * n - 1, np.int64), np.zeros(2 * n - 1, np.int64)
-    weight[:n] = used[order]
+    weight, parent = np.zeros(2 * n, np.int64), np.zeros(2 * n, np.int64)
+    weight[:n] = counts
     leaf, joined = 0, n
     for made in range(n, 2 * n - 1):
-        weight[made] = 0
         for _ in range(2):
             if leaf < n and (joined >= made or weight[leaf] <= weight[joined]):
                 chosen, leaf = leaf, leaf + 1
@@ -196,16 +176,25 @@ def _code_lengths(used):
                 chosen, joined = joined, joined + 1
             weight[made] += weight[chosen]
             parent[chosen] = made
-    depth = np.zeros(2 * n - 1, np.int64)
-    many = np.zeros(MOST_BITS + 1, np.int64)
+    depth, many = np.zeros(2 * n, np.int64), np.zeros(n + 1, np.int64)
+    many[1] = n == 1
     for node in range(2 * n - 3, -1, -1):
         depth[node] = depth[parent[node]] + 1
         if node < n:
-            many[min(depth[node], MOST_BITS)] += 1
-    # Codes that were cut short take too much room: others are made longer until all fit.
+            many[depth[node]] += 1
+    return many
+
+
+@njit
+def _shortened(deep):
+    """Return how many codes have each length where none may be longer than `MOST_BITS`."""
+    many = np.zeros(MOST_BITS + 1, np.int64)
     room = 0
-    for bits in range(1, MOST_BITS + 1):
-        room += many[bits] << (MOST_BITS - bits)
+    for bits in range(1, deep.size):
+        least = min(bits, MOST_BITS)
+        many[least] += deep[bits]
+        room += deep[bits] << (MOST_BITS - least)
+    # What was cut short takes too much room: others are made longer until all fit.
     while room > 1 << MOST_BITS:
         many[MOST_BITS] -= 1
         for bits in range(MOST_BITS - 1, 0, -1):
@@ -214,12 +203,7 @@ def _code_lengths(used):
                 many[bits + 1] += 2
                 break
         room -= 1
-    k = 0
-    for bits in range(MOST_BITS, 0, -1):
-        for _ in range(many[bits]):
-            lengths[order[k]] = bits
-            k += 1
-    return lengths
+    return many
 
 
 @njit
