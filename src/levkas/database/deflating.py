@@ -148,10 +148,18 @@ def _distance_extra(symbol):
 @njit
 def _code_lengths(used):
     """Return Huffman's lengths, none above `MOST_BITS`; of equal counts the lower symbol has the longer."""
-    order = np.argsort(used * SYMBOLS + np.arange(SYMBOLS))
-    order = order[np.searchsorted(used[order], 1) :]
+    order, counts = np.empty(SYMBOLS, np.int64), np.empty(SYMBOLS, np.int64)
+    n = 0
+    for s in range(SYMBOLS):
+        if used[s]:
+            k = n
+            while k and counts[k - 1] > used[s]:
+                order[k], counts[k] = order[k - 1], counts[k - 1]
+                k -= 1
+            order[k], counts[k] = s, used[s]
+            n += 1
     lengths = np.zeros(SYMBOLS, np.int64)
-    many = _shortened(_depths(used[order]))
+    many = _shortened(_depths(counts[:n]))
     k = 0
     for bits in range(MOST_BITS, 0, -1):
         for _ in range(many[bits]):
@@ -242,7 +250,7 @@ def _header(lengths, back, out, write):
         while i + run < told.size and told[i + run] == 0 and run < 138:
             run += 1
         symbol = 18 if run > 10 else (17 if run > 2 else told[i])
-        at = _put(out, at, codes[symbol] & np.uint64(0xFFFF), LENGTH_BITS[symbol], write)
+        at = _put(out, at, np.int64(codes[symbol]) & 0xFFFF, LENGTH_BITS[symbol], write)
         if run > 10:
             at = _put(out, at, run - 11, 7, write)
         elif run > 2:
@@ -259,7 +267,7 @@ def _put(out, at, value, bits, write):
             place = (at + b) >> 3
             if (at + b) & 7 == 0:
                 out[place] = 0
-            out[place] |= np.uint8((np.int64(value) >> b & 1) << ((at + b) & 7))
+            out[place] |= np.uint8((value >> b & 1) << ((at + b) & 7))
     return at + bits
 
 
