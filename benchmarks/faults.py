@@ -3,7 +3,8 @@
     python benchmarks/faults.py [EVERY] [KILLS] [PART …]
 
 EVERY takes each so-many-th point only; KILLS is the number of processes that are really ended. Parts are the
-scenes (new, over, withdrawn), careless (the writer without temporary files) and power (the loss of it); all.
+scenes (new, over, withdrawn, joint), careless (the writer without temporary files) and power (the loss of it);
+all. With full, failing or kill among them the disk, or the build, fails in those ways only.
 """
 
 import importlib.util
@@ -34,9 +35,11 @@ def main(every=1, kills=20, parts=()):
         faults.hasten(patch)
         scenes = faults.make_scenes(Path(folder))
         print(f"{'scene':10} {'kind':8} {'points':>7} {'whole':>7} {'mended':>7} {'share':>7}")
+        kinds = [kind for kind in faults.KINDS if kind in parts] or faults.KINDS
+        parts = [part for part in parts if part not in kinds]
         chosen = {name: scene for name, scene in scenes.items() if not parts or name in parts}
         for name, scene in chosen.items():
-            for kind in faults.KINDS:
+            for kind in kinds:
                 _row(name, kind, list(_all(faults, scene, kind, every)))
             share = [(n + 0.5) / kills for n in range(kills)]
             real = [faults.strike_for_real(scene, 1 + int(s * len(scene.steps))) for s in share]

@@ -51,7 +51,7 @@ class Frame(NamedTuple):
 class Planes(NamedTuple):
     """Source arrays, flat; all but `values` may be empty.
 
-    `suspect`, a byte a pixel: some band is flagged; `around`: some pixel of the 4 x 4 about it is.
+    `suspect`, a byte a pixel: flags of all its bands; `around`: some pixel of the 4 x 4 about it has one.
     """
 
     values: Any
@@ -191,12 +191,12 @@ def within(fx, fy, frame):
 
 @njit
 def any_suspect(suspect, frame, x, y, columns, rows):
-    """Tell whether a pixel of a box in memory is flagged in some band."""
+    """Return the flags that pixels of a box in memory have in any band."""
+    found = np.uint8(0)
     for r in range(y - frame.top, y - frame.top + rows):
         for c in range(x, x + columns):
-            if look(suspect, r * frame.width + c):
-                return True
-    return False
+            found |= look(suspect, r * frame.width + c)
+    return found
 
 
 @njit
@@ -331,6 +331,7 @@ def pass_flags(planes, result, frame, kind, at, wide_x, wide_y, b, count, to, sc
     flags, out, step = planes.flags, result.flags, frame.bands
     p = ((y0 - frame.top) * frame.width + x0) * step + b
     wide, own = frame.width * step, p + ((near_y - y0) * frame.width + near_x - x0) * step
+    lacking = any_suspect(planes.suspect, frame, x0, y0, columns, rows) & OUTSIDE
     gone = np.uint8(0)
     if count < WIDTH:
         for i in range(count):
@@ -345,7 +346,8 @@ def pass_flags(planes, result, frame, kind, at, wide_x, wide_y, b, count, to, sc
         passed = there = no_marks()
         for k in range(heavy):
             passed = join(passed, load_marks(flags, look(taps, k) + i))
-        for k in range(light, taps.size):
+        # Taps that weigh little are looked at only for what is not there.
+        for k in range(light if lacking else taps.size, taps.size):
             there = join(there, load_marks(flags, look(taps, k) + i))
         marks = load_marks(flags, own + i)
         gone |= all_marks(join(join(there, passed), marks))

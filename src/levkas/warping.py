@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.cache_lines import empty
 from levkas.machine import count_threads, tile_rows
 from levkas.pixelmap import (
     COARSE,
@@ -263,8 +264,8 @@ def _planes(
 
 def _result(shape: tuple[int, int, int], noisy: bool, out: Warped | None) -> Warped:
     if out is None:
-        variance = np.empty(shape, np.float32) if noisy else None
-        return Warped(np.empty(shape, np.float32), np.zeros(shape, np.uint8), variance)
+        variance = empty(shape, np.float32) if noisy else None
+        return Warped(empty(shape, np.float32), np.zeros(shape, np.uint8), variance)
     wanted = [(out.values, np.float32), (out.flags, np.uint8)]
     if noisy != (out.variance is not None):
         raise ValueError("`out` has a variance where none is wanted, or none where one is")
@@ -299,7 +300,9 @@ def _in_threads(work: Callable[[int, int], int], rows: tuple[int, int], threads:
     process where two threads enter them at once.
     """
     count = rows[1] - rows[0]
-    step = tile_rows(min(64, max(1, ceil(count / (4 * threads)))), count)
+    # Some rows together: what they share of the source is read once.
+    least = min(8, ceil(count / threads))
+    step = tile_rows(min(64, max(least, ceil(count / (4 * threads)))), count)
     starts = range(rows[0], rows[1], step)
     if threads == 1 or len(starts) == 1:
         return sum(work(start, min(start + step, rows[1])) for start in starts)

@@ -50,19 +50,19 @@ from levkas.taps import Nodes as Nodes
 from levkas.taps import Planes as Planes
 from levkas.taps import Result as Result
 
-HELPERS = "864a22c86e5ca192"
+HELPERS = "ade58db30c45ad42"
 EVERY = np.uint16(0xFFFF)
 
 
 @njit(cache=True, nogil=True)
 def find_suspects(start, stop, planes, frame):
-    """Note in which pixels of rows `start` to `stop` in memory some band is flagged."""
+    """Note what flags the bands of a pixel have, in rows `start` to `stop` in memory."""
     flags, suspect = planes.flags, planes.suspect
     for p in range(start * frame.width, stop * frame.width):
         found = np.uint8(0)
         for b in range(p * frame.bands, (p + 1) * frame.bands):
             found |= look(flags, b)
-        put(suspect, p, found != 0)
+        put(suspect, p, found)
 
 
 @njit(cache=True, nogil=True)

@@ -51,8 +51,10 @@ from levkas.taps import (
 )
 from levkas.taps import OUTSIDE as OUTSIDE
 
-HELPERS = "864a22c86e5ca192"
+HELPERS = "ade58db30c45ad42"
 EVERY = np.uint16(0xFFFF)
+STRETCH = 16
+"""Grid pixels side by side whose rows are done one after another; divides a segment, or is longer."""
 LOBES = (F(2.0), F(3.0), F(1.0))
 """Reach of the kernels that `taps` counts, in taps."""
 
@@ -278,8 +280,10 @@ def wide_rows(start, stop, nodes, planes, frame, result, first, count, kind, wid
     sums, spreads = np.empty(count + WIDTH, np.float32), np.empty(count + WIDTH, np.float32)
     together = shared and count >= WIDTH
     absent = 0
-    # Segment by segment from top to bottom: what the rows share of the source stays in the cache.
-    for x0 in range(0, nodes.width, length):
+    # Some pixels of a segment from top to bottom: what the rows share of the source stays in the cache.
+    stretch = min(STRETCH, length)
+    for begin in range(0, nodes.width, stretch):
+        x0 = begin - begin % length
         segment = x0 // length * part.size
         for y in range(start, stop):
             places, at = table, (y - nodes.first) * stride + segment
@@ -293,7 +297,7 @@ def wide_rows(start, stop, nodes, planes, frame, result, first, count, kind, wid
                 for m in range(maps):
                     wanted = look(places, at + (8 + axis) * maps + m)
                     put(widths, axis * n + m, F(min(max(1.0, wanted), widest)))
-            for x in range(x0, min(x0 + length, nodes.width)):
+            for x in range(begin, min(begin + stretch, x0 + length, nodes.width)):
                 t, to = F(x - x0), line + x * step
                 laid = flagged = handed = False
                 for block in range(0, count, WIDTH):
@@ -363,7 +367,9 @@ def wide_rows(start, stop, nodes, planes, frame, result, first, count, kind, wid
                                         spreads, count,
                                     )  # fmt: skip
                             if suspect.size and not laid:
-                                flagged = any_suspect(suspect, frame, left, above, columns, lines)
+                                flagged = (
+                                    any_suspect(suspect, frame, left, above, columns, lines) != 0
+                                )
                                 handed = shared and flagged and pass_flags(
                                     planes, result, frame, kind, (px, rx, py, ry), look(widths, 0),
                                     look(widths, n), first, count, line + x * step, scratch,

@@ -110,9 +110,9 @@ def test_lines_that_two_strips_share_are_calibrated_once(scan_and_cube, monkeypa
     scan, cube = scan_and_cube
     asked, lines = [], Scan.lines
 
-    def noting(self, start, stop, into=None):
+    def noting(self, start, stop, into=None, **more):
         asked.append((start, stop))
-        return lines(self, start, stop, into)
+        return lines(self, start, stop, into, **more)
 
     monkeypatch.setattr(Scan, "lines", noting)
     held = HeldLines(scan)

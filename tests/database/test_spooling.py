@@ -1,5 +1,6 @@
 """Strips that wait in a spool until their page is whole."""
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -36,3 +37,11 @@ def test_a_spool_that_became_shorter_is_told_and_never_read_as_less(spool):
     handle.truncate(handle.seek(0, 2) - 10)
     with pytest.raises(OSError, match="could be read back"):
         list(made.pages())
+
+
+def test_a_spool_whose_pages_are_written_gives_its_space_back(spool):
+    made, _, handle = spool
+    list(made.pages())
+    assert os.fstat(handle.fileno()).st_size > 100_000
+    made.drop()
+    assert os.fstat(handle.fileno()).st_size == 0

@@ -156,10 +156,13 @@ def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> n
     return find_defects(darks[-1] if darks else None, white, pattern)
 
 
-def mark_glare_in(cube: Cube) -> Cube:
-    """Return reflectance with GLARE in its flags, each value judged by itself."""
+def mark_glare_in(cube: Cube, *, squared: bool = False) -> Cube:
+    """Return reflectance with GLARE in its flags, each value judged by itself.
+
+    With `squared` its sigma is the square of it.
+    """
     if cube.quantity == "reflectance":
         from levkas.radiometry.glare import mark_glare
 
-        mark_glare(cube.values, cube.flags, cube.sigma)
+        mark_glare(cube.values, cube.flags, cube.sigma, squared=squared)
     return cube

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from levkas.building.scans import rows_of
 
 if TYPE_CHECKING:
@@ -39,9 +37,7 @@ class HeldLines:
                 if lines.sigma is not None and old.sigma is not None:
                     lines.sigma[: fresh - start] = old.sigma
         if fresh < stop:
-            made = self._scan.lines(fresh, stop, rows_of(lines, fresh - start, stop - start))
-            if made.sigma is not None:
-                np.square(made.sigma, out=made.sigma)
+            self._scan.lines(fresh, stop, rows_of(lines, fresh - start, stop - start), squared=True)
         self._last = start, stop, lines
         return lines
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from levkas.building.flatfielding import mark_glare_in
 from levkas.building.line_templates import FrameLines, gaps_marked
+from levkas.cache_lines import empty
 from levkas.calibration.lines import LineField
 from levkas.calibration.templates import Template
 from levkas.cube import Cube, Flag
@@ -177,23 +178,27 @@ class Scan:
         """Return [width, height] of any band."""
         return [self.shape[1], self.shape[0]]
 
-    def lines(self, start: int, stop: int, into: Cube | None = None) -> Cube:
+    def lines(
+        self, start: int, stop: int, into: Cube | None = None, *, squared: bool = False
+    ) -> Cube:
         """Calibrate lines `start` to `stop`; the same values for any block that they are part of.
 
-        They are written to the arrays of `into`, of as many lines, where it is given.
+        They are written to the arrays of `into`, of as many lines, where it is given; `squared`, the
+        square of sigma takes its place.
         """
         whole = self.room(stop - start) if into is None else into
         step = lines_at_once(self.shape)
         for y in range(start, stop, step):
             last = min(y + step, stop)
-            self.calibrated(self._raw(y, last), into=rows_of(whole, y - start, last - start))
+            part = rows_of(whole, y - start, last - start)
+            self.calibrated(self._raw(y, last), into=part, squared=squared)
         return whole
 
     def room(self, lines: int) -> Cube:
         """Return arrays for so many lines, not filled."""
         shape = (lines, *self.shape[1:])
-        sigma = np.empty(shape, np.float32) if self.has_sigma else None
-        values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+        sigma = empty(shape, np.float32) if self.has_sigma else None
+        values, flags = empty(shape, np.float32), empty(shape, np.uint8)
         return Cube(values, flags, sigma, self.bands, self.quantity)
 
     def blocks(self) -> Iterator[Cube]:
@@ -207,15 +212,20 @@ class Scan:
             yield self._raw(start, min(start + step, self.shape[0]))
 
     def calibrated(
-        self, raw: RawLines, projecting: Projecting | None = None, into: Cube | None = None
+        self,
+        raw: RawLines,
+        projecting: Projecting | None = None,
+        into: Cube | None = None,
+        *,
+        squared: bool = False,
     ) -> Cube:
         """Calibrate raw lines; `projecting` gathers what HySime takes away.
 
-        They are written to the arrays of `into` where it is given.
+        They are written to the arrays of `into` where it is given, with `squared` as for `lines`.
         """
         from levkas.calibration.denoising import Projecting
 
-        cube = self._flat(raw, into)
+        cube = self._flat(raw, into, squared)
         values = cube.values
         if self.subspace is not None:
             projected = (projecting or Projecting(self.subspace))(_as_numbers(cube))
@@ -223,7 +233,7 @@ class Scan:
         if self._exact:
             out = None if into is None else into.values
             cube = replace(cube, values=round_values(values, out=out))
-        return mark_glare_in(cube)
+        return mark_glare_in(cube, squared=squared)
 
     def _raw(self, start: int, stop: int) -> RawLines:
         codes = self.opened.read_lines(start, stop, turned=False)
@@ -238,14 +248,18 @@ class Scan:
         """Whether values are rounded when noise is taken away, and not before."""
         return bool(self.bench.camera.denoise)
 
-    def _flat(self, raw: RawLines, into: Cube | None = None) -> Cube:
+    def _flat(self, raw: RawLines, into: Cube | None = None, squared: bool = False) -> Cube:
         if self.field is None or raw.codes.dtype not in (np.uint8, np.uint16):
-            return self._flat_by_frames(raw, into)
+            cube = self._flat_by_frames(raw, into)
+            if squared and cube.sigma is not None:
+                np.square(cube.sigma, out=cube.sigma)
+            return cube
         made = self.field.develop(
             raw.codes,
             saturation=self.bench.saturation,
             threads=count_threads(),
             exact=self._exact,
+            squared=squared,
             out=None if into is None else (into.values, into.flags, into.sigma),
         )
         return Cube(*made, self.bands, self.quantity)

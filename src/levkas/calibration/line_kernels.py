@@ -11,14 +11,24 @@ from numba import njit
 
 from levkas.calibration.flattening import PRIOR
 from levkas.cube import Flag
-from levkas.lanes import look, put
+from levkas.double_lanes import (
+    doubles,
+    load_doubles,
+    mark_least,
+    mark_most,
+    narrowed,
+    positive,
+    root,
+    round_bits,
+)
+from levkas.lanes import join, load_marks, look, put, store, store_marks
+from levkas.squares import SIDE, turn_square
 
 SATURATED, BLACK, DEFECT, OUTSIDE = (
     np.uint8(f.value) for f in (Flag.SATURATED, Flag.BLACK, Flag.DEFECT, Flag.OUTSIDE)
 )
-TILE, LINES, GROUP = 64, 4, 16
-"""Samples whose bands are turned to lie innermost at once; lines that share what is known of them;
-bands that are turned in one go."""
+TILE, LINES = 64, 16
+"""Samples whose bands are turned to lie innermost at once; lines that share what is known of them."""
 
 
 @njit(cache=True, nogil=True)
@@ -38,14 +48,23 @@ def fill_share(out, signal, measured, freedom, share, gain, read):
 
 
 @njit
-def turn(raw, y, x0, count, codes):
-    """Copy `count` samples of a line from `x0` on to `codes`, bands innermost."""
-    bands = raw.shape[2]
-    for b0 in range(0, bands, GROUP):
-        last = min(b0 + GROUP, bands)
+def gather(raw, at, apart, count, bands, codes):
+    """Copy `count` samples of a line from flat index `at` on to `codes`, bands innermost.
+
+    `apart`: how far samples and bands lie from each other.
+    """
+    if apart[0] == bands and apart[1] == 1:
+        for c in range(count * bands):
+            put(codes, c, look(raw, at + c))
+    elif apart[0] != 1 or count < TILE or bands < SIDE:
         for k in range(count):
-            for b in range(b0, last):
-                put(codes, k * bands + b, raw[y, x0 + k, b])
+            for b in range(bands):
+                put(codes, k * bands + b, look(raw, at + k * apart[0] + b * apart[1]))
+    else:
+        for block in range(0, bands, SIDE):
+            b = min(block, bands - SIDE)  # the last ones twice
+            for k in range(0, TILE, SIDE):
+                turn_square(raw, at + k + b * apart[1], apart[1], codes, k * bands + b, bands)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -53,14 +72,18 @@ def develop_lines(
     start,
     stop,
     raw,
+    apart,
+    shape,
     dark,
     share_of_white,
     factor,
     shares,
     base,
     noise,
+    lost,
     limits,
     drops,
+    squared,
     values,
     flags,
     sigma,
@@ -69,73 +92,82 @@ def develop_lines(
 
     Parameters
     ----------
-    raw : (lines, samples, bands), uint8 or uint16, any strides
-    dark, share_of_white, factor : (samples·bands,), float64
+    raw : flat, uint8 or uint16
+    apart : (line, sample, band)
+        How far those lie from each other in `raw`.
+    shape : (samples, bands)
+    dark, share_of_white, factor : (samples·bands + 16,), float64
         Counts; what a count above dark is of the white's, 0 where there is no white; and what it is
         of the value.
-    shares : (3, samples·bands), float64
+    shares : (2, samples·bands + 16), float64
         Variances of the means of white and of dark, the white's dark counted with the white where it
-        is another one; (scale / lit)².
-    base : (samples·bands,), uint8
+        is another one.
+    base : (samples·bands + 16,), uint8
         Flags that hold for all lines.
     noise : (gain, read, share of a shot, 1 where one dark serves both)
+    lost : indices of samples·bands
+        Where there is no white.
     limits : (saturation, clipped at black), codes
     drops : (int, int)
         Mantissa bits of values and of sigma that are rounded away.
+    squared : bool
+        Whether the square of sigma takes its place.
     values, flags, sigma : (lines·samples·bands,)
+        Where a line has fewer than sixteen numbers, sixteen more.
     """
-    samples, bands = raw.shape[1:]
-    high, low = limits
-    gain, read, share, shared = noise
-    half = np.uint32(1 << (drops[1] - 1))
-    keep = np.uint32((0xFFFFFFFF << drops[1]) & 0xFFFFFFFF)
-    half_step = np.uint32((1 << drops[0]) >> 1)
-    kept = np.uint32((0xFFFFFFFF << drops[0]) & 0xFFFFFFFF)
-    codes = np.empty(TILE * bands, raw.dtype)
-    spread = np.empty(bands, np.float32)
-    bits = spread.view(np.uint32)
-    value = np.empty(bands, np.float32)
-    value_bits = value.view(np.uint32)
-    white_share, dark_share, square = shares[0], shares[1], shares[2]
+    samples, bands = shape
+    codes = np.empty(TILE * bands + SIDE, raw.dtype)
+    tables = dark, share_of_white, factor, shares[0], shares[1], base
     for y0 in range(start, stop, LINES):
-        for x0 in range(0, samples, TILE):
-            count = min(TILE, samples - x0)
+        for left in range(0, samples, TILE):
+            x0 = max(0, min(left, samples - TILE))  # the last ones twice
+            count = min(TILE, samples)
+            size, i = count * bands, x0 * bands
             for y in range(y0, min(y0 + LINES, stop)):
-                turn(raw, y, x0, count, codes)
-                for k in range(count):
-                    i, to, c = (x0 + k) * bands, (y * samples + x0 + k) * bands, k * bands
-                    for b in range(bands):
-                        code = np.float32(look(codes, c + b))
-                        flag = look(base, i + b) | (SATURATED if code >= high else np.uint8(0))
-                        put(flags, to + b, flag | (BLACK if code <= low else np.uint8(0)))
-                    for b in range(bands):
-                        signal = np.float64(look(codes, c + b)) - look(dark, i + b)
-                        put(value, b, np.float32(signal * look(factor, i + b)))
-                        if sigma.size:
-                            r = signal * look(share_of_white, i + b)
-                            model = read + gain * max(signal, 0.0)
-                            total = share * model + r * r * look(white_share, i + b)
-                            if shared:
-                                total += (1.0 - r) * (1.0 - r) * look(dark_share, i + b)
-                            else:
-                                total += look(dark_share, i + b)
-                            part = np.float32(total * look(square, i + b))
-                            put(spread, b, np.sqrt(max(part, np.float32(0))))
-                    for b in range(bands):
-                        put(value_bits, b, (look(value_bits, b) + half_step) & kept)
-                    for b in range(bands):
-                        put(values, to + b, look(value, b))
-                    if sigma.size:
-                        for b in range(bands):
-                            put(bits, b, (look(bits, b) + half) & keep)
-                        for b in range(bands):
-                            put(sigma, to + b, look(spread, b))
-    for i in range(samples * bands):
-        if share_of_white[i] > 0.0:
-            continue
+                gather(raw, y * apart[0] + x0 * apart[1], apart[1:], count, bands, codes)
+                to = (y * samples + x0) * bands
+                for block in range(0, size, SIDE):
+                    c = max(0, min(block, size - SIDE))
+                    develop_sixteen(
+                        codes, c, tables, i + c, noise, limits, drops, squared,
+                        values, flags, sigma, to + c,
+                    )  # fmt: skip
+    for i in lost:
         for y in range(start, stop):
             to = y * samples * bands + i
             values[to] = 0.0
             flags[to] |= DEFECT | OUTSIDE
             if sigma.size:
                 sigma[to] = np.nan
+
+
+@njit
+def develop_sixteen(
+    codes, c, tables, i, noise, limits, drops, squared, values, flags, sigma, to
+):  # fmt: skip
+    """Calibrate sixteen codes from `c` on, whose tables begin at `i`; write from `to` on."""
+    dark, share_of_white, factor, white_share, dark_share, base = tables
+    gain, read, share, shared = noise
+    code = load_doubles(codes, c)
+    marks = join(mark_least(code, limits[0], SATURATED), mark_most(code, limits[1], BLACK))
+    store_marks(flags, to, join(load_marks(base, i), marks))
+    signal = code - load_doubles(dark, i)
+    half, keep = np.uint32((1 << drops[0]) >> 1), np.uint32((0xFFFFFFFF << drops[0]) & 0xFFFFFFFF)
+    times = load_doubles(factor, i)
+    store(values, to, round_bits(narrowed(signal * times), half, keep))
+    if sigma.size:
+        r = signal * load_doubles(share_of_white, i)
+        model = doubles(read) + doubles(gain) * positive(signal)
+        total = doubles(share) * model + r * r * load_doubles(white_share, i)
+        if shared:
+            rest = doubles(1.0) - r
+            total = total + rest * rest * load_doubles(dark_share, i)
+        else:
+            total = total + load_doubles(dark_share, i)
+        spread = root(positive(narrowed(total * (times * times))))
+        half, keep = (
+            np.uint32(1 << (drops[1] - 1)),
+            np.uint32((0xFFFFFFFF << drops[1]) & 0xFFFFFFFF),
+        )
+        spread = round_bits(spread, half, keep)
+        store(sigma, to, spread * spread if squared else spread)

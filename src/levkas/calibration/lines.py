@@ -94,10 +94,12 @@ class LineField:
             shares[0] += shares[2]
         with np.errstate(divide="ignore", invalid="ignore"):
             share_of_white = np.where(lit > 0, 1 / lit, 0.0)
-            shares[2] = np.square(table / lit)
             factor = table / lit
         noises = (gain, read, 1.0, float(shared))
-        tables = (means[1], share_of_white, factor, shares, flags, noises)
+        # Sixteen are read at once, also where fewer are left.
+        padded = [np.pad(t, (0, 16)) for t in (means[1], share_of_white, factor)]
+        shares, flags = np.pad(shares[:2], ((0, 0), (0, 16))), np.pad(flags, (0, 16))
+        tables = (*padded, shares, flags, noises, np.flatnonzero(~(share_of_white > 0)))
         quantity = "counts" if white is None else "reflectance"
         return cls(shape, quantity, notes, noise is not None, tables)
 
@@ -108,12 +110,13 @@ class LineField:
         saturation: float | None,
         threads: int,
         exact: bool = False,
+        squared: bool = False,
         out: tuple[np.ndarray, np.ndarray, np.ndarray | None] | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Calibrate lines, (lines, samples, bands), uint8 or uint16, of any strides.
 
-        Values that are to be `exact` are not rounded. They are written to `out`, values, flags and
-        sigma, C-contiguous, where it is given.
+        Values that are to be `exact` are not rounded; `squared`, the square of sigma takes its place.
+        They are written to `out`, values, flags and sigma, C-contiguous, where it is given.
 
         Returns
         -------
@@ -129,17 +132,31 @@ class LineField:
             out = np.empty(raw.shape, np.float32), np.empty(raw.shape, np.uint8), known
         values, flags, noise = out
         sigma = np.empty(0, np.float32) if noise is None else noise
-        flat = (values.reshape(-1), flags.reshape(-1), sigma.reshape(-1))
+        parts: list[np.ndarray] = [values.reshape(-1), flags.reshape(-1), sigma.reshape(-1)]
+        if short := self.shape[0] * self.shape[1] < 16:
+            threads, parts = 1, [np.pad(part, (0, 16)) if part.size else part for part in parts]
         limits = (np.inf if saturation is None else float(saturation), BLACK_CLIP)
         drops = (0 if exact else VALUE_DROP, SIGMA_DROP)
+        codes, apart = _flat(raw)
         edges = np.linspace(0, len(raw), min(threads, len(raw)) + 1).astype(int)
 
         def work(part: tuple[int, int]) -> None:
-            kernel(*part, raw, *self._tables, limits, drops, *flat)
+            kernel(*part, codes, apart, self.shape, *self._tables, limits, drops, squared, *parts)
 
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)))
+        if short:
+            for array, made in zip((values, flags, sigma), parts, strict=True):
+                array[...] = made[: array.size].reshape(array.shape)
         return out
+
+
+def _flat(raw: np.ndarray) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Return the numbers of an array as they lie in memory, and how far neighbours on each axis are apart."""
+    order = sorted(range(raw.ndim), key=lambda axis: -raw.strides[axis])
+    packed = np.ascontiguousarray(raw.transpose(order))
+    strides = dict(zip(order, packed.strides, strict=True))
+    return packed.reshape(-1), tuple(strides[a] // raw.itemsize for a in range(raw.ndim))
 
 
 def _spread(array: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from levkas.squares import SIDE, turn_square
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -30,9 +32,12 @@ def turned(values: np.ndarray, start: int, stop: int) -> np.ndarray:
     >>> turned(np.arange(6).reshape(1, 3, 2), 0, 2).tolist()
     [[[0, 2, 4]], [[1, 3, 5]]]
     """
-    height, width, _ = values.shape
+    height, width = values.shape[:2]
     out = np.empty((stop - start, height, width), values.dtype)
-    if values.dtype.isnative and values.dtype.kind in "uif" and values.dtype.itemsize <= 8:
+    plain = values.dtype.isnative and values.dtype.kind in "uif" and values.dtype.itemsize <= 8
+    if plain and len(out) == SIDE <= width and values.flags.c_contiguous:
+        _turn_squares(values.reshape(-1), start, values.shape, out.reshape(-1))
+    elif plain:
         _turn(values, start, out)
     else:
         out[...] = np.moveaxis(values[:, :, start:stop], 2, 0)
@@ -48,3 +53,14 @@ def _turn(values, start, out):  # type: ignore[no-untyped-def]
             for b in range(bands):
                 for x in range(x0, last):
                     out[b, y, x] = values[y, x, start + b]
+
+
+@njit(nogil=True, cache=True)
+def _turn_squares(values, start, shape, out):  # type: ignore[no-untyped-def]
+    height, width, bands = shape
+    for y in range(height):
+        for x0 in range(0, width, SIDE):
+            x = min(x0, width - SIDE)  # the last ones twice
+            turn_square(
+                values, (y * width + x) * bands + start, bands, out, y * width + x, height * width
+            )

@@ -31,9 +31,7 @@ if TYPE_CHECKING:
 WAVELENGTHS, METADATA, LABEL, XMP, COPYRIGHT, ARTIST = 65000, 65111, 65001, 700, 33432, 315
 STRIP_BYTES = 1 << 18
 LEVEL = 1
-"""Of libdeflate: on noisy float32 as small as level 6 and half again as fast (benchmarks/)."""
-MARKS_LEVEL = 2
-"""Of zlib-ng, for bytes: flags become as small as with libdeflate, at seven times its speed."""
+"""Of the pictures, by zlib."""
 AHEAD = 8
 """Planes that are compressed ahead: as many as are gathered at a time."""
 CLASSIC_LIMIT = 4_000_000_000
@@ -231,19 +229,28 @@ def _compressed(
 
 def encode_strip(strip: Any) -> bytes:
     """Predict and deflate one strip, (rows, width)."""
-    import imagecodecs
-
+    from levkas.database.deflating import deflate_rows
     from levkas.database.predicting import predict_rows
 
-    if strip.dtype == np.uint8:
-        return bytes(imagecodecs.zlibng_encode(strip, level=MARKS_LEVEL))
     if strip.dtype == np.float32 and strip.dtype.isnative:
-        strip = predict_rows(strip)
-    elif strip.dtype.kind == "f":
-        strip = imagecodecs.floatpred_encode(strip, axis=-1)
-    elif strip.dtype.itemsize > 1:
-        strip = imagecodecs.delta_encode(strip, axis=-1)
-    return bytes(imagecodecs.deflate_encode(strip, level=LEVEL))
+        return deflate_rows(predict_rows(strip))
+    if strip.dtype.itemsize > 1:
+        import imagecodecs
+
+        predict = "floatpred_encode" if strip.dtype.kind == "f" else "delta_encode"
+        strip = getattr(imagecodecs, predict)(strip, axis=-1)
+    return deflate_rows(np.ascontiguousarray(strip).view(np.uint8))
+
+
+def encode_strips(rows: np.ndarray, start: int, stop: int) -> list[bytes]:
+    """Return `encode_strip` of bands `start` to `stop` of some rows, (rows, width, bands)."""
+    from levkas.database.deflating import deflate_rows
+    from levkas.database.planes import turned
+    from levkas.database.predicting import predict_planes
+
+    if rows.dtype == np.float32 and rows.dtype.isnative:
+        return [deflate_rows(plane) for plane in predict_planes(rows, start, stop)]
+    return [encode_strip(plane) for plane in turned(rows, start, stop)]
 
 
 def write_stiff(

@@ -20,9 +20,9 @@ import numpy as np
 from levkas.colour import counts_white, find_rendering
 from levkas.database.catalogue import Entry
 from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
-from levkas.database.planes import GROUP, turned
+from levkas.database.planes import GROUP
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import encode_strip, strip_rows, write_encoded_pages
+from levkas.database.spectral_tiff import encode_strips, strip_rows, write_encoded_pages
 from levkas.database.store import writing_layer
 from levkas.files import spooling, together
 
@@ -79,7 +79,7 @@ class PageSpool:
         bands = self.shape[2]
 
         def encode(start: int) -> list[bytes]:
-            return [encode_strip(p) for p in turned(strip, start, min(start + GROUP, bands))]
+            return encode_strips(strip, start, min(start + GROUP, bands))
 
         starts = range(0, bands, GROUP)
         for start, group in zip(starts, self._pool.map(encode, starts), strict=True):
@@ -101,6 +101,11 @@ class PageSpool:
         plain = getattr(self._handle, "raw", self._handle)
         for places in self._places:
             yield [_read(plain, int(start), int(size)) for start, size in places]
+
+    def drop(self) -> None:
+        """Give the disk back what was spooled; no page can be had any more."""
+        self._handle.seek(0)
+        self._handle.truncate()
 
 
 def _read(handle: BinaryIO, start: int, size: int) -> bytes:
@@ -174,6 +179,7 @@ class SpooledTiffs:
                 px_per_mm=facts.get("px_per_mm"),
                 credits=layer.credits,
             )
+            spool.drop()  # the next pages may need its space
             written.append(path)
         return written
 

@@ -123,13 +123,21 @@ def find_glare(
     return Glare(signs & FULL > 0, signs & BRIGHT > 0, lifted)
 
 
-def mark_glare(values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None = None) -> None:
+def mark_glare(
+    values: np.ndarray,
+    flags: np.ndarray,
+    sigma: np.ndarray | None = None,
+    *,
+    squared: bool = False,
+) -> None:
     """Set GLARE in `flags`, in place, band by band: where bands do not yet lie on one another.
 
     Parameters
     ----------
     values, flags, sigma
         As for `find_glare`.
+    squared : bool
+        Whether the square of sigma, exact to all its bits, stands in its place.
 
     Examples
     --------
@@ -139,7 +147,7 @@ def mark_glare(values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None =
     [[[16, 0]]]
     """
     noise = _noise(sigma)
-    _over_rows(lambda a, b: _mark_bands(a, b, values, flags, noise), len(values))
+    _over_rows(lambda a, b: _mark_bands(a, b, values, flags, noise, squared), len(values))
 
 
 def flag_glare(flags: np.ndarray, found: Glare) -> None:
@@ -190,7 +198,7 @@ def _judge_pixels(start, stop, values, flags, sigma, signs):  # type: ignore[no-
 
 
 @njit(nogil=True, cache=True)
-def _mark_bands(start, stop, values, flags, sigma):  # type: ignore[no-untyped-def]
+def _mark_bands(start, stop, values, flags, sigma, squared):  # type: ignore[no-untyped-def]
     """Set GLARE where a band by itself shows a sign."""
     least = np.float32(WHITE_PAINT)
     for y in range(start, stop):
@@ -205,6 +213,7 @@ def _mark_bands(start, stop, values, flags, sigma):  # type: ignore[no-untyped-d
                 if flags[y, x, b] & OUTSIDE:
                     continue
                 noise = np.float64(sigma[y, x, b]) if sigma.size else 0.0
+                noise = np.sqrt(noise) if squared else noise
                 if _judge(np.float64(pixel[b]), flags[y, x, b], noise):
                     flags[y, x, b] |= np.uint8(GLARE)
 
