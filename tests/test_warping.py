@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from levkas import warping, warping_kernels, wide_kernels
 from levkas.cube import Flag
 from levkas.gridding import Grid
-from levkas.pixelmap import TOLERANCE_PX, lay
+from levkas.ledge import LedgeShift
+from levkas.pixelmap import LEDGE_SHARE, TOLERANCE_PX, _evaluate, lay
 from levkas.transforms import Affine, Composed, Inverse, Lens, Polynomial
 from levkas.warping import Warped, source_rows, warp
 
@@ -450,3 +451,21 @@ def test_kept_machine_code_is_dropped_where_what_it_inlines_changed():
 def test_importing_the_module_does_not_import_numba():
     code = "import sys, levkas.warping; assert 'numba' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_step_of_a_ledge_is_laid_out_as_exactly_as_its_place_is_known():
+    lines = np.array([[1, 0.005, -156], [-1, -0.005, 1236], [-0.005, 1, -156], [0.005, -1, 884.0]])
+    ledge = LedgeShift(
+        lines, 33.0, np.array([696.0, 520]), 696.0, np.array([[0.6, 0.2], [0, 0], [0, 0]])
+    )
+    whole = Composed(ledge, Affine.scaling(1.0))
+    lattice = lay(whole, (1040, 1392)).lattices[0]
+    assert lattice.table is not None and lattice.segment >= 4
+    y, x = np.mgrid[0:1040:3, 0:1392]
+    points = np.stack([x.ravel(), y.ravel()], -1).astype(float)
+    error = np.abs(
+        _evaluate(lattice.table, (1040, 1392), lattice.segment, points) - whole(points)
+    ).max()
+    # Half again as much as at the places that are checked, and a thousandth of a px at most.
+    assert TOLERANCE_PX < lattice.error <= LEDGE_SHARE * ledge.most
+    assert error < 1.5 * LEDGE_SHARE * ledge.most

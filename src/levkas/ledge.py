@@ -48,6 +48,14 @@ class LedgeShift:
         share = _rise(self._places(points)).prod(1)
         return np.asarray(points + share[:, None] * (self._terms(points) @ self.shift))
 
+    @property
+    def most(self) -> float:
+        """Largest displacement inside, px: that of one of the corners."""
+        left, right, top, bottom = self.lines
+        pairs = [(a, b) for a in (left, right) for b in (top, bottom)]
+        corners = np.array([np.linalg.solve([a[:2], b[:2]], [-a[2], -b[2]]) for a, b in pairs])
+        return float(np.linalg.norm(self._terms(corners) @ self.shift, axis=1).max())
+
     def inverse(self, points: np.ndarray) -> np.ndarray:
         """Map points back by Newton; NaN where the displacement folds."""
         return invert(self, points, np.asarray(points, float))

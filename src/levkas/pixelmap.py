@@ -1,9 +1,10 @@
 """Where every grid pixel falls in the source, from a few places at which the maps are evaluated.
 
 A map is evaluated on a lattice of nodes, interpolated to order 5 down the rows, and laid as
-cubics along segments of them; sample pixels are checked against the map itself, and the lattice
-is made finer until the largest error is below `TOLERANCE_PX`. Maps that no lattice follows (folds,
-places without an answer) are evaluated at every pixel.
+cubics along segments of them; the middles of its cells are checked against the map itself, and the
+lattice is made finer until the largest error is below `TOLERANCE_PX`, or where the map steps at a ledge
+below `LEDGE_SHARE` of that step. Maps that no lattice follows (folds, places without an answer) are
+evaluated at every pixel.
 """
 
 from __future__ import annotations
@@ -16,16 +17,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.ledge import LedgeShift
+
 if TYPE_CHECKING:
     from levkas.transforms import Transform
 
 TOLERANCE_PX = 1e-4
-LADDER = ((128, 32), (32, 16), (8, 8), (4, 4))
+LEDGE_SHARE = 1 / 400
+"""Where a ledge lies is known to pixels: what it displaces need not be laid out more exactly."""
+LADDER = ((128, 32), (32, 16), (8, 8), (4, 4), (2, 2))
 """Distance of nodes and length of segments, grid px."""
 NODES = 6
 LANES = 16
-CHECKS = 12
-"""Check points on either axis."""
+CHECKS = 400
+"""Check points on either axis, at most: fewer would miss the slope of a ledge."""
 COARSE, COARSER = 1.1, 1.5
 """Source px per grid px: from the first on the kernel is widened against aliasing, from the second
 on by the whole scale; between them gradually, so that bands of nearly one scale are treated alike."""
@@ -169,10 +174,17 @@ def _lay_band(transform: Transform, shape: tuple[int, int], band: int) -> Lattic
             continue
         table = _table(nodes, shape, segment)
         error = float(np.abs(_evaluate(table, shape, segment, checks) - found[len(places) :]).max())
-        if error <= TOLERANCE_PX:
+        if error <= _tolerance(transform, coarsest):
             coarsest = max(coarsest, float(table[..., 8:].max()))
             return Lattice(band, None, (transform,), table, segment, error, coarsest)
     return Lattice(band, None, (transform,), None, 1, 0.0, coarsest)
+
+
+def _tolerance(transform: Transform, scale: float) -> float:
+    """Return how far a lattice may lie from a map, source px."""
+    steps = getattr(transform, "steps", (transform,))
+    ledges = [step.most for step in steps if isinstance(step, LedgeShift)]
+    return max([TOLERANCE_PX, *(LEDGE_SHARE * most * scale for most in ledges)])
 
 
 def _join(run: list[Lattice]) -> Lattice:

@@ -3,8 +3,8 @@ import pytest
 
 from levkas.ledge import LedgeShift
 from levkas.registration.ladder import climb
-from levkas.registration.ledges import find_ledge, fit_behind
-from levkas.registration.models import Observations, fit_polynomial
+from levkas.registration.ledges import averaged, find_ledge, fit_behind
+from levkas.registration.models import Observations, fit_polynomial, fit_projective
 from levkas.transforms import Affine, Composed, from_dict
 
 CELL, NOISE = 16.0, 0.03
@@ -79,3 +79,47 @@ def test_a_ledge_goes_there_and_back_and_its_slopes_are_those_of_differences():
     across, down = np.array([1e-4, 0]), np.array([0, 1e-4])
     slopes = [(ledge(points + d) - ledge(points - d)) / 2e-4 for d in (across, down)]
     assert ledge.jacobian(points) == pytest.approx(np.stack(slopes, 2), abs=1e-6)
+
+
+def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
+    truth = Composed(sunk(shift=((0.6, 0.1), (0.07, 0.0), (0.0, -0.09))), VIEW)
+    seen = windows(truth, 5)
+    ledge = find_ledge(seen, CELL)
+    fitted = fit_behind(seen, ledge, lambda o: fit_projective(o, lens=False)).steps[0]
+    inside = np.stack(np.meshgrid(np.linspace(200, 800, 9), np.linspace(170, 590, 9)), -1)
+    points = inside.reshape(-1, 2)
+    assert fitted.shift[2, 0] == fitted.shift[1, 1] == 0.0
+    assert np.abs(fitted(points) - truth.steps[0](points)).max() < 0.02
+
+
+def test_what_is_seen_through_a_map_with_a_ledge_finds_the_same_ledge_again():
+    truth = Composed(sunk(shift=((0.6, 0.1), (0.05, 0.0), (0.0, 0.05))), VIEW)
+    seen = windows(truth, 6)
+    first = climb(seen, spacing=192, cell=CELL)
+    # What windows see through that map: the mean of what it leaves, added to the mean of itself.
+    through = averaged(first.transform, seen.points, CELL)
+    points = windows(truth, 7)
+    left = points.target - windows(first.transform, 8).target  # both noises
+    again = Observations(seen.points, through + left, seen.jacobian, seen.information / 2)
+    second = climb(again, spacing=192, cell=CELL)
+    assert second.name.endswith("+ledge")
+    dense = np.random.default_rng(9).uniform([20, 20], [980, 740], (2000, 2))
+    errors = [
+        np.linalg.norm(r.transform(dense) - truth(dense), axis=1).mean() for r in (first, second)
+    ]
+    assert errors[1] < 1.5 * errors[0] + 0.002
+    # Were the map asked at the middle of a window, its step would be taken for sharper than it is seen.
+    wrong = Observations(
+        seen.points, first.transform(seen.points) + left, seen.jacobian, seen.information / 2
+    )
+    third = climb(wrong, spacing=192, cell=CELL)
+    assert np.linalg.norm(third.transform(dense) - truth(dense), axis=1).mean() > errors[1]
+
+
+def test_a_window_inside_sees_a_map_where_it_is_and_one_on_the_slope_its_mean():
+    ledge = sunk(0.0, ((1.0, 0.0), (0.0, 0.0), (0.0, 0.0)))
+    places = np.array([[500.0, 380], [162, 380], [60, 380]])
+    assert averaged(ledge, places, CELL)[:, 0] - places[:, 0] == pytest.approx(
+        [1, 0.5, 0], abs=1e-9
+    )
+    assert averaged(VIEW, places, CELL) == pytest.approx(VIEW(places))

@@ -10,6 +10,7 @@ import numpy as np
 from levkas.problems import Problem
 from levkas.registration.given import HAND_PX
 from levkas.registration.ladder import Rung, climb
+from levkas.registration.ledges import averaged
 from levkas.registration.models import Observations, solve_pairs
 from levkas.registration.prediction import cell_px
 from levkas.registration.record import RegistrationRefused
@@ -20,6 +21,8 @@ from levkas.transforms import Transform
 LEAST_WINDOWS = 12
 #: Windows are three cells wide: those two cells apart still share one.
 OVERLAP_CELLS = 2.01
+#: The next window that shares no pixel with a window.
+APART = 3
 
 
 def fit_base(
@@ -71,14 +74,14 @@ def fit_base(
         )
     points = centres[used]
     jacobian = base.jacobian(points)
-    target = base(points) - np.einsum("nab,nb->na", jacobian, common[used])
+    cell = float(task.scene.predictor(step).cell * step)
+    target = averaged(base, points, cell) - np.einsum("nab,nb->na", jacobian, common[used])
     finite = np.isfinite(target).all(1)
     observations = Observations(points, target, jacobian, information[used]).part(finite)
     hand = _by_hand(task.given.sure, base)
-    cell = task.scene.predictor(step).cell * step
     return climb(
         observations.joined(hand), spacing=4.0 * step * cell_px((0, 0)), apart=OVERLAP_CELLS * cell,
-        cell=float(cell) if ledge else 0.0, coarse=coarse, reaching=stiff, sure=len(hand),
+        cell=cell if ledge else 0.0, coarse=coarse, reaching=stiff, sure=len(hand),
         standing=base if coarse else None,
     )  # fmt: skip
 
@@ -122,6 +125,39 @@ def combine(seen: Sequence[Windows]) -> tuple[np.ndarray, np.ndarray]:
         typical = np.median(distance[used]) / 1.386 + 1e-12 if used.any() else 1.0
         weights = 1 / (1 + distance / (4 * typical))
     return common, total
+
+
+def knowledge(seen: Sequence[Windows]) -> float | None:
+    """Return what the windows of all bands know together, 1/px², by how neighbours scatter.
+
+    A window is compared with the mean of those on either side of it that share no pixel with it: what
+    is smooth cancels, whatever model would follow it, and the median takes no notice of a ledge. None
+    where the picture is too small for that.
+    """
+    common, information = combine(seen)
+    x, y = (np.unique(seen[0].centres[:, axis], return_inverse=True)[1] for axis in (0, 1))
+    lattice = (int(y.max()) + 1, int(x.max()) + 1)
+    shifts, known = np.zeros((*lattice, 2)), np.zeros((*lattice, 2, 2))
+    shifts[y, x], known[y, x] = common, information
+    distances = []
+    for axis in (0, 1):
+        there = usable(known.reshape(-1, 2, 2)).reshape(lattice)
+        middle, low, high = (
+            tuple(part if k == axis else slice(None) for k in (0, 1))
+            for part in (slice(APART, -APART), slice(-2 * APART), slice(2 * APART, None))
+        )
+        every = there[middle] & there[low] & there[high]
+        miss = (shifts[middle] - (shifts[low] + shifts[high]) / 2)[every]
+        variances = [
+            np.linalg.inv(known[of][every] + 1e-9 * np.eye(2)) for of in (middle, low, high)
+        ]
+        doubt = variances[0] + (variances[1] + variances[2]) / 4
+        distances.append(np.einsum("na,na->n", miss, solve_pairs(doubt, miss)))
+    found = np.concatenate(distances)
+    if len(found) < LEAST_WINDOWS:
+        return None
+    typical = np.median(found) / 1.386 + 1e-12
+    return float(np.trace(information, axis1=1, axis2=2).sum() / typical)
 
 
 def usable(information: np.ndarray) -> np.ndarray:

@@ -41,6 +41,8 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
 SPLINE_LEAST, LEDGE_LEAST = 150, 250
+#: What is tried behind a ledge whatever did best without it.
+BEHIND = ("homography+lens", "cubic", "quartic")
 COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
@@ -199,7 +201,7 @@ def climb(
 
 
 def _bend(contest: Contest, under: str, spacing: float, ledge: Ledge | None) -> None:
-    """Try a model with splines of falling stiffness; behind a ledge itself, stiff and as it did best."""
+    """Try a model with splines of falling stiffness, then what did best and plain ones behind a ledge."""
     bent = [under]
     for stiff in STIFF[::-1]:
         bent.append(f"{under}+spline({stiff:g})")
@@ -208,9 +210,11 @@ def _bend(contest: Contest, under: str, spacing: float, ledge: Ledge | None) -> 
     if ledge is None:
         return
     best = contest.taken if contest.taken in bent else min(bent, key=lambda n: contest.scores[n])
-    for name in dict.fromkeys([*bent[:2], best]):
+    # Without its term richer models were needed than with it.
+    plain = [name for name in BEHIND if name in contest.fits]
+    for name in dict.fromkeys([*plain, *bent[:2], best]):
         behind = partial(fit_behind, ledge=ledge, fit=contest.fits[name])
-        contest.enter(f"{name}+ledge", contest.least[under], behind)
+        contest.enter(f"{name}+ledge", contest.least[name], behind)
 
 
 def _enter_rig(contest: Contest, rig: Fit, names: Sequence[str]) -> str:

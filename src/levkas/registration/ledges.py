@@ -1,9 +1,9 @@
 """Finding the ledge of a panel in how windows are displaced, and fitting maps with its term.
 
 No polynomial follows a step in depth. Where it lies is looked for as the rectangle whose inside,
-displaced by (1, u, v), takes most from what a quintic leaves; what it displaces is fitted with every
-map anew. A window sees the mean of its pixels: the step is averaged over the window before it is
-compared.
+displaced and grown, takes most from what a cubic leaves (a quintic follows much of a ledge itself);
+what it displaces is fitted with every map anew. A window sees the mean of its pixels: the step is
+averaged over the window before it is compared.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from levkas.ledge import LedgeShift
-from levkas.registration.models import Observations, fit_polynomial
+from levkas.registration.models import Observations, fit_polynomial, solve_pairs
 from levkas.transforms import Composed, Transform, design_matrix, frame_of
 
-ORDER = 5
+ORDER = 3
 #: Margins that are tried, shares of the shorter side of what was observed.
 NARROWEST, WIDEST, TRIED = 0.04, 0.3, 14
-#: Narrower slopes than windows can tell are laid at two cells, and wider where more is displaced: a map
-#: with a sharp step in it would have to be evaluated at every pixel.
-LEAST_WIDTH_CELLS, MOST_WIDTH_CELLS, USUAL_PX = 2.0, 4.0, 0.15
+#: Narrower slopes than windows can tell are laid at two cells.
+LEAST_WIDTH_CELLS, MOST_WIDTH_CELLS = 2.0, 4.0
+#: Columns of 1, u, v that displace along x, and along y.
+ALONG = ([0, 1], [0, 2])
 #: A window is three cells wide, the middle one weighs as much as the two others.
 OFFSETS = np.arange(-4, 5) / 3
 WEIGHTS = np.repeat([0.25, 0.5, 0.25], 3) / 3
-HALVINGS, MOST_SEARCHED = 5, 2000
+HALVINGS, MOST_SEARCHED, TURNS = 5, 2000, 2
 #: What the best of all rectangles takes from windows that overlap by chance alone, in units of their
 #: variance, is some tens; the ledge of a simulated panel takes 200 to 1400.
 LEAST_GAIN = 150.0
@@ -108,19 +109,7 @@ def find_ledge(observations: Observations, cell: float) -> Ledge | None:
     if best is None:
         return None
     best, most = _descend(left, best, most)
-    return _softened(best, left) if every * most > LEAST_GAIN else None
-
-
-def _softened(ledge: Ledge, left: _Left) -> Ledge:
-    """Widen the slope about its middle for how much it displaces."""
-    edges = ledge.edges.copy()
-    corners = (edges[:2, None] + 1j * edges[2:4]).ravel() / ledge.spread
-    terms = np.column_stack([np.ones(4), corners.real, corners.imag])
-    most = float(np.linalg.norm(terms @ left.shift(ledge), axis=1).max())
-    width = LEAST_WIDTH_CELLS * ledge.cell * max(1.0, most / USUAL_PX) ** 0.5
-    wider = max(width - edges[4], 0.0)
-    edges[:5] += wider * np.array([-0.5, 0.5, -0.5, 0.5, 1.0])
-    return replace(ledge, edges=edges)
+    return best if every * most > LEAST_GAIN else None
 
 
 def _descend(left: _Left, best: Ledge, most: float) -> tuple[Ledge, float]:
@@ -147,7 +136,7 @@ def _descend(left: _Left, best: Ledge, most: float) -> tuple[Ledge, float]:
 
 
 class _Left:
-    """What a quintic leaves, and how much of it a ledge would explain."""
+    """What a cubic leaves, and how much of it a ledge would explain."""
 
     def __init__(self, observations: Observations) -> None:
         self.points = observations.points
@@ -162,22 +151,57 @@ class _Left:
 
     def shift(self, ledge: Ledge) -> np.ndarray:
         """Return the displacement, (3, 2) px, that explains most."""
-        columns = self._freed(self.root * ledge.columns(self.points))
-        return np.linalg.lstsq(columns, self.rest, rcond=1e-6)[0]
+        return fit_shift(self._freed(self.root * ledge.columns(self.points)), self.rest)
 
     def explained(self, ledge: Ledge) -> float:
         """Return by how much the weighted squares fall."""
         columns = self._freed(self.root * ledge.columns(self.points))
-        return float(((np.linalg.qr(columns)[0].T @ self.rest) ** 2).sum())
+        return sum(
+            float(((np.linalg.qr(columns[:, of])[0].T @ self.rest[:, axis]) ** 2).sum())
+            for axis, of in enumerate(ALONG)
+        )
+
+
+def fit_shift(columns: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """Return the displacement, (3, 2), by least squares: along either axis evenly, and growing along it.
+
+    What lies deeper is seen displaced and smaller; neither turns it.
+    """
+    shift = np.zeros((3, 2))
+    for axis, of in enumerate(ALONG):
+        shift[of, axis] = np.linalg.lstsq(columns[:, of], goal[:, axis], rcond=1e-6)[0]
+    return shift
 
 
 def fit_behind(
     observations: Observations, ledge: Ledge, fit: Callable[[Observations], Transform]
 ) -> Transform:
-    """Fit what a ledge displaces, and by `fit` the map of the rest."""
-    shift = _Left(observations).shift(ledge)
-    moved = observations.points + ledge.columns(observations.points) @ shift
+    """Fit what a ledge displaces, and by `fit` the map of the rest, in turns.
+
+    What a cubic leaves says first what the ledge displaces; a stiffer map leaves more of it to see.
+    """
+    left, columns = _Left(observations), ledge.columns(observations.points)
+    shift, weighted = left.shift(ledge), left.root * columns
+    for _ in range(TURNS):
+        moved = observations.points + columns @ shift
+        rest = fit(replace(observations, points=moved))
+        miss = solve_pairs(rest.jacobian(moved), observations.target - rest(moved))
+        shift = shift + fit_shift(weighted, left.root * miss)
+    moved = observations.points + columns @ shift
     return Composed(ledge.displacing(shift), fit(replace(observations, points=moved)))
+
+
+def averaged(base: Transform, points: np.ndarray, cell: float) -> np.ndarray:
+    """Return where windows about `points` see a map's target: behind a ledge the mean of its step."""
+    steps = base.steps if isinstance(base, Composed) else (base,)
+    if not isinstance(steps[0], LedgeShift):
+        return base(points)
+    moved = np.zeros_like(points)
+    for x, across in zip(OFFSETS * cell, WEIGHTS, strict=True):
+        for y, down in zip(OFFSETS * cell, WEIGHTS, strict=True):
+            spots = points + np.array([x, y])
+            moved += across * down * (steps[0](spots) - spots)
+    return Composed(*steps[1:])(points + moved)
 
 
 def _rise(x: np.ndarray) -> np.ndarray:

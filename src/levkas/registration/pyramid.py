@@ -16,6 +16,7 @@ from levkas.registration.consent import (
     combine,
     correction,
     fit_base,
+    knowledge,
     noted,
     usable,
 )
@@ -159,7 +160,7 @@ def _approach(task: Task, climbs: list[dict[str, Any]], *, stiff: bool) -> tuple
     """
     bands, finest = _spread(task.bands, COARSE_BANDS), task.finest
     base = _stiffened(task.found) if stiff else task.found.transform
-    step, known = finest, -np.inf
+    step, known = finest, None
     identity = [Affine.identity()] * len(bands)
     for finer in steps_of(task.scene.shape, finest):
         here = task.look(bands, identity, base, finer)
@@ -168,11 +169,19 @@ def _approach(task: Task, climbs: list[dict[str, Any]], *, stiff: bool) -> tuple
             continue  # too little to see at this size; the key points' map stands
         rung = fit_base(task, base, here, finer, coarse=True, stiff=stiff)
         climbs.append(noted(rung, finer))
-        if rung.knowledge < known:
+        now = (knowledge(here), rung.knowledge)
+        if known is not None and _is_less(now, known):
             return base, step
         _check(rung, task)
-        base, step, known = rung.transform, finer, rung.knowledge
+        base, step, known = rung.transform, finer, now
     return base, step
+
+
+def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
+    """Compare what neighbours tell, and where pictures are too small what lies about the model does."""
+    if now[0] is None or before[0] is None:
+        return now[1] < before[1]
+    return now[0] < before[0]
 
 
 def _stiffened(found: Start) -> Transform:
