@@ -3,9 +3,9 @@ import pytest
 
 from levkas.ledge import LedgeShift
 from levkas.registration.ladder import climb
-from levkas.registration.ledges import averaged, find_ledge, fit_behind
+from levkas.registration.ledges import averaged, find_ledge, find_ledges, fit_behind
 from levkas.registration.models import Observations, fit_polynomial, fit_projective
-from levkas.transforms import Affine, Composed, from_dict
+from levkas.transforms import Affine, Composed, Lens, from_dict
 
 CELL, NOISE = 16.0, 0.03
 VIEW = Affine(np.array([[1.2, 0.01, 8.0], [-0.02, 1.21, 5.0]]))
@@ -123,3 +123,15 @@ def test_a_window_inside_sees_a_map_where_it_is_and_one_on_the_slope_its_mean():
         [1, 0.5, 0], abs=1e-9
     )
     assert averaged(VIEW, places, CELL) == pytest.approx(VIEW(places))
+
+
+def test_a_ledge_is_found_beside_a_strong_lens_and_only_there_beside_a_quintic():
+    lens = Lens(np.array([500.0, 380]), 500.0, (0.01, 0.004), (0.0, 0.0))
+    seen = windows(Composed(sunk(shift=((0.15, -0.1), (0, 0), (0, 0))), lens, VIEW), 10)
+    found = find_ledges(seen, CELL)
+    middles = [f.edges[:4] + f.edges[4] / 2 * np.array([1, -1, 1, -1]) for f in found]
+    off = [
+        np.abs(m + np.repeat(f.centre, 2) - [162, 838, 132, 628]).max()
+        for m, f in zip(middles, found, strict=True)
+    ]
+    assert len(found) == 2 and off[0] > 20 and off[1] < 4

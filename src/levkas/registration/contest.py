@@ -57,10 +57,11 @@ class Contest:
         self.fit: Fit = fit_similarity
         self.fitted: Transform | None = None
 
-    def enter(self, name: str, least: int, fit: Fit) -> None:
-        """Try one more model, richer than those before."""
-        score = self.scores[name] = _held_out(self._judged, self._folds, least, fit)
-        self.fits[name], self.least[name] = fit, least
+    def enter(self, name: str, least: int, *fits: Fit) -> None:
+        """Try one more model, richer than those before; of several ways to fit it the best stands for it."""
+        tried = [(_held_out(self._judged, self._folds, least, fit), fit) for fit in fits]
+        score, fit = min(tried, key=lambda one: one[0])
+        self.scores[name], self.fits[name], self.least[name] = score, fit, least
         if not self.taken or score < self.scores[self.taken] * (1 - GAIN):
             self.taken, self.fit, self.fitted = name, fit, None
 

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from levkas.registration.contest import STANDING, Contest, Fit, Part, Rival, deal
-from levkas.registration.ledges import Ledge, find_ledge, fit_behind
+from levkas.registration.ledges import ORDERS, Ledge, find_ledges, fit_behind
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
@@ -41,8 +41,8 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
 SPLINE_LEAST, LEDGE_LEAST = 150, 250
-#: What is tried behind a ledge whatever did best without it.
-BEHIND = ("homography+lens", "cubic", "quartic")
+#: What is tried behind a ledge whatever did best without it → order of a polynomial as yielding.
+BEHIND = {"cubic": 3, "quartic": 4}
 COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
@@ -184,13 +184,13 @@ def climb(
         contest.fitted = model
     bending = not (coarse or reaching) and len(observations) >= SPLINE_LEAST
     seen = bending and cell and len(observations) >= LEDGE_LEAST
-    ledge = find_ledge(tempered, cell) if seen else None
+    ledges = find_ledges(tempered, cell) if seen else []
     if bending:
-        _bend(contest, contest.taken, spacing, ledge)
+        _bend(contest, contest.taken, spacing, ledges)
     if rig is not None:
         through = _enter_rig(contest, rig, [name for name in RIG if name in names])
         if bending:
-            _bend(contest, through, spacing, ledge)
+            _bend(contest, through, spacing, ledges)
     parts = () if coarse else contest.parts()
     transform = contest.fitted or contest.fit(tempered)
     rivals = () if coarse else contest.rivals()
@@ -200,21 +200,24 @@ def climb(
     )  # fmt: skip
 
 
-def _bend(contest: Contest, under: str, spacing: float, ledge: Ledge | None) -> None:
+def _bend(contest: Contest, under: str, spacing: float, ledges: Sequence[Ledge]) -> None:
     """Try a model with splines of falling stiffness, then what did best and plain ones behind a ledge."""
     bent = [under]
     for stiff in STIFF[::-1]:
         bent.append(f"{under}+spline({stiff:g})")
         on_top = partial(_on_top, under=contest.fits[under], spacing=spacing, stiff=stiff)
         contest.enter(bent[-1], contest.least[under], on_top)
-    if ledge is None:
-        return
     best = contest.taken if contest.taken in bent else min(bent, key=lambda n: contest.scores[n])
     # Without its term richer models were needed than with it.
     plain = [name for name in BEHIND if name in contest.fits]
     for name in dict.fromkeys([*plain, *bent[:2], best]):
-        behind = partial(fit_behind, ledge=ledge, fit=contest.fits[name])
-        contest.enter(f"{name}+ledge", contest.least[name], behind)
+        order = BEHIND.get(name, ORDERS[-1])
+        behind = [
+            partial(fit_behind, ledge=ledge, fit=contest.fits[name], order=order)
+            for ledge in ledges
+        ]
+        if behind:
+            contest.enter(f"{name}+ledge", contest.least[name], *behind)
 
 
 def _enter_rig(contest: Contest, rig: Fit, names: Sequence[str]) -> str:

@@ -17,11 +17,12 @@ from levkas.ledge import LedgeShift
 from levkas.registration.models import Observations, fit_polynomial, solve_pairs
 from levkas.transforms import Composed, Transform, design_matrix, frame_of
 
-ORDER = 3
+#: Orders of what a ledge is looked for beside: a cubic follows little of it, a quintic more of a lens.
+ORDERS = (3, 5)
 #: Margins that are tried, shares of the shorter side of what was observed.
 NARROWEST, WIDEST, TRIED = 0.04, 0.3, 14
 #: Narrower slopes than windows can tell are laid at two cells.
-LEAST_WIDTH_CELLS, MOST_WIDTH_CELLS = 2.0, 4.0
+LEAST_WIDTH_CELLS, MOST_WIDTH_CELLS, NEAR_CELLS = 2.0, 4.0, 0.1
 #: Columns of 1, u, v that displace along x, and along y.
 ALONG = ([0, 1], [0, 2])
 #: A window is three cells wide, the middle one weighs as much as the two others.
@@ -65,6 +66,10 @@ class Ledge:
             shares.append(both @ WEIGHTS)
         return np.asarray(shares[0] * shares[1])
 
+    def is_near(self, other: Ledge) -> bool:
+        """Whether no side lies farther off than windows can tell."""
+        return bool(np.abs(self.edges[:5] - other.edges[:5]).max() < NEAR_CELLS * self.cell)
+
     def columns(self, points: np.ndarray) -> np.ndarray:
         """Return the share of each window times 1, u, v, (n, 3)."""
         terms = np.column_stack([np.ones(len(points)), (points - self.centre) / self.spread])
@@ -80,7 +85,17 @@ class Ledge:
         return LedgeShift(lines, float(width), self.centre, self.spread, shift)
 
 
-def find_ledge(observations: Observations, cell: float) -> Ledge | None:
+def find_ledges(observations: Observations, cell: float) -> list[Ledge]:
+    """Return what is found beside polynomials of either order, the same one once."""
+    found: list[Ledge] = []
+    for order in ORDERS:
+        ledge = find_ledge(observations, cell, order)
+        if ledge is not None and not any(ledge.is_near(other) for other in found):
+            found.append(ledge)
+    return found
+
+
+def find_ledge(observations: Observations, cell: float, order: int = ORDERS[0]) -> Ledge | None:
     """Return where a ledge would explain most; None where none explains enough.
 
     Parameters
@@ -88,9 +103,11 @@ def find_ledge(observations: Observations, cell: float) -> Ledge | None:
     observations : Observations
     cell : float, reference px
         Side of the cells of which a window has three by three.
+    order : int
+        Of the polynomial that all else is left to.
     """
     every = 1 + len(observations) // MOST_SEARCHED
-    left = _Left(observations.part(np.arange(len(observations)) % every == 0))
+    left = _Left(observations.part(np.arange(len(observations)) % every == 0), order)
     low, high = observations.points.min(0), observations.points.max(0)
     half, middle = (high - low) / 2, (high + low) / 2
     centre, spread = frame_of(observations.points)
@@ -136,14 +153,14 @@ def _descend(left: _Left, best: Ledge, most: float) -> tuple[Ledge, float]:
 
 
 class _Left:
-    """What a cubic leaves, and how much of it a ledge would explain."""
+    """What a polynomial leaves, and how much of it a ledge would explain."""
 
-    def __init__(self, observations: Observations) -> None:
+    def __init__(self, observations: Observations, order: int) -> None:
         self.points = observations.points
         self.root = np.sqrt(np.trace(observations.information, axis1=1, axis2=2) / 2)[:, None]
-        design = design_matrix(self.points, ORDER, *frame_of(self.points))
+        design = design_matrix(self.points, order, *frame_of(self.points))
         self.basis = np.linalg.qr(self.root * design)[0]
-        residuals = observations.residuals(fit_polynomial(observations, ORDER))
+        residuals = observations.residuals(fit_polynomial(observations, order))
         self.rest = self._freed(self.root * residuals)
 
     def _freed(self, columns: np.ndarray) -> np.ndarray:
@@ -174,13 +191,16 @@ def fit_shift(columns: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 def fit_behind(
-    observations: Observations, ledge: Ledge, fit: Callable[[Observations], Transform]
+    observations: Observations,
+    ledge: Ledge,
+    fit: Callable[[Observations], Transform],
+    order: int = ORDERS[-1],
 ) -> Transform:
     """Fit what a ledge displaces, and by `fit` the map of the rest, in turns.
 
-    What a cubic leaves says first what the ledge displaces; a stiffer map leaves more of it to see.
+    What a polynomial of `order`, about as yielding as the map, leaves says first what the ledge displaces.
     """
-    left, columns = _Left(observations), ledge.columns(observations.points)
+    left, columns = _Left(observations, order), ledge.columns(observations.points)
     shift, weighted = left.shift(ledge), left.root * columns
     for _ in range(TURNS):
         moved = observations.points + columns @ shift
