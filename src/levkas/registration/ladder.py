@@ -40,7 +40,7 @@ RUNGS: dict[str, tuple[int, Fit]] = {
     "quartic": (60, partial(fit_polynomial, order=4)),
     "quintic": (84, partial(fit_polynomial, order=5)),
 }
-SPLINE_LEAST, LEDGE_LEAST = 150, 250
+SPLINE_LEAST, LEDGE_LEAST = 150, 120
 #: What is tried behind a ledge whatever did best without it → order of a polynomial as yielding.
 BEHIND = {"cubic": 3, "quartic": 4}
 COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
