@@ -41,6 +41,8 @@ STILL = 0.1
 LARGE_PX = 600_000
 LEAST_CELLS = 5
 GOOD_PX = 0.25
+#: By so much more neighbouring windows have to know on a finer grid that a model follows badly.
+SHARPER = 8.0
 
 
 @dataclass(frozen=True)
@@ -178,10 +180,14 @@ def _approach(task: Task, climbs: list[dict[str, Any]], *, stiff: bool) -> tuple
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
-    """Compare what neighbours tell, and where pictures are too small what lies about the model does."""
-    if now[0] is None or before[0] is None:
-        return now[1] < before[1]
-    return now[0] < before[0]
+    """Tell whether a finer grid knows less, by how windows lie about the model.
+
+    Unless neighbours know that much more on it: then it is the model that is short, of a ledge say. Windows
+    are four times as many there, and have to be twice as sure.
+    """
+    if now[1] >= before[1]:
+        return False
+    return now[0] is None or before[0] is None or now[0] < SHARPER * before[0]
 
 
 def _stiffened(found: Start) -> Transform:
