@@ -168,6 +168,31 @@ def test_the_view_stays_in_its_place_while_panes_change_their_size(bench):
     assert np.allclose(centre, pair[:2], atol=1)
 
 
+def test_a_person_faster_than_the_pictures_stays_where_they_went(bench):
+    """A mode whose pictures come late does not take back where a key led meanwhile."""
+    page, _ = bench
+    page.evaluate(
+        """() => { const stage = levkasWorkbench.stage, load = stage.load.bind(stage);
+        stage.load = async () => { await new Promise((go) => setTimeout(go, 400)); await load(); }; }"""
+    )
+    seen = "[...levkasWorkbench.stage.left.centre, levkasWorkbench.stage.left.scale]"
+    page.keyboard.press("2")
+    choose_worst(page)
+    page.keyboard.press("1")
+    page.wait_for_function(READY)
+    pair = page.evaluate("levkasWorkbench.store.pair(levkasWorkbench.store.selected)")
+    assert np.allclose(page.evaluate(seen), [*pair[:2], 3], atol=[1, 1, 0.1])
+    page.keyboard.press("2")
+    page.keyboard.press("+")
+    page.wait_for_function(READY)
+    page.wait_for_timeout(500)
+    assert np.allclose(page.evaluate(seen), [*pair[:2], 4.5], atol=[1, 1, 0.1])
+    page.keyboard.press("3")
+    page.keyboard.press("f")
+    page.wait_for_function(READY)
+    assert page.evaluate("levkasWorkbench.stage.left.isFitted")
+
+
 def test_a_page_that_nobody_touches_draws_nothing(bench):
     page, _ = bench
     page.evaluate("levkasWorkbench.stage.left.look(190, 140, 5)")

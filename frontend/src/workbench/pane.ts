@@ -28,6 +28,7 @@ export class Pane {
   onDrag: (x: number, y: number, done: boolean) => void = () => {};
   grab: (x: number, y: number) => boolean = () => false;
   onView: () => void = () => {};
+  onGesture: () => void = () => {};
   paint: (context: CanvasRenderingContext2D) => void = () => {};
   private dragging = false;
   private generation = 0;
@@ -45,6 +46,7 @@ export class Pane {
     for (const event of ["animation", "resize", "open", "zoom", "pan", "rotate", "update-viewport"] as const)
       this.viewer.addHandler(event, () => this.redraw());
     for (const event of ["animation", "animation-finish"] as const) this.viewer.addHandler(event, () => this.onView());
+    for (const event of ["canvas-scroll", "canvas-drag", "canvas-pinch", "canvas-double-click"] as const) this.viewer.addHandler(event, () => this.onGesture());
     this.viewer.addHandler("canvas-key", (event) => {
       event.preventDefaultAction = true;
     });
@@ -160,6 +162,13 @@ export class Pane {
   get centre(): Point {
     const middle = this.viewer.viewport.getCenter(true);
     return [middle.x * this.size[0] - 0.5, middle.y * this.size[0] - 0.5];
+  }
+
+  /** The place in the middle and the scale that the view has, or is on its way to. */
+  get aim(): [number, number, number] {
+    const viewport = this.viewer.viewport;
+    const [middle, across] = [viewport.getCenter(false), viewport.getContainerSize().x];
+    return [middle.x * this.size[0] - 0.5, middle.y * this.size[0] - 0.5, (viewport.getZoom(false) * across) / this.size[0]];
   }
 
   /** Show a place in the middle, at `scale` screen pixels a pixel; a view that is there already stays still. */

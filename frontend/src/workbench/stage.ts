@@ -38,13 +38,19 @@ export class Stage {
   private shown = "";
   private offered = "";
   private trial = { number: 0, asked: null as [Pair, Pair | null] | null, busy: false };
-  private leading: Pane | null = null;
+  /** The picture that a person moved last: the other one goes after it. */
+  private leader: Pane;
+  private following = false;
+  /** What the view turns to once a mode that was asked for is there: what was seen, or where a person went since. */
+  private arrival: (() => void) | null = null;
+  private changes = 0;
   private moving: Pair | null = null;
   private dragged: Pair | null = null;
 
   constructor(private readonly host: HTMLElement, private readonly store: Store) {
     this.left = new Pane("Reference picture", store.frame!.size);
     this.right = new Pane("Picture to register", store.frame!.target_size);
+    this.leader = this.left;
     host.append(this.left.host, this.right.host);
     this.flicker = new Flicker((shown) => this.layer?.setOpacity(shown === "b" ? 1 : 0));
     this.curtain = new Curtain(this.left.host, () => this.clip());
@@ -64,14 +70,17 @@ export class Stage {
     return trace ? mapOf(trace, trace.largest.length) : null;
   }
 
-  /** Whether all that is in view has been drawn. */
+  /** Whether all that is in view has been drawn, in the mode that was asked for. */
   get settled(): boolean {
-    return this.left.settled && (this.mode !== "side" || this.right.settled);
+    return this.arrival === null && this.left.settled && (this.mode !== "side" || this.right.settled);
   }
 
   setMode(mode: Mode): void {
-    const view = { centre: this.left.centre, scale: this.left.scale };
-    const first = this.shown === "" || this.left.isFitted;
+    if (!this.arrival) {
+      const [first, aim] = [this.shown === "" || this.left.isFitted, this.left.aim];
+      this.arrival = first ? () => this.left.fit() : () => this.left.look(...aim);
+    }
+    const mine = ++this.changes;
     this.mode = mode;
     this.host.dataset["mode"] = mode;
     this.right.host.hidden = mode !== "side";
@@ -80,15 +89,30 @@ export class Stage {
     // In an overlay both pictures are chosen under the one that is there.
     const foot = mode === "side" ? this.right.foot : this.left.foot;
     foot.append(this.right.label, this.bands.right.root);
-    void this.load().then(() => {
-      requestAnimationFrame(() => {
-        this.left.viewer.forceResize();
-        this.right.viewer.forceResize();
-        if (first) this.left.fit();
-        else this.left.look(...view.centre, view.scale);
-        this.follow(this.left);
-      });
-    });
+    void this.load().finally(() => requestAnimationFrame(() => this.arrive(mine)));
+  }
+
+  /** Take the view over once the panes know their new sizes, some frames later; but the last mode only. */
+  private arrive(change: number, frames = 60): void {
+    if (change !== this.changes) return;
+    const panes = this.mode === "side" ? [this.left, this.right] : [this.left];
+    for (const pane of panes) pane.viewer.forceResize();
+    if (frames > 0 && !panes.every((pane) => pane.isSized)) {
+      requestAnimationFrame(() => this.arrive(change, frames - 1));
+      return;
+    }
+    this.arrival?.();
+    this.arrival = null;
+    this.follow(this.left);
+  }
+
+  /** Move the view, also while another mode is on its way. */
+  private go(act: () => void): void {
+    act();
+    this.leader = this.left;
+    if (!this.arrival) return;
+    const aim = this.left.aim;
+    this.arrival = () => this.left.look(...aim);
   }
 
   /** Hold a key to flicker, whatever the mode. */
@@ -113,8 +137,18 @@ export class Stage {
   pan(dx: number, dy: number): void {
     const by = (0.15 * this.left.host.clientHeight) / this.left.scale;
     const [x, y] = this.left.centre;
-    this.left.look(x + by * dx, y + by * dy, this.left.scale);
+    this.go(() => this.left.look(x + by * dx, y + by * dy, this.left.scale));
     this.follow(this.left);
+  }
+
+  zoom(factor: number): void {
+    this.go(() => this.left.zoom(factor));
+  }
+
+  fit(): void {
+    this.left.fit();
+    this.leader = this.left;
+    if (this.arrival) this.arrival = () => this.left.fit();
   }
 
   /** Show the band before or after in one of the pictures. */
@@ -208,9 +242,9 @@ export class Stage {
   /** Let the other picture show the same place, turned and scaled alike. */
   private follow(leader: Pane): void {
     const map = this.map;
-    if (this.mode !== "side" || this.leading || !map || !this.store.frame) return;
+    if (this.mode !== "side" || this.following || !map || !this.store.frame) return;
     if (!this.left.isSized || !this.right.isSized) return;
-    this.leading = leader;
+    this.following = true;
     const [w, h] = this.store.frame.target_size;
     if (leader === this.left) {
       const place = invert(map, this.left.centre, [w / 2, h / 2]);
@@ -221,7 +255,7 @@ export class Stage {
       const { scale } = turnAndScale(map, ...place);
       if (scale > 0) this.left.look(...map(...place), this.right.scale / scale);
     }
-    this.leading = null;
+    this.following = false;
     this.left.redraw();
     this.right.redraw();
   }
@@ -229,7 +263,7 @@ export class Stage {
   /** Show a pair in the middle of both pictures. */
   flyTo(pair: Pair): void {
     const scale = Math.max(this.left.scale, 3);
-    this.left.look(pair[0], pair[1], scale);
+    this.go(() => this.left.look(pair[0], pair[1], scale));
     if (!this.map) this.right.look(pair[2], pair[3], Math.max(this.right.scale, 3));
     this.follow(this.left);
   }
@@ -237,12 +271,15 @@ export class Stage {
   private wire(): void {
     this.left.onView = () => {
       this.clip();
-      this.follow(this.left);
+      if (this.leader === this.left) this.follow(this.left);
     };
-    this.right.onView = () => this.follow(this.right);
+    this.right.onView = () => this.leader === this.right && this.follow(this.right);
     for (const pane of [this.left, this.right]) pane.viewer.addHandler("resize", () => requestAnimationFrame(() => this.follow(this.left)));
     for (const picker of [this.bands.left, this.bands.right]) picker.onChange = () => void this.load();
     for (const [pane, part] of [[this.left, 0], [this.right, 2]] as const) {
+      pane.onGesture = () => {
+        [this.leader, this.arrival] = [pane, null];
+      };
       pane.paint = (context) => this.paint(context, pane, part);
       pane.onClick = (x, y) => void this.click(pane, part, x, y);
       pane.grab = (x, y) => {

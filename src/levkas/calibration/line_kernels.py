@@ -24,6 +24,9 @@ from levkas.double_lanes import (
 from levkas.lanes import join, load_marks, look, put, store, store_marks
 from levkas.squares import SIDE, turn_square
 
+HELPERS = "02ce2d93991e4bd6"
+"""Digest of what is inlined from other files: numba keeps machine code as long as this file is the same."""
+
 SATURATED, BLACK, DEFECT, OUTSIDE = (
     np.uint8(f.value) for f in (Flag.SATURATED, Flag.BLACK, Flag.DEFECT, Flag.OUTSIDE)
 )

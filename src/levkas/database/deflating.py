@@ -15,6 +15,9 @@ from numba import njit
 
 from levkas.words import put_word, word
 
+HELPERS = "5cdcf0670a5defc2"
+"""Digest of what is inlined from other files: numba keeps machine code as long as this file is the same."""
+
 MOST_BITS = 14
 """Of a code: four of them and what is left of a byte fit in 64 bits."""
 SYMBOLS, END, LONGEST, FARTHEST = 286, 256, 258, 1 << 15

@@ -12,6 +12,9 @@ from levkas.squares import SIDE, turn_square
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+HELPERS = "d3c870635e14436f"
+"""Digest of what is inlined from other files: numba keeps machine code as long as this file is the same."""
+
 GROUP = 16
 """Bands that are gathered in one passage over the memory: a line of the cache of float32."""
 TILE = 64
