@@ -42,7 +42,7 @@ export class Stage {
   private leader: Pane;
   private following = false;
   /** What the view turns to once a mode that was asked for is there: what was seen, or where a person went since. */
-  private arrival: (() => void) | null = null;
+  private arrival: [number, number, number] | "fit" | null = null;
   private changes = 0;
   private moving: Pair | null = null;
   private dragged: Pair | null = null;
@@ -76,10 +76,8 @@ export class Stage {
   }
 
   setMode(mode: Mode): void {
-    if (!this.arrival) {
-      const [first, aim] = [this.shown === "" || this.left.isFitted, this.left.aim];
-      this.arrival = first ? () => this.left.fit() : () => this.left.look(...aim);
-    }
+    const first = this.shown === "" || this.left.isFitted;
+    this.arrival ??= first ? "fit" : this.left.aim;
     const mine = ++this.changes;
     this.mode = mode;
     this.host.dataset["mode"] = mode;
@@ -101,18 +99,22 @@ export class Stage {
       requestAnimationFrame(() => this.arrive(change, frames - 1));
       return;
     }
-    this.arrival?.();
+    if (this.arrival === "fit") this.left.fit();
+    else if (this.arrival) this.left.look(...this.arrival);
     this.arrival = null;
     this.follow(this.left);
   }
 
+  /** Where the view goes: place and scale. */
+  private get heading(): [number, number, number] {
+    return Array.isArray(this.arrival) ? this.arrival : this.left.aim;
+  }
+
   /** Move the view, also while another mode is on its way. */
-  private go(act: () => void): void {
-    act();
+  private lead(x: number, y: number, scale: number): void {
     this.leader = this.left;
-    if (!this.arrival) return;
-    const aim = this.left.aim;
-    this.arrival = () => this.left.look(...aim);
+    this.left.look(x, y, scale);
+    if (this.arrival) this.arrival = [x, y, scale];
   }
 
   /** Hold a key to flicker, whatever the mode. */
@@ -135,20 +137,23 @@ export class Stage {
 
   /** Move both pictures by a part of the view. */
   pan(dx: number, dy: number): void {
-    const by = (0.15 * this.left.host.clientHeight) / this.left.scale;
-    const [x, y] = this.left.centre;
-    this.go(() => this.left.look(x + by * dx, y + by * dy, this.left.scale));
+    const [x, y, scale] = this.heading;
+    const by = (0.15 * this.left.host.clientHeight) / scale;
+    this.lead(x + by * dx, y + by * dy, scale);
     this.follow(this.left);
   }
 
   zoom(factor: number): void {
-    this.go(() => this.left.zoom(factor));
+    this.leader = this.left;
+    const [x, y, scale] = this.heading;
+    if (this.arrival) this.lead(x, y, scale * factor);
+    else this.left.zoom(factor);
   }
 
   fit(): void {
-    this.left.fit();
     this.leader = this.left;
-    if (this.arrival) this.arrival = () => this.left.fit();
+    this.left.fit();
+    if (this.arrival) this.arrival = "fit";
   }
 
   /** Show the band before or after in one of the pictures. */
@@ -262,8 +267,7 @@ export class Stage {
 
   /** Show a pair in the middle of both pictures. */
   flyTo(pair: Pair): void {
-    const scale = Math.max(this.left.scale, 3);
-    this.go(() => this.left.look(pair[0], pair[1], scale));
+    this.lead(pair[0], pair[1], Math.max(this.heading[2], 3));
     if (!this.map) this.right.look(pair[2], pair[3], Math.max(this.right.scale, 3));
     this.follow(this.left);
   }
