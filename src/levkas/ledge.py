@@ -44,9 +44,14 @@ class LedgeShift:
     shift: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        points = np.asarray(points, float)
-        share = _rise(self._places(points)).prod(1)
-        return np.asarray(points + share[:, None] * (self._terms(points) @ self.shift))
+        from levkas.map_kernels import step_inside
+
+        points, lines, shift = (
+            np.ascontiguousarray(a, float) for a in (points, self.lines, self.shift)
+        )
+        centre = np.asarray(self.centre, float)
+        moved = step_inside(points, lines, float(self.width), centre, float(self.spread), shift)
+        return np.asarray(moved)
 
     @property
     def most(self) -> float:

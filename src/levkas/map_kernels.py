@@ -75,6 +75,124 @@ def polynomial(points, order, centre, spread, coefficients):
 
 
 @njit(cache=True, nogil=True)
+def displace_slopes(points, origin, spacing, coefficients):
+    """Return the derivatives of `displace`, (n, 2, 2)."""
+    rows, columns = coefficients.shape[:2]
+    out = np.empty((len(points), 2, 2))
+    bx, by, dx, dy = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    for n in range(len(points)):
+        i, t, over_x = _place((points[n, 0] - origin[0]) / spacing, columns - 3)
+        j, s, over_y = _place((points[n, 1] - origin[1]) / spacing, rows - 3)
+        _weigh(t, bx, dx)
+        _weigh(s, by, dy)
+        for axis in range(2):
+            along = down = both = 0.0
+            for r in range(4):
+                value = slope = 0.0
+                for c in range(4):
+                    value += bx[c] * coefficients[j + r, i + c, axis]
+                    slope += dx[c] * coefficients[j + r, i + c, axis]
+                along += by[r] * slope
+                down += dy[r] * value
+                both += dy[r] * slope
+            out[n, axis, 0] = (along + both * over_y) / spacing
+            out[n, axis, 1] = (down + both * over_x) / spacing
+        out[n, 0, 0] += 1
+        out[n, 1, 1] += 1
+    return out
+
+
+@njit(cache=True, nogil=True)
+def polynomial_slopes(points, order, centre, spread, coefficients):
+    """Return the derivatives of `polynomial`, (n, 2, 2)."""
+    out = np.zeros((len(points), 2, 2))
+    us, vs = np.ones(order + 1), np.ones(order + 1)
+    for n in range(len(points)):
+        u, v = (points[n, 0] - centre[0]) / spread, (points[n, 1] - centre[1]) / spread
+        for k in range(order):
+            us[k + 1] = us[k] * u
+            vs[k + 1] = vs[k] * v
+        term = 0
+        for degree in range(order + 1):
+            for j in range(degree + 1):
+                i = degree - j
+                along = i * us[max(i - 1, 0)] * vs[j] / spread
+                down = j * us[i] * vs[max(j - 1, 0)] / spread
+                for axis in range(2):
+                    out[n, axis, 0] += along * coefficients[term, axis]
+                    out[n, axis, 1] += down * coefficients[term, axis]
+                term += 1
+    return out
+
+
+@njit
+def _rise(x):
+    x = min(max(x, 0.0), 1.0)
+    return x**3 * (x * (6 * x - 15) + 10)
+
+
+@njit(cache=True, nogil=True)
+def step_inside(points, lines, width, centre, spread, shift):
+    """Return displaced points, (n, 2): by 1, u, v times `shift` inside of four lines, by less on the slope."""
+    out = np.empty_like(points)
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        share = 1.0
+        for k in range(len(lines)):
+            away = x * lines[k, 0] + y * lines[k, 1] + lines[k, 2]
+            # What is not a number stays none.
+            share *= _rise(away / width) if np.isfinite(away) else away
+        u, v = (x - centre[0]) / spread, (y - centre[1]) / spread
+        for axis in range(2):
+            moved = shift[0, axis] + u * shift[1, axis] + v * shift[2, axis]
+            out[n, axis] = points[n, axis] + share * moved
+    return out
+
+
+@njit(cache=True, nogil=True)
+def share_inside(points, edges, centre, offsets, weights):
+    """Return the share of windows, (n,), that lies inside of a turned rectangle, its slope included."""
+    out = np.empty(len(points))
+    c, s, width = np.cos(edges[5]), np.sin(edges[5]), edges[4]
+    for n in range(len(points)):
+        x, y = points[n, 0] - centre[0], points[n, 1] - centre[1]
+        whole = 1.0
+        for axis in range(2):
+            place = x * c + y * s if axis == 0 else y * c - x * s
+            low, high = edges[2 * axis], edges[2 * axis + 1]
+            part = 0.0
+            for k in range(len(offsets)):
+                spot = place + offsets[k]
+                part += weights[k] * _rise((spot - low) / width) * _rise((high - spot) / width)
+            whole *= part
+        out[n] = whole
+    return out
+
+
+@njit(cache=True, nogil=True)
+def spline_sums(first, across, down, weight, goal, columns, normal, right):
+    """Add up the normal equations of a cubic spline lattice: each point touches four by four knots.
+
+    `first` (n, 2) whole places, `across` and `down` (n, 4) weights, `weight` (n, 2, 2), `goal` (n, 2);
+    `normal` (2, terms, 2, terms) and `right` (2, terms) are filled, terms row by row of `columns` knots.
+    """
+    for n in range(len(first)):
+        for i in range(16):
+            one = (first[n, 1] + i // 4) * columns + first[n, 0] + i % 4
+            here = down[n, i // 4] * across[n, i % 4]
+            for a in range(2):
+                right[a, one] += here * (
+                    weight[n, a, 0] * goal[n, 0] + weight[n, a, 1] * goal[n, 1]
+                )
+            for k in range(16):
+                other = (first[n, 1] + k // 4) * columns + first[n, 0] + k % 4
+                both = here * down[n, k // 4] * across[n, k % 4]
+                for a in range(2):
+                    for b in range(2):
+                        normal[a, one, b, other] += both * weight[n, a, b]
+
+
+@njit(cache=True, nogil=True)
 def segments(nodes, first, weights, length, step_y, table):
     """Fill (rows, segments, 10): a cubic along each segment of each row of nodes, and the scales.
 
@@ -111,3 +229,20 @@ def segments(nodes, first, weights, length, step_y, table):
             for a in range(2):
                 down = (middle[below, s, a] - middle[above, s, a]) / ((below - above) * step_y)
                 table[r, s, 8 + a] = np.hypot(table[r, s, 8 + a], down)
+
+
+@njit(cache=True, nogil=True)
+def follow(table, first, weights, which, along, found):
+    """Fill (rows, columns, 2): the cubics of a table, between its rows by `weights` from `first` on."""
+    taps, part = weights.shape[1], np.empty(8)
+    for r in range(len(first)):
+        for n in range(len(which)):
+            for k in range(8):
+                total = 0.0
+                for t in range(taps):
+                    total += weights[r, t] * table[first[r] + t, which[n], k]
+                part[k] = total
+            t = float(along[n])
+            for a in range(2):
+                c = part[4 * a : 4 * a + 4]
+                found[r, n, a] = c[0] + t * (c[1] + t * (c[2] + t * c[3]))

@@ -10,6 +10,7 @@ evaluated at every pixel.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import groupby
 from math import ceil, floor, inf
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.ledge import LedgeShift
+from levkas.machine import count_threads
 
 if TYPE_CHECKING:
     from levkas.transforms import Transform
@@ -31,6 +33,8 @@ NODES = 6
 LANES = 16
 CHECKS = 400
 """Check points on either axis, at most: fewer would miss the slope of a ledge."""
+FEW = 50
+"""Of these few tell already that most lattices do not serve."""
 COARSE, COARSER = 1.1, 1.5
 """Source px per grid px: from the first on the kernel is widened against aliasing, from the second
 on by the whole scale; between them gradually, so that bands of nearly one scale are treated alike."""
@@ -142,12 +146,14 @@ def lay_runs(
         yield _lay_band(transforms[0], shape, 0)
         return
     run: list[Lattice] = []
-    for band, transform in enumerate(transforms):
-        run.append(_lay_band(transform, shape, band))
-        held = sum(one.table.nbytes for one in run if one.table is not None)
-        if held > most_bytes and len(run) % LANES == 0:
-            yield from _joined(run)
-            run = []
+    with ThreadPoolExecutor(count_threads()) as pool:
+        for first in range(0, len(transforms), LANES):
+            some = range(first, min(first + LANES, len(transforms)))
+            run.extend(pool.map(lambda band: _lay_band(transforms[band], shape, band), some))
+            held = sum(one.table.nbytes for one in run if one.table is not None)
+            if held > most_bytes:
+                yield from _joined(run)
+                run = []
     yield from _joined(run)
 
 
@@ -162,22 +168,53 @@ def _lay_band(transform: Transform, shape: tuple[int, int], band: int) -> Lattic
     for step, segment in LADDER:
         counts = [max(NODES, ceil((n - 1) / step) + 1) for n in shape]
         y, x = (np.linspace(0, n - 1, count) for n, count in zip(shape, counts, strict=True))
-        checks = np.stack(np.meshgrid(*(_checks(n) for n in (x, y))), -1).reshape(-1, 2)
-        places = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        with np.errstate(all="ignore"):
-            found = np.asarray(transform(np.concatenate([places, checks])), float)
-        nodes = found[: len(places)].reshape(*counts, 2)
+        nodes = _asked(transform, x, y).reshape(*counts, 2)
         coarsest = max(1.0, _coarsest(nodes, x, y))
         if height * width <= SMALL or min(shape) < NODES:
             break
-        if not np.isfinite(found).all() or np.abs(found).max() > -FAR / 4:
+        if not _is_near(nodes):
             continue
         table = _table(nodes, shape, segment)
-        error = float(np.abs(_evaluate(table, shape, segment, checks) - found[len(places) :]).max())
-        if error <= _tolerance(transform, coarsest):
+        error = _error(transform, table, shape, segment, (x, y), _tolerance(transform, coarsest))
+        if error is not None:
             coarsest = max(coarsest, float(table[..., 8:].max()))
             return Lattice(band, None, (transform,), table, segment, error, coarsest)
     return Lattice(band, None, (transform,), None, 1, 0.0, coarsest)
+
+
+def _asked(transform: Transform, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return where the places of a raster lie, (rows x columns, 2)."""
+    places = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    with np.errstate(all="ignore"):
+        return np.asarray(transform(places), float)
+
+
+def _is_near(found: np.ndarray) -> bool:
+    return bool(np.isfinite(found).all() and np.abs(found).max() <= -FAR / 4)
+
+
+def _error(
+    transform: Transform,
+    table: np.ndarray,
+    shape: tuple[int, int],
+    segment: int,
+    nodes: tuple[np.ndarray, np.ndarray],
+    tolerance: float,
+) -> float | None:
+    """Return the largest error of a table at the middles of cells; None where it is too large.
+
+    Few of them are asked first: most tables that do not serve show it there.
+    """
+    x, y = (_checks(n) for n in nodes)
+    for every in (CHECKS // FEW, 1):
+        few = x[::every], y[::every]
+        found = _asked(transform, *few)
+        if not _is_near(found):
+            return None
+        error = float(np.abs(_evaluate(table, shape, segment, *few) - found).max())
+        if error > tolerance:
+            return None
+    return error
 
 
 def _tolerance(transform: Transform, scale: float) -> float:
@@ -244,15 +281,16 @@ def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarra
 
 
 def _evaluate(
-    table: np.ndarray, shape: tuple[int, int], segment: int, points: np.ndarray
+    table: np.ndarray, shape: tuple[int, int], segment: int, x: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
-    """Return what a band's table says at whole grid px, (n, 2) in and out."""
+    """Return what a band's table says at a raster of whole grid px, (rows x columns, 2)."""
+    from levkas.map_kernels import follow
+
     rows = table.shape[0]
-    first, weights = lagrange(points[:, 1] * ((rows - 1) / (shape[0] - 1)), rows)
-    which, t = np.divmod(points[:, 0].astype(int), segment)
-    c = sum(weights[:, k, None] * table[first + k, which] for k in range(NODES))
-    t = t[:, None]
-    return c[:, [0, 4]] + t * (c[:, [1, 5]] + t * (c[:, [2, 6]] + t * c[:, [3, 7]]))
+    first, weights = lagrange(y * ((rows - 1) / (shape[0] - 1)), rows)
+    found = np.empty((len(y), len(x), 2))
+    follow(table, first, weights, *np.divmod(x.astype(int), segment), found)
+    return found.reshape(-1, 2)
 
 
 def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int) -> np.ndarray:

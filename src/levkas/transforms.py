@@ -233,13 +233,17 @@ class Polynomial:
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
         """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
-        u, v = ((np.asarray(points, float) - self.centre) / self.spread).T
-        du, dv = [], []
-        for i, j in exponents(self.order):
-            du.append(i * u ** max(i - 1, 0) * v**j)
-            dv.append(j * u**i * v ** max(j - 1, 0))
-        change = [np.stack(d, 1) @ self.coefficients / self.spread for d in (du, dv)]
-        return np.stack(change, axis=2)
+        from levkas.map_kernels import polynomial_slopes
+
+        return np.asarray(
+            polynomial_slopes(
+                np.ascontiguousarray(points, float),
+                self.order,
+                np.asarray(self.centre, float),
+                float(self.spread),
+                np.ascontiguousarray(self.coefficients, float),
+            )
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from levkas.ledge import LedgeShift
+from levkas.map_kernels import share_inside
 from levkas.registration.models import Observations, fit_polynomial, solve_pairs
 from levkas.transforms import Composed, Transform, design_matrix, frame_of
 
@@ -55,16 +56,8 @@ class Ledge:
 
     def averaged(self, points: np.ndarray) -> np.ndarray:
         """Return the share of each window, (n,), that the lowered part makes up, slope included."""
-        left, right, top, bottom, width, turned = self.edges
-        c, s = np.cos(turned), np.sin(turned)
-        away = points - self.centre
-        u, v = away @ [c, s], away @ [-s, c]
-        shares = []
-        for place, low, high in ((u, left, right), (v, top, bottom)):
-            spots = place[:, None] + OFFSETS * self.cell
-            both = _rise((spots - low) / width) * _rise((high - spots) / width)
-            shares.append(both @ WEIGHTS)
-        return np.asarray(shares[0] * shares[1])
+        offsets, points = OFFSETS * self.cell, np.ascontiguousarray(points)
+        return np.asarray(share_inside(points, self.edges, self.centre, offsets, WEIGHTS))
 
     def is_near(self, other: Ledge) -> bool:
         """Whether no side lies farther off than windows can tell."""
@@ -222,8 +215,3 @@ def averaged(base: Transform, points: np.ndarray, cell: float) -> np.ndarray:
             spots = points + np.array([x, y])
             moved += across * down * (steps[0](spots) - spots)
     return Composed(*steps[1:])(points + moved)
-
-
-def _rise(x: np.ndarray) -> np.ndarray:
-    x = np.clip(x, 0.0, 1.0)
-    return np.asarray(x**3 * (x * (6 * x - 15) + 10))

@@ -43,8 +43,8 @@ class View:
 class Loop:
     """How far reference → first → second → reference comes back from where it began, reference px.
 
-    `verdict` is that of the registration that closes the loop. `error` holds one distance a point that all see; empty, with the reason, where the pair that
-    closes the loop is refused.
+    `verdict` is that of the registration that closes the loop. `error` holds one distance a point that all
+    see; empty, with the reason, where the pair that closes the loop is refused.
     """
 
     first: str
@@ -85,20 +85,23 @@ def close_loops(views: Sequence[View], points: np.ndarray) -> Iterator[Loop]:
     Notes
     -----
     Nothing of the way through the reference is told to the registration that closes the loop: not
-    its start, not its bands. Errors that all three share do not show.
+    its start, not its bands. Errors that all three share do not show. Of a pair the camera with more
+    bands predicts the other one.
     """
     for one, other in combinations(views, 2):
+        # Many narrow bands tell what a broad one shows; a broad one does not tell what a narrow one shows.
+        leader, led = (one, other) if len(one.images) >= len(other.images) else (other, one)
         try:
-            found = register(one.images, other.images, reference_band=one.band)
+            found = register(leader.images, led.images, reference_band=leader.band)
         except RegistrationRefused as refused:
             yield Loop(one.name, other.name, np.empty(0), str(refused))
             continue
         if found.verdict.decision == "refuse":
             yield Loop(one.name, other.name, np.empty(0), found.verdict.reasons[0])
             continue
-        direct = found.transforms[other.band]
+        direct = found.transforms[led.band]
         start = one.transform(points)
-        end = direct(start)
+        end = direct(start) if leader is one else direct.inverse(start)
         seen = _on(one, start) & _on(other, end)
         miss = np.linalg.norm(other.transform.inverse(end[seen]) - points[seen], axis=1)
         yield Loop(one.name, other.name, miss[np.isfinite(miss)], verdict=found.verdict.decision)

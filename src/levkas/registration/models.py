@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 
+from levkas.map_kernels import spline_sums
+from levkas.registration.projective import fit_parameters, weigh
 from levkas.spline import SplineShift, spline_weights
 from levkas.transforms import (
     Affine,
@@ -123,9 +124,7 @@ def _inverse(
     return c / determinant, -b / determinant, a / determinant
 
 
-def fit_linear(
-    observations: Observations, design: np.ndarray, *, ridge: np.ndarray | None = None
-) -> np.ndarray:
+def fit_linear(observations: Observations, design: np.ndarray) -> np.ndarray:
     """Return coefficients (terms, 2) of target ≈ design @ coefficients under full 2 x 2 weights."""
     terms = design.shape[1]
     weight = _native(observations)
@@ -137,6 +136,14 @@ def fit_linear(
                 normal[a, :, b] = design.T @ (design * weight[:, a, b][:, None])
                 normal[b, :, a] = normal[a, :, b]
             right[a] += design.T @ (weight[:, a, b] * observations.target[:, b])
+    return _solve_normal(normal, right)
+
+
+def _solve_normal(
+    normal: np.ndarray, right: np.ndarray, ridge: np.ndarray | None = None
+) -> np.ndarray:
+    """Return (terms, 2) that solve normal equations, (2, terms, 2, terms) and (2, terms)."""
+    terms = right.shape[1]
     matrix = normal.reshape(2 * terms, 2 * terms)
     if ridge is not None:
         matrix = matrix + np.kron(np.eye(2), ridge)
@@ -196,46 +203,22 @@ def fit_projective(observations: Observations, *, lens: bool) -> Transform:
     start = np.zeros(12 if lens else 8)
     start[:6] = ((affine.coefficients - [out_centre, [0, 0], [0, 0]]) / out_spread).T.reshape(-1)
 
-    def build(p: np.ndarray) -> Transform:
-        matrix = np.array([[p[1], p[2], p[0]], [p[4], p[5], p[3]], [p[6], p[7], 1.0]])
-        into = np.array(
-            [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
-        )
-        out = np.array([[out_spread, 0, out_centre[0]], [0, out_spread, out_centre[1]], [0, 0, 1]])
-        plane = Homography(out @ matrix @ into)
-        if not lens:
-            return plane
-        return Composed(plane, Lens(out_centre, out_spread, (p[8], p[9]), (p[10], p[11])))
-
-    return build(_gauss_newton(observations, build, start))
-
-
-def _gauss_newton(
-    observations: Observations, build: Callable[[np.ndarray], Transform], start: np.ndarray
-) -> np.ndarray:
-    root = np.swapaxes(np.linalg.cholesky(observations.information + 1e-9 * np.eye(2)), 1, 2)
-
-    def whitened(p: np.ndarray) -> np.ndarray:
-        return np.einsum("nab,nb->na", root, observations.residuals(build(p))).reshape(-1)
-
-    best, residual = start, whitened(start)
-    for _ in range(5):
-        step = 1e-6
-        slopes = np.stack(
-            [(whitened(best + step * unit) - residual) / step for unit in np.eye(len(best))], 1
-        )
-        if not np.isfinite(slopes).all():
-            break
-        move = np.linalg.lstsq(slopes, -residual, rcond=1e-12)[0]
-        with np.errstate(over="ignore", invalid="ignore"):
-            tried = whitened(best + move)
-        if not (np.isfinite(tried).all() and tried @ tried < residual @ residual):
-            break
-        small = residual @ residual - tried @ tried < 1e-9 * (residual @ residual)
-        best, residual = best + move, tried
-        if small:
-            break
-    return best
+    jacobian = np.ascontiguousarray(observations.jacobian)
+    p = fit_parameters(
+        (observations.points - centre) / spread,
+        (observations.target - out_centre) / out_spread,
+        weigh(np.ascontiguousarray(observations.information), jacobian, out_spread),
+        start,
+    )
+    matrix = np.array([[p[1], p[2], p[0]], [p[4], p[5], p[3]], [p[6], p[7], 1.0]])
+    into = np.array(
+        [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
+    )
+    out = np.array([[out_spread, 0, out_centre[0]], [0, out_spread, out_centre[1]], [0, 0, 1]])
+    plane = Homography(out @ matrix @ into)
+    if not lens:
+        return plane
+    return Composed(plane, Lens(out_centre, out_spread, (p[8], p[9]), (p[10], p[11])))
 
 
 def fit_spline(
@@ -249,18 +232,15 @@ def fit_spline(
     place = (observations.points - origin) / spacing
     whole = np.clip(place.astype(int), 0, np.array([columns, rows]) - 4)
     bx, by = (spline_weights(place[:, k] - whole[:, k]) for k in (0, 1))
-    design = np.zeros((len(place), rows, columns))
-    index = np.arange(len(place))
-    for a in range(4):
-        for b in range(4):
-            design[index, whole[:, 1] + a, whole[:, 0] + b] = by[:, a] * bx[:, b]
     shift = observations.residuals(under)
     plain = replace(
         observations, target=shift, jacobian=np.broadcast_to(np.eye(2), (len(shift), 2, 2))
     )
     price = stiff * np.trace(observations.information, axis1=1, axis2=2).sum() / (rows * columns)
     bending = price * (_roughness(rows, columns) + 1e-3 * np.eye(rows * columns))
-    solved = fit_linear(plain, design.reshape(len(place), -1), ridge=bending)
+    normal, right = np.zeros((2, rows * columns, 2, rows * columns)), np.zeros((2, rows * columns))
+    spline_sums(whole, bx, by, _native(plain), shift, columns, normal, right)
+    solved = _solve_normal(normal, right, bending)
     return Composed(SplineShift(origin, spacing, solved.reshape(rows, columns, 2)), under)
 
 
