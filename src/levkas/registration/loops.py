@@ -85,26 +85,47 @@ def close_loops(views: Sequence[View], points: np.ndarray) -> Iterator[Loop]:
     Notes
     -----
     Nothing of the way through the reference is told to the registration that closes the loop: not
-    its start, not its bands. Errors that all three share do not show. Of a pair the camera with more
-    bands predicts the other one.
+    its start, not its bands. Errors that all three share do not show. A pair is registered both ways,
+    and the one that its own sigma is less of closes the loop.
     """
     for one, other in combinations(views, 2):
-        # Many narrow bands tell what a broad one shows; a broad one does not tell what a narrow one shows.
-        leader, led = (one, other) if len(one.images) >= len(other.images) else (other, one)
-        try:
-            found = register(leader.images, led.images, reference_band=leader.band)
-        except RegistrationRefused as refused:
-            yield Loop(one.name, other.name, np.empty(0), str(refused))
+        ways = [_register(one, other, points), _register(other, one, points)]
+        known = [way for way in ways if not way.refused]
+        if not known:
+            yield Loop(one.name, other.name, np.empty(0), ways[0].refused)
             continue
-        if found.verdict.decision == "refuse":
-            yield Loop(one.name, other.name, np.empty(0), found.verdict.reasons[0])
-            continue
-        direct = found.transforms[led.band]
+        best = min(known, key=lambda way: way.sigma)
         start = one.transform(points)
-        end = direct(start) if leader is one else direct.inverse(start)
+        end = best.map(start) if best.leader is one else best.map.inverse(start)
         seen = _on(one, start) & _on(other, end)
         miss = np.linalg.norm(other.transform.inverse(end[seen]) - points[seen], axis=1)
-        yield Loop(one.name, other.name, miss[np.isfinite(miss)], verdict=found.verdict.decision)
+        yield Loop(one.name, other.name, miss[np.isfinite(miss)], verdict=best.verdict)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """One camera of a pair registered to the other one, `leader`; `sigma` in reference px."""
+
+    leader: View
+    map: Transform
+    sigma: float = np.inf
+    verdict: str = "refuse"
+    refused: str = ""
+
+
+def _register(leader: View, led: View, points: np.ndarray) -> _Way:
+    try:
+        found = register(leader.images, led.images, reference_band=leader.band)
+    except RegistrationRefused as refused:
+        return _Way(leader, leader.transform, refused=str(refused))
+    if found.verdict.decision == "refuse":
+        return _Way(leader, leader.transform, refused=found.verdict.reasons[0])
+    places = leader.transform(points)
+    seen = _on(leader, places)
+    scale = np.sqrt(np.abs(np.linalg.det(leader.transform.jacobian(points[seen]))))
+    sigma = found.sigma[led.band](places[seen]) / scale
+    told = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else np.inf
+    return _Way(leader, found.transforms[led.band], told, found.verdict.decision)
 
 
 def _on(view: View, places: np.ndarray) -> np.ndarray:
