@@ -25,6 +25,22 @@ def _weigh(t, values, slopes):
     values[3], slopes[3] = t**3 / 6, t * t / 2
 
 
+@njit
+def _sums(knots, i, j, axis, bx, by, dx, dy):
+    """Return the sum over four by four knots, its slopes along x and y, and how the one changes along the other."""
+    shift = along = down = both = 0.0
+    for r in range(4):
+        value = slope = 0.0
+        for c in range(4):
+            value += bx[c] * knots[j + r, i + c, axis]
+            slope += dx[c] * knots[j + r, i + c, axis]
+        shift += by[r] * value
+        along += by[r] * slope
+        down += dy[r] * value
+        both += dy[r] * slope
+    return shift, along, down, both
+
+
 @njit(cache=True, nogil=True)
 def displace(points, origin, spacing, coefficients):
     """Return displaced points, (n, 2); beyond the knots the displacement goes on in a straight line."""
@@ -37,16 +53,7 @@ def displace(points, origin, spacing, coefficients):
         _weigh(t, bx, dx)
         _weigh(s, by, dy)
         for axis in range(2):
-            shift = along = down = both = 0.0
-            for r in range(4):
-                value = slope = 0.0
-                for c in range(4):
-                    value += bx[c] * coefficients[j + r, i + c, axis]
-                    slope += dx[c] * coefficients[j + r, i + c, axis]
-                shift += by[r] * value
-                along += by[r] * slope
-                down += dy[r] * value
-                both += dy[r] * slope
+            shift, along, down, both = _sums(coefficients, i, j, axis, bx, by, dx, dy)
             shift += along * over_x + down * over_y + both * over_x * over_y
             out[n, axis] = points[n, axis] + shift
     return out
@@ -86,15 +93,7 @@ def displace_slopes(points, origin, spacing, coefficients):
         _weigh(t, bx, dx)
         _weigh(s, by, dy)
         for axis in range(2):
-            along = down = both = 0.0
-            for r in range(4):
-                value = slope = 0.0
-                for c in range(4):
-                    value += bx[c] * coefficients[j + r, i + c, axis]
-                    slope += dx[c] * coefficients[j + r, i + c, axis]
-                along += by[r] * slope
-                down += dy[r] * value
-                both += dy[r] * slope
+            _, along, down, both = _sums(coefficients, i, j, axis, bx, by, dx, dy)
             out[n, axis, 0] = (along + both * over_y) / spacing
             out[n, axis, 1] = (down + both * over_x) / spacing
         out[n, 0, 0] += 1
