@@ -10,7 +10,7 @@ evaluated at every pixel.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import groupby
 from math import ceil, floor, inf
@@ -152,14 +152,14 @@ def lay_runs(
             run.extend(pool.map(lambda band: _lay_band(transforms[band], shape, band), some))
             held = sum(one.table.nbytes for one in run if one.table is not None)
             if held > most_bytes:
-                yield from _joined(run)
+                yield from _joined(run, pool)
                 run = []
-    yield from _joined(run)
+        yield from _joined(run, pool)
 
 
-def _joined(bands: list[Lattice]) -> Iterator[Lattice]:
+def _joined(bands: list[Lattice], pool: Executor) -> Iterator[Lattice]:
     for _, run in groupby(bands, key=lambda one: (one.segment, one.coarsest > COARSE)):
-        yield _join(list(run))
+        yield _join(list(run), pool)
 
 
 def _lay_band(transform: Transform, shape: tuple[int, int], band: int) -> Lattice:
@@ -224,17 +224,30 @@ def _tolerance(transform: Transform, scale: float) -> float:
     return max([TOLERANCE_PX, *(LEDGE_SHARE * most * scale for most in ledges)])
 
 
-def _join(run: list[Lattice]) -> Lattice:
+def _join(run: list[Lattice], pool: Executor) -> Lattice:
     tables = [one.table for one in run if one.table is not None]
     return Lattice(
         run[0].first,
         len(run),
         tuple(one.transforms[0] for one in run),
-        np.stack(tables, -1) if tables else None,
+        _stacked(tables, pool) if tables else None,
         run[0].segment,
         max(one.error for one in run),
         max(one.coarsest for one in run),
     )
+
+
+def _stacked(tables: list[np.ndarray], pool: Executor) -> np.ndarray:
+    """Return the bands' tables beside one another; rows that stay in the processor's memory."""
+    whole = np.empty((*tables[0].shape, len(tables)))
+
+    def copy(row: int) -> None:
+        for band, table in enumerate(tables):
+            whole[row, ..., band] = table[row]
+
+    for _ in pool.map(copy, range(len(whole))):
+        pass
+    return whole
 
 
 def _checks(nodes: np.ndarray) -> np.ndarray:

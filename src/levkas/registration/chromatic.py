@@ -15,6 +15,7 @@ from numba import njit
 
 from levkas.registration.models import temper
 from levkas.registration.refinement import Windows
+from levkas.registration.workers import each
 from levkas.transforms import Polynomial, design_matrix
 
 BLOCKS = 8
@@ -118,7 +119,7 @@ def fit_chromatic(
     earlier[:, :width] = before.amounts[:, :width]
     terms = design_matrix(seen[0].centres, 3, before.centre, before.spread)
     design = np.einsum("nk,fka->anf", terms, _tensor(count))
-    systems = [_system(w, design, earlier[i], common) for i, w in enumerate(seen)]
+    systems = each(lambda w, e: _system(w, design, e, common), seen, earlier)
     free = min(count, _size("similarity"))
     apart = np.eye(len(seen)) - (0.0 if leaning is None else leaning)
     prior = np.zeros(free)

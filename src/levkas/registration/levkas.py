@@ -202,7 +202,10 @@ class _Greys(Sequence[np.ndarray]):
             for k in self._groups[i]:
                 image = self._images[k]
                 known = np.isfinite(image)
-                spread = np.float32(max(float(np.std(image[::2, ::2][known[::2, ::2]])), 1e-12))
+                some = image[::2, ::2][known[::2, ::2]]
+                if not some.size:
+                    continue
+                spread = np.float32(max(float(np.std(some)), 1e-12))
                 total += np.where(known, image / spread, np.float32(0))
                 count += known
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,7 +16,8 @@ import numpy as np
 from numba import njit
 
 from levkas.registration.refinement import RIDGE, Predictor, Windows
-from levkas.registration.sampling import highpass, in_threads, reduce, warp
+from levkas.registration.sampling import highpass, reduce, warp
+from levkas.registration.workers import each, in_threads
 from levkas.transforms import Affine, Composed, Transform
 
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
@@ -169,7 +170,8 @@ def registered(
     images: Mapping[str, np.ndarray], transforms: Mapping[str, Transform], shape: tuple[int, int]
 ) -> np.ndarray:
     """Return the bands in the reference frame, (bands, h, w), in the order of `transforms`."""
-    return np.stack([sampled(images[label], t, shape, 1) for label, t in transforms.items()])
+    there = [images[label] for label in transforms]
+    return np.stack(each(lambda image, t: sampled(image, t, shape, 1), there, transforms.values()))
 
 
 def sampled(

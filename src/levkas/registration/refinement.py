@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.registration import refinement_kernels as kernels
-from levkas.registration.sampling import in_threads
+from levkas.registration.workers import in_threads
 
 CELL_PX = 16
 RIDGE = 1e-4

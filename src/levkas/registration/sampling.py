@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from itertools import pairwise
 from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
 from levkas.lanes import fma, look
-from levkas.machine import count_threads
+from levkas.registration.workers import in_threads
 
 if TYPE_CHECKING:
     from levkas.transforms import Transform
@@ -23,8 +19,6 @@ HELPERS = "2f84df1f9667906e"
 
 LATTICE_PX = 8
 HIGHPASS_PX = 3.0
-MOST_THREADS = 4
-WORTH_THREADS = 200_000
 
 
 def warp(
@@ -59,29 +53,6 @@ def warp(
     out = np.full(shape, np.nan, np.float32)
     in_threads(_warp, shape[0], np.ascontiguousarray(image, np.float32), lattice, out)
     return out
-
-
-def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any) -> None:
-    """Run ``kernel(start, stop, …)`` on bands of rows; each row is written by one thread only.
-
-    Threads of our own around kernels without the interpreter's lock: numba's parallel loops take
-    four times as long to compile, and the first run on a fresh machine is one that people wait for.
-    """
-    workers = count_threads(MOST_THREADS)
-    largest = max(a.size for a in arguments if isinstance(a, np.ndarray))
-    if rows < 4 * workers or workers == 1 or largest < WORTH_THREADS:
-        kernel(0, rows, *arguments)
-        return
-    edges = np.linspace(0, rows, 2 * workers + 1).astype(int).tolist()
-    jobs = [_pool(workers).submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]
-    for job in jobs:
-        job.result()
-
-
-@cache
-def _pool(workers: int) -> ThreadPoolExecutor:
-    """Threads that stay: a registration asks for them thousands of times."""
-    return ThreadPoolExecutor(workers, thread_name_prefix="registration")
 
 
 @njit(nogil=True, cache=True)

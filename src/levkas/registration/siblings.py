@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from levkas.registration.pyramid import LARGE_PX, frame_of, steps_of
 from levkas.registration.refinement import Predictor, Windows
 from levkas.registration.sensors import Sensor, ordered
 from levkas.registration.uncertainty import measure_sigma
+from levkas.registration.workers import each
 from levkas.transforms import Affine, Transform
 
 if TYPE_CHECKING:
@@ -81,7 +83,7 @@ def _finer(
     width = model.amounts.shape[1]
     moved = np.sqrt(((finer.amounts[:, :width] - model.amounts) ** 2).sum(1)).max()
     asked = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), ASKED)).round().astype(int))
-    before, after = (sum(_knowledge(windows[i]) for i in asked) for windows in (seen, looked))
+    before, after = (sum(each(_knowledge, [w[i] for i in asked])) for w in (seen, looked))
     return (finer, looked) if after > before and moved < STEADY * step else (model, seen)
 
 
@@ -92,9 +94,12 @@ def _telling(pictures: Sequence[np.ndarray], fixed: int) -> int:
     best, known = 1, -np.inf
     for step in steps_of(shape, 1):
         size = (shape[0] // step, shape[1] // step)
-        anchor, *others = (sampled(pictures[i], identity, size, step) for i in (fixed, *near))
+        anchor, *others = each(
+            lambda i, size=size, step=step: sampled(pictures[i], identity, size, step),
+            (fixed, *near),
+        )
         predictor = Predictor(condense(anchor[None]).ready().images, step=step, cell=cell_px(size))
-        seen = [compared(predictor, image) for image in others]
+        seen = each(partial(compared, predictor), others)
         total = sum(_knowledge(windows) for windows in seen)
         if total > known:
             best, known = step, total
@@ -140,10 +145,10 @@ def _approach(
     first, shape = model, pictures[fixed].shape
     for step in steps_of(shape, 1):
         size = (shape[0] // step, shape[1] // step)
-        warped = [sampled(p, model.transform(i), size, step) for i, p in enumerate(pictures)]
+        warped = _warped(pictures, model, size, step)
         palette = condense(warped[fixed][None]).ready()
         predictor = Predictor(palette.images, step=step, cell=cell_px(size))
-        seen = [compared(predictor, image) for image in warped]
+        seen = each(partial(compared, predictor), warped)
         model = fit_chromatic(seen, model, places, highest="affine", fixed=fixed)
         if np.sqrt((model.amounts**2).sum(1)).max() < FAR_PX:
             return first
@@ -160,18 +165,26 @@ def _adjust(
 ) -> tuple[Chromatic, list[Windows]]:
     count, (height, width) = len(pictures), pictures[fixed].shape
     size = (height // step, width // step)
-    warped = [sampled(p, model.transform(i), size, step) for i, p in enumerate(pictures)]
+    warped = _warped(pictures, model, size, step)
     leaning, seen = np.zeros((count, count)), {}
     for group in _groups(count, fixed):
         others = [i for i in range(count) if i not in group]
         counts = LAST if ridge == RIDGES[-1] else FIRST
         palette = condense(np.stack([warped[i] for i in others]), counts).ready()
         predictor = Predictor(palette.images, step=step, cell=cell_px(size))
-        for i in group:
-            seen[i] = compared(predictor, warped[i], ridge=ridge)
-            leaning[i, others] = palette.leaning(seen[i])
-    windows = [seen[i] for i in range(count)]
-    return fit_chromatic(windows, model, places, fixed=fixed, leaning=leaning), windows
+        found = each(partial(compared, predictor, ridge=ridge), [warped[i] for i in group])
+        for i, windows in zip(group, found, strict=True):
+            seen[i] = windows
+            leaning[i, others] = palette.leaning(windows)
+    looked = [seen[i] for i in range(count)]
+    return fit_chromatic(looked, model, places, fixed=fixed, leaning=leaning), looked
+
+
+def _warped(
+    pictures: Sequence[np.ndarray], model: Chromatic, size: tuple[int, int], step: int
+) -> list[np.ndarray]:
+    maps = [model.transform(i) for i in range(len(pictures))]
+    return each(lambda picture, there: sampled(picture, there, size, step), pictures, maps)
 
 
 def _groups(count: int, fixed: int) -> list[list[int]]:

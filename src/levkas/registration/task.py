@@ -13,6 +13,7 @@ from levkas.registration.given import Given
 from levkas.registration.initial import Start
 from levkas.registration.prediction import Scene, compared, sampled
 from levkas.registration.refinement import Windows
+from levkas.registration.workers import each
 from levkas.transforms import Composed, Transform
 
 if TYPE_CHECKING:
@@ -73,10 +74,11 @@ class Task:
     ) -> list[Windows]:
         """Return what windows of each band see."""
         predictor = self.scene.predictor(step)
-        return [
-            compared(predictor, self.sampled(band, Composed(before, base), step))
-            for band, before in zip(bands, own, strict=True)
-        ]
+
+        def seen(band: BandImage, before: Transform) -> Windows:
+            return compared(predictor, self.sampled(band, Composed(before, base), step))
+
+        return each(seen, bands, own)
 
 
 def _scale(base: Transform, shape: tuple[int, int]) -> float:
