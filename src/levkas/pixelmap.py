@@ -153,13 +153,17 @@ def lay_runs(
             held = sum(one.table.nbytes for one in run if one.table is not None)
             if held > most_bytes:
                 yield from _joined(run, pool)
-                run = []
         yield from _joined(run, pool)
 
 
 def _joined(bands: list[Lattice], pool: Executor) -> Iterator[Lattice]:
-    for _, run in groupby(bands, key=lambda one: (one.segment, one.coarsest > COARSE)):
-        yield _join(list(run), pool)
+    """Yield runs of bands laid alike; `bands` is empty after that, and holds no table meanwhile."""
+    runs = [
+        list(run) for _, run in groupby(bands, key=lambda one: (one.segment, one.coarsest > COARSE))
+    ]
+    bands.clear()
+    while runs:
+        yield _join(runs.pop(0), pool)
 
 
 def _lay_band(transform: Transform, shape: tuple[int, int], band: int) -> Lattice:
