@@ -1,4 +1,4 @@
-"""The page of a comparison: table, SSIM by layer (Figure 14a of the paper) and SSIM maps (14b–e)."""
+"""The page of a comparison: table, errors and SSIM by layer (Figure 14a of the paper), SSIM maps (14b–e)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from levkas.comparison.table import Comparison
 
 INKS = {
-    "levkas": "#b3261e", "mirhashemi2019": "#1d1b16", "surf-projective": "#3b6fd4",
+    "levkas": "#b3261e", "mirhashemi2019": "var(--ink)", "surf-projective": "#3b6fd4",
     "gdbicp-quadratic": "#3a9a4b", "gdbicp-radial": "#c77f1a", "opencv-sift-magsac": "#7a4fbf",
     "opencv-ecc": "#5b8c99", "elastix": "#a0527a", "simpleitk": "#6f7d2c", "ants": "#8a5a3c",
 }  # fmt: skip
@@ -41,7 +41,8 @@ def render_page(comparison: Comparison) -> str:
         problems=comparison.problems,
         keys=[(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],
         layers=[_layer(comparison, i, name) for i, name in enumerate(comparison.layers, start=1)],
-        chart=_chart(comparison),
+        errors=_chart(comparison, "error_mean", "mean error, px", log=True),
+        chart=_chart(comparison, "ssim", "SSIM"),
     )
 
 
@@ -82,19 +83,20 @@ def _layer(comparison: Comparison, index: int, layer: str) -> dict[str, Any]:
     return {"index": index, "name": layer, "cells": cells}
 
 
-def _chart(comparison: Comparison) -> str:
+def _chart(comparison: Comparison, fact: str, y: str, *, log: bool = False) -> str:
     lines = []
-    for method in comparison.methods:
+    for method in reversed(comparison.methods):  # the first lies on top
         scores = [
-            (i, row.facts.get("ssim"))
+            (i, row.to_dict().get(fact))
             for i, layer in enumerate(comparison.layers, start=1)
             if (row := comparison.row(layer, method))
         ]
         known = [(i, s) for i, s in scores if s is not None]
         if known:
-            x, y = zip(*known, strict=True)
-            lines.append(Line(COMPARED[method].title, x, y, INKS.get(method, OTHER_INK)))
-    return plot(lines, x="layer, by its number below", y="SSIM", legend=False) if lines else ""
+            across, up = zip(*known, strict=True)
+            lines.append(Line(COMPARED[method].title, across, up, INKS.get(method, OTHER_INK)))
+    text = "layer, by its number below"
+    return plot(lines, x=text, y=y, log_y=log, legend=False) if lines else ""
 
 
 def number(value: float | None, digits: int) -> str:

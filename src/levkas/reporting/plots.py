@@ -34,6 +34,7 @@ def plot(
     x: str,
     y: str,
     log: bool = False,
+    log_y: bool = False,
     top_axis: tuple[str, Sequence[tuple[float, str]]] | None = None,
     from_zero: bool = False,
     legend: bool = True,
@@ -45,21 +46,21 @@ def plot(
     lines : sequence of Line
     x, y : str
         What stands at the axes.
-    log : bool
-        Logarithmic x; points at or below 0 are left out.
+    log, log_y : bool
+        Logarithmic x, y; points at or below 0 are left out.
     top_axis : (title, [(x, label), …]), optional
         A second axis above.
     from_zero : bool
         y starts at 0.
     """
-    drawn = [_sound(line, log) for line in lines]
+    drawn = [_sound(line, log, log_y) for line in lines]
     xs = np.concatenate([line[0] for line in drawn] or [np.zeros(0)])
     ys = np.concatenate([line[1] for line in drawn] or [np.zeros(0)])
     if not len(xs):
         return ""
     top = TOP + (26 if top_axis else 0)
     to_x, x_ticks = _axis(xs, LEFT, WIDTH - RIGHT, log=log)
-    to_y, y_ticks = _axis(ys, HEIGHT - BOTTOM, top, from_zero=from_zero)
+    to_y, y_ticks = _axis(ys, HEIGHT - BOTTOM, top, log=log_y, from_zero=from_zero)
     parts = [
         f'<path d="M{LEFT} {to_y(v):.1f}H{WIDTH - RIGHT}" stroke="#8883"/>'
         f'<text x="{LEFT - 6}" y="{to_y(v) + 4:.1f}" text-anchor="end">{v + 0.0:g}</text>'
@@ -180,12 +181,14 @@ def _svg(body: str, label: str, width: float = WIDTH, height: float = HEIGHT) ->
     return f'<svg viewBox="0 0 {width:g} {height:.0f}" role="img" aria-label="{escape(label)}">{body}</svg>'
 
 
-def _sound(line: Line, log: bool) -> tuple[np.ndarray, np.ndarray]:
+def _sound(line: Line, log: bool, log_y: bool) -> tuple[np.ndarray, np.ndarray]:
     x = np.array([np.nan if v is None else v for v in line.x], float)
     y = np.array([np.nan if v is None else v for v in line.y], float)
     good = np.isfinite(x) & np.isfinite(y)
     if log:
         good &= x > 0
+    if log_y:
+        good &= y > 0
     return x[good], y[good]
 
 
