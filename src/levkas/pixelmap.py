@@ -242,7 +242,7 @@ def _join(run: list[Lattice], pool: Executor) -> Lattice:
 
 
 def _stacked(tables: list[np.ndarray], pool: Executor) -> np.ndarray:
-    """Return the bands' tables beside one another; rows that stay in the processor's memory."""
+    """Return the bands' tables beside one another, copied a row at a time: what a row takes stays in the cache."""
     whole = np.empty((*tables[0].shape, len(tables)))
 
     def copy(row: int) -> None:

@@ -63,9 +63,11 @@ def test_rows_within_each_are_done_by_the_thread_that_asks(threads):
     assert (images[0] == 2).all()
 
 
-def test_threads_of_each_ignore_what_numpy_is_told_to_ignore(threads):
+def test_threads_of_each_heed_what_numpy_is_told(threads):
     def divide(n):
         return float(np.float64(n) / np.zeros(1)[0])
 
     with np.errstate(divide="ignore"):
         assert each(divide, [1, 2]) == [np.inf, np.inf]
+    with np.errstate(divide="raise"), pytest.raises(FloatingPointError):
+        each(divide, [1, 2])

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 
-from levkas.machine import count_threads
 from levkas.registration.prediction import rooted
+from levkas.registration.workers import each
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage
 
 LARGE_HOLE = 7
-MOST_THREADS = 4
 
 
 def images_of(bands: Sequence[BandImage]) -> dict[str, np.ndarray]:
     """Return label → square root of the image, NaN where invalid."""
-    with ThreadPoolExecutor(count_threads(MOST_THREADS)) as pool:
-        return dict(zip([band.label for band in bands], pool.map(_picture, bands), strict=True))
+    return dict(zip([band.label for band in bands], each(_picture, bands), strict=True))
 
 
 def _picture(band: BandImage) -> np.ndarray:

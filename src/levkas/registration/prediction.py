@@ -171,7 +171,7 @@ def registered(
 ) -> np.ndarray:
     """Return the bands in the reference frame, (bands, h, w), in the order of `transforms`."""
     there = [images[label] for label in transforms]
-    return np.stack(each(lambda image, t: sampled(image, t, shape, 1), there, transforms.values()))
+    return np.stack(all_sampled(there, list(transforms.values()), shape, 1))
 
 
 def sampled(
@@ -184,6 +184,13 @@ def sampled(
     return warp(
         reduce(image, factor), Composed(transform, Affine.scaling(1 / factor)), size, step=step
     )
+
+
+def all_sampled(
+    images: Sequence[np.ndarray], transforms: Sequence[Transform], size: tuple[int, int], step: int
+) -> list[np.ndarray]:
+    """Return `sampled` of every band through a map of its own, several at a time."""
+    return each(lambda image, t: sampled(image, t, size, step), images, transforms)
 
 
 def compared(predictor: Predictor, image: np.ndarray, *, ridge: float = RIDGE) -> Windows:

@@ -11,7 +11,7 @@ import numpy as np
 from levkas.registration.chromatic import LEAST_WINDOWS, Chromatic, fit_chromatic, still
 from levkas.registration.ladder import climb
 from levkas.registration.models import Observations
-from levkas.registration.prediction import cell_px, compared, condense, sampled
+from levkas.registration.prediction import all_sampled, cell_px, compared, condense
 from levkas.registration.pyramid import LARGE_PX, frame_of, steps_of
 from levkas.registration.refinement import Predictor, Windows
 from levkas.registration.sensors import Sensor, ordered
@@ -94,10 +94,8 @@ def _telling(pictures: Sequence[np.ndarray], fixed: int) -> int:
     best, known = 1, -np.inf
     for step in steps_of(shape, 1):
         size = (shape[0] // step, shape[1] // step)
-        anchor, *others = each(
-            lambda i, size=size, step=step: sampled(pictures[i], identity, size, step),
-            (fixed, *near),
-        )
+        shown = [pictures[i] for i in (fixed, *near)]
+        anchor, *others = all_sampled(shown, [identity] * len(shown), size, step)
         predictor = Predictor(condense(anchor[None]).ready().images, step=step, cell=cell_px(size))
         seen = each(partial(compared, predictor), others)
         total = sum(_knowledge(windows) for windows in seen)
@@ -145,7 +143,8 @@ def _approach(
     first, shape = model, pictures[fixed].shape
     for step in steps_of(shape, 1):
         size = (shape[0] // step, shape[1] // step)
-        warped = _warped(pictures, model, size, step)
+        maps = [model.transform(i) for i in range(len(pictures))]
+        warped = all_sampled(pictures, maps, size, step)
         palette = condense(warped[fixed][None]).ready()
         predictor = Predictor(palette.images, step=step, cell=cell_px(size))
         seen = each(partial(compared, predictor), warped)
@@ -165,7 +164,8 @@ def _adjust(
 ) -> tuple[Chromatic, list[Windows]]:
     count, (height, width) = len(pictures), pictures[fixed].shape
     size = (height // step, width // step)
-    warped = _warped(pictures, model, size, step)
+    maps = [model.transform(i) for i in range(count)]
+    warped = all_sampled(pictures, maps, size, step)
     leaning, seen = np.zeros((count, count)), {}
     for group in _groups(count, fixed):
         others = [i for i in range(count) if i not in group]
@@ -178,13 +178,6 @@ def _adjust(
             leaning[i, others] = palette.leaning(windows)
     looked = [seen[i] for i in range(count)]
     return fit_chromatic(looked, model, places, fixed=fixed, leaning=leaning), looked
-
-
-def _warped(
-    pictures: Sequence[np.ndarray], model: Chromatic, size: tuple[int, int], step: int
-) -> list[np.ndarray]:
-    maps = [model.transform(i) for i in range(len(pictures))]
-    return each(lambda picture, there: sampled(picture, there, size, step), pictures, maps)
 
 
 def _groups(count: int, fixed: int) -> list[list[int]]:
