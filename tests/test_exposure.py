@@ -138,15 +138,78 @@ def test_the_longest_exposure_that_does_not_clip_is_read(tmp_path):
     rng = np.random.default_rng(7)
     for ms in (50, 200, 800):
         write(tmp_path / "w", f"550nm_{ms}ms.tif", white(10_000, ms / 1000, rng))
-    (found,) = coach([tmp_path / "w"], black=64.0)
+    (found,) = coach([tmp_path / "w"], black=64.0, bits=12)
     assert found.shot.exposure_s == 0.2
+
+
+def quarter(folder, **tags):
+    """A white at a quarter of a 12-bit camera's range, stored in 16 bits."""
+    folder.mkdir(parents=True, exist_ok=True)
+    frame = white(10_000, 0.1, np.random.default_rng(15))
+    for shot in "ab":
+        tifffile.imwrite(folder / f"{shot}.tif", frame, photometric="minisblack", **tags)
+    assert frame.max() < 1300
+    return folder
+
+
+def stops_of(found):
+    (channel,) = (advice.reading for advice in found.advices)
+    return channel.stops_left
+
+
+@pytest.mark.parametrize("given", [{"bits": 12}, {"saturation": 4095.0}])
+def test_the_brightest_pixel_is_never_taken_for_the_full_scale(tmp_path, given):
+    with pytest.raises(NoAdvice, match=r"--bits.*--saturation") as refused:
+        coach([quarter(tmp_path / "w")], black=64.0)
+    (problem,) = refused.value.problems
+    assert problem.code == "E_BITS" and problem.file.endswith("a.tif")
+    (found,) = coach([tmp_path / "w"], black=64.0, **given)
+    assert stops_of(found) == pytest.approx(np.log2(4031 / 1080), abs=0.05)
+    assert "fills" not in found.iso_advice and found.first.factor > 3
+    (of_16,) = coach([tmp_path / "w"], black=64.0, bits=16)
+    assert stops_of(of_16) == pytest.approx(stops_of(found) + 4, abs=0.05)
+
+
+def test_full_scale_comes_from_the_white_level_of_the_file(tmp_path):
+    dng = (50717, "H", 1, 4095, True)  # WhiteLevel of DNG
+    (found,) = coach([quarter(tmp_path / "w", extratags=[dng])], black=64.0)
+    assert found.full == 4095 and "file" in found.full_from
+
+
+def test_full_scale_comes_from_the_campaign_that_the_frames_belong_to(tmp_path):
+    quarter(tmp_path / "raw" / "white")
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\nreference = { camera = "cam" }\n[cameras.cam]\nkind = "bands"\n'
+        'files = "raw/{target}/{shot}.tif"\nbands = ["a"]\nbits = 12\nblack = 64\n'
+        '[targets]\nwhite = { names = "white" }\n'
+    )
+    (found,) = coach([tmp_path / "raw" / "white"])
+    assert found.full == 4095 and "campaign.toml" in found.full_from
+    assert stops_of(found) == pytest.approx(np.log2(4031 / 1080), abs=0.05)
+    told = CliRunner().invoke(app, ["plan", "exposure", str(tmp_path / "raw" / "white")])
+    assert "4095" in told.output and "campaign.toml" in told.output
+
+
+def test_codes_beyond_the_bits_that_are_given_are_refused(tmp_path):
+    write(tmp_path / "w", "a.tif", white(10_000, 0.1, np.random.default_rng(15)) << 4)
+    with pytest.raises(NoAdvice, match="--saturation") as refused:
+        coach([tmp_path / "w"], bits=12)
+    assert refused.value.problems[0].code == "E_BITS"
+
+
+def test_all_sixteen_bits_and_bytes_are_full_scales_of_their_own(tmp_path):
+    frame = white(10_000, 0.1, np.random.default_rng(15))
+    write(tmp_path / "deep", "a.tif", frame * 32)
+    assert coach([tmp_path / "deep"])[0].full == 65535
+    write(tmp_path / "byte", "a.tif", (frame // 16).astype(np.uint8))
+    assert coach([tmp_path / "byte"])[0].full == 255
 
 
 def test_frames_that_tell_no_time_are_refused_with_what_to_try(tmp_path):
     rng = np.random.default_rng(8)
     write(tmp_path / "over", "550nm_400ms.tif", white(90_000, 0.4, rng))
     with pytest.raises(NoAdvice, match=r"0\.1 s") as refused:
-        coach([tmp_path / "over"])
+        coach([tmp_path / "over"], bits=12)
     assert refused.value.problems[0].code == "E_WHITE_SATURATED"
     write(tmp_path / "off", "550nm_400ms.tif", white(0, 0.4, rng))
     with pytest.raises(NoAdvice, match="lamp") as refused:
@@ -185,6 +248,7 @@ def test_the_command_says_it_as_table_and_json(tmp_path):
         frame = white(20_000, 0.1, rng, colours=(0.5, 1.0, 1.0, 0.25))
         write(tmp_path / "w", f"{shot}.tif", frame)
     asked = ["plan", "exposure", str(tmp_path / "w"), "--pattern", "RGGB", "--time", "0.1"]
+    asked += ["--bits", "12"]
     told = CliRunner().invoke(app, [*asked, "--black", "64"])
     assert told.exit_code == 0
     assert "G saturates first; B gets" in told.output

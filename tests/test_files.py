@@ -172,13 +172,30 @@ def test_sweep_spares_what_is_being_written(tmp_path):
     with files.replacing(tmp_path / "a") as handle, files.publishing(tmp_path / "b") as folder:
         handle.write(b"x")
         folder.write_bytes("c", b"y")
-        (tmp_path / "old.partial-0123abcd").write_bytes(b"left behind")
-        (tmp_path / "set.partial-0123abcd").mkdir()
+        (tmp_path / "old.levkas.partial-0123abcd").write_bytes(b"left behind")
+        (tmp_path / "set.levkas.partial-0123abcd").mkdir()
+        (tmp_path / "by another program.partial-0123abcd").write_bytes(b"z")
         assert [p.name for p in files.sweep(tmp_path)] == [
-            "old.partial-0123abcd",
-            "set.partial-0123abcd",
+            "old.levkas.partial-0123abcd",
+            "set.levkas.partial-0123abcd",
         ]
-    assert state(tmp_path) == {"a": b"x", "b/c": b"y"}
+    assert state(tmp_path) == {"a": b"x", "b/c": b"y", "by another program.partial-0123abcd": b"z"}
+
+
+@pytest.mark.parametrize("name", ["../out", "a/../../out", "/out"])
+def test_no_name_leads_out_of_a_folder_that_is_written(tmp_path, name):
+    (tmp_path / "source").write_bytes(b"x")
+    with (
+        pytest.raises(WriteRefused, match="leads out"),
+        files.publishing(tmp_path / "b" / "c") as folder,
+    ):
+        folder.write_bytes(name, b"y")
+    with (
+        pytest.raises(WriteRefused, match="leads out"),
+        files.publishing(tmp_path / "b" / "c") as folder,
+    ):
+        folder.copy_file(tmp_path / "source", name)
+    assert state(tmp_path) == {"source": b"x"}
 
 
 def joint_job(folder, before=None):

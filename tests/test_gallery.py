@@ -12,8 +12,6 @@ from PIL import Image
 
 import levkas
 
-pytest.importorskip("matplotlib")
-
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
 MODULES = {

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.database.containment import check_inside
+from levkas.database.registrations import read_registrations
 from levkas.evaluation import (
     BandError,
     Truth,
@@ -70,6 +72,7 @@ def assess(
     points: str | Path | None = None,
     frame: str | None = None,
     maps: str | Path | None = None,
+    overwrite: bool = False,
 ) -> Assessment:
     """Evaluate every layer of a database.
 
@@ -87,12 +90,19 @@ def assess(
         OBJECT/CAMERA[@SETUP][:BAND] that such a file is of; not needed where there is one layer.
     maps : path, optional
         Folder that receives a PNG of each layer's SSIM map.
+    overwrite : bool
+        Whether files may be replaced there that were not written so, or were changed since.
 
     Raises
     ------
     EvaluationRefused
         Where there is no database, or the points cannot be read.
+    WriteRefused
+        Where a file of somebody else's stands in the way of a map, or the disk refuses.
     """
+    from levkas.ownership import OwnFiles
+
+    own = OwnFiles(maps, overwrite=overwrite) if maps else None
     output, beside = locate(Path(database))
     folder = Path(truth) if truth else beside / "truth"
     if truth and not (folder / "truth.json").is_file():
@@ -107,9 +117,11 @@ def assess(
         )
     checks = read_check_points(Path(points), output, frame) if points else {}
     results = []
-    for path in sorted(output.glob("objects/*/registration/*.json")):
-        record = read_json(path)
-        results.append(_assess_layer(output, record, folder, checks, Path(maps) if maps else None))
+    for _, record in read_registrations(output):
+        with own.writing() if own else contextlib.nullcontext():
+            results.append(
+                _assess_layer(output, record, folder, checks, Path(maps) if maps else None)
+            )
     return Assessment(results)
 
 
@@ -165,8 +177,7 @@ def read_check_points(path: Path, database: Path | None = None, frame: str | Non
 def _sizes(database: Path) -> dict[tuple[str, str], tuple[Size, Size]]:
     """Sizes of the reference and of the target of every layer that was registered to another camera."""
     sizes = {}
-    for path in sorted(database.glob("objects/*/registration/*.json")):
-        record = read_json(path)
+    for path, record in read_registrations(database):
         band = next(iter(record.get("bands", {}).values()), None)
         if band and (record["camera"] != record["reference"]["camera"] or record.get("setup")):
             ours, theirs = record["reference"]["size"], band["size"]
@@ -287,12 +298,13 @@ def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, 
     from levkas.building.resampling import read_grey
 
     path = Places(output).layer(name, record["camera"], record.get("setup", ""))
+    check_inside(output, path, path.with_name(f"{path.stem}.flags.tif"))
     return read_grey(path) if path.is_file() else None
 
 
 def _seconds(output: Path, name: str, layer: str) -> float | None:
     path = output.with_name(output.name + ".kept") / name / layer / "register.json"
     try:
-        return float(json.loads(path.read_text(encoding="utf-8"))["notes"]["seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return float(read_json(path)["notes"]["seconds"])
+    except (Refused, ValueError, KeyError, TypeError):
         return None

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-import copy
+import re
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from levkas.declaring.contradictions import find_contradictions
-from levkas.declaring.messages import explain
+from levkas.declaring.contradictions import (
+    find_contradictions,
+    find_ineffective,
+    without_effect,
+)
+from levkas.declaring.messages import MOST_PROBLEMS, explain, left_out
 from levkas.declaring.tables import (
     OF_THE_POINTS,
     OF_THE_RIG,
     ONLY_OF_THE_PAPER,
+    THRESHOLDS,
     CameraKeys,
     Document,
     GridKeys,
@@ -87,6 +93,20 @@ class Campaign(Document):
             left_out = (*left_out, *ONLY_OF_THE_PAPER)
         return {k: v for k, v in keys.items() if k not in left_out}
 
+    @property
+    def without_effect(self) -> tuple[str, ...]:
+        """What campaign.toml and edits.toml say and no build heeds, one sentence each."""
+        told = list(find_ineffective(self))
+        for (name, frame), edits in sorted(self.edits.frames.items()):
+            camera = re.split("[@:]", frame)[0]
+            if camera not in self.cameras:
+                continue
+            if self.registration_of(camera).get("method", "levkas") == "levkas":
+                where = f'objects."{name}".cameras."{frame}"'
+                given = [key for key in THRESHOLDS if getattr(edits, key) is not None]
+                told += [f"{FILE_NAME}: {without_effect(f'{where}.{key}')}" for key in given]
+        return tuple(told)
+
     def is_joint(self, camera: str) -> bool:
         """Tell whether the captures of a camera are adjusted together."""
         keys = {**self.registration.given(), **self.cameras[camera].registration.given()}
@@ -123,7 +143,11 @@ def load_campaign(path: str | Path) -> Campaign:
         The same of edits.toml beside it, where there is one.
     """
     path = Path(path)
-    path = (path / "campaign.toml" if path.is_dir() else path).resolve()
+    path = path / "campaign.toml" if path.is_dir() else path
+    try:
+        path = path.resolve()
+    except (OSError, RuntimeError):  # a link that leads to itself: the reading says so
+        path = path.absolute()
     try:
         record = read_toml(path)
     except TomlRefused as refused:
@@ -156,16 +180,21 @@ def _validate(path: Path, record: dict[str, Any]) -> tuple[Document | None, list
             document = Document.model_validate(sound)
             break
         except ValidationError as invalid:
-            errors = invalid.errors()
+            errors = invalid.errors(include_url=False, include_context=False)
             if not attempt:
                 problems = explain(record, errors)
+            if len(errors) > MOST_PROBLEMS:
+                break
             sound = _without(sound, errors)
     told = {p.field or "" for p in problems}
     unsound = set(_cameras(record)) - set(_cameras(sound))
-    for problem in find_contradictions(document, path.parent) if document else ():
+    found = find_contradictions(document, path.parent) if document else iter(())
+    for problem in islice(found, MOST_PROBLEMS):
         again = any(_within(problem.field or "", field) for field in told)
         if not again and problem.found not in unsound:
             problems.append(problem)
+    if next(found, None) is not None:
+        problems += left_out()
     return document, [replace(p, file=str(path), fix=p.fix or EXPLAINED) for p in problems]
 
 
@@ -182,7 +211,8 @@ def _within(field: str, other: str) -> bool:
 
 def _without(record: dict[str, Any], errors: list[Any]) -> dict[str, Any]:
     """Return a copy of a record without what is wrong: a key, or a table that lacks one."""
-    sound = copy.deepcopy(record)
+    sound = dict(record)
+    copied = {id(sound)}
     for error in errors:
         steps = [step for step in error["loc"] if not str(step).startswith("<")]
         steps = steps[:-1] if error["type"] == "missing" else steps
@@ -194,6 +224,9 @@ def _without(record: dict[str, Any], errors: list[Any]) -> dict[str, Any]:
             if not isinstance(inner, dict):
                 steps = [*steps[: steps.index(step)], step]  # a list is left out as a whole
                 break
+            if id(inner) not in copied:
+                inner = table[step] = dict(inner)
+                copied.add(id(inner))
             table = inner
         table.pop(steps[-1], None)
     return sound

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.calibration.templates import Template, average
+from levkas.full_scales import find_full_scale, not_known
 from levkas.problems import Problem, Refused
 from levkas.readers.frames import read_facts, read_frame
 from levkas.sensors.facts import frames_below
@@ -32,9 +33,16 @@ def files_of(paths: Sequence[str | Path]) -> list[Path]:
 
 
 def average_whites(
-    files: list[Path], darks: list[Path], black: float | None, saturation: float | None
+    files: list[Path],
+    darks: list[Path],
+    black: float | None,
+    saturation: float | None,
+    bits: int | None = None,
 ) -> tuple[Template, np.ndarray | float]:
-    """Average whites; return them and what is to be subtracted."""
+    """Average whites; return them and what is to be subtracted.
+
+    Raises WhiteRefused, ``E_BITS`` where nothing tells at which code they would clip.
+    """
     if not files:
         raise WhiteRefused(
             Problem(
@@ -42,12 +50,14 @@ def average_whites(
             )
         )
     facts = read_facts(files[0])
-    top = 2.0 ** (facts.bits or 8 * np.dtype(facts.dtype).itemsize) - 1
-    whole = np.dtype(facts.dtype).kind in "ui"
-    full = saturation or facts.saturation or (top if whole else None)
+    scale = find_full_scale(files, facts, bits=bits, saturation=saturation)
+    if scale is None and np.dtype(facts.dtype).kind in "ui":
+        raise WhiteRefused(not_known(files[0], facts))
+    full = scale.counts if scale else None
     stack = average((read_frame(f) for f in files), saturation=full)
     if not darks:
-        return stack, facts.black or 0.0 if black is None else black
+        told = (black, scale.black if scale else None, facts.black)
+        return stack, next((level for level in told if level is not None), 0.0)
     dark = average([read_frame(f) for f in darks])
     if dark.mean.shape != stack.mean.shape:
         raise WhiteRefused(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 from collections.abc import Callable, Iterable
@@ -25,6 +26,10 @@ app = typer.Typer(
 )
 
 Json = Annotated[bool, typer.Option("--json", help="Report as one JSON object.")]
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace a file that stands where this is to be written."),
+]
 CampaignPath = Annotated[Path, typer.Argument(help="Folder of a campaign, or its campaign.toml.")]
 
 
@@ -40,7 +45,10 @@ def _levkas(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version.")
     ] = False,
 ) -> None:
-    pass
+    # Names of files need not be text; a report in JSON stays one, where "\\udcff" is an escape.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _report(command: str, as_json: bool, ok: bool, problems: list[Problem], **more: Any) -> None:
@@ -81,6 +89,9 @@ def _refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., Non
             except Refused as refused:
                 _report(command, bool(options.get("as_json")), False, list(refused.problems))
                 raise typer.Exit(1) from None
+            except MemoryError:
+                _report(command, bool(options.get("as_json")), False, [_memory_ran_out()])
+                raise typer.Exit(1) from None
             except KeyboardInterrupt:
                 typer.secho("interrupted; run the same command to go on", err=True)
                 raise typer.Exit(130) from None
@@ -88,6 +99,18 @@ def _refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., Non
         return wrapped
 
     return decorate
+
+
+def _memory_ran_out() -> Problem:
+    from levkas.machine import MEMORY, memory_bound
+
+    bound = memory_bound()
+    return Problem(
+        "E_MEMORY",
+        "memory ran out",
+        found=None if bound is None else f"{bound / 1e9:.1f} GB now free, or as {MEMORY} sets it",
+        fix="Close other programs, use a machine with more memory, or cut or bin the frames.",
+    )
 
 
 def _drawn(steps: Iterable[Any], quiet: bool) -> list[Any]:
@@ -128,6 +151,9 @@ def look(
         typer.echo(f"{more} {len(proposal.unknown)} things are unknown.", err=True)
 
 
+VERIFY = "Read every file anew, whatever its size, times and inode say."
+
+
 @app.command()
 @_refusing("build")
 def build(
@@ -139,14 +165,24 @@ def build(
     objects: Annotated[
         list[str] | None, typer.Option("--object", help="Build only this object; may be repeated.")
     ] = None,
+    keep_removed: Annotated[
+        bool,
+        typer.Option(
+            "--keep-removed",
+            help="Leave in the database what the campaign no longer has, instead of moving it to OUTPUT.removed.",
+        ),
+    ] = False,
+    verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
     as_json: Json = False,
 ) -> None:
     """Build the database of a campaign from its raw frames."""
     from levkas.building import build as build_campaign
     from levkas.building import summarise
 
-    steps = _drawn(build_campaign(campaign, output=output, objects=objects), as_json)
-    report = summarise(steps, output)
+    steps = build_campaign(
+        campaign, output=output, objects=objects, keep_removed=keep_removed, verify=verify
+    )
+    report = summarise(_drawn(steps, as_json))
     _report("build", as_json, report.ok, report.problems, **report.to_dict())
     if not as_json:
         typer.echo(report.text)
@@ -161,12 +197,13 @@ def status(
         Path | None,
         typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
     ] = None,
+    verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
     as_json: Json = False,
 ) -> None:
     """Say what of a database is stale, and why."""
     from levkas.building import status as status_of
 
-    report = status_of(campaign, output=output)
+    report = status_of(campaign, output=output, verify=verify)
     _report("status", as_json, report.ok, report.problems, **report.to_dict())
     if not as_json:
         typer.echo(report.text)
@@ -219,6 +256,7 @@ def evaluate(
         float | None,
         typer.Option("--time-limit", help="Of --compare: seconds for one method and layer.", min=1),
     ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Report the error of every band where truth or check points are, and SSIM.
@@ -232,7 +270,7 @@ def evaluate(
 
         table = compare(
             database, methods=methods or (), truth=truth, output=output, time_limit_s=time_limit_s,
-            points=points, frame=frame, objects=objects or (),
+            points=points, frame=frame, objects=objects or (), overwrite=overwrite,
             draw=lambda rows: _drawn(rows, as_json),
         )  # fmt: skip
         _report("evaluate", as_json, True, list(table.problems), **table.to_dict())
@@ -240,7 +278,9 @@ def evaluate(
             typer.echo(table.text)
         return
 
-    report = assess(database, truth=truth, points=points, frame=frame, maps=maps)
+    report = assess(
+        database, truth=truth, points=points, frame=frame, maps=maps, overwrite=overwrite
+    )
     more, text = {}, report.text
     if loops:
         from levkas.closure import close_database, tell
@@ -304,12 +344,16 @@ def chart(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Report page to write, HTML.")
     ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Find colour charts and measure signal-to-noise, blur, colour, tone and white balance."""
     from levkas.building.charting import measure_charts
+    from levkas.ownership import require_free
     from levkas.radiometry.charts import parse_corners
 
+    if output is not None:
+        require_free(output, overwrite=overwrite)
     report = measure_charts(
         subject,
         kind=kind,
@@ -341,12 +385,23 @@ def map_points(
     ] = "grid",
     target: Annotated[str, typer.Option("--to", help="Frame the points are wanted in.")] = "grid",
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Map points between any two pixel frames of an object."""
     from levkas.mapping import map_table
+    from levkas.ownership import require_free
+    from levkas.readers.texts import read_stream, read_text
 
-    text = points.read_text(encoding="utf-8") if points else sys.stdin.read()
-    mapped = map_table(database, name, text, source=source, target=target)
+    if output is not None:
+        require_free(output, overwrite=overwrite)
+    wanted = "a CSV in UTF-8 with the header x,y"
+    text = (
+        read_text(points, wanted)
+        if points
+        else read_stream(sys.stdin.buffer, "standard input", wanted)
+    )
+    file = str(points) if points else None
+    mapped = map_table(database, name, text, source=source, target=target, file=file)
     if output is None:
         typer.echo(mapped, nl=False)
         return

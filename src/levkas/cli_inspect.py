@@ -32,7 +32,7 @@ def inspect(
 
     The page is served to this machine alone. From another one: ssh -L PORT:127.0.0.1:PORT.
     """
-    from levkas.web.app import open_browser, serve
+    from levkas.web.app import serve
 
     def tell(address: Address) -> None:
         typer.echo(f"The workbench is at {address.url}")
@@ -40,8 +40,6 @@ def inspect(
             f"From another machine: ssh -L {address.port}:127.0.0.1:{address.port} …, then the same "
             "address. Ctrl-C ends it."
         )
-        if not no_open:
-            open_browser(address)
 
-    serve(campaign, output=output, port=port, tell=tell)
+    serve(campaign, output=output, port=port, browse=not no_open, tell=tell)
     typer.echo("Ended. Corrections are in edits.toml; levkas build replays them.")

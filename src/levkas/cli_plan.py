@@ -11,7 +11,7 @@ plan_app = typer.Typer(
     help="Plan light, framing and exposure.", no_args_is_help=True, rich_markup_mode=None
 )
 
-from levkas.cli import Json, _refusing, _report  # noqa: E402  (either may be imported first)
+from levkas.cli import Json, Overwrite, _refusing, _report  # noqa: E402  (either may be imported first)
 
 SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
 Lighting = Annotated[
@@ -34,12 +34,16 @@ def light(
         Path | None,
         typer.Option("--render", help="PNG of what a camera would see; needs levkas[render]."),
     ] = None,
+    overwrite: Overwrite = False,
     seed: Annotated[int, typer.Option(help="Seed of the random starts.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
     """Evenness, glare, relief and bright field of a lighting, and what each lever would change."""
+    from levkas.ownership import require_free
     from levkas.planning.saying import light_record, light_text
 
+    for path in filter(None, (report, render)):
+        require_free(path, overwrite=overwrite)
     record = light_record(setup, name, optimised=optimise, seed=seed)
     if report is not None:
         from levkas.planning.report import write_report
@@ -89,8 +93,15 @@ def exposure(
         str | None, typer.Option(help="Of a mosaic, such as RGGB; default the file's own.")
     ] = None,
     black: Annotated[float | None, typer.Option(help="Counts; default the file's own.")] = None,
+    bits: Annotated[
+        int | None,
+        typer.Option(
+            help="Of the camera's converter; default the file's or campaign.toml's.", min=1, max=32
+        ),
+    ] = None,
     saturation: Annotated[
-        float | None, typer.Option(help="Counts; default the full scale.")
+        float | None,
+        typer.Option(help="Counts at which a sensel is full; default as the bits say."),
     ] = None,
     time: Annotated[
         float | None, typer.Option(help="Exposure in s, where names and headers do not tell.")
@@ -118,6 +129,7 @@ def exposure(
             dark or (),
             pattern=pattern,
             black=black,
+            bits=bits,
             saturation=saturation,
             exposure_s=time,
             is_white=not of_object,
@@ -158,7 +170,12 @@ def fit(
     ] = None,
     black: Annotated[float | None, typer.Option(help="Counts; default the file's own.")] = None,
     saturation: Annotated[
-        float | None, typer.Option(help="Counts; default the full scale.")
+        float | None,
+        typer.Option(help="Counts at which a sensel is full; default as the bits say."),
+    ] = None,
+    bits: Annotated[
+        int | None,
+        typer.Option(help="Bits of the converter; default as file or campaign declare."),
     ] = None,
     bent: Annotated[
         bool, typer.Option("--bent", help="The board is bent as the object is.")
@@ -178,6 +195,7 @@ def fit(
         region=_four(region),
         black=black,
         saturation=saturation,
+        bits=bits,
         bent=bent,
     )
     _report("plan fit", as_json, True, [], **found.to_dict())

@@ -11,7 +11,7 @@ points_app = typer.Typer(
     help="Control points of other programs.", no_args_is_help=True, rich_markup_mode=None
 )
 
-from levkas.cli import Json, _refusing, _report  # noqa: E402  (either may be imported first)
+from levkas.cli import Json, Overwrite, _refusing, _report  # noqa: E402  (either may be imported first)
 
 
 @points_app.callback()
@@ -43,6 +43,7 @@ def convert(
     target_size: Annotated[
         str | None, typer.Option(help="width,height of the target picture.")
     ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Read control points of one program and write them as another's, pixel origins and all."""
@@ -55,7 +56,7 @@ def convert(
         reference_size=parse_size(reference_size),
         target_size=parse_size(target_size),
     )
-    paths = write_points(points, output, to)
+    paths = write_points(points, output, to, overwrite=overwrite)
     lost = losses(points, to)
     _report(
         "points convert", as_json, True, [],

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from levkas.cli import Json, _drawn, _refusing, _report, app
+from levkas.cli import Json, Overwrite, _drawn, _refusing, _report, app
 
 
 @app.command()
@@ -18,7 +18,11 @@ def publish(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="New folder; default DATABASE.published beside it."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="New folder, or an earlier publication; default DATABASE.published beside it.",
+        ),
     ] = None,
     edition: Annotated[
         Literal["full", "medium", "both"],
@@ -71,13 +75,15 @@ def export(
     cameras: Annotated[
         list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
     ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Write layers in the format of another program, values as they are."""
     from levkas.exporting import run
 
     chosen = {"objects": objects or (), "cameras": cameras or ()}
-    steps = _drawn(run.export(database, form, output=output, **chosen), as_json)
+    made = run.export(database, form, output=output, overwrite=overwrite, **chosen)
+    steps = _drawn(made, as_json)
     files = [str(path) for step in steps for path in step.files]
     _report("export", as_json, True, [], files=files)
     if not as_json:

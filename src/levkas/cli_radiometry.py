@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from levkas.cli import Json, _refusing, _report, app
+from levkas.cli import Json, Overwrite, _refusing, _report, app
 
 
 @app.command("radiometry")
@@ -23,6 +23,7 @@ def radiometry(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="HTML page to write, for a campaign.")
     ] = None,
+    overwrite: Overwrite = False,
     seed: Annotated[int, typer.Option(help="Seed of the intervals' bootstrap.", min=0)] = 1,
     as_json: Json = False,
 ) -> None:
@@ -30,8 +31,11 @@ def radiometry(
 
     Nothing is written but the page that --output asks for.
     """
+    from levkas.ownership import require_free
     from levkas.sensors import examine_with_seed
 
+    if output is not None:
+        require_free(output, overwrite=overwrite)
     found = examine_with_seed(path, cameras=cameras, seed=seed)
     written = None
     if output is not None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.readers.texts import read_json
+from levkas.database.registrations import read_registrations
 from levkas.transforms import from_dict
 
 if TYPE_CHECKING:
@@ -29,11 +30,15 @@ def close_database(database: Path) -> list[dict[str, Any]]:
 
     found = []
     for folder in sorted(database.glob("objects/*/registration")):
-        records = [read_json(path) for path in sorted(folder.glob("*.json"))]
         name = folder.parent.name
+        records = [record for _, record in read_registrations(database, escape(name))]
         views, points = [], None
         for record in records:
-            if record["setup"] or not record["bands"] or record["verdict"]["decision"] == "refuse":
+            if (
+                record.get("setup")
+                or not record.get("bands")
+                or record["verdict"]["decision"] == "refuse"
+            ):
                 continue
             if record["camera"] == record["reference"]["camera"]:
                 own = _view(database, name, record)

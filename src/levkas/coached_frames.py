@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 
-import numpy as np
-
 from levkas.calibration.templates import Template, average
 from levkas.readers.frames import Facts, read_facts, read_frame
 
@@ -68,11 +66,3 @@ def files_at(path: Path) -> list[Path]:
     from levkas.sensors.facts import frames_below
 
     return frames_below(path)
-
-
-def full_scale(facts: Facts, files: Sequence[Path]) -> float:
-    """Return the full scale of what the brightest of some frames needs."""
-    if facts.bits and facts.bits != 8 * np.dtype(facts.dtype).itemsize:
-        return float(2**facts.bits - 1)
-    top = max(int(np.max(read_frame(f))) for f in files[:12])
-    return float(2 ** max(8, top.bit_length()) - 1)

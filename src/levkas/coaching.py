@@ -14,7 +14,7 @@ from levkas.calibration.blocks import block_statistics
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
-from levkas.coached_frames import Shot, files_at, full_scale, gather_shots
+from levkas.coached_frames import Shot, files_at, gather_shots
 from levkas.exposure import (
     Advice,
     Reading,
@@ -24,6 +24,7 @@ from levkas.exposure import (
     read_channel,
     snr_at,
 )
+from levkas.full_scales import FullScale, find_full_scale, not_known
 from levkas.noise import Sensor
 from levkas.problems import Problem, Refused
 from levkas.readers.frames import read_facts
@@ -57,6 +58,8 @@ class Coached:
         Whether the frames show a white.
     prnu_known : bool
         Whether the sensor's PRNU was measured on them, or 1 % is assumed.
+    full, full_from : float, str
+        Counts at which a sensel is full, and where that is known from.
     """
 
     shot: Shot
@@ -66,6 +69,8 @@ class Coached:
     notes: list[str]
     is_white: bool = True
     prnu_known: bool = False
+    full: float = float("nan")
+    full_from: str = ""
 
     @property
     def first(self) -> Advice:
@@ -88,6 +93,8 @@ class Coached:
             "channels": [self._channel(advice) for advice in self.advices],
             "prnu": self.sensor.prnu,
             "prnu_known": self.prnu_known,
+            "full_scale": self.full,
+            "full_scale_from": self.full_from,
             "notes": self.notes,
         }
 
@@ -115,6 +122,7 @@ def coach(
     *,
     pattern: str | Sequence[Sequence[str]] | None = None,
     black: float | None = None,
+    bits: int | None = None,
     saturation: float | None = None,
     exposure_s: float | None = None,
     is_white: bool = True,
@@ -130,8 +138,10 @@ def coach(
         Of any exposures: to each band those of its size that come nearest to its time.
     pattern : str or rows of names, optional
         Of a mosaic; default the file's own.
-    black, saturation : float, optional
-        Counts; default the file's own, else 0 and the full scale.
+    black : float, optional
+        Counts; default that of the campaign that the frames belong to, else the file's own, else 0.
+    bits, saturation : int, float, optional
+        Bits of the converter, or counts at which a sensel is full; default as `find_full_scale` finds it.
     exposure_s : float, optional
         Of every frame, where neither names (25ms, 0.5s) nor headers tell.
     is_white : bool
@@ -146,7 +156,8 @@ def coach(
     ------
     NoAdvice
         E_WHITE_SATURATED where every exposure of a band clips, E_WHITE_DARK where none stands above
-        black, with the time to try; E_WHITE_UNEVEN where the frames show no white.
+        black, with the time to try; E_WHITE_UNEVEN where the frames show no white; E_BITS where nothing
+        tells the full scale, or codes lie beyond the bits.
     Refused
         UnreadableCapture.
     """
@@ -160,16 +171,36 @@ def coach(
     facts = read_facts(files[0])
     without = [f for path in darks for f in files_at(Path(path))]
     dim = gather_shots(without, np.inf, None)
-    level = black if black is not None else facts.black or 0.0
-    full = saturation or facts.saturation or full_scale(facts, files)
+    scale = find_full_scale(files, facts, bits=bits, saturation=saturation)
+    if scale is None:
+        raise NoAdvice(not_known(files[0], facts))
+    level = next((b for b in (black, scale.black, facts.black) if b is not None), 0.0)
     pattern = pattern or facts.pattern
     bands: dict[tuple[float, str], list[Shot]] = {}
-    for shot in gather_shots(files, full, exposure_s):
+    for shot in gather_shots(files, scale.counts, exposure_s):
+        _check_bits(shot, scale, str(files[0]))
         bands.setdefault((shot.wavelength, shot.name), []).append(shot)
     order = sorted(
         bands, key=lambda key: (isnan(key[0]), key[0] if key[0] == key[0] else 0, key[1])
     )
-    return [_coach_band(bands[key], dim, level, full, pattern, is_white) for key in order]
+    return [_coach_band(bands[key], dim, level, scale, pattern, is_white) for key in order]
+
+
+def _check_bits(shot: Shot, scale: FullScale, file: str) -> None:
+    """Refuse frames with codes beyond the bits: 12 bits may stand at the upper end of 16."""
+    if scale.bits is not None and (top := float(shot.stack.mean.max())) > scale.counts:
+        raise NoAdvice(
+            Problem(
+                "E_BITS",
+                f"{shot.name}: codes are larger than {scale.bits} bits can hold",
+                file,
+                "bits",
+                f"{top:.0f}",
+                f"at most {scale.counts:.0f} ({scale.source})",
+                "Give the code at which the camera saturates, --saturation 65520 where 12 bits stand at the "
+                "upper end of 16.",
+            )
+        )
 
 
 def _dark_of(shot: Shot, darks: list[Shot]) -> Template | None:
@@ -190,10 +221,11 @@ def _coach_band(
     shots: list[Shot],
     darks: list[Shot],
     black: float,
-    full: float,
+    scale: FullScale,
     pattern: str | Sequence[Sequence[str]] | None,
     is_white: bool,
 ) -> Coached:
+    full = scale.counts
     under = {shot.exposure_s: _dark_of(shot, darks) for shot in shots}
     levels = {t: float(np.median(dark.mean)) if dark else black for t, dark in under.items()}
     readings = [(s, _readings(s, levels[s.exposure_s], full, pattern)) for s in shots]
@@ -224,7 +256,9 @@ def _coach_band(
     )
     if shot.exposure_s is None:
         notes.append("the exposure is not known: multiply the one that was set")
-    return Coached(shot, advices, sensor, iso, notes, is_white, prnu is not None)
+    return Coached(
+        shot, advices, sensor, iso, notes, is_white, prnu is not None, full, scale.source
+    )
 
 
 def _prnu(

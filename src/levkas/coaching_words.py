@@ -38,6 +38,7 @@ def advice_text(coached: Sequence[Coached]) -> str:
             )
         lines.append(f"  ISO: {found.iso_advice}")
         lines += [f"  note: {note}" for note in found.notes]
+    lines.append(f"full scale: {coached[0].full:.0f} counts ({coached[0].full_from})")
     lines.append(_why(coached[0]))
     if len(coached) > 1 and all(c.first.time_s for c in coached):
         total = sum(c.first.time_s or 0.0 for c in coached)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from levkas.ownership import stands_in
 from levkas.problems import Problem, Refused
 
 
@@ -49,7 +50,7 @@ def demonstrate(
 
     folder = Path(folder)
     if not (folder / "campaign.toml").is_file():
-        if folder.exists() and any(folder.iterdir()):
+        if stands_in(folder):
             raise DemonstrationRefused(
                 Problem(
                     "E_VALUE",

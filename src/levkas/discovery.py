@@ -82,10 +82,10 @@ def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     captures: list[Capture] = []
     refusals: Refusals = {}
     for name in campaign.targets.charts:
-        for (camera, setup), frames in survey.frames.items():
+        for camera, setup in survey.frames:
             if campaign.cameras[camera].kind == "image":
                 continue
-            if not any(frame.target == name for frame in frames):
+            if not survey.of(name, camera, setup):
                 continue
             try:
                 sensors = frames_of_sensors(survey, name, campaign.cameras[camera], setup)
@@ -135,12 +135,11 @@ def _no_objects(survey: Survey) -> Refused:
 
 def _is_promised(survey: Survey, name: str, camera: str, setup: str) -> bool:
     """Whether a camera is expected to have taken an object under a setup."""
-    frames = survey.frames[camera, setup]
-    if any(f.target == name for f in frames) or (camera, setup) in survey.broken:
+    if survey.of(name, camera, setup) or (camera, setup) in survey.broken:
         return True
     if (camera, setup) == (survey.campaign.reference.camera, ""):
         return True
-    if any(f.target in survey.objects for f in frames):
+    if survey.has_objects(camera, setup):
         return False
     only_in_setups = not setup and any(
         "{setup}" in t for t in survey.campaign.cameras[camera].patterns
@@ -163,13 +162,11 @@ def _require_frames(survey: Survey, name: str, camera: str, setup: str) -> None:
     if (camera, setup) in survey.broken:
         raise survey.broken[camera, setup]
     frames = survey.frames[camera, setup]
-    if any(f.target == name for f in frames):
+    if survey.of(name, camera, setup):
         return
     if (camera, setup) != (survey.campaign.reference.camera, "") or not frames:
         raise CaptureRefused(_no_frames(survey, camera, setup, repr(name), name))
-    others = sorted(
-        {c for (c, _), found in survey.frames.items() if any(f.target == name for f in found)}
-    )
+    others = sorted({c for c, under in survey.frames if survey.of(name, c, under)})
     known = sorted({f.target for f in frames}, key=natural)
     raise CaptureRefused(
         Problem(

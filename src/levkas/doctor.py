@@ -13,6 +13,9 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Any, Literal
 
+from packaging.requirements import Requirement
+from packaging.version import Version
+
 from levkas import __version__
 from levkas.machine import Finding, find_disk, find_kernel_cache, find_memory, find_threads
 from levkas.problems import Problem
@@ -20,49 +23,48 @@ from levkas.problems import Problem
 OLDEST_PYTHON = (3, 11)
 OLDEST_LIBRAW = (0, 22, 1)
 """Older ones crash on files made to crash them; rawpy 0.28 is the first to carry it."""
-OLDEST_NODE = "20"
+OLDEST_NODE = Version("20")
 
-REQUIRED = {
-    "bagit": ("1.9", "publish: BagIt"),
-    "colour-demosaicing": ("0.2.6", "demosaicing"),
-    "colour-science": ("0.4.6", "colour under an illuminant"),
-    "exifread": ("3.0", "EXIF of photographs"),
-    "iiif-prezi3": ("3.1", "publish: IIIF manifests"),
-    "imagecodecs": ("2025.3", "compressed TIFFs"),
-    "jinja2": ("3.1", "report pages"),
-    "numba": ("0.61", "resampling and registration kernels"),
-    "numpy": ("2.0", "everything"),
-    "opencv-python-headless": ("4.10", "features, PNG and JPEG"),
-    "pillow": ("11", "previews"),
-    "pydantic": ("2.9", "campaign.toml"),
-    "pyvips": ("3.1", "publish: IIIF tiles"),
-    "rawpy": ("0.28", "camera raw files"),
-    "rich": ("13.7", "progress on a terminal"),
-    "rocrate": ("0.16", "publish: RO-Crate"),
-    "scikit-image": ("0.25", "SSIM"),
-    "scipy": ("1.14", "filters and solvers"),
-    "spectral": ("0.23", "spectral libraries"),
-    "starlette": ("1.0", "inspect: the workbench's server"),
-    "threadpoolctl": ("3.5", "linear algebra with one thread"),
-    "tifffile": ("2025.1", "TIFF"),
-    "typer": ("0.15", "the command line"),
-    "uvicorn": ("0.30", "inspect: the workbench's server"),
-    "xarray": ("2025.1", "labelled arrays"),
-    "zarr": ("3.0.8", "the Zarr store"),
+PURPOSES = {
+    "bagit": "publish: BagIt",
+    "colour-science": "colour under an illuminant",
+    "exifread": "EXIF of photographs",
+    "google-crc32c": "checksums of the Zarr store",
+    "iiif-prezi3": "publish: IIIF manifests",
+    "imagecodecs": "compressed TIFFs",
+    "jinja2": "report pages",
+    "llvmlite": "resampling kernels",
+    "markupsafe": "pages of the viewer",
+    "numba": "resampling and registration kernels",
+    "numcodecs": "checksums of the Zarr store",
+    "numpy": "everything",
+    "opencv-python-headless": "features, PNG and JPEG",
+    "packaging": "doctor: versions",
+    "pillow": "previews",
+    "pydantic": "campaign.toml",
+    "pyvips": "publish: IIIF tiles",
+    "rawpy": "camera raw files",
+    "rich": "progress on a terminal",
+    "rocrate": "publish: RO-Crate",
+    "scikit-image": "SSIM",
+    "scipy": "filters and solvers",
+    "starlette": "inspect: the workbench's server",
+    "threadpoolctl": "linear algebra with one thread",
+    "tifffile": "TIFF",
+    "tomlkit": "edits.toml with a person's comments",
+    "typer": "the command line",
+    "uvicorn": "inspect: the workbench's server",
+    "xarray": "labelled arrays",
+    "zarr": "the Zarr store",
 }
-"""Distribution → (oldest version, what it is for); the same list as in pyproject.toml."""
+"""Distribution → what it is for; which ones there are, the package's own metadata says."""
 
-OPTIONAL = {
-    "matplotlib": ("matplotlib", "figures of the examples and benchmarks"),
-    "distributed": ("distributed", "builds on more than one machine"),
-    "scikit-learn": ("sklearn", "spectral estimation"),
-    "mitsuba": ("mitsuba", "plan: renders of a lighting setup"),
-    "itk-elastix": ("itk", "benchmark against elastix"),
-    "SimpleITK": ("SimpleITK", "benchmark against SimpleITK"),
-    "antspyx": ("ants", "benchmark against ANTs"),
-    "mahotas": ("mahotas", "benchmark against mahotas' SURF"),
+EXTRAS = {
+    "docs": "the documentation, and figures of the examples and benchmarks",
+    "peers": "evaluate --compare: programs to compare with",
+    "render": "plan: renders of a lighting setup",
 }
-"""Distribution → (module, what is missing without it)."""
+"""Extra of the package → what is missing without it; the others are for its development."""
 
 OTHER_NAMES = {
     "opencv-python-headless": (
@@ -132,21 +134,47 @@ def _look(folder: Path) -> Iterator[Finding]:
     version = ".".join(map(str, sys.version_info[:3]))
     old = sys.version_info < OLDEST_PYTHON
     yield Finding("Python", "missing" if old else "ok", version, "3.11 or newer", "everything")
-    for name, (oldest, purpose) in REQUIRED.items():
-        yield _package(name, oldest, purpose)
+    required, optional = requirements()
+    for one in required:
+        yield _package(one, PURPOSES.get(one.name, "levkas"))
+    if not required:
+        yield Finding(
+            "packages", "low", "levkas runs from its sources alone", "an installed levkas",
+            "the list of packages that it requires", "pip install -e .",
+        )  # fmt: skip
     yield _libraw()
+    yield _libvips()
     yield _opencv()
     yield _codecs()
     yield find_memory()
     yield find_disk(folder)
     yield find_threads()
     yield find_kernel_cache()
-    for name, (module, purpose) in OPTIONAL.items():
-        yield _extra(name, module, purpose)
+    for one, extra in optional:
+        yield _package(one, EXTRAS[extra], lacking="absent")
     yield _node()
 
 
 # --- packages ---------------------------------------------------------------------------------
+
+
+def requirements() -> tuple[list[Requirement], list[tuple[Requirement, str]]]:
+    """Return what the installed package requires, and what its `EXTRAS` do with the extra's name.
+
+    Both are empty where levkas is not installed but runs from its sources.
+    """
+    try:
+        told = [Requirement(text) for text in metadata.requires("levkas") or ()]
+    except metadata.PackageNotFoundError:
+        return [], []
+    here = [one for one in told if one.marker is None or one.marker.evaluate({"extra": ""})]
+    more = [
+        (one, extra)
+        for extra in EXTRAS
+        for one in told
+        if one not in here and one.marker is not None and one.marker.evaluate({"extra": extra})
+    ]
+    return here, more
 
 
 def version_of(name: str) -> str:
@@ -159,35 +187,15 @@ def version_of(name: str) -> str:
     return ""
 
 
-def older(found: str, expected: str) -> bool:
-    """Whether a version is older than another, by their numbers alone.
-
-    >>> older("0.9.12", "0.10"), older("2025.1", "2025.1.0"), older("3.0.8rc1", "3.0.8")
-    (True, False, False)
-    """
-
-    def numbers(text: str) -> list[int]:
-        parts = [int(n) for n in re.findall(r"\d+", re.split(r"[a-z+]", text)[0])]
-        return parts + [0] * (4 - len(parts))
-
-    return numbers(found) < numbers(expected)
-
-
-def _package(name: str, oldest: str, purpose: str) -> Finding:
-    found = version_of(name)
-    fix = f'pip install "{name}>={oldest}"'
-    if not found or older(found, oldest):
-        return Finding(name, "missing", found, f"{oldest} or newer", purpose, fix)
-    return Finding(name, "ok", found, f"{oldest} or newer", purpose)
-
-
-def _extra(name: str, module: str, purpose: str) -> Finding:
-    if util.find_spec(module) is None:
-        return Finding(name, "absent", "", "", purpose, f"pip install {name}")
-    if name == "pyvips" and (broken := _import_error(module)):
-        fix = "Install libvips, or pip install pyvips-binary."
-        return Finding(name, "absent", broken, "a libvips that loads", purpose, fix)
-    return Finding(name, "ok", version_of(name), "", purpose)
+def _package(
+    wanted: Requirement, purpose: str, lacking: Literal["missing", "absent"] = "missing"
+) -> Finding:
+    found = version_of(wanted.name)
+    good = bool(found) and wanted.specifier.contains(found, prereleases=True)
+    fix = "" if good else f'pip install "{wanted.name}{wanted.specifier}"'
+    return Finding(
+        wanted.name, "ok" if good else lacking, found, str(wanted.specifier), purpose, fix
+    )
 
 
 def _import_error(module: str) -> str:
@@ -210,6 +218,15 @@ def _libraw() -> Finding:
     return Finding(
         "LibRaw", state, found, expected, "camera raw files", "" if state == "ok" else fix
     )
+
+
+def _libvips() -> Finding:
+    purpose, fix = "publish: IIIF tiles", 'Install libvips, or pip install "pyvips[binary]".'
+    if broken := _import_error("pyvips"):
+        return Finding("libvips", "missing", broken, "a libvips that loads", purpose, fix)
+    vips = importlib.import_module("pyvips")
+    found = ".".join(str(vips.version(part)) for part in range(3))
+    return Finding("libvips", "ok", found, "a libvips that loads", purpose)
 
 
 def _opencv() -> Finding:
@@ -266,7 +283,7 @@ def _node() -> Finding:
         found = told.stdout.strip().removeprefix("v")
     except (OSError, subprocess.SubprocessError):
         found = ""
-    if not found or older(found, OLDEST_NODE):
+    if not re.fullmatch(r"[\d.]+", found) or Version(found) < OLDEST_NODE:
         return Finding("Node", "absent", found, expected, purpose, fix)
     return Finding("Node", "ok", found, expected, purpose)
 

@@ -1,11 +1,19 @@
-"""edits.toml: corrections made by hand on screen, kept beside campaign.toml and replayed by a build."""
+"""edits.toml: corrections made by hand on screen, kept beside campaign.toml and replayed by a build.
+
+Several workbenches and a person with an editor may change the file at one time: a change is written on
+top of what the file holds by then, and what it holds besides, comments included, stays as it is.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +24,8 @@ if TYPE_CHECKING:
     from levkas.registration.given import Given
 
 FILE_NAME = "edits.toml"
+MOST_TURNS = 50
+"""How often a change is made anew because the file was changed meanwhile."""
 EXPLAINED = "docs/workbench.md explains every key; the workbench writes the file for you."
 HEAD = """\
 # Corrections by hand; `levkas inspect` writes this file, `levkas build` replays it.
@@ -28,6 +38,17 @@ Pair = tuple[float, ...]
 
 class EditsInvalid(Refused):
     """edits.toml cannot be used; every reason is listed."""
+
+
+class EditsConflict(Refused):
+    """A change contradicts what edits.toml holds by now, which is `present`."""
+
+    def __init__(self, *problems: Problem, present: FrameEdits) -> None:
+        super().__init__(*problems)
+        self.present = present
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), present=self.present), self.problems
 
 
 @dataclass(frozen=True)
@@ -99,6 +120,26 @@ class FrameEdits:
         return f"{', '.join(parts)} ({hashlib.sha256(text.encode()).hexdigest()[:8]})"
 
 
+def merge(base: FrameEdits, ours: FrameEdits, theirs: FrameEdits) -> FrameEdits:
+    """Return what came of `base` by the changes of both; where both changed one number or the note, theirs.
+
+    Pairs are merged one by one: what either added is there, what either took away is not.
+
+    >>> base = FrameEdits(deleted=((1, 2, 3, 4), (5, 6, 7, 8)))
+    >>> merge(base, FrameEdits(deleted=base.deleted[:1]), replace(base, pinned=((9, 9, 9, 9),)))
+    FrameEdits(deleted=((1, 2, 3, 4),), restored=(), pinned=((9, 9, 9, 9),), added=(), moved=(), checks=(), reject=None, stop=None, note='')
+    """
+    merged: dict[str, Any] = {}
+    for name in (f.name for f in fields(FrameEdits)):
+        first, one, other = (getattr(edits, name) for edits in (base, ours, theirs))
+        if isinstance(first, tuple):
+            gone, new = set(first) - set(one), set(one) - set(first)
+            merged[name] = tuple(sorted((set(other) - gone) | new))
+        else:
+            merged[name] = other if other != first else one
+    return FrameEdits(**merged)
+
+
 @dataclass(frozen=True)
 class Edits:
     """All corrections of a campaign: (object, frame) → what was corrected.
@@ -136,19 +177,25 @@ def read_edits(path: Path) -> Edits:
     """
     if not path.is_file():
         return Edits()
-    from pydantic import ValidationError
-
-    from levkas.declaring.corrections import EditsDocument
-    from levkas.declaring.messages import explain
     from levkas.declaring.toml import TomlRefused, read_toml
 
     try:
-        record = read_toml(path)
-        document = EditsDocument.model_validate(record)
+        return _validated(read_toml(path), path)
     except TomlRefused as refused:
         raise EditsInvalid(*refused.problems) from None
+
+
+def _validated(record: dict[str, Any], path: Path) -> Edits:
+    from pydantic import ValidationError
+
+    from levkas.declaring.corrections import EditsDocument
+    from levkas.declaring.messages import MOST_PROBLEMS, explain
+
+    try:
+        document = EditsDocument.model_validate(record)
     except ValidationError as invalid:
-        told = explain(record, invalid.errors(), EditsDocument)
+        errors = invalid.errors(include_url=False, include_context=False)
+        told = explain(record, errors, EditsDocument)
         raise EditsInvalid(*(_explained(p, path) for p in told)) from None
     frames = {
         (name, frame): FrameEdits(**{k: _rounded(v) for k, v in dict(keys).items()})
@@ -156,7 +203,7 @@ def read_edits(path: Path) -> Edits:
         for frame, keys in table.cameras.items()
     }
     edits = Edits({key: value for key, value in frames.items() if value})
-    if problems := _contradictions(edits):
+    if problems := list(islice(_contradictions(edits), MOST_PROBLEMS)):
         raise EditsInvalid(*(_explained(p, path) for p in problems))
     return edits
 
@@ -207,6 +254,184 @@ def write_edits(path: Path, edits: Edits) -> None:
     write_text(path, to_text(edits))
 
 
+def change_edits(
+    path: Path,
+    name: str,
+    frame_of: Callable[[Edits], str],
+    before: FrameEdits,
+    after: FrameEdits,
+) -> FrameEdits:
+    """Write what a change made of one frame's corrections, on top of what edits.toml holds by now.
+
+    Parameters
+    ----------
+    path : Path
+        edits.toml, or where it shall stand.
+    name : str
+        Of the object.
+    frame_of : callable
+        Gives the frame's name in a file of these corrections.
+    before, after : FrameEdits
+        The corrections as they were known, and with the change.
+
+    Returns
+    -------
+    written : FrameEdits
+        What the file holds of the frame now; it is on the disk.
+
+    Raises
+    ------
+    EditsConflict
+        Where the change contradicts what others wrote meanwhile; the file is as it was.
+    EditsInvalid
+        Where the file cannot be read.
+    WriteRefused, Taken
+        Where it cannot be written, or another process holds it.
+    """
+    from levkas.files import together, write_text
+    from levkas.locks import locked
+
+    with locked(path.with_name(f".{path.name}.lock")):
+        for _ in range(MOST_TURNS):
+            data = _bytes_of(path)
+            edits = read_edits(path)
+            frame = frame_of(edits)
+            present = edits.frames.get((name, frame), FrameEdits())
+            merged = merge(before, after, present)
+            if problems := _clashes(
+                before, after, present, merged, f"objects.{name}.cameras.{frame}"
+            ):
+                raise EditsConflict(*(_explained(p, path) for p in problems), present=present)
+            if merged == present:
+                return present
+            text = _revised(data, edits, edits.with_frame(name, frame, merged), (name, frame), path)
+
+            def unchanged(data: bytes = data) -> None:
+                if _bytes_of(path) != data:
+                    raise _Changed
+
+            try:
+                with together(before=unchanged):
+                    write_text(path, text)
+            except _Changed:  # by an editor, which takes no lock
+                continue
+            return merged
+    problem = Problem("E_BUSY", "edits.toml is changed again and again", str(path))
+    raise EditsInvalid(_explained(problem, path))
+
+
+class _Changed(Exception):
+    """The file is no longer what it was when it was read."""
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _clashes(
+    before: FrameEdits, after: FrameEdits, present: FrameEdits, merged: FrameEdits, where: str
+) -> list[Problem]:
+    """What a change and the present state say of one thing, differently."""
+    found = [
+        Problem(
+            "E_CONFLICT",
+            f"`{name}` was changed meanwhile",
+            field=f"{where}.{name}",
+            found=getattr(present, name),
+            expected=getattr(before, name),
+            fix="Look at what it is now, then change it again.",
+        )
+        for name in ("reject", "stop", "note")
+        if getattr(before, name) not in (getattr(after, name), getattr(present, name))
+        and getattr(after, name) != getattr(present, name)
+    ]
+    if merged != present:
+        for problem in _contradictions(Edits({("", ""): merged})):
+            key = (problem.field or "").rpartition(".")[2]
+            message = f"{problem.message}: it was changed meanwhile"
+            fix = "Look at what it is now, then change it again."
+            found.append(
+                replace(
+                    problem, code="E_CONFLICT", message=message, field=f"{where}.{key}", fix=fix
+                )
+            )
+    return found
+
+
+def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], path: Path) -> str:
+    """The file's text with one frame changed: written anew where it is as we write it, else in place."""
+    text = data.decode("utf-8-sig")
+    if not text.strip() or text == to_text(edits):
+        return to_text(wanted)
+    import tomlkit
+
+    one = wanted.frames.get(place, FrameEdits())
+    document = tomlkit.parse(text)
+    table: Any = document
+    for part in ("objects", place[0], "cameras", place[1]):
+        table = table.get(part) if table is not None else None
+    if table is None:
+        made = f"{text.rstrip()}\n\n" + to_text(Edits({place: one})).removeprefix(f"{HEAD}\n")
+    else:
+        for key in (f.name for f in fields(FrameEdits)):
+            _revise(table, key, getattr(one, key))
+        made = tomlkit.dumps(document)
+    with contextlib.suppress(ValueError):
+        if _validated(tomllib.loads(made), path) == wanted:
+            return made
+    problem = Problem(
+        "E_VALUE",
+        "edits.toml is laid out in a way that cannot be changed in place",
+        field=f"objects.{place[0]}.cameras.{place[1]}",
+        expected="a table of its own for every camera",
+    )
+    raise EditsInvalid(_explained(problem, path))
+
+
+def _revise(table: Any, key: str, value: Any) -> None:
+    """Change one key of a table of tomlkit; rows that stay keep their place and their comments."""
+    import tomlkit
+
+    if value in (None, "", ()):
+        table.pop(key, None)
+        return
+    if not isinstance(value, tuple):
+        if table.get(key) != value:
+            _put(table, key, value)
+        return
+    if key not in table:
+        rows = "".join(f"  {_row(row)},\n" for row in value)
+        _put(table, key, tomlkit.parse(f"{key} = [\n{rows}]\n")[key])
+        return
+    array, missing = table[key], set(value)
+    for at in reversed(range(len(array))):
+        row = round_pair(array[at])
+        if row in missing:
+            missing.discard(row)
+        else:
+            del array[at]
+    for row in sorted(missing):
+        new: Any = tomlkit.parse(f"{key} = {_row(row)}")[key]
+        if "\n" in array.as_string():
+            array.add_line(new, indent="  ")
+        else:
+            array.append(new)
+
+
+def _put(table: Any, key: str, value: Any) -> None:
+    """Set a key; a new one stands before the comments that lead to the next table."""
+    body = table.value.body if hasattr(table.value, "body") else []
+    trailing = []
+    while key not in table and body and body[-1][0] is None:
+        trailing.append(body.pop()[1])
+    table[key] = value
+    for item in reversed(trailing):
+        table.add(item)
+
+
 def to_text(edits: Edits) -> str:
     """Return the text of edits.toml."""
     lines = [HEAD]
@@ -218,7 +443,7 @@ def to_text(edits: Edits) -> str:
             value = getattr(one, key)
             if isinstance(value, tuple) and value:
                 lines.append(f"{key} = [")
-                lines += [f"  [{', '.join(f'{v:.2f}' for v in row)}]," for row in sorted(value)]
+                lines += [f"  {_row(row)}," for row in sorted(value)]
                 lines.append("]")
             elif isinstance(value, float):
                 lines.append(f"{key} = {value!r}")
@@ -237,15 +462,18 @@ def round_pair(pair: Iterable[float]) -> Pair:
     return tuple(round(float(v), 2) + 0.0 for v in pair)
 
 
+def _row(row: Pair) -> str:
+    return f"[{', '.join(f'{v:.2f}' for v in row)}]"
+
+
 def _rounded(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(sorted({round_pair(row) for row in value}))
     return float(value) if isinstance(value, int) else value
 
 
-def _contradictions(edits: Edits) -> list[Problem]:
-    """A pair of which two things are said at once."""
-    problems = []
+def _contradictions(edits: Edits) -> Iterator[Problem]:
+    """Yield pairs of which two things are said at once."""
     for (name, frame), one in sorted(edits.frames.items()):
         said: dict[Pair, str] = {}
         where = f"objects.{name}.cameras.{frame}"
@@ -253,26 +481,28 @@ def _contradictions(edits: Edits) -> list[Problem]:
             for row in getattr(one, key):
                 before = said.setdefault(row[:4], key)
                 if before != key:
-                    problems.append(
-                        Problem(
-                            "E_VALUE",
-                            f"a pair is both {before} and {key}",
-                            field=f"{where}.{key}",
-                            found=", ".join(f"{v:.2f}" for v in row[:4]),
-                            fix="Keep one of them.",
-                        )
+                    yield Problem(
+                        "E_VALUE",
+                        f"a pair is both {before} and {key}",
+                        field=f"{where}.{key}",
+                        found=", ".join(f"{v:.2f}" for v in row[:4]),
+                        fix="Keep one of them.",
                     )
-        if one.reject is not None and one.stop is not None and one.reject <= one.stop:
-            problems.append(
-                Problem(
-                    "E_VALUE",
-                    "`reject` must be above `stop`",
-                    field=f"{where}.reject",
-                    found=one.reject,
-                    expected=f"more than {one.stop:g}",
-                )
+        if len({row[:4] for row in one.moved}) < len(one.moved):
+            yield Problem(
+                "E_VALUE",
+                "a pair is moved to two places",
+                field=f"{where}.moved",
+                fix="Keep one of them.",
             )
-    return problems
+        if one.reject is not None and one.stop is not None and one.reject <= one.stop:
+            yield Problem(
+                "E_VALUE",
+                "`reject` must be above `stop`",
+                field=f"{where}.reject",
+                found=one.reject,
+                expected=f"more than {one.stop:g}",
+            )
 
 
 def _explained(problem: Problem, path: Path) -> Problem:

@@ -3,7 +3,7 @@
 A file is written under a temporary name in its own folder, synced, renamed, and the folder synced.
 A folder is built aside under `name.partial-…`, synced once as a whole, and renamed. What belongs
 `together` takes its names when all of it is on the disk. What a killed run leaves behind bears a
-partial name, is never read, and `sweep` takes it away.
+partial name with our own name in it, is never read, and `sweep` takes it away.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.disk import refusing, require_space
+from levkas.disk import WriteRefused, refusing, require_space
 from levkas.plain_json import to_json
+from levkas.problems import Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 try:
     import fcntl
@@ -35,6 +36,9 @@ except ImportError:  # Windows has no advisory locks of this kind: nothing is sw
     fcntl = None  # type: ignore[assignment]
 
 PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
+"""Names of what is not finished, by whomever."""
+OURS = re.compile(r".*\.levkas\.partial-[0-9a-f]{8}")
+"""Those that Levkas gives, and alone takes away."""
 BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
 LONGEST_NAME = 200
 PATIENCE = 20
@@ -120,6 +124,8 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
         `path` is what it was and the temporary file is gone.
     """
     path = Path(path)
+    if (ask := _asked.get()) is not None:
+        ask(path)
     make_folder(path.parent)
     if bytes_needed is not None:
         require_space(path.parent, bytes_needed, path=path)
@@ -149,6 +155,22 @@ def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[
         handle.close()
     if waiting is None:
         _sync_folder(path.parent)
+
+
+_asked: ContextVar[Callable[[Path], object] | None] = ContextVar("asked", default=None)
+
+
+@contextlib.contextmanager
+def before_writing(ask: Callable[[Path], object]) -> Iterator[None]:
+    """Call `ask` with the final path of every file that this thread writes in the block, before it is.
+
+    What it raises ends the writing; nothing has been touched then.
+    """
+    token = _asked.set(ask)
+    try:
+        yield
+    finally:
+        _asked.reset(token)
 
 
 @contextlib.contextmanager
@@ -202,7 +224,7 @@ def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
 
 
 def _partial(path: Path) -> Path:
-    return path.with_name(f"{path.name[:LONGEST_NAME]}.partial-{secrets.token_hex(4)}")
+    return path.with_name(f"{path.name[:LONGEST_NAME]}.levkas.partial-{secrets.token_hex(4)}")
 
 
 # --- whole folders ----------------------------------------------------------------------------
@@ -219,8 +241,11 @@ class Folder:
         self.path, self.final = path, final
 
     def write_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
-        """Write one file of the folder; `name` is relative, with its folders made as needed."""
-        target, final = self.path / name, self.final / name
+        """Write one file of the folder; `name` is relative, with its folders made as needed.
+
+        Raises WriteRefused, as `copy_file` does, also where a name leads out of the folder.
+        """
+        target, final = self._places(name)
         with refusing(final, memoryview(data).nbytes):
             target.parent.mkdir(parents=True, exist_ok=True)
             fault("open", final)
@@ -232,7 +257,7 @@ class Folder:
 
     def copy_file(self, source: str | Path, name: str) -> str:
         """Copy a file into the folder and return the SHA-256 of what was read."""
-        target, final = self.path / name, self.final / name
+        target, final = self._places(name)
         digest = hashlib.sha256()
         with Path(source).open("rb") as origin, refusing(final, None):
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -243,6 +268,15 @@ class Folder:
                     fault("write", final)
                     handle.write(block)
         return digest.hexdigest()
+
+    def _places(self, name: str) -> tuple[Path, Path]:
+        """Where a file stands meanwhile, and in the end."""
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            problem = Problem(
+                "E_UNWRITABLE", "a name leads out of the folder", str(self.final), found=name
+            )
+            raise WriteRefused(problem)
+        return self.path / name, self.final / name
 
 
 @contextlib.contextmanager
@@ -460,10 +494,60 @@ def remove(path: str | Path) -> None:
     _sync_folder(path.parent)
 
 
-def sweep(folder: str | Path) -> list[Path]:
-    """Take away what killed runs left under partial names, in `folder` and below.
+def rename_file(path: str | Path, new: str | Path) -> None:
+    """Give a file another name in its folder, over what bears it; nothing happens where there is none."""
+    path = Path(path)
+    with refusing(path, None), contextlib.suppress(FileNotFoundError):
+        fault("rename", path)
+        path.replace(new)
+        _sync_folder(path.parent)
 
-    A partial file that a living process still writes is locked by it and stays.
+
+def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> list[str]:
+    """Move files from one folder to another on the same disk; folders that are empty then go.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Relative to both folders; what is not there is left out.
+
+    Returns
+    -------
+    moved : list of str
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses; each file is then in one of the two.
+    """
+    source, target = Path(source), Path(target)
+    moved = []
+    for name in sorted(names):
+        if not (source / name).is_file():
+            continue
+        make_folder((target / name).parent)
+        with refusing(target / name, None), contextlib.suppress(FileNotFoundError):
+            fault("rename", target / name)
+            (source / name).replace(target / name)
+            moved.append(name)
+    for folder in sorted({(root / name).parent for name in moved for root in (target, source)}):
+        _sync_folder(folder)
+    for folder in {(source / name).parent for name in moved}:
+        while folder != source:
+            fault("remove", folder)
+            try:
+                folder.rmdir()
+            except OSError:  # other files are in it
+                break
+            folder = folder.parent
+    return moved
+
+
+def sweep(folder: str | Path) -> list[Path]:
+    """Take away what killed runs of Levkas left under partial names, in `folder` and below.
+
+    A partial file that a living process still writes is locked by it and stays. `folder` must be
+    one that Levkas made.
 
     Returns
     -------
@@ -471,7 +555,7 @@ def sweep(folder: str | Path) -> list[Path]:
     """
     removed: list[Path] = []
     for place, folders, names in os.walk(folder):
-        partial = [n for n in (*folders, *names) if PARTIAL.fullmatch(n)]
+        partial = [n for n in (*folders, *names) if OURS.fullmatch(n)]
         folders[:] = sorted(set(folders) - set(partial))
         for name in sorted(partial):
             path = Path(place, name)
@@ -486,8 +570,9 @@ def sweep_beside(path: str | Path) -> list[Path]:
     """Take away what killed runs left of one file or folder, beside it; as `sweep` does."""
     path = Path(path)
     removed = []
-    for left in sorted(path.parent.glob(glob.escape(path.name[:LONGEST_NAME]) + ".partial-*")):
-        if PARTIAL.fullmatch(left.name) and _abandoned(left):
+    start = glob.escape(path.name[:LONGEST_NAME])
+    for left in sorted(path.parent.glob(f"{start}.levkas.partial-*")):
+        if OURS.fullmatch(left.name) and _abandoned(left):
             with refusing(left, None):
                 _discard(left)
             removed.append(left)
@@ -498,7 +583,9 @@ def _abandoned(path: Path) -> bool:
     if fcntl is None:
         return False
     try:
-        descriptor = os.open(path, os.O_RDONLY)
+        descriptor = os.open(
+            path, os.O_RDONLY | os.O_NONBLOCK
+        )  # a pipe of that name keeps none waiting
     except OSError:
         return False
     try:

@@ -16,6 +16,8 @@ QUARTERS: dict[float, tuple[float, float]] = {
     180: (-1.0, 0.0),
     270: (0.0, -1.0),
 }
+MOST_FRAMES = 4
+"""Of the turned frame a side, that a region may be; more is nothing but margin, and memory for it."""
 
 
 class GridRefused(Refused):
@@ -93,6 +95,17 @@ class Grid:
                     field="grid.region",
                     found=[x, y, width, height],
                     expected=f"within {bounds[0]:.6g} x {bounds[1]:.6g} px",
+                    fix="Give the region in the frame after mirror and rotate, at native scale.",
+                )
+            )
+        if max(width / bounds[0], height / bounds[1]) > MOST_FRAMES:
+            raise GridRefused(
+                Problem(
+                    "E_SIZE",
+                    "the region of the grid is far larger than the turned frame",
+                    field="grid.region",
+                    found=[x, y, width, height],
+                    expected=f"at most {MOST_FRAMES} times {bounds[0]:.6g} x {bounds[1]:.6g} px a side",
                     fix="Give the region in the frame after mirror and rotate, at native scale.",
                 )
             )

@@ -109,6 +109,7 @@ def fit_white(
     region: Box | None = None,
     black: float | None = None,
     saturation: float | None = None,
+    bits: int | None = None,
     bent: bool = False,
 ) -> HungLamps:
     """Fit the lamps of a lighting to captured whites.
@@ -129,21 +130,23 @@ def fit_white(
     region : (x, y, width, height), optional
         Native pixels that show the board; the whole frame without it.
     black, saturation : float, optional
-        Counts; default the file's own, else 0 and the dtype's greatest.
+        Counts; default as the file or its campaign declare them, black else 0.
+    bits : int, optional
+        Of the converter; default as `levkas.full_scales.find_full_scale` finds the full scale.
     bent : bool
         Whether the board is bent as the object is.
 
     Raises
     ------
     WhiteRefused
-        E_NO_FRAMES, E_REGION, E_WHITE_SATURATED, E_WHITE_DARK.
+        E_BITS where nothing tells the full scale; E_NO_FRAMES, E_REGION, E_WHITE_SATURATED, E_WHITE_DARK.
     PlanRefused
         Where setup, lighting or camera are not there or cannot be planned.
     """
     setup = setup if isinstance(setup, Setup) else load_setup(setup)
     lighting = _shining(setup, setup.lighting(name), lamp)
     files = files_of(whites)
-    stack, floor = average_whites(files, files_of(darks), black, saturation)
+    stack, floor = average_whites(files, files_of(darks), black, saturation, bits)
     box = check_region(region, stack.mean.shape, str(files[0]))
     light = thin_white(stack, floor, box, str(files[0]))
     size, centre, doubts = _shown(setup, camera, stack.mean.shape, box)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-VARIABLE, TILE = "LEVKAS_THREADS", "LEVKAS_TILE"
+VARIABLE, TILE, MEMORY = "LEVKAS_THREADS", "LEVKAS_TILE", "LEVKAS_MEMORY"
 LEAST_MEMORY, LEAST_DISK = 4e9, 10e9
 
 
@@ -143,7 +144,24 @@ def find_memory() -> Finding:
     if total is None:
         return Finding("memory", "ok", "unknown", "", purpose)
     told = f"{total / 1e9:.1f} GB" + (f", {free / 1e9:.1f} GB free" if free is not None else "")
+    if (bound := memory_bound()) is not None:
+        source = f"by {MEMORY}" if chosen_memory() else f"what is free; {MEMORY} sets another bound"
+        told += f"; a command takes up to {bound / 1e9:.1f} GB ({source})"
     return Finding("memory", "low" if total < LEAST_MEMORY else "ok", told, "4 GB or more", purpose)
+
+
+def chosen_memory() -> float | None:
+    """Return the bytes that a command may take as $LEVKAS_MEMORY has them in GB; None without it."""
+    try:
+        chosen = float(os.environ.get(MEMORY, ""))
+    except ValueError:
+        return None
+    return chosen * 1e9 if 0 < chosen < math.inf else None
+
+
+def memory_bound() -> float | None:
+    """Return the bytes that a command may take: $LEVKAS_MEMORY, else what is free; None where nobody knows."""
+    return chosen_memory() or free_memory()
 
 
 def free_memory() -> float | None:

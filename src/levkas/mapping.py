@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from levkas.cube import find_band
+from levkas.database.containment import check_inside
+from levkas.database.registrations import RecordRefused, read_registration
 from levkas.problems import Problem, Refused
-from levkas.readers.texts import TextRefused, read_json
+from levkas.readers.facts import check_memory
 from levkas.transforms import Affine, Inverse, Transform, from_dict
 
 GRID = "grid"
@@ -184,6 +186,7 @@ def find_position_sigma(
     if "sigma" not in entry or grid.size is None:
         return None
     width, height = (round(n) for n in grid.size)
+    check_memory(records.folder, width * height * 2, 8)
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     points = np.stack([x.ravel(), y.ravel()], 1)
     seen = np.isfinite(FrameMap(grid, records.pixels(frame), reference)(points)).all(1)
@@ -218,34 +221,45 @@ def map_points(
     return find_map(database, name, source, target)(points)
 
 
-def map_table(database: str | Path, name: str, text: str, *, source: str, target: str) -> str:
+def map_table(
+    database: str | Path, name: str, text: str, *, source: str, target: str, file: str | None = None
+) -> str:
     """Map a CSV table with the header ``x,y``; the answer has the same rows in the same order.
+
+    `file` is where the text was read from, for refusals.
 
     Raises
     ------
     MappingRefused
         Also where a row is not two numbers; all such rows are listed, at most ten.
     """
-    mapped = map_points(database, name, read_points(text), source=source, target=target)
+    points = read_points(text, file=file)
+    mapped = map_points(database, name, points, source=source, target=target)
     lines = ["x,y"]
     lines += ["nan,nan" if np.isnan(x) else f"{x:.6f},{y:.6f}" for x, y in mapped]
     return "\n".join(lines) + "\n"
 
 
-def read_points(text: str) -> np.ndarray:
-    """Read the columns x and y of a CSV table, (n, 2); ``nan`` is allowed.
+def read_points(text: str, *, file: str | None = None) -> np.ndarray:
+    """Read the columns x and y of a CSV table, (n, 2); ``nan`` is allowed. Raises MappingRefused.
 
     Examples
     --------
     >>> read_points("x,y\\n1,2.5\\n").tolist()
     [[1.0, 2.5]]
     """
-    rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"))))
+    expected = "a CSV with the header x,y"
+    try:
+        rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline="")))
+    except csv.Error as error:
+        raise MappingRefused(
+            Problem("E_UNREADABLE", "the points are no table", file, None, str(error), expected)
+        ) from None
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     if "x" not in head or "y" not in head:
         found = ",".join(head)[:80] or "nothing"
         raise MappingRefused(
-            Problem("E_KEY", "the points have no header", found=found, expected="x,y")
+            Problem("E_KEY", "the points have no header", file, found=found, expected="x,y")
         )
     columns, points, problems = (head.index("x"), head.index("y")), [], []
     for number, row in enumerate(rows[1:], start=2):
@@ -255,9 +269,8 @@ def read_points(text: str) -> np.ndarray:
             points.append([float(row[column]) for column in columns])
         except (ValueError, IndexError):
             what = ",".join(row)[:80]
-            problems.append(
-                Problem("E_VALUE", f"line {number} is no point", found=what, expected="two numbers")
-            )
+            why = f"line {number} is no point"
+            problems.append(Problem("E_VALUE", why, file, found=what, expected="two numbers"))
     if problems:
         raise MappingRefused(*problems[:10])
     return np.array(points, float).reshape(-1, 2)
@@ -281,6 +294,7 @@ class Records:
                 )
             )
         self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
+        check_inside(database, *self.layers.values())
 
     def pixels(self, frame: Frame) -> Pixels:
         """Return the maps and the size of one frame."""
@@ -371,6 +385,6 @@ def _size(entry: dict[str, Any]) -> tuple[float, float] | None:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        return read_json(path)
-    except TextRefused as refused:
+        return read_registration(path)
+    except RecordRefused as refused:
         raise MappingRefused(*refused.problems) from None

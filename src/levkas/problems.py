@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+LONGEST_VALUE = 2000
+"""Characters of a value in a message; the rest of a longer one is left out."""
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
@@ -37,19 +40,27 @@ class Problem:
     expected: Any = None
     fix: str | None = None
 
+    def __hash__(self) -> int:
+        """Problems are told once each, also those that found a list."""
+        return hash((self.code, self.message, self.file, self.field, str(self.found), self.fix))
+
     def __str__(self) -> str:
         parts = [
-            f"{name}: {value}"
+            f"{name}: {_shortened(str(value))}"
             for name in ("file", "field", "found", "expected")
             if (value := getattr(self, name)) is not None
         ]
-        text = self.message + (f" ({'; '.join(parts)})" if parts else "")
+        text = _shortened(self.message) + (f" ({'; '.join(parts)})" if parts else "")
         return f"{text}. {self.fix}" if self.fix else text
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values; what is unknown is ``None``."""
         plain = (str, int, float, bool, type(None))
         return {k: v if isinstance(v, plain) else str(v) for k, v in asdict(self).items()}
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]} …"
 
 
 class Refused(Exception):

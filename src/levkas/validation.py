@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from levkas.database.comparison import (
     unlisted,
     what_happened,
 )
+from levkas.database.containment import find_escapes
 from levkas.database.manifest import (
     NAME,
     Listed,
@@ -147,6 +148,13 @@ def check_files(database: str | Path, *, threads: int | None = None) -> Iterator
     manifest = _find_manifest(root)
     names = list_files(root)
     count = threads or count_threads()
+    escapes = {str(p.file): p for p in find_escapes(root, names)}
+    for name in (n for n in names if str(root / n) in escapes):
+        yield Checked(name, (escapes[str(root / name)],), total=len(names))
+    names = [name for name in names if str(root / name) not in escapes]
+    if manifest is not None:
+        files = {n: f for n, f in manifest.files.items() if str(root / n) not in escapes}
+        manifest = replace(manifest, files=files)
     if manifest is not None and not manifest.problems:
         yield from _by_hash(root, manifest, names, count)
     else:

@@ -1,6 +1,7 @@
 """Campaigns of small plates, quickly built."""
 
 import json
+import runpy
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -50,3 +51,9 @@ def make_plates() -> Callable[..., Path]:
         return folder
 
     return make
+
+
+@pytest.fixture(scope="session")
+def make_every_kind() -> Callable[..., Path]:
+    """Return the function that writes a campaign of every kind of camera."""
+    return runpy.run_path(str(Path(__file__).with_name("every_kind.py")))["make"]

@@ -194,3 +194,30 @@ def test_charts_of_a_published_database_are_measured_again(campaign, tmp_path):
     assert [p["code"] for p in told["problems"]] in (["E_CHART_MISSING"], ["E_CHART_DETECTOR"])
     with pytest.raises(Refused, match=r"no such object.*panel"):
         measure_charts(database, objects=["painting"])
+
+
+def test_black_patches_of_eight_bits_have_no_more_signal_to_noise_than_rounding_leaves(tmp_path):
+    rng = np.random.default_rng(5)
+    scenes = {
+        "dark": 0 * chart_picture(),
+        "white": 0 * chart_picture() + 1,
+        "macbeth": chart_picture(),
+    }
+    for name, scene in scenes.items():
+        (tmp_path / "raw" / name).mkdir(parents=True)
+        for i, nm in enumerate(NM):
+            for shot in range(2):
+                level = 4.5 + 80 * scene[..., i]
+                noisy = np.rint(level + 0.08 * np.sqrt(level) * rng.standard_normal(level.shape))
+                path = tmp_path / "raw" / name / f"{nm}nm_{shot}.tif"
+                tifffile.imwrite(path, noisy.clip(0, 255).astype(np.uint8))
+    (tmp_path / "campaign.toml").write_text(KEYS.replace("bits = 12", "bits = 8"))
+    (measure,) = measure_charts(tmp_path).measures
+    truth = 80 * reference_of(CLASSIC).at(NM.astype(float))
+    most = truth / np.sqrt(1 / 12)  # were there no noise but rounding
+    dark = truth < 4  # counts
+    assert dark.sum() >= 5
+    assert (
+        measure.table.snr[dark] < 1.6 * most[dark]
+    ).all()  # a code is up to half a count from it
+    assert np.median(measure.table.snr[dark] / most[dark]) < 1.1

@@ -1,5 +1,10 @@
 """Exposures in a build: merged with their sigma, and scaled only where they scale."""
 
+import shutil
+import struct
+import zlib
+
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -17,9 +22,8 @@ KEYS = """
 [campaign]
 reference = {{ camera = "cam" }}
 [cameras.cam]
-kind = "bands"
+{kind}
 files = "raw/{{target}}_{{wavelength}}nm_{{exposure}}ms_{{shot}}.tif"
-wavelengths = [550]
 bits = 12
 exposures = "{how}"
 [targets]
@@ -31,14 +35,24 @@ SHAPE = (192, 256)
 SCENE = np.kron(np.random.default_rng(5).uniform(0.02, 0.9, (12, 16)), np.ones((16, 16)))
 
 
-def make(folder, how, *, panel, white, late=1.0, moved=False):
-    """Write a campaign; `late` is what the longest white really took, over what its name says."""
+KINDS = {
+    "bands": 'kind = "bands"\nwavelengths = [550]',
+    "mosaic": 'kind = "mosaic"\npattern = [["A", "B"], ["C", "D"]]',
+}
+
+
+def make(folder, how, *, panel, white, late=1.0, moved=False, kind="bands", black="", dim=1.0):
+    """Write a campaign; `late` is what the longest white really took, over what its name says.
+
+    `dim`: by which the scene is darker. `black`: where its level stands, in the campaign's "file", in the "frames" or nowhere.
+    """
+    tags = [(50714, "H", 1, int(BLACK), True)] if black == "frames" else []
     rng, fixed = np.random.default_rng(1), np.random.default_rng(2)
     response = 1 + 0.012 * fixed.standard_normal(SHAPE)
     (folder / "raw").mkdir(parents=True)
     times = sorted({*panel, *white})
     for target, taken, scene in (
-        ("dark", times, 0 * SCENE), ("white", white, 0 * SCENE + 1), ("panel", panel, SCENE),
+        ("dark", times, 0 * SCENE), ("white", white, 0 * SCENE + 1), ("panel", panel, dim * SCENE),
     ):  # fmt: skip
         for time in taken:
             for shot in range(6 if target != "panel" else 1):
@@ -49,8 +63,12 @@ def make(folder, how, *, panel, white, late=1.0, moved=False):
                 light = GAIN * rng.poisson(14_000 * real * seen * response)
                 raw = np.rint(light + rng.normal(BLACK, READ, SHAPE)).clip(0, 4095)
                 name = f"{target}_550nm_{1000 * time:g}ms_{shot}.tif"
-                tifffile.imwrite(folder / "raw" / name, raw.astype(np.uint16))
-    (folder / "campaign.toml").write_text(KEYS.format(how=how))
+                tifffile.imwrite(folder / "raw" / name, raw.astype(np.uint16), extratags=tags)
+    text = KINDS[kind] + (f"\nblack = {BLACK:g}" if black == "file" else "")
+    keys = KEYS.format(how=how, kind=text)
+    if kind == "mosaic":
+        keys = keys.replace("{wavelength}nm", "*")
+    (folder / "campaign.toml").write_text(keys)
     return folder
 
 
@@ -69,6 +87,18 @@ def test_merged_exposures_have_the_sigma_that_they_have(tmp_path):
     sound = (cube.flags[..., 0] & (Flag.SATURATED | Flag.DEFECT)) == 0
     miss = ((values - SCENE) / sigma)[sound]
     assert sound.mean() > 0.95
+    assert 0.95 < miss.std() < 1.05
+    assert not (cube.flags & Flag.MOVED).any()
+
+
+@pytest.mark.parametrize("black", ["file", ""])
+def test_in_the_dark_a_merge_has_the_sigma_that_it_has_and_nothing_is_flagged_as_moved(
+    tmp_path, black
+):
+    # A stack of one white tells the light's noise, and nothing of the noise without light.
+    times, keys = (0.25, 1.0, 4.0), {"white": (1.0,), "dim": 0.005, "black": black}
+    cube = developed(make(tmp_path / "c", "merge", panel=times, **keys)).cubes[""]
+    miss = (cube.values[..., 0] - 0.005 * SCENE) / cube.sigma[..., 0]
     assert 0.95 < miss.std() < 1.05
     assert not (cube.flags & Flag.MOVED).any()
 
@@ -96,3 +126,81 @@ def test_it_is_refused_where_the_series_shows_that_they_do_not(tmp_path):
 def test_it_is_said_where_no_series_can_tell(tmp_path):
     made = developed(make(tmp_path / "c", "best", panel=(0.5,), white=(1.0,)))
     assert any("whether counts scale is not known" in w for w in made.warnings)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("whites", [(1.0,), (0.25, 1.0)], ids=["one white", "merged whites"])
+def test_a_black_level_that_is_known_is_subtracted_once(tmp_path, kind, whites):
+    made = {
+        black: developed(
+            make(
+                tmp_path / f"c{black}",
+                "merge",
+                panel=(0.25, 4.0),
+                white=whites,
+                kind=kind,
+                black=black,
+            )
+        ).cubes[""]
+        for black in ("file", "frames", "")
+    }
+    inside = np.kron(np.ones((12, 16)), np.pad(np.ones((8, 8)), 4)) > 0  # of patches
+    dim, light = inside & (SCENE < 0.1), inside & (SCENE > 0.5)
+    for black, cube in made.items():
+        values = cube.values[..., 0] if kind == "bands" else cube.values.mean(2)
+        for part in (dim, light):  # the noise of these means is below 0.1 %
+            assert values[part].mean() == pytest.approx(SCENE[part].mean(), rel=0.005), black
+    # No more than by the darks' own noise do they differ.
+    assert abs(made["file"].values - made["frames"].values).max() == 0
+
+
+def write_png(path, level, seconds):
+    """Write an even frame; its eXIf chunk holds ExposureTime, where there is one."""
+    codes = np.random.default_rng(len(path.name)).normal(level, 5, (48, 64)).clip(0, 4095)
+    data = cv2.imencode(".png", np.rint(codes).astype(np.uint16))[1].tobytes()
+    if seconds:
+        exif = struct.pack(">2sHIHHHIII", b"MM", 42, 8, 1, 0x8769, 4, 1, 26, 0)
+        exif += struct.pack(">HHHIIIII", 1, 0x829A, 5, 1, 44, 0, round(1e6 * seconds), 10**6)
+        chunk = b"eXIf" + exif
+        framed = struct.pack(">I", len(exif)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        data = data[:33] + framed + data[33:]
+    path.write_bytes(data)
+
+
+PNG = """
+[campaign]
+reference = "cam"
+[cameras.cam]
+{kind}
+bits = 12
+[targets]
+dark = "dark"
+white = {{ names = "white", reflectance = 1.0 }}
+objects = ["panel"]
+"""
+PNG_KINDS = {
+    "bands": 'kind = "bands"\nfiles = "{target}_{wavelength}nm.png"\nwavelengths = [550]',
+    "mosaic": 'kind = "mosaic"\nfiles = "{target}_550nm.png"\npattern = [["A", "B"], ["C", "D"]]',
+    "sensors": 'kind = "sensors"\n[[cameras.cam.sensors]]\nname = "one"\nfiles = "{target}_550nm.png"\nbands = ["A"]',
+}
+
+
+@pytest.mark.parametrize("kind", PNG_KINDS)
+def test_exposures_in_png_are_read_and_must_be_there_in_all_or_none(tmp_path, kind):
+    text = PNG_KINDS[kind].replace("\n[[", "\nbits = 12\n[[")
+    keys = PNG.format(kind=text).replace('A"]\nbits = 12\n', 'A"]\n')
+    (tmp_path / "campaign.toml").write_text(keys)
+    for name, level, seconds in (("dark", 100, 0.01), ("white", 2100, 0.01), ("panel", 2100, 0.02)):
+        write_png(tmp_path / f"{name}_550nm.png", level, seconds)
+    (cube,) = developed(tmp_path).cubes.values()
+    assert cube.values.mean() == pytest.approx(0.5, abs=2e-3)
+    for silent in ("dark", "white", "panel"):
+        folder = tmp_path / silent
+        shutil.copytree(tmp_path, folder, ignore=shutil.ignore_patterns("dark", "white", "panel"))
+        write_png(folder / f"{silent}_550nm.png", 100 if silent == "dark" else 2100, None)
+        with pytest.raises(Refused) as refused:
+            developed(folder)
+        (problem,) = refused.value.problems
+        assert (problem.code, problem.field) == ("E_EXPOSURES", "exposure")
+        assert problem.file.endswith(f"{silent}_550nm.png") and "2 of 3 frames" in problem.message
+        assert "manifest" in problem.fix

@@ -35,7 +35,7 @@ def test_what_does_not_fit_is_refused_before_it_is_read(simulated, tmp_path, mon
     assert values["v10"] == sides["samples"] * sides["lines"] * sides["bands"]
     needed = fitting.CUBE_BYTES * values["v10"]
     free = iter([1e12, needed - 1.0, needed + 0.0] + 9 * [1e12])  # the reference comes first
-    monkeypatch.setattr(fitting, "free_memory", lambda: next(free))
+    monkeypatch.setattr(fitting, "memory_bound", lambda: next(free))
     ended = built(simulated, tmp_path / "database")
     (problem,) = ended["v10", "calibrate"].problems
     assert problem.code == "E_MEMORY" and problem.file and "GB" in problem.expected

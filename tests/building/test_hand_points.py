@@ -93,10 +93,10 @@ def test_points_of_a_band_that_is_not_there_are_refused(tmp_path):
 def test_a_changed_file_or_use_is_noticed(tmp_path):
     write_points(PAIRS, tmp_path / "icon1.points", "qgis")
     first = told_points(campaign(tmp_path, OWN), capture())
-    write_points(PAIRS.keep(np.array([0])), tmp_path / "icon1.points", "qgis")
+    write_points(PAIRS.keep(np.array([0])), tmp_path / "icon1.points", "qgis", overwrite=True)
     second = told_points(campaign(tmp_path, OWN), capture())
     third = told_points(campaign(tmp_path, OWN + 'use = "seeds"\n'), capture())
-    assert first != second != third
+    assert first != second and second != third and third != first
 
 
 def test_a_file_that_is_not_there_and_a_use_of_nothing_are_refused(tmp_path):

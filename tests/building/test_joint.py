@@ -2,14 +2,19 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import cv2
+import numpy as np
 import pytest
 
 from levkas.building import build, status
+from levkas.building.adjusting import adjusted
+from levkas.building.measured import Measured
 from levkas.building.rig_mates import NEIGHBOURS, RigMates
 from levkas.campaign import CampaignInvalid, load_campaign
 from levkas.discovery import Capture
+from levkas.transforms import Affine
 
 NAMES = ("one", "two", "three")
 
@@ -54,6 +59,30 @@ def test_a_record_says_with_whom_it_was_adjusted_and_how_far_it_moved(plates):
     assert 0 <= told["moved_px"]["mean"] <= told["moved_px"]["max"] < 1
     reasons = _record(plates, "one", "infrared")["verdict"]["reasons"]
     assert any("adjusted together with" in reason for reason in reasons)
+
+
+def _adjusted(folder, spoilt=0.0):
+    """What adjusting one/infrared comes to where all that its windows saw lies `spoilt` native px aside."""
+    kept = folder / "database.kept"
+    measured = {n: Measured.read(kept / n / "infrared" / "measured.npz") for n in NAMES}
+    aside = Affine(np.array([[1, 0, spoilt], [0, 1, spoilt]]))
+    for name, one in measured.items():
+        measured[name] = replace(one, sightings=tuple(s.enlarged(aside) for s in one.sightings))
+    others = {f"{name}/infrared": one for name, one in measured.items() if name != "one"}
+    return adjusted(measured["one"], others, None).record
+
+
+def test_the_verdict_is_of_the_map_that_is_written(plates):
+    sound, bad = _adjusted(plates), _adjusted(plates, spoilt=6.0)
+    assert bad["model"]["sensors"][0]["joint"]["moved_px"]["mean"] > 3
+    assert sound["verdict"]["decision"] == "accept"
+    assert bad["verdict"]["decision"] == "refuse"
+    told = bad["verdict"]["numbers"]["sensor"]
+    # Six native px along both axes; 20 native px are 19 reference px.
+    assert told["borne_out"]["window_median"] == pytest.approx(6 * 2**0.5 * 0.95, abs=0.4)
+    assert told["borne_out"]["agreeing"] < 0.1 * told["borne_out"]["found"]
+    assert told["joint_excess"]["sigmas"] > 3
+    assert bad["errors"]["sensors"][""] == told
 
 
 def test_a_second_build_does_nothing_and_status_agrees(built):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tifffile
@@ -29,6 +31,14 @@ def test_hot_sensels_are_found_in_darks_clipped_at_zero():
     frame[50, 60], frame[51, 60] = 90, 40
     found = find_defects(average([frame]), None, "GBRG")
     assert np.argwhere(found).tolist() == [[50, 60], [51, 60]]
+
+
+def test_the_dark_of_a_white_that_is_above_dark_is_not_subtracted_again():
+    dark = average([np.full((40, 40), 64, np.uint16)])
+    white = average([np.full((40, 40), 100.0, np.float32)])
+    white.mean[20, 20] = 75  # a quarter below its neighbours: PRNU
+    merged = replace(white, above_dark=True)
+    assert find_defects(dark, white)[20, 20] and not find_defects(dark, merged).any()
 
 
 def test_dead_and_stuck_sensels_are_found_in_a_shaded_coloured_white():

@@ -68,3 +68,27 @@ def test_unknown_spectra_come_back_unknown():
     made = denoise(noisy)
     np.testing.assert_array_equal(made.values[5, 6], noisy[5, 6])
     assert np.isfinite(np.delete(made.values.reshape(-1, BANDS), 5 * 50 + 6, 0)).all()
+
+
+def test_sigma_is_that_of_what_the_projection_keeps():
+    clean, _ = cubes()
+    level = np.linspace(0.005, 0.02, BANDS).astype(np.float32)
+    noisy = clean + level * np.random.default_rng(3).standard_normal(clean.shape).astype("f4")
+    made = denoise(noisy, np.broadcast_to(level**2, clean.shape))
+    miss = (made.values - clean) / np.sqrt(made.variance)
+    assert miss.std() == pytest.approx(1, abs=0.04)
+    assert (miss.std((0, 1)) < 1.12).all()
+    # Five of 60 dimensions stay: sigma of the raw spectra would be 3.4 times too large.
+    assert np.median(level / np.sqrt(made.variance)) > 2.5
+
+
+def test_sigma_holds_what_was_taken_from_a_rare_spectrum():
+    clean, noisy = cubes()
+    clean[3, 4, ::2] += 0.05
+    clean[3, 4, 1::2] -= 0.05
+    noisy[3, 4, ::2] += 0.05
+    noisy[3, 4, 1::2] -= 0.05
+    made = denoise(noisy, np.full(noisy.shape, 1e-4, np.float32))
+    miss = (made.values - clean) / np.sqrt(made.variance)
+    assert miss[3, 4].std() < 1.3
+    assert np.sqrt(made.variance[3, 4]).mean() > 0.04 > 10 * np.sqrt(made.variance[5, 5]).mean()

@@ -24,7 +24,7 @@ def make(shape):
     frames = [rng.normal(level, 3, (40, *shape[1:])).astype(np.uint16) for level in (100, 3000)]
     dark, white = (average_lines([f], saturation=SATURATION) for f in frames)
     field = LineField.of(
-        dark,
+        [dark],
         white,
         shape=shape[1:],
         reflectance=BOARD,

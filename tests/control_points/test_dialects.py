@@ -1,6 +1,8 @@
 """Every dialect: what is written is what is read, and a file as its program writes it is understood."""
 
+import io
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from levkas.control_points import (
     sniff,
     write_points,
 )
-from levkas.control_points.conventions import ORIGINS
+from levkas.control_points.layers import read_frames
 
 SIZES = {"reference_size": (1392, 1040), "target_size": (3900, 2600)}
 coordinate = st.floats(-1e5, 1e5, allow_nan=False, width=64)
@@ -110,19 +112,26 @@ def test_half_a_pixel_is_half_a_pixel_in_every_dialect(dialect):
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_the_first_pixel_lies_where_the_dialect_says(dialect):
-    row = DIALECTS[dialect]
-    (_, first) = ORIGINS[row.origin]
-    zero = ControlPoints([[0, 0]], [[0, 0]], reference_size=(8, 8), target_size=(8, 8))
-    data = format_points(zero, dialect)[-1]
+def test_a_pixel_lies_where_the_dialect_says(dialect):
+    """Reference (3, 2), target (5, 1): every axis, order and origin has a number of its own."""
+    points = ControlPoints([[3, 2]], [[5, 1]], reference_size=(8, 8), target_size=(8, 8))
+    data = format_points(points, dialect)
     if dialect == "cpselect":
-        import io
-
-        assert scipy.io.loadmat(io.BytesIO(data))["movingPoints"].tolist() == [list(first)]
+        told = scipy.io.loadmat(io.BytesIO(data[0]))
+        assert told["fixedPoints"].tolist() == [[4, 3]]
+        assert told["movingPoints"].tolist() == [[6, 2]]
         return
-    text = data.decode()
-    shown = {"hugin": "X0.0 Y0.0", "butterfly": "0.5|0.5", "qgis": "0.5,-0.5"}.get(dialect)
-    assert (shown or "0.0") in text
+    shown = {
+        "levkas": [",3.0,2.0,5.0,1.0,"],
+        "bigwarp": ['"5.0","1.0","3.0","2.0"'],
+        "qgis": ["3.5,-2.5,5.5,-1.5,"],
+        "hugin": [" x3.0 y2.0 X5.0 Y1.0 "],
+        "elastix": ["\n3.0 2.0\n", "\n5.0 1.0\n"],
+        "napari": ["\n0,2.0,3.0,", "\n0,1.0,5.0"],
+        "butterfly": ["3.5|2.5|5.5|1.5"],
+    }[dialect]
+    for text, row in zip(data, shown, strict=True):
+        assert row in text.decode()
 
 
 BIGWARP = """"Pt-0","true","281.716910229645","95.80208768267224","48.70146137787056","313.5204418371608","97.00407557411268","86.78014572025053"
@@ -311,6 +320,40 @@ def test_a_damaged_file_is_read_or_refused_and_nothing_else(dialect, junk, at):
     except PointsRefused:
         return
     assert np.isfinite(points.reference).all() and np.isfinite(points.target).all()
+
+
+MEGABYTE = 1_000_000
+ENDLESS = {
+    "empty lines": b"\n" * MEGABYTE,
+    "empty lines behind a point file": b"point\n" + b"\n" * MEGABYTE,
+    "empty lines behind a header": b"mapX,mapY,pixelX,pixelY\n" + b"\n" * MEGABYTE,
+    "spaces": b"c" + b" " * MEGABYTE,
+    "one line of pictures": b"c " + b"n1 " * (MEGABYTE // 3),
+    "brackets": b"InputPoint OutputPoint " + b"OutputPoint = [" * (MEGABYTE // 15),
+    "one word after another": b"point 3 " + b"1 " * MEGABYTE,
+    "commas": b"reference_x,reference_y,x,y" + b"," * MEGABYTE,
+}
+
+
+@pytest.mark.parametrize("what", ENDLESS)
+def test_a_file_of_much_and_no_points_is_refused_by_the_work_that_it_asks_for(what, tmp_path):
+    path = tmp_path / "a.points"
+    path.write_bytes(ENDLESS[what])
+    began = time.process_time()
+    for dialect in (None, *DIALECTS):
+        with pytest.raises(PointsRefused) as refused:
+            read_points(path, dialect=dialect, **SIZES)
+        assert refused.value.problems[0].file == str(path)
+    # Two seconds are the bound for one reading; nine were made. Quadratic ways took minutes.
+    assert time.process_time() - began < 9 * 2
+
+
+def test_a_table_of_a_hundred_thousand_frames_is_refused(tmp_path):
+    path = tmp_path / "points.csv"
+    lines = (f"o{i},c,1,2,3,4" for i in range(100_000))
+    path.write_text("\n".join(["object,camera,reference_x,reference_y,x,y", *lines]))
+    with pytest.raises(PointsRefused, match="too many frames"):
+        read_frames(path, None, {})
 
 
 def test_a_bomb_of_a_mat_file_is_refused_before_it_goes_off(tmp_path):

@@ -40,7 +40,7 @@ def build(folder, **options):
     facts = {"px_per_mm": 12.5, "credits": Credits("Ikone", "Müller")}
     jobs = [
         (Layer("icon1", "vis", **facts), VIS),
-        (Layer("icon1", "d80", centroids=(600.0, 540.0, 460.0)), RGB),
+        (Layer("icon1", "d80", centroids={"R": 600.0, "G": 540.0, "B": 460.0}), RGB),
         (Layer("icon1", "d80", "45-degree"), LAMP),
     ]
     entries = [write_layer(folder, layer, cube, **options)[0] for layer, cube in jobs]
@@ -155,7 +155,12 @@ def test_tag_65000_holds_centres_or_centroids_or_numbers(database):
     assert centres.tolist() == [b.wavelength for b in VIS.bands]
     assert rgb.shape == (60, 80, 3)
     assert '"rendering": "sRGB under D65' in text
-    assert centres_of(RGB.bands, (600.0, 540.0, 460.0)) == [600.0, 540.0, 460.0]
+    cube, centres, _, _ = read_stiff(folder / "icon1_d80.tif")
+    assert centres.tolist() == [460.0, 540.0, 600.0]  # by rising wavelength, as the format has it
+    np.testing.assert_array_equal(cube, RGB.values[..., ::-1])
+    assert centres_of(RGB.bands, {"B": 460.0, "R": 600.0}) == [0, 1, 2]
+    mixed = (*RGB.bands, Band("IR", 850.0))
+    assert centres_of(mixed, {"R": 600.0, "G": 540.0, "B": 460.0})[2:] == [460.0, 850.0]
     cube, centres, _, text = read_stiff(folder / "icon1_d80_45-degree.tif")
     assert centres.tolist() == [0, 1, 2]
     assert '"bands": ["R", "G", "B"]' in text

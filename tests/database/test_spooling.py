@@ -26,7 +26,9 @@ def test_strips_come_back_page_by_page_as_they_were_encoded(spool):
     made, cube, _ = spool
     rows = strip_rows(cube.shape[1], np.float32)
     starts = range(0, cube.shape[0], rows)
-    for band, page in enumerate(made.pages()):
+    pages = list(made.pages())
+    assert len(pages) == cube.shape[2]
+    for band, page in enumerate(pages):
         plain = np.ascontiguousarray(cube[..., band])
         assert page == [encode_strip(plain[start : start + rows]) for start in starts]
 

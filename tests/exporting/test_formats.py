@@ -1,8 +1,10 @@
 import csv
 import json
 
+import h5py
 import numpy as np
 import pytest
+import rasterio
 import spectral
 import tifffile
 import xarray
@@ -76,7 +78,6 @@ def test_matlab_gets_cube_flags_sigma_and_labels_without_the_time(database, tmp_
 
 def test_ntire_loaders_find_cube_picture_and_lists(database, tmp_path):
     exported(database, "ntire", tmp_path)
-    h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "vis/Train_Spec/icon1_vis.mat", "r") as mat:
         hyper = np.transpose(np.float32(np.array(mat["cube"])), [0, 2, 1])
         assert mat["bands"][:].ravel().tolist() == list(WAVES)
@@ -110,7 +111,6 @@ def test_gdal_gets_bands_with_names_and_a_world_file_in_mm(database, tmp_path):
         assert tiff.pages[0].tags[42113].value == "nan"
     world = (tmp_path / "icon1_vis.tfw").read_text().split()
     assert [float(n) for n in world] == [0.25, 0, 0, -0.25, 0, 0]
-    rasterio = pytest.importorskip("rasterio")
     with rasterio.open(tmp_path / "icon1_vis.tif") as image:
         assert image.descriptions[0] == "420 nm" and image.transform.a == 0.25
         same(np.moveaxis(image.read(), 0, 2), truth(database))

@@ -1,8 +1,13 @@
+import time
+
 import pytest
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from levkas.finding.patterns import Pattern, natural
+from levkas.finding.files import find
+from levkas.finding.matching import match_pieces
+from levkas.finding.patterns import Pattern, _compiled, _pieces, natural
+from levkas.problems import Refused
 
 
 def read(pattern, path, **known):
@@ -106,3 +111,86 @@ def test_what_is_written_is_what_is_read(target, wavelength, shot):
         "raw/{target}/{wavelength}nm_{shot}.tif", f"raw/{target}/{wavelength}nm_{shot}.tif"
     )
     assert found == {"target": target, "wavelength": float(wavelength), "shot": shot}
+
+
+PARTS = st.sampled_from(
+    [
+        "*",
+        "{target}",
+        "{shot}",
+        "{band}",
+        "{wavelength}",
+        "{exposure}",
+        "a",
+        "_",
+        "1",
+        ".b",
+        "/",
+        "**/",
+    ]
+)
+NAMES = st.text(alphabet="aAbB1_./", max_size=12)
+
+
+@given(
+    st.lists(PARTS, min_size=1, max_size=8),
+    NAMES,
+    st.sampled_from([{}, {"target": ("a", "a1", "ab")}]),
+)
+@settings(max_examples=400)
+def test_a_pattern_of_many_wildcards_says_what_a_regular_expression_does(parts, name, known):
+    text = "".join(parts)
+    try:
+        text = "/".join(Pattern.parse(text).segments)
+    except ValueError:
+        assume(False)
+    told = tuple((key, tuple(sorted(values))) for key, values in known.items())
+    for named in (True, False):
+        if not named and "/" in text:
+            continue
+        expected = _compiled(text, told, named, True).fullmatch(name)
+        found = match_pieces(_pieces(text, told, named, True), name)
+        assert found == (expected and expected.groupdict())
+
+
+STARS = {
+    "twelve stars": ("*a" * 12 + "{target}b.tif", "a" * 200 + "c.tif"),
+    "every placeholder": (
+        "*{target}*{setup}*{band}*{sensor}*{shot}*{wavelength}*{exposure}*x.tif",
+        "a1_" * 70 + "c.tif",
+    ),
+    "one placeholder over and over": ("{shot}" * 12 + "x.tif", "a" * 200 + "c.tif"),
+    "a name that stands twice": ("{target}" + "*{target}" * 6 + "x.tif", "ab" * 30 + "c.tif"),
+    "three in a long name": ("{shot}a{target}a{band}a.tif", "a" * 250 + "c.tif"),
+    "folders over and over": ("**/a/" * 12 + "{target}b.tif", "a/" * 50 + "c.tif"),
+}
+
+
+@pytest.mark.parametrize("what", STARS)
+def test_many_stars_end_soon(what, tmp_path):
+    pattern, name = STARS[what]
+    path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    began = time.process_time()
+    try:
+        assert find(tmp_path, [pattern]) == []
+    except Refused as refused:
+        assert "too many ways" in str(refused)
+    assert time.process_time() - began < 2
+
+
+def test_many_stars_find_what_is_there(tmp_path):
+    (tmp_path / ("xa" * 12 + "icon1b.tif")).touch()
+    (found,) = find(tmp_path, ["*a" * 12 + "{target}b.tif"])
+    assert found.target == "icon1"
+    deep = tmp_path.joinpath(*"a" * 12, "icon1b.tif")
+    deep.parent.mkdir(parents=True)
+    deep.touch()
+    (found,) = find(tmp_path, ["**/a/" * 12 + "{target}b.tif"])
+    assert found.target == "icon1"
+
+
+def test_a_pattern_longer_than_any_path_is_refused():
+    with pytest.raises(ValueError, match="longer"):
+        Pattern.parse("*a" * 3000)

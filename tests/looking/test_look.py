@@ -428,6 +428,36 @@ def test_a_line_scan_is_a_cube_with_its_templates(real_data):
     assert proposal.to_dict()["campaign"]["reference"]["band"].startswith("5")
 
 
+@pytest.mark.parametrize(
+    ("said", "about", "unknown"),
+    [
+        (("tint = 10", "tint = 10", "tint = 20"), "dark 0.01 s, white 0.01 s, object 0.02 s", None),
+        (
+            ("tint = 10", "", "tint = {10, 30}"),
+            "dark 0.01 s, object 0.01 to 0.03 s",
+            "exposure of white frames",
+        ),
+        (("exposure = 10", "exposure = 10", "exposure = 10"), None, None),
+        (("exposure = 10", "exposure = 10", "exposure = 20"), None, "'exposure = 20'"),
+    ],
+)
+def test_exposures_that_headers_state_are_said_and_doubted(tmp_path, said, about, unknown):
+    for (name, level), text in zip(
+        {"dark": 60, "white": 3000, "icon1": 900}.items(), said, strict=True
+    ):
+        codes = np.random.default_rng(level).normal(level, 9, (12, 40, 2)).clip(0).astype("<u2")
+        (tmp_path / f"{name}.raw").write_bytes(codes.tobytes())
+        keys = (
+            "samples = 40\nlines = 12\nbands = 2\ninterleave = bip\ndata type = 12\nbyte order = 0"
+        )
+        header = f"ENVI\n{keys}\nwavelength = {{500, 600}}\n{text}\n"
+        (tmp_path / f"{name}.hdr").write_text(header)
+    proposal = look(tmp_path)
+    assert (f"Exposures: {about}." in proposal.text) if about else "Exposures" not in proposal.text
+    doubts = [one for one in proposal.unknown if "exposure" in one]
+    assert [unknown in one for one in doubts] == ([True] if unknown else [])
+
+
 def test_pictures_without_any_order_are_objects_and_the_doubt_is_said(real_data):
     for name, count in (("paintings", 3), ("stain-landmarks", 8)):
         proposal = look(real_data / name)

@@ -107,10 +107,35 @@ def test_a_dark_is_subtracted(captured, tmp_path):
     white = captured("white.tif", np.zeros((2, 7)), peak=3000, black=1500)
     dark = tmp_path / "dark.tif"
     tifffile.imwrite(dark, np.full((240, 315), 1500, np.uint16))
-    with_dark = json.loads(run(white, "--dark", dark, "--json").stdout)
-    without = json.loads(run(white, "--json").stdout)
+    with_dark = json.loads(run(white, "--bits", 14, "--dark", dark, "--json").stdout)
+    without = json.loads(run(white, "--bits", 14, "--json").stdout)
     assert with_dark["measured_drop"] == pytest.approx(0.066, abs=0.01)
     assert without["measured_drop"] < 0.05
+
+
+def test_whites_of_twelve_bits_in_sixteen_are_refused_unless_their_full_scale_is_known(captured):
+    whole = tifffile.imread(captured("whole.tif", np.zeros((2, 7)), peak=5000, black=64))
+    white = captured("clipped.tif", np.zeros((2, 7)))
+    tifffile.imwrite(white, np.minimum(whole, 4095))
+    asked = run(white, "--black", 64)
+    assert asked.exit_code == 1 and "nothing tells the full scale" in asked.stderr
+    for told in (("--bits", 12), ("--saturation", 4095)):
+        refused = run(white, "--black", 64, *told)
+        assert refused.exit_code == 1 and "the white clips" in refused.stderr
+    fits = run(captured("fits.tif", WEAK, peak=3500, black=64), "--black", 64, "--bits", 12)
+    assert fits.exit_code == 0, fits.output
+
+
+def test_a_campaign_above_the_whites_tells_their_full_scale(captured, tmp_path):
+    whole = tifffile.imread(captured("whole.tif", np.zeros((2, 7)), peak=5000, black=64))
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\nreference = { camera = "c" }\n'
+        '[cameras.c]\nkind = "bands"\nfiles = "{target}.tif"\nbands = ["a"]\nbits = 12\n',
+        encoding="utf-8",
+    )
+    tifffile.imwrite(tmp_path / "board.tif", np.minimum(whole, 4095))
+    refused = run(tmp_path / "board.tif", "--black", 64)
+    assert refused.exit_code == 1 and "the white clips" in refused.stderr
 
 
 def test_whites_that_cannot_tell_are_refused(captured, tmp_path):
@@ -124,7 +149,7 @@ def test_whites_that_cannot_tell_are_refused(captured, tmp_path):
     empty.mkdir()
     for words, code in (
         ((clipped,), "E_WHITE_SATURATED"),
-        ((dark, "--black", 310), "E_WHITE_DARK"),
+        ((dark, "--black", 310, "--bits", 16), "E_WHITE_DARK"),
         ((fine, "--region", "300,0,100,100"), "E_REGION"),
         ((fine, "--dark", small), "E_SIZE"),
         ((empty,), "E_NO_FRAMES"),

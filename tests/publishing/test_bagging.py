@@ -3,8 +3,8 @@ import pytest
 
 import levkas
 from levkas.digests import hash_tree
+from levkas.problems import Refused
 from levkas.publishing import run
-from levkas.publishing.publication import PublishRefused
 from levkas.validation import validate
 
 
@@ -44,6 +44,7 @@ def test_the_same_publication_gives_the_same_bag(bagged, database, tmp_path):
 @pytest.mark.parametrize("where", ["database.published", "database.published/data", "mine"])
 def test_no_folder_is_turned_into_a_bag_in_place(database, tmp_path, where):
     (tmp_path / "mine").mkdir()
-    with pytest.raises(PublishRefused) as refused:
+    (tmp_path / "mine/thesis.txt").write_text("three years")
+    with pytest.raises(Refused) as refused:
         list(run.publish(database, editions="full", bag=tmp_path / where))
     assert refused.value.problems[0].code == "E_UNWRITABLE"

@@ -126,7 +126,8 @@ def test_two_entities_of_one_id_are_found(folder):
     assert "two entities" in str(check_crate(folder)[0])
 
 
-def test_roc_validator_agrees_or_says_why_it_cannot(folder):
+def test_roc_validator_agrees(folder):
     valid, text = ask_validator(folder)
-    assert valid is not False, text
-    assert valid or "not installed" in text or "network" in text
+    if valid is None:
+        pytest.skip(text)
+    assert valid, text

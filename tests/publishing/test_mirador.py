@@ -30,7 +30,8 @@ def mirador() -> Path:
 
 @pytest.fixture
 def browser():
-    playwright = pytest.importorskip("playwright.sync_api")
+    from playwright import sync_api as playwright
+
     found = shutil.which("chromium") or shutil.which("chromium-browser")
     with playwright.sync_playwright() as started:
         try:

@@ -1,8 +1,11 @@
+import tomllib
+
 import pytest
 
 from levkas.database.manifest import NAME, write_manifest
 from levkas.digests import hash_tree
 from levkas.disk import WriteRefused
+from levkas.problems import Refused
 from levkas.publishing import run
 from levkas.publishing.facts import licence_of, read_facts
 from levkas.publishing.publication import PublishRefused
@@ -74,6 +77,9 @@ def test_all_facts_that_are_missing_are_named_at_once(database, publish):
         "campaign.date",
     ]
     assert all(p.fix and p.file.endswith("database.toml") for p in refused.value.problems)
+    for problem in refused.value.problems:  # what it says to write can be pasted as it is
+        line = problem.fix.removeprefix("Write ").partition(" in [campaign]")[0]
+        assert tomllib.loads(line)
 
 
 @pytest.mark.parametrize("where", ["database", "database/inside", "."])
@@ -88,7 +94,7 @@ def test_the_database_itself_is_never_written_over(database, publish, where):
 def test_a_folder_of_somebody_else_is_never_replaced(database, publish, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/thesis.txt").write_text("three years")
-    with pytest.raises(PublishRefused):
+    with pytest.raises(WriteRefused, match="that Levkas did not write"):
         publish(database, output=tmp_path / "mine")
     assert (tmp_path / "mine/thesis.txt").read_text() == "three years"
 
@@ -142,7 +148,7 @@ def test_a_bag_that_cannot_be_is_refused_before_anything_is_written(database, pu
     (root / "other").mkdir()
     for name in ("other/a", "file.txt"):
         (root / name).write_text("x")
-    with pytest.raises(PublishRefused, match="the bag cannot be written"):
+    with pytest.raises(Refused, match="the bag cannot be written"):
         publish(database, bag=root / where)
     assert not (root / "database.published").exists()
 

@@ -425,7 +425,7 @@ def jpeg_of_65000_columns(folder):
 
 @bomb("E_SIZE", field="scan")
 def jpeg_of_four_hundred_scans(folder):
-    return put(folder / "a.jpg", _jpeg(8000, 8000, scans=400))
+    return put(folder / "a.jpg", _jpeg(5000, 5000, scans=400))
 
 
 @bomb("E_SIZE", field="width, height")
@@ -888,6 +888,7 @@ def test_a_hostile_file_is_refused_once_soon_and_in_little_memory(results, name)
     if name == "file_nobody_may_read" and os.geteuid() == 0:
         pytest.skip("root reads everything")
     _, code, field, said, _ = CASES[name]
+    assert results[name]
     for told in results[name][-1:] if code else ():
         assert told["came"] == "refused", told
         (problem,) = told["problems"]

@@ -108,6 +108,42 @@ def test_comments_quotes_spaces_and_case_are_read_as_meant(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("said", "read"),
+    [
+        ("tint = 20.0", 0.02),  # Specim's, in ms
+        ("tint = 20000 us", 0.02),
+        ("exposure time = 20 ms", 0.02),
+        ("Integration_Time = 0.02 s", 0.02),
+        ("integration time (µs) = 20000", 0.02),
+        ("shutter [ms] = 20", 0.02),
+        ("integration time = 20\nintegration time units = milliseconds", 0.02),
+        ("integration times (ms) = {20, 20, 20}", 0.02),
+        ("tint = 20\nexposure = 20.1 ms", 0.02),
+        ("tint = {10, 20, 40}", (0.01, 0.02, 0.04)),
+        ("exposures = {10 ms, 20 ms, 40 ms}", (0.01, 0.02, 0.04)),
+        ("integration time = 20", "integration time = 20"),  # HySpex's are µs, others' ms
+        ("exposure = {10, 20, 40}", "exposure = {10, 20, 40}"),
+        ("exposure = 20 frames", "exposure = 20 frames"),
+        ("tint = 20\nexposure = 10 ms", "tint = 20; exposure = 10 ms"),
+        ("exposures = {10 ms, 20 us, 40 ms}", "exposures = {10 ms, 20 us, 40 ms}"),
+        ("tint = 0\nexposure = auto\nexposure mode = 3", None),
+    ],
+)
+def test_exposures_are_read_with_their_units_and_never_without(tmp_path, said, read):
+    facts = read_facts(write_envi(tmp_path, CUBE, extra=said))
+    stated = facts.exposure_s, facts.band_times_s, facts.exposure_unclear
+    assert stated.count(None) == (3 if read is None else 2)
+    assert next((one for one in stated if one is not None), None) == read
+
+
+def test_a_list_of_exposures_of_another_length_is_refused(tmp_path):
+    with pytest.raises(UnreadableCapture) as refused:
+        read_facts(write_envi(tmp_path, CUBE, extra="tint = {10, 20}"))
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.field, problem.found) == ("E_BAND_COUNT", "tint", "2 numbers")
+
+
+@pytest.mark.parametrize(
     ("units", "written", "read"),
     [
         ("nm", "400, 500, 600", (400, 500, 600)),

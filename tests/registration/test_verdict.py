@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.registration.agreement import compare
+from levkas.registration.checks import Checks
 from levkas.registration.evidence import (
     Evidence,
     measure_chance,
@@ -12,7 +13,7 @@ from levkas.registration.evidence import (
     measure_support,
 )
 from levkas.registration.record import Matches
-from levkas.registration.verdict import RULES, judge
+from levkas.registration.verdict import RULES, judge, measure
 from levkas.transforms import Affine, Composed, Inverse, Polynomial
 
 STILL = Affine.identity()
@@ -184,11 +185,48 @@ def test_cells_that_nothing_bears_out_are_named(pictures):
     right = ~np.all(matches.reference < (155, 120), axis=1)
     matches = Matches.of(matches.reference[right], matches.target[right])
     case = evidence([reference, (foreign, valid)], matches=matches)
-    cells = measure_support(case, compare(*pictures, STILL), 1.0)
+    seen = compare(*pictures, STILL)
+    checks = Checks(seen.centres, seen.shift, seen.found, 1.0, 40.0)
+    cells = measure_support(case, checks)
     assert cells["coverage"] == 1  # with windows of the whole picture
     verdict = judge(case)
     assert verdict.decision == "warn" and "not borne out" in verdict.reasons[0]
     assert all(x < 150 and y < 115 for x, y, _, _ in verdict.numbers["unsupported"])
+
+
+def test_the_default_method_never_advises_keys_of_the_papers(pictures):
+    from levkas.registration import assessment
+
+    right = measure(evidence(pictures))
+    right |= {"share_above_chance": 1.0, "held_out_px": 0.1, "step": 1.0, "cover": 1.0}
+    right |= {"settled": True, "rounds": 3, "moved": 0.2, "unchecked": [[0, 0, 100, 100, 0.4]]}
+    right |= {"found": 90, "windows": 100, "alike": True, "off": [], "unsupported": []}
+    wrong = {
+        "share_above_chance": 0.1,
+        "held_out_px": 9.0,
+        "folded": 0.3,
+        "overlap": 0.05,
+        "anisotropy": 3.0,
+        "found": 0,
+        "agreeing": 0,
+        "window_median": 9.0,
+        "rival": 1.2,
+        "off_share": 0.5,
+        "coverage": 0.2,
+        "cover": 0.1,
+        "kept": 3,
+        "settled": False,
+        "checked": 0.5,
+        "strange": 0.5,
+    }
+    said = []
+    for key, value in wrong.items():
+        for rule in assessment.RULES:
+            if found := rule({**right, key: value}):
+                said.append(found.next_step)
+    assert len(said) > 8
+    for text in said:
+        assert not any(word in text for word in ("reject", "`stop`", "method", "polynomial")), text
 
 
 def test_every_rule_has_a_name_of_its_own_and_says_nothing_of_a_right_map(pictures):

@@ -1,6 +1,7 @@
 """A real headless Chromium for the pages, in which no request to another host passes unnoticed."""
 
 import functools
+import importlib
 import shutil
 import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -72,7 +73,7 @@ def chromium():
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
         pytest.skip("no Chromium on this machine; `apt-get install chromium` brings it")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    playwright = importlib.import_module("playwright.sync_api")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, args=FLAGS, headless=True)
         yield browser

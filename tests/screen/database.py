@@ -51,6 +51,8 @@ def make_cube(
     values = squares[..., None] * slopes + rng.normal(0, 1, sigma.shape) * sigma
     flags = np.zeros(values.shape, np.uint8)
     flags[40:44, 60:70, 0] = Flag.SATURATED
+    flags[100:106, 100:110] = Flag.VEILED
+    flags[100:106, 112:116] = Flag.DEFECT
     flags[:, :3] = Flag.OUTSIDE
     values[:, :3] = np.nan
     bands = [Band(n, float(n.split()[0]), 10.0) if " nm" in n else Band(n) for n in labels]

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from levkas.cube import Flag
 from levkas.database.tiff_pages import open_pages
+from levkas.flags import MARKS
 from levkas.mapping import find_map
 from levkas.viewing.pictures import shown_band
 
@@ -162,6 +164,30 @@ def test_flags_are_told_in_words_and_unseen_pixels_have_no_numbers(browser, addr
     assert "outside" in page.locator('.numbers tbody[data-layer="vis"] tr').nth(1).inner_text()
     value = page.locator('.numbers tbody[data-layer="vis"] td[data-value]').first
     assert value.get_attribute("data-value") == "nan"
+
+
+def test_a_veiled_pixel_is_told_coloured_and_not_trusted(browser, address):
+    page = open_object(browser, address("file", fragment="#a=vis/flags"))
+    page.evaluate("levkasViewer.stage.look({x: 105, y: 103}, 8)")
+    page.wait_for_function(SETTLED)
+    page.wait_for_timeout(150)
+    colour = MARKS[Flag.VEILED].colour
+    assert np.abs(shown_colour(page, 103, 103) - colour).max() < 12
+    assert "veiled: brighter" in page.locator(".picker-a .legend").inner_text()
+    click_pixel(page, 105, 103)
+    page.locator(".numbers-fold summary").click()
+    row = page.locator('.numbers tbody[data-layer="vis"] tr').nth(1)
+    assert row.inner_text().endswith("veiled") and row.locator(".swatch").count() == 1
+    struck = "e => getComputedStyle(e).textDecorationLine"
+    assert row.locator(".n").first.evaluate(struck) == "line-through"
+    click_pixel(page, 113, 103)  # replaced from its neighbours: an estimate
+    assert row.inner_text().endswith("defect, replaced")
+    assert row.locator(".n").first.evaluate(struck) == "none"
+    # What the page's own table does not name is not to be trusted either.
+    page.evaluate("levkasViewer.readout.record.flags.pop()")
+    click_pixel(page, 105, 103)
+    assert "not to be trusted" in row.inner_text()
+    assert row.locator(".n").first.evaluate(struck) == "line-through"
 
 
 @pytest.mark.parametrize("how", FLIGHTS)

@@ -228,6 +228,8 @@ def test_the_trace_is_scrubbed_and_its_curve_leads_there(bench):
     assert rounds * 0.3 < at < rounds * 0.7 and f"Round {at + 1} of" in said.inner_text()
     page.locator("#stop-reset").click()
     assert told(page, "told.overridden.stop") is False
+    method = page.evaluate("levkasWorkbench.store.frame.method")
+    assert page.locator("#thresholds-idle").is_visible() == (method == "levkas")
 
 
 def test_a_place_is_measured_and_kept_as_check_point(bench):

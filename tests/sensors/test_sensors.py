@@ -64,6 +64,20 @@ def test_a_campaign_tells_its_camera(folder):
     assert not any(drift.noticed for _, drift in sensor.light)
 
 
+def test_the_brightest_pixel_is_no_full_scale(folder, tmp_path):
+    text = (folder / "campaign.toml").read_text().replace("bits = 12\n", "")
+    text = text.replace("raw/", f"{folder}/raw/")
+    (tmp_path / "campaign.toml").write_text(text)
+    found = examine_with_seed(tmp_path)
+    (sensor,) = found.sensors
+    for channel in sensor.channels.values():
+        assert channel.gain.value == pytest.approx(0.1, rel=0.03)
+        assert channel.full_well is channel.snr is channel.dynamic_range is None
+    assert sensor.facts.white is None
+    assert any("`bits`" in note and "left out" in note for note in sensor.notes)
+    assert "photon transfer curve" in render_page(found) and "SNR at saturation" in found.text
+
+
 def test_clipped_darks_are_recognised_and_said(tmp_path):
     (sensor,) = examine_with_seed(make(tmp_path / "c", black=0.0)).sensors
     assert any("clipped at zero" in note for note in sensor.notes)
@@ -206,6 +220,7 @@ def test_a_foreign_simulated_camera_comes_back(two_paintings, tmp_path):
     text = CAMPAIGN.format(more="").replace("raw/{target}_{shot}", f"{raw}/{{target}}/DSC_{{shot}}")
     (tmp_path / "campaign.toml").write_text(text.replace("panel", "icon1"))
     (sensor,) = examine_with_seed(tmp_path).sensors
+    assert list(sensor.channels) == ["R", "G", "B"]
     for channel in sensor.channels.values():
         # 12 bits over 25,000 electrons above black 64: 0.161 counts each; PRNU of 1.2 %.
         assert channel.gain.value == pytest.approx(4031 / 25_000, rel=0.03)

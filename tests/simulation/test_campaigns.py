@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
 
 from levkas.evaluation import read_truth
 from levkas.noise import noise_variance
@@ -14,7 +15,6 @@ from levkas.simulation.capture import WHITE_REFLECTANCE, look
 from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras
 from levkas.simulation.truth import Truth
 
-tifffile = pytest.importorskip("tifffile")
 TINY = replace(PRESETS["small"], scale=0.1, fineness=1.0, supersampling=2)
 
 
@@ -148,6 +148,16 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path):
     with pytest.raises(SimulationRefused, match="not empty"):
         list(simulate_campaign(tmp_path, preset=TINY))
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.parametrize("kind", ["file", "link to a file"])
+def test_a_file_where_a_campaign_is_wanted_is_left_alone(tmp_path, kind):
+    (tmp_path / "file").write_text("three years")
+    if kind != "file":
+        (tmp_path / "link").symlink_to(tmp_path / "file")
+    with pytest.raises(SimulationRefused, match="a file stands there"):
+        simulate(tmp_path / kind.split()[0])
+    assert (tmp_path / "file").read_text() == "three years"
 
 
 def test_a_simulation_that_is_stopped_leaves_nothing(tmp_path):

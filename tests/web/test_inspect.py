@@ -7,8 +7,10 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import pytest
 
@@ -110,3 +112,45 @@ def test_a_database_is_told_from_a_campaign(campaign):
         and "levkas publish" in run.stderr + run.stdout
     )
     (folder / "catalogue.csv").unlink()
+
+
+BROWSER = """
+import json, pathlib, sys, urllib.parse, urllib.request
+page = pathlib.Path(urllib.request.url2pathname(urllib.parse.urlsplit(sys.argv[2]).path))
+told = {"path": str(page), "mode": page.stat().st_mode & 0o777, "text": page.read_text(encoding="utf-8")}
+pathlib.Path(sys.argv[1] + ".part").write_text(json.dumps(told))
+pathlib.Path(sys.argv[1] + ".part").rename(sys.argv[1])
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="$BROWSER and signals of Unix")
+@pytest.mark.parametrize("end", ["entered", "SIGINT", "SIGTERM", "SIGHUP"])
+def test_the_page_that_holds_the_token_is_this_users_and_is_taken_away(campaign, tmp_path, end):
+    """By a browser's entry, or by any end that a terminal gives; nothing else is left either."""
+    (tmp_path / "browser.py").write_text(BROWSER)
+    (tmp_path / "temporary").mkdir()
+    browser = f"{sys.executable} {tmp_path / 'browser.py'} {tmp_path / 'told.json'} %s"
+    run = subprocess.Popen(
+        [*COMMAND, str(campaign)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONUTF8": "1", "BROWSER": browser, "TMPDIR": str(tmp_path / "temporary")},
+    )  # fmt: skip
+    try:
+        run.stdout.readline()
+        for _ in range(600):
+            if (tmp_path / "told.json").is_file():
+                break
+            time.sleep(0.05)
+        told = json.loads((tmp_path / "told.json").read_text())
+        assert told["mode"] == 0o600
+        page = Path(told["path"])
+        address, token = re.search(r"url=(http://[\d.:]+)/#([\w-]{43})", told["text"]).groups()
+        assert b"workbench.js" in ask(address, "/").read() and page.is_file()
+        if end == "entered":
+            assert ask(address, "/enter", body={"token": token}).status == 200
+            assert not page.exists()
+        run.send_signal(getattr(signal, end if end != "entered" else "SIGINT"))
+        _, errors = run.communicate(timeout=60)
+    finally:
+        run.kill()
+    assert run.returncode == 0 and errors == ""
+    assert not page.exists() and list((tmp_path / "temporary").glob("levkas-*")) == []

@@ -186,7 +186,13 @@ STEPS = st.lists(st.tuples(st.sampled_from(sorted(OPERATIONS)), st.integers(0, 3
 @given(steps=STEPS)
 def test_undo_brings_back_every_state_and_redo_every_later_one(steps):
     saved = []
-    session = Session(plant(n=40), save=saved.append)
+
+    def save(before, after):
+        assert before == (saved[-1] if saved else FrameEdits())
+        saved.append(after)
+        return after
+
+    session = Session(plant(n=40), save=save)
     seen = [session.edits]
     for name, row in steps:
         pair = pair_of(session, row)

@@ -2,13 +2,12 @@
 import { make } from "../element";
 import { drawChart, type Curve } from "./chart";
 import { Lattice } from "./lattice";
-import type { Layer, PageRecord } from "./record";
+import type { Layer, Mark, PageRecord } from "./record";
 import { Spectra, type Spectrum } from "./spectra";
 import type { Pixel } from "./stage";
 
-const FLAGS: [number, string][] = [
-  [1, "outside"], [2, "saturated"], [4, "clipped at black"], [8, "defect, replaced"], [16, "glare"], [32, "moved"], [64, "near a flag"],
-];
+/** A bit that the page's record does not name. */
+const UNKNOWN = { word: "unknown flag, not to be trusted", colour: "#000000", trusted: false };
 export const COLOURS = ["--curve-1", "--curve-2", "--curve-3", "--curve-4", "--curve-5", "--curve-6", "--curve-7", "--curve-8"];
 
 interface Told {
@@ -86,7 +85,7 @@ export class Readout {
     const chart = drawChart(reflectance.length ? reflectance : curves, reflectance.length ? "Reflectance" : "Counts");
     this.drawing.replaceChildren(chart ?? make("div", { class: "chart blank" }));
     this.key.replaceChildren(...told.map((one) => this.keyOf(one)));
-    this.table.replaceChildren(...rowsOf(told));
+    this.table.replaceChildren(...rowsOf(told, this.record.flags));
   }
 
   private keyOf({ layer, colour, native, spectrum, why }: Told): HTMLElement {
@@ -152,7 +151,13 @@ export function shortest(value: number): string {
   return String(value);
 }
 
-function rowsOf(told: Told[]): HTMLElement[] {
+/** The marks of the bits that are set; a bit without a mark is not to be trusted. */
+function marksOf(bits: number, table: Mark[]): Omit<Mark, "bit">[] {
+  const known = table.reduce((sum, mark) => sum | mark.bit, 0);
+  return [...table.filter((mark) => bits & mark.bit), ...(bits & ~known ? [UNKNOWN] : [])];
+}
+
+function rowsOf(told: Told[], table: Mark[]): HTMLElement[] {
   const head = make("thead", {}, make("tr", {}, ...["Band", "Value", "Sigma", "Flags"].map((text) => make("th", { scope: "col" }, text))));
   const bodies = told.filter((one) => one.spectrum).map(({ layer, spectrum }) => {
     const rows = layer.bands.map((band, i) => {
@@ -163,8 +168,15 @@ function rowsOf(told: Told[]): HTMLElement[] {
       cell.dataset["value"] = shortest(value);
       const spread = make("td", { class: "n" }, sigma !== undefined && Number.isFinite(sigma) ? sigma.toFixed(4) : "–");
       if (sigma !== undefined) spread.dataset["sigma"] = shortest(sigma);
-      const flags = FLAGS.filter(([bit]) => bits & bit).map(([, word]) => word).join(", ");
-      return make("tr", {}, make("th", { scope: "row" }, band.label), cell, spread, make("td", {}, flags));
+      const marks = marksOf(bits, table);
+      const flags = make("td", {}, ...marks.flatMap((mark, k) => {
+        const swatch = make("span", { class: "swatch", "aria-hidden": "true" });
+        swatch.style.background = mark.colour;
+        return [k ? ", " : "", swatch, " ", mark.word];
+      }));
+      const row = make("tr", {}, make("th", { scope: "row" }, band.label), cell, spread, flags);
+      if (marks.some((mark) => !mark.trusted)) row.classList.add("untrusted");
+      return row;
     });
     const body = make("tbody", {}, make("tr", { class: "group" }, make("th", { colspan: 4, scope: "rowgroup" }, `${layer.name} · ${layer.quantity}`)), ...rows);
     body.dataset["layer"] = layer.name;

@@ -74,10 +74,19 @@ interface Link {
   href: string;
 }
 
+/** One bit of the flags: what it is called and shown by, and whether the value is usable all the same. */
+export interface Mark {
+  bit: number;
+  word: string;
+  colour: string;
+  trusted: boolean;
+}
+
 export interface PageRecord {
   object: { name: string; title: string };
   grid: { width: number; height: number; px_per_mm: number | null };
   reference: string;
+  flags: Mark[];
   layers: Layer[];
   links: { sheet: string; report: string; previous: Link | null; next: Link | null };
 }

@@ -68,6 +68,8 @@ export class Store {
         if (this.map === "built" && this.told.corrections) this.map = "pairs";
       } catch (error) {
         this.refuse(error);
+        // Another workbench or an editor was first: what is there now is shown.
+        if (error instanceof Refusal && error.status === 409) this.told = read(await bytes(`${this.path}/pairs`), []);
       }
       this.changed();
     });

@@ -18,6 +18,11 @@ export class TraceView {
   private readonly range = make("input", { type: "range", min: -1, max: 0, value: 0, id: "round", "aria-label": "Round of the removal" });
   private readonly said = make("p", { class: "said", "aria-live": "polite" });
   private readonly play = make("button", { type: "button", class: "small", "aria-label": "Play the removal" }, "▶");
+  private readonly idle = make(
+    "p",
+    { class: "soft", id: "thresholds-idle", hidden: true },
+    "Both belong to the paper's method. The default method made this map and has neither: here they redraw the figure alone.",
+  );
   private round = 0;
   private follow = true;
   private running = 0;
@@ -34,6 +39,7 @@ export class TraceView {
       this.said,
       this.slider("reject", "Cut at the start", "Pairs farther apart than this under scale alone are dropped at once (the paper's T1)."),
       this.slider("stop", "Stop at", "The worst pair leaves until none is farther off than this (the paper's T2)."),
+      this.idle,
     );
     this.range.addEventListener("input", () => this.go(Number(this.range.value)));
     this.play.addEventListener("click", () => this.toggle());
@@ -85,6 +91,7 @@ export class TraceView {
     const last = (trace?.largest.length ?? 0) - 1;
     this.range.max = String(Math.max(last, -1));
     this.range.disabled = this.play.disabled = !trace;
+    this.idle.hidden = !this.store.frame?.built || this.store.frame.method === "mirhashemi2019";
     if (this.follow || this.round > last) this.round = last;
     this.range.value = String(this.round);
     for (const name of ["reject", "stop"] as const) {

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.bench import Bench
+from levkas.building.bench import Bench, exposure_of
 from levkas.building.exposing import average_shots, check_scaling, expose, noise_of, white_of
 from levkas.building.flatfielding import cube_of, defects_of, flatten, require_same_size
 from levkas.building.native import GROUP, ROWS
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.cube import Cube
 from levkas.problems import Problem
 
@@ -70,15 +70,13 @@ def _band(bench: Bench, label: str, reflectance: float, noise: NoiseModel | None
     whites = bench.templates(frames) if frames else []
     require_same_size(bench, shots[0].mean.shape, darks, whites)
     exposed = expose(bench, shots, darks, noise)
-    white = white_of(bench, frames, darks, noise=noise, above_dark=exposed.above_dark)
+    white = white_of(bench, frames, darks, noise=noise, merged=exposed.shot.above_dark)
     doubt = check_scaling(bench, exposed, white, (shots, whites), darks)
-    under = [] if exposed.above_dark else darks
-    codes = not (exposed.above_dark and len(whites) > 1)
-    note_light(bench.told, white, under, None, [label], codes=codes)
+    note_light(bench.told, white, darks, None, [label])
     flat = flatten(
         bench,
         exposed.shot,
-        under,
+        darks,
         white,
         moved=exposed.moved,
         white_reflectance=reflectance,
@@ -137,12 +135,15 @@ def _noise_of_bands(bench: Bench) -> NoiseModel | None:
     """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor."""
     bands = bench.sensor.bands
     chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})
-    shots, whites, darks = [], [], []
+    shots, whites, darks = [], [], list[Template]()
     for i in chosen:
         label = bands[i].label
-        shots.append(bench.average([f for f in bench.sensor.object if f.band == label][:1]))
-        darks = bench.templates(_of_band(bench.sensor.dark, label))
-        white = white_of(bench, _of_band(bench.sensor.white, label), darks)
-        require_same_size(bench, shots[-1].mean.shape, darks, [white] if white else [])
+        frames = [f for f in bench.sensor.object if f.band == label]
+        alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
+        shots.append(bench.average(alike))
+        own = bench.templates(_of_band(bench.sensor.dark, label))
+        white = white_of(bench, _of_band(bench.sensor.white, label), own)
+        require_same_size(bench, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)
+        darks += own if any(f.band for f in bench.sensor.dark) or not darks else []
     return noise_of(bench, shots, whites, darks)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from pathlib import Path
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.codes import check_codes, doubt_codes, spread
+from levkas.building.codes import check_codes, doubt_codes, spread, thin_rows
+from levkas.building.exposure_times import times_of
 from levkas.calibration.gaps import close_gaps
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.problems import Problem
@@ -57,6 +57,15 @@ class Bench:
         """Declared, else the file's own black level, counts; None where nobody says."""
         return self.camera.black if self.camera.black is not None else self.facts.black
 
+    @cached_property
+    def step(self) -> float:
+        """Counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16."""
+        from levkas.calibration.curves import find_step
+
+        few = 1 if self.facts.kind == "raw" else 2
+        frames = [*spread(self.sensor.object, few), *spread(self.sensor.white, few)]
+        return find_step(thin_rows(_glimpse(frame)) for frame in frames)
+
     def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
         """Average shots of one exposure; templates are kept for the other objects."""
         exposure = exposure_of(frames[0])
@@ -100,16 +109,9 @@ class Bench:
 
 
 def exposure_of(frame: FrameRef) -> float | None:
-    """Exposure from the file's name, else from its EXIF, s."""
-    if frame.exposure_s is not None or frame.path.suffix.lower() in (".hdr", ".png"):
-        return frame.exposure_s
-    return _exposure_told(frame.path, frame.path.stat().st_mtime_ns)
-
-
-@lru_cache(maxsize=4096)
-def _exposure_told(path: Path, _stamp: int) -> float | None:
-    """EXIF of one file, asked for once: a camera raw costs half a second."""
-    return read_facts(path).exposure_s
+    """Exposure from the file's name or the manifest, else from its EXIF or header, s; None of a list by bands."""
+    times = times_of(frame)
+    return None if isinstance(times, tuple) else times
 
 
 def read_cube(frame: FrameRef) -> np.ndarray:

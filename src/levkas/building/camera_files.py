@@ -74,6 +74,7 @@ def write_chart(
     places: Places, campaign: Campaign, capture: Capture, made: Developed, measure: ChartMeasure
 ) -> list[Path]:
     """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
+    from levkas.building.channels import broad_centroids
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer, write_tiffs
     from levkas.files import write_json
@@ -86,7 +87,8 @@ def write_chart(
         date=made.captured or described.date or "",
         rights=described.licence,
     )
-    layer = Layer(chart, capture.camera, capture.setup, credits=credits)
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    layer = Layer(chart, capture.camera, capture.setup, credits=credits, centroids=centroids)
     written = []
     for sensor, cube in made.cubes.items():
         stem = "_".join(part for part in (layer.stem, sensor) if part)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 from levkas import __version__
 from levkas.building import fingerprints
 from levkas.building.codes import spread
-from levkas.building.fingerprints import digest, keys_of
-from levkas.building.ledger import Key, Ledger, code_version
-from levkas.building.measuring import FEW_BANDS, levels_of
+from levkas.building.fingerprints import digest, keys_of, written
+from levkas.building.ledger import Key, Ledger
+from levkas.building.measuring import FEW_BANDS, SENSELS, levels_of
+from levkas.building.sources import code_version
 from levkas.building.steps import Step
 from levkas.problems import Problem, Refused
 
@@ -22,11 +23,6 @@ if TYPE_CHECKING:
     from levkas.campaign import Campaign
     from levkas.discovery import Capture
     from levkas.radiometry.measuring import ChartMeasure
-
-CODE = (
-    "reporting", "radiometry", "building/camera_files.py", "building/camera_pages.py",
-    "building/charting.py",
-)  # fmt: skip
 
 
 class CameraPages:
@@ -58,7 +54,7 @@ class CameraPages:
         """Say of every page whether it is fresh or stale."""
         steps = []
         for camera in self.cameras:
-            key = _key(camera)
+            key = page_key(camera)
             why = self.ledger.why_stale(key, self._prints(camera))
             steps.append(Step(key, "stale" if why else "fresh", why))
         return steps
@@ -66,7 +62,7 @@ class CameraPages:
     def run(self, shelf: Shelf) -> Iterator[Step]:
         """Write the pages that are stale."""
         for camera in self.cameras:
-            key, prints = _key(camera), self._prints(camera)
+            key, prints = page_key(camera), self._prints(camera)
             why = self.ledger.why_stale(key, prints)
             if not why:
                 yield Step(key, "fresh", warnings=tuple(self.ledger.told(key).get("warnings", ())))
@@ -87,7 +83,7 @@ class CameraPages:
         except Refused as error:
             return Step(key, "refused", error.problems[0].message, problems=error.problems)
         # A chart that cannot be measured is no fault of the objects: said, not refused.
-        warnings = tuple(str(problem) for problem in problems)
+        warnings = tuple(written(self.campaign, problem) for problem in problems)
         self.ledger.keep(key, prints, made, warnings=list(warnings))
         return Step(key, "done", why, warnings=warnings)
 
@@ -160,7 +156,7 @@ class CameraPages:
                 light_notes=notes,
                 figures=figures,
                 charts=[describe_chart(m) for m in measures],
-                problems=[{"code": p.code, "text": str(p)} for p in problems],
+                problems=[{"code": p.code, "text": written(self.campaign, p)} for p in problems],
                 footer=f"Levkas {__version__}. Camera {camera}; places are in its native pixels.",
             )
         )
@@ -171,8 +167,12 @@ class CameraPages:
         for capture in self.captures:
             if capture.camera == camera and capture.setup not in found:
                 told = self.ledger.told(keys_of(capture)["calibrate"]).get("learnt", {})
-                if any(told.values()):
-                    found[capture.setup] = told
+                of_camera = {
+                    sensor: {name: v for name, v in one.items() if name != SENSELS}
+                    for sensor, one in told.items()
+                }
+                if any(of_camera.values()):
+                    found[capture.setup] = of_camera
         return found
 
     def _uniformity(self, camera: str, setup: str) -> float | None:
@@ -183,16 +183,21 @@ class CameraPages:
 
     def _prints(self, camera: str) -> dict[str, Any]:
         prints: dict[str, Any] = {
-            "code": code_version(*CODE),
+            "code": code_version("camera"),
             "campaign.title": self.campaign.campaign.title,
             "campaign.creator": self.campaign.campaign.creator,
             "campaign.date": self.campaign.campaign.date,
             "campaign.licence": self.campaign.campaign.licence,
             "learnt of sensor and light": digest(self._learnt(camera)),
-            "charts refused": [str(p) for p in self.refusals.get(camera, ())],
+            "charts refused": [written(self.campaign, p) for p in self.refusals.get(camera, ())],
         }
-        declared = self.campaign.cameras[camera].sensitivity
-        if declared:
+        keys = self.campaign.cameras[camera]
+        for key in ("kind", "bits", "black", "saturation"):
+            prints[f"cameras.{camera}.{key}"] = getattr(keys, key)
+        first = next(c for c in self.captures if c.camera == camera)
+        prints["bands"] = [[b.label, str(b.wavelength), str(b.fwhm)] for b in first.bands]
+        prints["sensors"] = [[s.name, s.pattern, len(s.bands)] for s in first.sensors]
+        if declared := keys.sensitivity:
             prints[f"file {declared}"] = self.ledger.hashes(self.campaign.root / declared)
         for capture in self.charts:
             if capture.camera == camera:
@@ -200,8 +205,9 @@ class CameraPages:
                 made = fingerprints.of_calibration(self.campaign, capture, self.ledger.hashes)
                 prints[name] = digest(made)
                 prints[f"{name} kind"] = self.campaign.targets.charts[capture.object]
-        return prints
+        return fingerprints.plain(prints)
 
 
-def _key(camera: str) -> Key:
+def page_key(camera: str) -> Key:
+    """Return the key of the stage that writes a camera's page."""
     return Key("", camera, stage="camera")

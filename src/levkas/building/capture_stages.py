@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from levkas.building.native import Native, PackedSigma
     from levkas.building.places import Places
     from levkas.building.reference import Grey
+    from levkas.building.resampling import Mosaic
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
@@ -138,13 +139,14 @@ class CaptureStages:
 
         def write() -> Step:
             credits = self._credits(made.captured or "")
+            centroids = self._centroids(capture)
             with together(partial(self.ledger.forget, key)):
                 if isinstance(made, Native):
                     for cube in made.cubes.values():
                         require_space(self.places.output, least_bytes(cube))
-                    files = write_native(made, capture, self.places, credits)
+                    files = write_native(made, capture, self.places, credits, centroids)
                 else:
-                    files = write_scan(made, capture, self.places, credits)
+                    files = write_scan(made, capture, self.places, credits, centroids)
             notes: dict[str, Any] = {
                 "quantity": made.quantity,
                 "warnings": list(made.warnings),
@@ -186,7 +188,8 @@ class CaptureStages:
         native.clear()
         captured = self.ledger.told(keys_of(capture)["calibrate"]).get("captured", "")
         layer = Layer(
-            self.name, capture.camera, capture.setup, sampling or nan, self._credits(captured)
+            *(self.name, capture.camera, capture.setup, sampling or nan),
+            *(self._credits(captured), self._centroids(capture)),
         )
         decision = record_of(self.places, self.name, capture)["verdict"]["decision"]
         for folder in (self.places.folder(self.name), self.places.store(self.name)):
@@ -216,7 +219,9 @@ class CaptureStages:
             packed = self._sigmas.pop(sensor, None)
             return packed.unpack() if packed else read_sigma(capture, self.places, sensor)
 
-        cube = resample(here, transforms_of(self.places, self.name, capture), grid, sigma_of)
+        mosaics = self._mosaics(capture)
+        transforms = transforms_of(self.places, self.name, capture)
+        cube = resample(here, transforms, grid, sigma_of, mosaics=mosaics)
         self._sigmas = {}
         encoded = self.campaign.cameras[capture.camera].kind == "image"
         del here
@@ -238,6 +243,18 @@ class CaptureStages:
             return keep(entry, files, grey, count_flags(cube.flags), glare=glare, ranges=ranges)
 
         return self.write(key, capture, write)
+
+    def _mosaics(self, capture: Capture) -> dict[str, Mosaic]:
+        """Sensors of a capture whose values were demosaiced."""
+        from levkas.building.developing import demosaicing_of
+        from levkas.building.resampling import Mosaic
+
+        camera = self.campaign.cameras[capture.camera]
+        return {
+            s.name: Mosaic(s.pattern, demosaicing_of(camera, s.pattern), [b.label for b in s.bands])
+            for s in capture.sensors
+            if s.pattern is not None and camera.kind in ("mosaic", "sensors")
+        }
 
     def _stream(
         self,
@@ -288,6 +305,11 @@ class CaptureStages:
             self.places.layer(self.name, capture.camera, kind=k) for k in (".tif", ".flags.tif")
         )
         return DefaultLayer.open(values, flags, (shape[0], shape[1], shape[2]))
+
+    def _centroids(self, capture: Capture) -> dict[str, float]:
+        from levkas.building.channels import broad_centroids
+
+        return broad_centroids(self.campaign, capture.camera, capture.bands)
 
     def _credits(self, captured: str) -> Credits:
         from levkas.database.credits import Credits

@@ -42,6 +42,34 @@ def reference_channel(
     return labels[int(np.nanargmin(distances))]
 
 
+def broad_centroids(campaign: Campaign, camera: str, bands: Sequence[Band]) -> dict[str, float]:
+    """Return the centroids of a camera's channels without a centre wavelength, nm, by label.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        All of the camera, of every sensor.
+
+    Returns
+    -------
+    centroids : dict
+        Empty where no sensitivities are declared; without a channel that nothing reaches.
+
+    Raises
+    ------
+    Refused
+        Where the declared table cannot be read.
+    """
+    declared = campaign.cameras[camera].sensitivity
+    broad = [band.label for band in bands if isnan(band.wavelength)]
+    if not declared or not broad:
+        return {}
+    labels = [band.label for band in bands]
+    found = centroids(*read_sensitivity(campaign.root / declared, labels))
+    known = dict(zip(labels, found.tolist(), strict=True))
+    return {label: known[label] for label in broad if not isnan(known[label])}
+
+
 def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Read a CSV of wavelength and a column a channel; columns by header where it names them all.
 

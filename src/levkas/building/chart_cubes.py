@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from glob import escape
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from levkas.cube import Band, Cube
+from levkas.database.containment import check_inside
 from levkas.problems import Problem
 from levkas.radiometry.charts import Chart, ChartRefused, chart_of
 
@@ -71,6 +74,7 @@ def subjects_of(
             continue
         layer = "_".join(part for part in (entry.object, entry.camera, entry.setup) if part)
         file = database / "objects" / entry.object / f"{layer}.tif"
+        check_inside(database, file, file.with_name(f"{layer}.flags.tif"))
         yield Subject(_name(entry), chart_of(kind), {"": file}, bool(objects))
 
 
@@ -79,6 +83,7 @@ def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
     from levkas.readers.texts import read_json
 
     for record in sorted(database.glob("charts/*/*.json")):
+        check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))
         told = read_json(record)
         files = {
             path.stem[len(record.stem) :].lstrip("_"): path
@@ -126,20 +131,37 @@ def read_cube_file(path: Path) -> tuple[Cube, tuple[str, ...]]:
     beside = path.with_name(path.stem + ".flags.tif")
     flags = np.zeros(values.shape, np.uint8)
     if beside.is_file():
-        from levkas.database.spectral_tiff import read_tiff_pages
+        from levkas.database.spectral_tiff import open_pages
 
-        flags = read_tiff_pages(beside).reshape(values.shape)
+        pages = open_pages(beside)
+        if pages.shape != values.shape:
+            raise ChartRefused(
+                Problem(
+                    "E_SIZE",
+                    "the flags are not of the cube's size",
+                    str(beside),
+                    found=" x ".join(map(str, pages.shape)),
+                    expected=" x ".join(map(str, values.shape)),
+                    fix="Put the flags there that belong to the cube, or take them away.",
+                )
+            )
+        flags = pages.read()
     return Cube(values, flags, None, bands, "reflectance"), (NOTE,)
 
 
 def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
     from levkas.database.opening import describe_pages
-    from levkas.database.spectral_tiff import open_pages, read_tiff_pages
+    from levkas.database.spectral_tiff import open_pages
+    from levkas.readers.facts import check_expansion, check_memory
 
-    bands = describe_pages(open_pages(path)).bands
+    pages = open_pages(path)
+    samples, itemsize = prod(pages.shape), pages.dtype.itemsize
+    check_expansion(path, samples, itemsize, path.stat().st_size)
+    check_memory(path, samples, itemsize)
+    bands = describe_pages(pages).bands
     if any(not b.wavelength >= 200 for b in bands) and all(b.label.endswith(" nm") for b in bands):
         bands = _named([np.nan] * len(bands))  # 0, 1, 2 …: numbers of channels
-    return read_tiff_pages(path), bands
+    return pages.read(), bands
 
 
 def _named(wavelengths: Any) -> tuple[Band, ...]:

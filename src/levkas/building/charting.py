@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from levkas.radiometry.charts import Chart, ChartRefused, Reference, chart_of, r
 from levkas.radiometry.measuring import ChartMeasure, Sighting, measure, sight
 
 if TYPE_CHECKING:
+    from levkas.building.native import Native
     from levkas.building.shelf import Shelf
     from levkas.campaign import Campaign
     from levkas.discovery import Capture, FrameRef, SensorFrames
@@ -193,6 +195,10 @@ class Developed:
     shots: dict[str, tuple[np.ndarray, np.ndarray]]
     mosaics: frozenset[str]
     captured: str = ""
+    steps: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """What a step from code to code is of the values of each band."""
+    count: int = 1
+    """Shots that the values are the mean of, in the band of fewest."""
 
 
 def develop_chart(capture: Capture, campaign: Campaign, shelf: Shelf) -> Developed:
@@ -204,7 +210,9 @@ def develop_chart(capture: Capture, campaign: Campaign, shelf: Shelf) -> Develop
     parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
     if parts is None:
         whole = develop(capture, campaign, shelf)
-        return Developed(dict(whole.cubes), {}, mosaics, whole.captured or "")
+        most = min(_shots_of(capture))
+        steps = _steps_of(whole)
+        return Developed(dict(whole.cubes), {}, mosaics, whole.captured or "", steps, most)
     first, second = (develop(part, campaign, shelf) for part in parts)
     cubes, shots = {}, {}
     for name, a in first.cubes.items():
@@ -212,7 +220,26 @@ def develop_chart(capture: Capture, campaign: Campaign, shelf: Shelf) -> Develop
         sigma = joined_sigma(a.sigma, b.sigma)
         cubes[name] = Cube((a.values + b.values) / 2, a.flags | b.flags, sigma, a.bands, a.quantity)
         shots[name] = (a.values, b.values)
-    return Developed(cubes, shots, mosaics, first.captured or "")
+    count = 2 * min(_shots_of(parts[0]))
+    return Developed(cubes, shots, mosaics, first.captured or "", _steps_of(first), count)
+
+
+def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
+    found = {name: told.get("rounding", {}) for name, told in made.learnt.items()}
+    return {
+        name: tuple(float(found[name].get(band.label, 0.0)) for band in cube.bands)
+        for name, cube in made.cubes.items()
+    }
+
+
+def _shots_of(capture: Capture) -> list[int]:
+    """Return how many shots there are of each band and exposure."""
+    groups = Counter(
+        (sensor.name, frame.band, frame.exposure_s, frame.page)
+        for sensor in capture.sensors
+        for frame in sensor.object
+    )
+    return list(groups.values())
 
 
 def _halves(capture: Capture) -> tuple[Capture, Capture] | None:
@@ -248,5 +275,6 @@ def measure_capture(
     for sensor, cube in made.cubes.items():
         first = seen[0].located.corners if seen else None
         shots = made.shots.get(sensor)
-        seen.append(sight(sensor, cube, chart, reference, corners=corners, near=first, shots=shots))
+        more = {"shots": shots, "steps": made.steps.get(sensor), "count": made.count}
+        seen.append(sight(sensor, cube, chart, reference, corners=corners, near=first, **more))  # type: ignore[arg-type]
     return measure(name, chart, seen, reference, mosaics=made.mosaics, uniformity=uniformity)

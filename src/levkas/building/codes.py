@@ -79,7 +79,7 @@ def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[st
     >>> doubt_codes([stretched.reshape(16, 16)], 12, 4095)
     ['only 256 codes, 16 or more apart: 8 bits stretched to 12, so that tones between them are lost']
     """
-    codes = [np.unique(_thin(values)) for values in frames if values.dtype.kind in "ui"]
+    codes = [np.unique(thin_rows(values)) for values in frames if values.dtype.kind in "ui"]
     seen = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)
     if bits <= 8 or seen.size < LEAST_LEVELS:
         return []
@@ -107,7 +107,7 @@ def spread(items: Sequence, count: int) -> list:
     return [items[place] for place in sorted(places)]
 
 
-def _thin(values: np.ndarray) -> np.ndarray:
+def thin_rows(values: np.ndarray) -> np.ndarray:
     """Whole rows of a frame, about `SAMPLE` values."""
     step = max(1, values.size // SAMPLE)
     return values[:: min(step, max(values.shape[0] // 8, 1))]

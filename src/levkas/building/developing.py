@@ -11,6 +11,15 @@ from levkas.building.band_stacks import develop_bands
 from levkas.building.bench import Bench, doubts_of, placed, read_cube
 from levkas.building.codes import CodesRefused
 from levkas.building.exposing import average_shots, check_scaling, expose, noise_of, white_of
+from levkas.building.exposure_times import (
+    by_exposure,
+    doubt_scaling,
+    require_exposures,
+    templates_by_exposure,
+    timed,
+    times_in,
+    times_of,
+)
 from levkas.building.flatfielding import (
     cube_of,
     defects_of,
@@ -18,20 +27,21 @@ from levkas.building.flatfielding import (
     mark_glare_in,
     require_same_size,
 )
-from levkas.building.line_templates import noise_behind_mirror, thinned
+from levkas.building.line_templates import best_white, noise_behind_mirror, thinned
 from levkas.building.native import Native
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.gaps import describe_gaps
-from levkas.calibration.templates import Template, average
+from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.cube import Cube, Flag
 from levkas.problems import Problem, Refused
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
+from levkas.rounding import round_root
 
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.scanning import Seam
-    from levkas.campaign import Campaign
+    from levkas.campaign import Camera, Campaign
     from levkas.discovery import Capture, FrameRef
 
 __all__ = [
@@ -63,6 +73,8 @@ def develop(capture: Capture, campaign: Campaign, shelf: Shelf) -> Native:
             facts = read_facts(sensor.object[0].path)
             captured = captured or facts.captured
             bench = Bench(campaign, camera, sensor, facts, shelf)
+            if camera.kind != "image":
+                require_exposures(bench)
             notes += doubts_of(bench)
             cubes[sensor.name] = mark_glare_in(DEVELOPERS[camera.kind](bench, notes))
             learnt[sensor.name] = bench.told
@@ -94,7 +106,7 @@ def _all_problems(
 
 def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
-    from levkas.building.measuring import note_light
+    from levkas.building.measuring import note_light, note_sensels
     from levkas.calibration.defects import replace_defects
     from levkas.calibration.mosaic import demosaic
 
@@ -106,19 +118,17 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
     white = white_of(bench, sensor.white, darks)
     noise = noise_of(bench, shots, [white] * len(shots), darks)
     exposed = expose(bench, shots, darks, noise)
-    if exposed.above_dark:
-        white = white_of(bench, sensor.white, darks, noise=noise, above_dark=True)
+    if exposed.shot.above_dark:
+        white = white_of(bench, sensor.white, darks, noise=noise, merged=True)
     notes.append(check_scaling(bench, exposed, white, (shots, whites), darks))
     pattern = sensor.pattern
-    under = [] if exposed.above_dark else darks
-    codes = not (exposed.above_dark and len(whites) > 1)
-    note_light(bench.told, white, under, pattern, [b.label for b in sensor.bands], codes=codes)
+    note_light(bench.told, white, darks, pattern, [b.label for b in sensor.bands])
     defects = defects_of(darks, white, pattern)
     reflectance = white_reflectance(bench.campaign, sensor.bands)
     flat = flatten(
         bench,
         exposed.shot,
-        under,
+        darks,
         white,
         moved=exposed.moved,
         white_reflectance=reflectance,
@@ -135,13 +145,22 @@ def develop_mosaic(bench: Bench, notes: list[str]) -> Cube:
         deep = values.shape if values.ndim == 3 else (*values.shape, 1)
         variance = None if variance is None else variance.reshape(deep)
         return cube_of(bench, values.reshape(deep), flags.reshape(deep), variance, flat.quantity)
-    method = camera.demosaic or (
-        "bilinear" if camera.kind == "sensors" and len(pattern) == 2 else None
-    )
+    note_sensels(bench.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
     made = demosaic(
-        values, flags, variance, pattern, method=method, channels=[b.label for b in sensor.bands]
+        values,
+        flags,
+        variance,
+        pattern,
+        method=demosaicing_of(camera, pattern),
+        channels=[b.label for b in sensor.bands],
     )
     return cube_of(bench, *made, flat.quantity)
+
+
+def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | None:
+    """Return the method that is declared, or the kind's own; None for the pattern's own."""
+    beam_splitter = camera.kind == "sensors" and len(pattern) == 2
+    return camera.demosaic or ("bilinear" if beam_splitter else None)
 
 
 def develop_cube(bench: Bench, notes: list[str]) -> Cube:
@@ -152,17 +171,16 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
 
     sensor, mirror = bench.sensor, bench.camera.scan == "mirror"
 
-    def template(frames: Sequence[FrameRef]) -> Template | None:
-        if not frames:
-            return None
+    def make(frames: Sequence[FrameRef]) -> Template:
         blocks = (bench.checked(read_cube(frame), frame) for frame in frames)
         join = average if mirror else average_lines
         return bench.whole(join(blocks, saturation=bench.saturation), frames)
 
-    dark, white = template(sensor.dark), template(sensor.white)
-    darks = [dark] if dark else []
-    require_same_size(bench, _shape_of(sensor.object[0]), darks, [white] if white else [])
-    step = thinning(white.mean.shape[:2]) if mirror and white else 1
+    darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
+    require_same_size(bench, _shape_of(sensor.object[0]), darks, whites)
+    step = thinning(whites[0].mean.shape[:2]) if mirror and whites else 1
+    chosen = best_white(whites, step) if whites else 0
+    white = whites[chosen] if whites else None
     note_light(
         bench.told,
         thinned(white, step) if white else None,
@@ -172,12 +190,20 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
         period=(step, step),
     )
     reflectance = white_reflectance(bench.campaign, sensor.bands)
-    noise = noise_behind_mirror(bench) if mirror else line_noise(bench, dark, white)
+    if mirror:
+        of_white = by_exposure(sensor.white)[chosen][1][0] if white else None
+        noise = noise_behind_mirror(bench, of_white)
+    else:
+        noise = line_noise(bench, darks, white)
+    _require_one_time(bench, white)
     strips = []
     for frame in sensor.object:
-        block = bench.checked(read_cube(frame), frame)
-        shot = bench.whole(average(iter([block]), saturation=bench.saturation), [frame])
+        block, times = bench.checked(read_cube(frame), frame), times_of(frame)
+        shot = timed(
+            bench.whole(average(iter([block]), saturation=bench.saturation), [frame]), times
+        )
         del block
+        notes.append(doubt_scaling(bench, times, times_in(white)) if white else "")
         flat = flatten(
             bench,
             shot,
@@ -193,8 +219,10 @@ def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     if len(strips) > 1:
         whole, seams = join_strips(strips)
         notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
-    values = _denoised(bench, whole.values, notes) if bench.camera.denoise else whole.values
-    return cube_of(bench, values, whole.flags, whole.variance, whole.quantity)
+    values, variance = whole.values, whole.variance
+    if bench.camera.denoise:
+        values, variance = _denoised(values, variance, notes)
+    return cube_of(bench, values, whole.flags, variance, whole.quantity)
 
 
 def _shape_of(frame: FrameRef) -> tuple[int, ...]:
@@ -205,9 +233,26 @@ def _shape_of(frame: FrameRef) -> tuple[int, ...]:
     return facts.shape if len(facts.shape) == 3 else (*facts.shape, 1)
 
 
-def line_noise(bench: Bench, dark: Template | None, white: Template | None) -> NoiseModel | None:
+def _require_one_time(bench: Bench, white: Template | None) -> None:
+    """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
+    strips = by_exposure(bench.sensor.object)
+    if white is None and len(strips) > 1:
+        problem = Problem(
+            "E_EXPOSURES",
+            f"{bench.camera.name}: strips of several exposures, and no white",
+            field="targets.white",
+            found=", ".join(frames[0].path.name for _, frames in strips),
+            expected="strips of one exposure, or a white",
+            fix="Capture a white, or leave the other exposures out of `files`.",
+        )
+        raise CalibrationRefused(placed(problem, bench.sensor.object))
+
+
+def line_noise(
+    bench: Bench, darks: Sequence[Template], white: Template | None
+) -> NoiseModel | None:
     """Noise of a push-broom camera: its white is one line, seen many times."""
-    return noise_of(bench, [], [white] if white else [], [dark] if dark else [])
+    return noise_of(bench, [], [white] if white else [], list(darks))
 
 
 def _describe_seam(number: int, seam: Seam) -> str:
@@ -218,17 +263,23 @@ def _describe_seam(number: int, seam: Seam) -> str:
     )
 
 
-def _denoised(bench: Bench, values: np.ndarray, notes: list[str]) -> np.ndarray:
+def _denoised(
+    values: np.ndarray, variance: np.ndarray | None, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Project a cube on its signal subspace (HySime), and say what that took away."""
     from levkas.calibration.denoising import denoise, describe_removed
 
-    made = denoise(values)
+    if variance is not None:  # rounded as the sigma of lines that are read some at a time
+        variance = np.square(round_root(variance, out=variance), out=variance)
+    made = denoise(values, variance)
     notes.append(describe_removed(made.subspace, made.removed, made.removed_most))
-    return made.values
+    return made.values, made.variance
 
 
 def develop_image(bench: Bench, notes: list[str]) -> Cube:
     """A photograph or radiograph: nothing to calibrate, its codes as they are."""
+    from levkas.calibration.noise_fit import mean_variance
+
     shot = bench.average(bench.sensor.object)
     values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
     if shot.lost is not None:
@@ -236,11 +287,9 @@ def develop_image(bench: Bench, notes: list[str]) -> Cube:
         values = np.where(shot.lost.reshape(values.shape), np.float32(np.nan), values)
     saturated = shot.saturated.reshape(values.shape)
     flags = np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
-    variance = (
-        None
-        if shot.variance is None
-        else (shot.variance / shot.count).reshape(values.shape).astype(np.float32)
-    )
+    variance = None
+    if shot.variance is not None:
+        variance = mean_variance(shot, step=bench.step).reshape(values.shape)
     return cube_of(bench, np.ascontiguousarray(values, np.float32), flags, variance, "counts")
 
 

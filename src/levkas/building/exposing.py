@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.bench import Bench, exposure_of
+from levkas.building.exposure_times import doubt_scaling
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.problems import Problem
@@ -21,10 +22,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Exposed:
-    """An object's frames as one; merged exposures are above dark already, and say what moved."""
+    """An object's frames as one; merged exposures are above dark, and say what moved."""
 
     shot: Template
-    above_dark: bool = False
     moved: np.ndarray | None = None
 
 
@@ -58,7 +58,7 @@ def expose(
         return Exposed(shots[0])
     if bench.camera.exposures == "merge":
         merged = _merge(bench, shots, darks, noise)
-        return Exposed(merged.template, above_dark=True, moved=merged.moved)
+        return Exposed(merged.template, moved=merged.moved)
     return Exposed(best_exposure(shots))
 
 
@@ -90,22 +90,17 @@ def white_of(
     darks: list[Template],
     *,
     noise: NoiseModel | None = None,
-    above_dark: bool = False,
+    merged: bool = False,
 ) -> Template | None:
-    """The white of one exposure; above dark where the object is."""
-    from levkas.calibration.darks import match_dark
+    """The white of one exposure, the best one; or several of them merged, above dark."""
     from levkas.calibration.exposures import best_exposure
 
     if not frames:
         return None
     whites = bench.templates(frames)
-    if not above_dark:
-        return whites[0] if len(whites) == 1 else best_exposure(whites)
-    if len(whites) > 1:
-        return _merge(bench, whites, darks, noise).template
-    white = whites[0]
-    under = match_dark(darks or None, white.exposure_s, black=bench.black)
-    return replace(white, mean=(white.mean - under.mean).astype(np.float32))
+    if len(whites) == 1:
+        return whites[0]
+    return _merge(bench, whites, darks, noise).template if merged else best_exposure(whites)
 
 
 def check_scaling(
@@ -127,7 +122,7 @@ def check_scaling(
     from levkas.calibration.linearity import check_linearity, require_reciprocity
 
     taken, other = exposed.shot.exposure_s, white.exposure_s if white else None
-    if exposed.above_dark or not taken or not other or abs(taken / other - 1) <= SAME_TIME:
+    if exposed.shot.above_dark or not taken or not other or abs(taken / other - 1) <= SAME_TIME:
         return ""
     pattern = bench.sensor.pattern
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
@@ -141,25 +136,43 @@ def check_scaling(
         if found.points:
             require_reciprocity(found)
             return ""
-    return (
-        f"{bench.camera.name}: the white was exposed for {other:g} s, the object for {taken:g} s: whether counts "
-        "scale is not known without an exposure series of one of them"
-    )
+    return doubt_scaling(bench, taken, other)
 
 
 def noise_of(
     bench: Bench, shots: list[Template], whites: list[Template | None], darks: list[Template]
 ) -> NoiseModel | None:
-    """Noise of the sensor from stacks, or from single shots where there are no stacks."""
+    """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
     from levkas.building.measuring import note_noise
     from levkas.calibration.noise_fit import fit_noise, fit_noise_single
 
     dark = darks[0] if darks else None
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
     black = bench.black or 0.0
-    fitted = fit_noise(stacks, dark, black=black) if stacks else None
-    if fitted is None and len(shots) == len(whites):  # of a line scan there is no shot beside it
-        pattern = bench.sensor.pattern
-        fitted = fit_noise_single(shots, whites, dark, black=black, pattern=pattern)
+    fitted = None
+    if stacks:
+        stacks += [d for d in darks if d.count > 1]
+        under = [_dark_of(t, darks) for t in stacks] if darks else None
+        fitted = fit_noise(stacks, under, black=black, step=bench.step)
+    unread = fitted is not None and not any(d.count > 1 for d in darks)
+    if (fitted is None or unread) and len(shots) == len(whites):  # of a line scan there is no shot
+        under = [_dark_of(t, darks) for t in shots] if darks else None
+        more: dict[str, Any] = {"pattern": bench.sensor.pattern, "step": bench.step}
+        single = fit_noise_single(shots, whites, under, black=black, **more)
+        if fitted is None:
+            fitted = single
+        elif single is not None and fitted.read_variance <= fitted.step**2 / 12:
+            fitted = replace(fitted, read_variance=single.read_variance)
     note_noise(bench.told, fitted, dark, black, bench.saturation)
     return fitted
+
+
+def _dark_of(stack: Template, darks: Sequence[Template]) -> Template:
+    """Return the dark nearest in time, a dark itself where it is one of them."""
+    if any(stack is dark for dark in darks):
+        return stack
+    time = stack.exposure_s
+    timed = [
+        (abs(np.log(d.exposure_s / time)), i) for i, d in enumerate(darks) if time and d.exposure_s
+    ]
+    return darks[min(timed)[1] if timed else 0]

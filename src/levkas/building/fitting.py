@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import prod
 from typing import TYPE_CHECKING
 
-from levkas.machine import free_memory
+from levkas.machine import free_memory, memory_bound
 from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def require_memory(capture: Capture, kind: str) -> None:
     ------
     TooLarge
     """
-    free = free_memory()
+    free = memory_bound()
     needed = CUBE_BYTES * count_values(capture, kind)
     if free is None or needed <= free:
         return

@@ -80,6 +80,9 @@ def flatten(
     except CalibrationRefused as refused:
         frames = bench.sensor.white or bench.sensor.object
         raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+    if bench.camera.kind != "cube" and not shot.above_dark:
+        found = _rounding(bench, shot, dark, white, **more)
+        bench.told.setdefault("rounding", {}).update(found)
     if moved is None:
         moved = _moved(bench, shot, dark, more.get("noise"))
     flat = _with_movement(bench, flat, moved)
@@ -96,6 +99,39 @@ def flatten(
     flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
     notes = (*flat.notes, note)
     return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
+
+
+def _rounding(
+    bench: Bench,
+    shot: Template,
+    dark: list[Template],
+    white: Template | None,
+    *,
+    labels: Sequence[str],
+    white_reflectance: Any = 1.0,
+    pattern: Any = None,
+    **_: Any,
+) -> dict[str, float]:
+    """Return what a step from code to code is of the values of each band, where the light is middling."""
+    from levkas.calibration.flatfield import pair_darks
+    from levkas.calibration.noise_fit import level_of
+    from levkas.calibration.patterns import channel_table
+    from levkas.calibration.whites import reflectance_table
+
+    if white is None:
+        return dict.fromkeys(labels, bench.step)
+    pair = pair_darks(shot, dark or None, white, bench.black)
+    lit, ratio = white.mean - pair[1].mean, pair[2]
+    table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
+    scale = (
+        np.broadcast_to(reflectance_table(white_reflectance, shot, pattern), table.shape) * ratio
+    )
+    found = {}
+    for i, label in enumerate(labels):
+        y, x = (int(n) for n in np.argwhere(table == i)[0])
+        level = level_of(lit[y :: table.shape[0], x :: table.shape[1]])
+        found[label] = float(f"{bench.step * scale[y, x] / max(level, 1e-9):.4g}")
+    return found
 
 
 def _moved(

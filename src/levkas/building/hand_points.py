@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,8 +39,27 @@ def use_of(campaign: Campaign, camera: str) -> str:
     return campaign.cameras[camera].registration.use or campaign.registration.use or "check"
 
 
-def declared_points(campaign: Campaign, capture: Capture) -> dict[str, Given]:
-    """Return the points of a capture by sensor, as a registration takes them.
+def placed_in(capture: Capture, band: str, channel: str) -> tuple[str, str]:
+    """Return (sensor, band) that a table of points speaks of.
+
+    Parameters
+    ----------
+    band : str
+        As the table names it; empty for the capture's first sensor.
+    channel : str
+        The capture's reference channel: what a camera's name without a band means, where the first
+        sensor has it; else the sensor's middle band.
+    """
+    sensor = next((s for s in capture.sensors if band in [b.label for b in s.bands]), None)
+    if band and sensor is not None:
+        return sensor.name, band
+    first = capture.sensors[0]
+    labels = [b.label for b in first.bands]
+    return first.name, channel if channel in labels else labels[len(labels) // 2]
+
+
+def declared_points(campaign: Campaign, capture: Capture, channel: str = "") -> dict[str, Given]:
+    """Return the points of a capture by sensor, as a registration takes them; `channel` as of `placed_in`.
 
     Raises
     ------
@@ -65,8 +84,8 @@ def declared_points(campaign: Campaign, capture: Capture) -> dict[str, Given]:
                     expected=", ".join(labels)[:200],
                 )
             )
-        sensor = labels[band] if band else capture.sensors[0].name
-        pairs = _given(points, use_of(campaign, capture.camera))
+        sensor, placed = placed_in(capture, band, channel)
+        pairs = placed_pairs(_given(points, use_of(campaign, capture.camera)), placed)
         found[sensor] = joined(found[sensor], pairs) if sensor in found else pairs
     return found
 
@@ -89,14 +108,16 @@ def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
     }
 
 
+def placed_pairs(pairs: Given, band: str) -> Given:
+    """Return pairs whose check points were placed in one band."""
+    return replace(pairs, placed=(band,) * len(pairs.checks))
+
+
 def joined(one: Given, other: Given) -> Given:
-    """Return the pairs of both."""
-    return Given(
-        **{
-            f.name: np.concatenate([getattr(one, f.name), getattr(other, f.name)])
-            for f in fields(Given)
-        }
-    )
+    """Return the pairs of both, whose check points all say in which band they were placed."""
+    kinds = [f.name for f in fields(Given) if f.name != "placed"]
+    pairs = {kind: np.concatenate([getattr(one, kind), getattr(other, kind)]) for kind in kinds}
+    return Given(**pairs, placed=one.placed + other.placed)
 
 
 def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, ControlPoints]:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from pathlib import Path
 
     from levkas.campaign import Campaign
     from levkas.database.catalogue import Entry
@@ -64,10 +63,25 @@ def setups_of(campaign: Campaign) -> dict[str, Any]:
     return {first: campaign.setups.get(first, Setup()), **campaign.setups}
 
 
-def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, Path]:
-    """Return the file of each lighting's spectrum, where one is declared."""
+def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, str]:
+    """Return the spectrum of each lighting that declares one, as setups/SETUP/spd.csv has it.
+
+    Only numbers that were read are written again, nm and relative power: whatever else a file
+    holds stays where it is.
+
+    Raises
+    ------
+    SpectrumRefused
+        Where the file is no table of two columns.
+    """
+    from levkas.building.whiteboard import read_table
+
     declared = {name: keys.spectrum for name, keys in setups_of(campaign).items()}
-    return {n: campaign.root / path for n in setups if (path := declared[n])}
+    tables = {n: read_table(campaign.root / path) for n in setups if (path := declared[n])}
+    return {
+        name: "wavelength,power\n" + "".join(f"{w:.9g},{v:.9g}\n" for w, v in table)
+        for name, table in tables.items()
+    }
 
 
 def _camera(keys: dict[str, Any]) -> dict[str, Any]:

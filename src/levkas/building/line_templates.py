@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.building.exposure_times import Times, by_exposure, timed, times_of
+from levkas.calibration.exposures import best_exposure
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.problems import Problem
 
@@ -34,27 +36,30 @@ class FrameLines:
     frames : tuple of FrameRef
     opened : tuple of EnviFile
         Of each.
+    times : Times
+        Of all of them.
     """
 
     bench: Bench
     frames: tuple[FrameRef, ...]
     opened: tuple[EnviFile, ...]
+    times: Times = None
 
     @classmethod
-    def of(
+    def by_exposure(
         cls, bench: Bench, frames: Sequence[FrameRef], shape: tuple[int, int, int]
-    ) -> FrameLines | None:
-        """Open shots for a scan of a shape; None without one.
+    ) -> list[FrameLines]:
+        """Open shots for a scan of a shape, exposure by exposure, shortest first.
 
         Raises CalibrationRefused, ``E_SIZE``, where one is of another size than the scan, or type than the first.
         """
         from levkas.readers.envi import open_envi
 
         if not frames:
-            return None
-        opened = tuple(open_envi(frame.path) for frame in frames)
-        first = opened[0].facts
-        for frame, one in zip(frames, opened, strict=True):
+            return []
+        opened = {frame: open_envi(frame.path) for frame in frames}
+        first = opened[frames[0]].facts
+        for frame, one in opened.items():
             found = one.facts
             if found.shape != shape or found.dtype != first.dtype:
                 raise CalibrationRefused(
@@ -67,12 +72,15 @@ class FrameLines:
                         fix="Capture templates in the object's mode; crops of other sessions do not fit.",
                     )
                 )
-        return cls(bench, tuple(frames), opened)
+        return [
+            cls(bench, tuple(group), tuple(opened[frame] for frame in group), times)
+            for times, group in by_exposure(frames)
+        ]
 
     def lines(self, start: int, stop: int) -> Template:
         """Average lines `start` to `stop` of all shots, what is no number marked as lost."""
         shots = self._read(start, stop)
-        return gaps_marked(average(shots, saturation=self.bench.saturation))
+        return timed(gaps_marked(average(shots, saturation=self.bench.saturation)), self.times)
 
     def thinned(self, step: int) -> Template:
         """Average every `step`-th sample of every `step`-th line, gaps closed."""
@@ -81,7 +89,8 @@ class FrameLines:
             np.concatenate([lines[:, ::step] for lines in self._thin(number, height, step)])
             for number in range(len(self.opened))
         )
-        return self.bench.whole(average(shots, saturation=self.bench.saturation), self.frames)
+        made = average(shots, saturation=self.bench.saturation)
+        return timed(self.bench.whole(made, self.frames), self.times)
 
     def _thin(self, number: int, height: int, step: int) -> Iterator[np.ndarray]:
         """Yield lines of one shot, codes checked."""
@@ -93,6 +102,18 @@ class FrameLines:
     def _read(self, start: int, stop: int) -> Iterator[np.ndarray]:
         for one, frame in zip(self.opened, self.frames, strict=True):
             yield self.bench.checked(one.read_lines(start, stop), frame)
+
+
+def best_white(whites: Sequence[Template], step: int = 1) -> int:
+    """Return which of the whites of several exposures serves: the longest that is not saturated.
+
+    Every `step`-th pixel a side is looked at. Raises CalibrationRefused where exposures are not known.
+    """
+    if len(whites) == 1:
+        return 0
+    seen = [thinned(white, step) if step > 1 else white for white in whites]
+    best = best_exposure(seen)
+    return next(i for i, white in enumerate(seen) if white is best)
 
 
 def gaps_marked(shot: Template) -> Template:
@@ -127,7 +148,7 @@ def thinned(template: Template, step: int) -> Template:
     )
 
 
-def noise_behind_mirror(bench: Bench) -> NoiseModel | None:
+def noise_behind_mirror(bench: Bench, white_frame: FrameRef | None) -> NoiseModel | None:
     """Fit the noise of a mirror scanner to neighbouring lines of its white and its dark.
 
     A mirror leads the view over the board: lines have other light, and the sensels of (sample, band) are
@@ -137,19 +158,28 @@ def noise_behind_mirror(bench: Bench) -> NoiseModel | None:
     from levkas.building.measuring import note_noise
     from levkas.calibration.noise_fit import fit_noise
 
-    if not bench.sensor.white:
+    if white_frame is None:
         return None
-    dark = _triples(bench, bench.sensor.dark[0]) if bench.sensor.dark else None
-    white = _triples(bench, bench.sensor.white[0])
+    dark_frame = _dark_like(bench, white_frame)
+    dark = _triples(bench, dark_frame) if dark_frame else None
+    white = _triples(bench, white_frame)
     black = bench.black or 0.0
     stacks, level = [white] if white else [], None
     if dark is not None:
         level = _mean_line(dark)
         # At no light at all: sorted by their signal, its lines would be sorted by their noise.
         stacks.append(replace(dark, mean=np.broadcast_to(level.mean, dark.mean.shape)))
-    noise = fit_noise(stacks, level, black=black) if white else None
+    noise = fit_noise(stacks, level, black=black, step=bench.step) if white else None
+    if noise is not None:  # its dark is at hand some lines at a time
+        noise = replace(noise, level=None)
     note_noise(bench.told, noise, dark, black, bench.saturation)
     return noise
+
+
+def _dark_like(bench: Bench, white: FrameRef) -> FrameRef | None:
+    """Return the dark of the white's exposure, else the first."""
+    darks, time = bench.sensor.dark, times_of(white)
+    return next((d for d in darks if times_of(d) == time), darks[0] if darks else None)
 
 
 def _triples(bench: Bench, frame: FrameRef) -> Template | None:

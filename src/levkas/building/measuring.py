@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 FEW_BANDS = 5
 """Bands of a line scan or photograph whose light is looked at."""
 LEVELS = 65535
-QUANTISATION = 1 / 12
-"""Variance of rounding to whole counts."""
+SENSELS = "sensels"
+"""Among what is learnt of a sensor: of the object's picture, not of the camera."""
 CLIPPED = 0.02
 """Share of zeros from which a dark was clipped, and its spread is not noise."""
 
@@ -41,8 +41,8 @@ def note_noise(
     if noise is None or saturation is None:
         return
     floor = float(np.mean(dark.mean)) if dark is not None else black
-    read, source = _noise_in_the_dark(dark), noise.source
-    if read is None and noise.read_variance > QUANTISATION * 1.01:
+    read, source = _noise_in_the_dark(dark, noise.step), noise.source
+    if read is None and noise.read_variance > noise.step**2 / 12 * 1.01:
         read = float(np.sqrt(noise.read_variance))
     if read is None:  # the fit had one level only, and took rounding for all there is
         return
@@ -55,23 +55,45 @@ def note_noise(
     }
 
 
-def _noise_in_the_dark(dark: Template | None) -> float | None:
-    """Standard deviation of one dark shot, counts; None where there is none, or it was clipped.
+def _noise_in_the_dark(dark: Template | None, step: float) -> float | None:
+    """Standard deviation of one dark shot, rounding included, counts; None where there is none, or it was clipped.
 
     Of a single dark the neighbours' differences, which leave out what is fixed and smooth.
     """
+    from levkas.calibration.noise_fit import whole_variance
+
     if dark is None or dark.mean.size < 1000:
         return None
     if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > CLIPPED:
         return None
     if dark.count > 1 and dark.variance is not None:
         found = float(np.median(dark.variance) if dark.count > 20 else np.mean(dark.variance))
-        found = max(found, QUANTISATION)
     else:
         apart = np.abs(np.diff(dark.mean.astype(float), axis=1)).ravel()
         near = apart[apart <= np.quantile(apart, 0.995)]  # hot sensels are not noise
-        found = max(float(np.mean(near)) ** 2 * np.pi / 4, QUANTISATION)
-    return float(np.sqrt(found))
+        found = float(np.mean(near)) ** 2 * np.pi / 4
+    return float(np.sqrt(whole_variance(found, step)))
+
+
+def note_sensels(
+    told: dict[str, Any],
+    values: np.ndarray,
+    flags: np.ndarray,
+    variance: np.ndarray | None,
+    pattern: Any,
+    labels: Sequence[str],
+) -> None:
+    """Note noise and signal-to-noise of a mosaic's sensels in `told`, channel by channel."""
+    from levkas.calibration.patterns import channel_table
+    from levkas.radiometry.ranges import sensel_noise
+
+    if variance is None:
+        return
+    found = sensel_noise(values, flags, variance, channel_table(pattern, labels))
+    told[SENSELS] = {
+        label: {"noise": as_number(noise), "snr": as_number(snr)}
+        for label, (noise, snr) in zip(labels, found, strict=True)
+    }
 
 
 # --- the light ----------------------------------------------------------------------------------
@@ -84,13 +106,12 @@ def note_light(
     pattern: Any,
     labels: Sequence[str],
     *,
-    codes: bool = True,
     period: tuple[int, int] = (1, 1),
 ) -> None:
     """Note how even the light is on the white, channel by channel, in `told`.
 
     A white that cannot say, because it saturates, is noted with its reason. One that is merged is in
-    counts a second, no `codes`: how many bits the corners keep cannot be told. Of a cube that is only
+    counts a second: how many bits the corners keep cannot be told. Of a cube that is only
     every so-many-th pixel a side, these are the `period`.
     """
     from levkas.radiometry.light import LightRefused, light_field
@@ -105,7 +126,7 @@ def note_light(
             light[label] = {"refused": str(refused.problems[0])}
             continue
         light[label] = record_light(field, (apart[0] * period[0], apart[1] * period[1]))
-        if codes:
+        if not white.above_dark:
             light[label]["bits"] = [round(b, 2) for b in field.bits]
 
 
@@ -114,10 +135,10 @@ def _planes(
 ) -> list[tuple[str, np.ndarray, np.ndarray, tuple[int, int]]]:
     """(label, counts above dark, saturated, period) of every channel; of a mosaic its first phase."""
     from levkas.building.codes import spread
-    from levkas.calibration.darks import match_dark
+    from levkas.calibration.darks import level_under
     from levkas.calibration.patterns import channel_names, channel_table
 
-    under = match_dark(list(darks) or None, white.exposure_s).mean
+    under = level_under(white, list(darks))
     if white.mean.ndim == 3:
         above, full = white.mean - under, white.saturated
         chosen = spread(range(len(labels)), FEW_BANDS)

@@ -157,13 +157,21 @@ def least_bytes(cube: Cube) -> int:
     return cube.values.size * each
 
 
-def write_native(native: Native, capture: Capture, places: Places, credits: Credits) -> list[Path]:
+def write_native(
+    native: Native,
+    capture: Capture,
+    places: Places,
+    credits: Credits,
+    centroids: Mapping[str, float],
+) -> list[Path]:
     """Write the cubes, their flags and, where known, their sigma; return the files."""
     from levkas.database.layers import Layer, write_tiffs
     from levkas.files import make_folder
 
     made = []
-    layer = Layer(capture.object, capture.camera, capture.setup, credits=credits)
+    layer = Layer(
+        capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
+    )
     for sensor, cube in native.cubes.items():
         path = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
         make_folder(path.parent)

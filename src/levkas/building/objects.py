@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,14 @@ from levkas.building.ledger import Key, Ledger
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.standing import Standing, is_of_the_disk
 from levkas.building.steps import Step
-from levkas.building.withdrawing import CATALOGUE, no_reference, refused_step, withdraw
+from levkas.building.withdrawing import (
+    CATALOGUE,
+    NoReference,
+    no_reference,
+    put_away,
+    refused_step,
+    withdraw,
+)
 from levkas.machine import give_back_memory, steady_libraries
 from levkas.problems import Problem, Refused
 
@@ -64,6 +72,8 @@ class ObjectBuild:
     captures: list[Capture]
     mates: RigMates
     digests: dict[Key, str] = field(default_factory=dict)
+    _refused: set[str] = field(default_factory=set)
+    _numbers: dict[Key, str] = field(default_factory=dict)
     _hashing: bool = False
     _checked: bool = False
     _standing: Standing = field(init=False)
@@ -108,10 +118,10 @@ class ObjectBuild:
                 self._hasher.shutdown(wait=False, cancel_futures=True)
 
     def _all(self) -> Iterator[Step]:
-        broken: Refused | None = None
+        broken: NoReference | None = None
         for capture in self._largest_first():
             if broken is not None and capture is not self.reference:
-                yield refused_step(self.keys(capture)["calibrate"], broken)
+                yield self._unbegun(capture, broken)
                 continue
             failed = None
             plan = self._plan(capture)
@@ -133,11 +143,20 @@ class ObjectBuild:
         broken = no_reference(self.name, self.reference.layer, mine)
         for capture in self.captures[1:]:
             if all(step.key.layer != capture.layer for step in lost):
-                yield refused_step(self.keys(capture)["calibrate"], broken)
+                yield self._unbegun(capture, broken)
+
+    def _unbegun(self, capture: Capture, broken: NoReference) -> Step:
+        """Move out what was registered to a reference that is lost, unless only the disk refused that."""
+        if not broken.of_the_disk:
+            put_away(capture.object, capture.camera, capture.setup, self.ledger)
+        return refused_step(self.keys(capture)["calibrate"], broken)
 
     def _largest_first(self) -> list[Capture]:
-        """The reference, then the others, most bands first: little is left to write at the end."""
-        others = sorted(self.captures[1:], key=lambda c: -len(c.bands))
+        """The reference, then the others, most bands first: little is left to write at the end.
+
+        The default lighting comes first: layers of others are compared with it.
+        """
+        others = sorted(self.captures[1:], key=lambda c: (bool(c.setup), -len(c.bands)))
         if self._round == "references":
             others = []
         elif self._round == "others":
@@ -154,25 +173,36 @@ class ObjectBuild:
                 )
 
     def states(self) -> list[Step]:
-        """Say of every stage whether it is fresh or stale, and why, without doing any."""
-        steps = []
-        for capture in self.captures:
+        """Say of every stage whether it is fresh, stale or refused, and why, without doing any."""
+        steps: list[Step] = []
+        broken: NoReference | None = None
+        for capture in self._largest_first():
+            if broken is not None and capture is not self.reference:
+                steps.append(refused_step(self.keys(capture)["calibrate"], broken))
+                continue
             for stage, key in joint_keys(self.campaign, capture).items():
-                prints = self._prints(capture, stage)
-                self.digests[key] = digest(prints)
+                prints = self._noted(capture, stage)
+                if capture.layer in self._refused:
+                    continue  # other setups are compared with what this would be
                 why = self.ledger.why_stale(key, prints)
                 step = Step(key, "stale", why) if why else self._fresh(key)
+                if why and (problems := self.ledger.refusal(key, prints)):
+                    root = self.campaign.root
+                    there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
+                    step = refused_step(key, Refused(*there))
                 steps.append(step)
                 if step.state == "refused":
-                    break
+                    self._refused.add(capture.layer)
+                    if capture is self.reference:
+                        broken = no_reference(self.name, capture.layer, step)
         return steps
 
     def note(self, of: Round) -> None:
         """Tell the mates of all captures of a round what these hang on now."""
         self._round = of
         for capture in self._largest_first():
-            for stage, key in self.keys(capture).items():
-                self.digests[key] = digest(self._prints(capture, stage))
+            for stage in self.keys(capture):
+                self._noted(capture, stage)
         self._round = "last"
 
     def keys(self, capture: Capture) -> dict[str, Key]:
@@ -193,8 +223,7 @@ class ObjectBuild:
         """
         plan: dict[str, Planned] = {}
         for stage, key in self.keys(capture).items():
-            prints = self._prints(capture, stage)
-            self.digests[key] = digest(prints)
+            prints = self._noted(capture, stage)
             plan[stage] = Planned(key, prints, self.ledger.why_stale(key, prints))
         due = [stage for stage, planned in plan.items() if planned.why]
         if due or verify:
@@ -249,25 +278,35 @@ class ObjectBuild:
             step = job.result()
             yield self._lost(capture, step) if step.state == "refused" else step
 
+    def _noted(self, capture: Capture, stage: str) -> dict[str, Any]:
+        """The fingerprint of a stage; its digests are there for the stages that hang on it."""
+        key, prints = joint_keys(self.campaign, capture)[stage], self._prints(capture, stage)
+        self.digests[key], self._numbers[key] = digest(prints), digest(prints, numbers_of=stage)
+        return prints
+
     def _prints(self, capture: Capture, stage: str) -> dict[str, Any]:
         if stage == "calibrate":
             return fingerprints.of_calibration(self.campaign, capture, self.ledger.hashes)
         keys, base = (joint_keys(self.campaign, c) for c in (capture, self.reference))
         if stage == "measure" or (stage == "register" and "measure" not in keys):
-            ends = self.digests[keys["calibrate"]], self.digests[base["calibrate"]]
-            prints = fingerprints.of_registration(self.campaign, capture, *ends)
-            if "measure" in base and capture is not self.reference:
-                prints["registration of the reference"] = self.digests[base["register"]]
+            ends = self._numbers[keys["calibrate"]], self._numbers[base["calibrate"]]
+            prints = fingerprints.of_registration(self.campaign, capture, self.ledger.hashes, *ends)
+            if capture is not self.reference:
+                prints["registration of the reference"] = self._numbers[base["register"]]
             if stage == "measure":
-                self.mates.note(capture, digest(prints))
+                self.mates.note(capture, digest(prints, numbers_of=stage))
             return prints
         if stage == "register":
             own = self.digests[keys["measure"]]
             return fingerprints.of_adjustment(own, self.mates.prints(capture))
         ends = self.digests[keys["register"]], self.digests[base["register"]]
         default = default_of(capture, self.captures)
-        other = "" if default is None else self.digests[fingerprints.keys_of(default)["resample"]]
-        return fingerprints.of_resampling(self.campaign, capture, *ends, default=other)
+        other = ""
+        if default is not None and default.layer not in self._refused:
+            other = self.digests[fingerprints.keys_of(default)["resample"]]
+        return fingerprints.of_resampling(
+            self.campaign, capture, self.ledger.hashes, *ends, default=other
+        )
 
     def _fresh(self, key: Key) -> Step:
         notes = self.ledger.told(key)
@@ -330,11 +369,25 @@ class ObjectBuild:
 
         It stays where only the disk refused, and where nothing of this build stands beside it yet.
         """
+        self._refused.add(capture.layer)
         keys = [key for c in (self.reference, capture) for key in self.keys(c).values()]
         if is_of_the_disk(step.problems):
             if self._standing.holds(keys):
                 told = f"{self.name}/{capture.layer}: the layer of an earlier build stays"
                 return replace(step, warnings=(*step.warnings, told))
             self.ledger.forget(step.key)
-        withdraw(capture, self.places, self.ledger)
+            withdraw(capture, self.places, self.ledger)
+        else:
+            withdraw(capture, self.places, self.ledger, step.key.stage)
+            # A refused registration has a record; more memory may be there the next time.
+            recorded = self.ledger.told(step.key).get("refused")
+            if not recorded and all(p.code != "E_MEMORY" for p in step.problems):
+                prints = self._prints(capture, step.key.stage)
+                # A campaign may be moved: what is kept names its files from its folder.
+                root = f"{self.campaign.root}{os.sep}"
+                problems = [
+                    replace(p, file=p.file and str(p.file).removeprefix(root))
+                    for p in step.problems
+                ]
+                self.ledger.refuse(step.key, prints, problems)
         return step

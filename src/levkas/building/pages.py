@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
-from levkas.building.fingerprints import keys_of
+from levkas.building.fingerprints import keys_of, written
 from levkas.building.radiometry_pages import close_ups, radiometry_rows
+from levkas.database.registrations import read_registration
 from levkas.reporting.page import (
     Figure,
     LayerReport,
@@ -44,7 +44,7 @@ def report_of(
     told += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
     told += [campaign.campaign.licence]
     problems = [
-        {"code": p.code, "text": str(p)}
+        {"code": p.code, "text": written(campaign, p)}
         for step in steps
         if step.state in ("refused", "failed")
         for p in step.problems
@@ -75,7 +75,7 @@ def _layer(
     calibrated = ledger.told(keys["calibrate"])
     if not path.is_file() or not calibrated:
         return None
-    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    record: dict[str, Any] = read_registration(path)
     registered, resampled = ledger.told(keys["register"]), ledger.told(keys["resample"])
     verdict, errors = record["verdict"], record.get("errors", {})
     preview = places.layer(capture.object, capture.camera, capture.setup, kind=".png")
@@ -108,11 +108,14 @@ def _layer(
 
 
 def _error(errors: dict[str, Any]) -> str:
-    """Error on what was not fitted, the worst sensor's."""
+    """Error on what was not fitted, the worst sensor's, and over how much of the object that was checked."""
+    sensors = list((errors.get("sensors") or {}).values())
     found = [errors.get(key) for key in ("held_out_px", "held_out_mean", "held_out")]
-    found += [sensor.get("held_out_px") for sensor in (errors.get("sensors") or {}).values()]
+    found += [sensor.get("held_out_px") for sensor in sensors]
     numbers = [value for value in found if isinstance(value, int | float)]
-    return f"{max(numbers):.3f}" if numbers else "–"
+    checked = [s["checked"] for s in sensors if isinstance(s.get("checked"), int | float)]
+    over = f" over {100 * min(checked):.0f} %" if checked else ""
+    return f"{max(numbers):.3f}{over}" if numbers else "–"
 
 
 def _checks(errors: dict[str, Any]) -> str:
@@ -155,7 +158,7 @@ def _sampling(places: Places, captures: list[Capture]) -> str:
     path = places.registration(captures[0].object, captures[0].layer)
     if not path.is_file():
         return ""
-    record = json.loads(path.read_text(encoding="utf-8"))
+    record = read_registration(path)
     px_per_mm = record["grid"].get("px_per_mm")
     if not px_per_mm:
         return ""

@@ -40,7 +40,7 @@ class Passage:
         for raw in self._scan.raw_blocks():
             whole = raw.codes.dtype.kind in "ui"
             lost = np.zeros((1, 1, 1), bool) if whole else ~np.isfinite(raw.codes)
-            if (templates := gaps_of(raw.dark, raw.white)) is not None:
+            if (templates := gaps_of(*raw.darks, raw.white)) is not None:
                 lost = lost | templates
             if lost.any():
                 self._lost += np.broadcast_to(lost, raw.codes.shape).sum((0, 1))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import base64
-import json
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from levkas.database.registrations import read_registration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -129,10 +130,16 @@ class ReferenceFrame:
         """The grid, its sampling in px per mm where known, and the object's region in reference px."""
         if self._grid is None:
             from levkas.building.framing import frame_object
+            from levkas.gridding import GridRefused
 
             image = next(i for i in self.images(native) if i.label == self.band())
             facts = self.campaign.objects.get(self.name)
-            self._grid = frame_object(image, self.campaign.grid, facts.size_mm if facts else None)
+            size_mm = facts.size_mm if facts else None
+            try:
+                self._grid = frame_object(image, self.campaign.grid, size_mm)
+            except GridRefused as refused:
+                file = str(self.campaign.path)
+                raise GridRefused(*(replace(p, file=file) for p in refused.problems)) from None
         return self._grid
 
     def channel(self, capture: Capture) -> str:
@@ -164,7 +171,7 @@ class ReferenceFrame:
 def record_of(places: Places, name: str, capture: Capture) -> dict[str, Any]:
     """Return the registration record of a capture."""
     path = places.registration(name, capture.layer)
-    return dict(json.loads(path.read_text(encoding="utf-8")))
+    return read_registration(path)
 
 
 def transforms_of(places: Places, name: str, capture: Capture) -> dict[str, Any]:

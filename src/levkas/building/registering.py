@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
-from levkas.building.hand_points import declared_points, joined
+from levkas.building.hand_points import declared_points, joined, placed_in, placed_pairs
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.transforms import Affine, Composed
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from levkas.campaign import Campaign
     from levkas.discovery import Capture
     from levkas.gridding import Grid
-    from levkas.registration import BandImage, Trace
+    from levkas.registration import BandImage
     from levkas.registration.given import Given
     from levkas.registration.record import Matches
 
@@ -70,21 +70,21 @@ def register_capture(
 
 
 def corrections_of(
-    campaign: Campaign, capture: Capture
+    campaign: Campaign, capture: Capture, channel: str = ""
 ) -> tuple[dict[str, Given], dict[str, float]]:
     """Return the pairs by hand of a capture, by sensor, and `reject` and `stop` where set by hand.
 
-    Pairs come from edits.toml and from the file of points that campaign.toml names.
+    Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the
+    capture's reference channel.
     """
     given, options = {}, {}
     for band, edits in campaign.edits.of(capture.object, capture.layer).items():
-        labels = {b.label: sensor.name for sensor in capture.sensors for b in sensor.bands}
-        sensor = labels[band] if band else capture.sensors[0].name
-        given[sensor] = edits.given()
+        sensor, placed = placed_in(capture, band, channel)
+        given[sensor] = placed_pairs(edits.given(), placed)
         for key in ("reject", "stop"):
             if getattr(edits, key) is not None:
                 options[key] = getattr(edits, key)
-    for sensor, pairs in declared_points(campaign, capture).items():
+    for sensor, pairs in declared_points(campaign, capture, channel).items():
         given[sensor] = pairs if sensor not in given else joined(given[sensor], pairs)
     return given, options
 
@@ -98,43 +98,20 @@ def _enlarged(found: Registration, factor: int) -> Registration:
         transforms={label: Composed(one, grow) for label, one in found.transforms.items()},
         matches=replace(found.matches, target=grow(found.matches.target)),
         others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
+        errors=_with_enlarged_checks(found.errors, grow),
         trace=None,
         sightings=tuple(one.enlarged(grow) for one in found.sightings),
     )
 
 
-def trace_of(
-    registration: Registration,
-    size: tuple[int, int],
-    target_size: tuple[int, int],
-    options: dict[str, Any],
-) -> Trace | None:
-    """Return the trace of a registration; for a method without one, what the paper's removal does.
-
-    The pairs are the method's own, so that the course of any registration can be followed in the
-    paper's Figures 9 and 10. None where there are too few pairs to fit anything.
-    """
-    if registration.trace is not None or not len(registration.matches):
-        return registration.trace
-    from levkas.registration.given import REASONS, UNUSED
-    from levkas.registration.replay import replay
-
-    pairs = registration.matches
-    unused = np.isin(pairs.reason, UNUSED) | (pairs.state == "check")
-    try:
-        return replay(
-            pairs.reference,
-            pairs.target,
-            pairs.kept,
-            size=size,
-            target_size=target_size,
-            reject=options.get("reject"),
-            stop=options.get("stop", 1.0),
-            sure=np.isin(pairs.reason, list(REASONS.values())) & ~unused,
-            dropped=unused,
-        ).trace
-    except RegistrationRefused:
-        return None
+def _with_enlarged_checks(errors: dict[str, Any], grow: Affine) -> dict[str, Any]:
+    if "check_points" not in errors:
+        return errors
+    points = [
+        one | {"target": grow(np.array([one["target"]]))[0].tolist()}
+        for one in errors["check_points"]
+    ]
+    return errors | {"check_points": points}
 
 
 def record_of(

@@ -61,7 +61,7 @@ class RegistrationStages:
         started = time.monotonic()
         if self.campaign.is_joint(capture.camera):
             measured = self._adjusted(capture)
-            figures = self.ledger.told(self.mates.key(capture)).get("figures", [])
+            figures = _drawn(measured.record)
         else:
             measured, figures = self._measured(capture, native)
         # A registration of frames that could not be written would stand beside older ones.
@@ -98,7 +98,9 @@ class RegistrationStages:
 
         here = self.calibrated(capture, native)
         options = dict(self.campaign.registration_of(capture.camera))
-        given, by_hand = registering.corrections_of(self.campaign, capture)
+        given, by_hand = registering.corrections_of(
+            self.campaign, capture, self.frame.channel(capture)
+        )
         options |= by_hand
         own = None if capture is self.frame.capture else self.frame.registration()
         registration, refused = None, None
@@ -117,18 +119,15 @@ class RegistrationStages:
             self.frame.settle()
         if self.frame.made_ready is not None:
             self.frame.made_ready.rest()
-        if registration is not None:
-            width, height = self.frame.description()["size"]
-            across, down = here.size_of(here.bands[0].label)
-            trace = registering.trace_of(registration, (width, height), (across, down), options)
-            registration = replace(registration, trace=trace)
         record = registering.record_of(
             registration, refused, capture, here, grid, self.frame.description(), sampling,
             self.frame.channel(capture), options.get("method", "levkas"),
         )  # fmt: skip
         problems = _verdict_problems(record, capture, refused)
-        figures = draw_trace(registration.matches, registration.trace) if registration else []
-        drawn = [[figure.svg, figure.caption] for figure in figures]
+        figures = []
+        if registration is not None and registration.trace is not None:
+            figures = draw_trace(registration.matches, registration.trace)
+        drawn = [[figure.svg, figure.caption] for figure in figures] or _drawn(record)
         return Measured.of(record, registration, problems), drawn
 
     def _adjusted(self, capture: Capture) -> Measured:
@@ -136,7 +135,10 @@ class RegistrationStages:
 
         is_reference = capture is self.frame.capture
         reference = None if is_reference else self.frame.registration().sigma
-        return adjusted(self.mates.read(capture), self.mates.there(capture), reference)
+        found = adjusted(self.mates.read(capture), self.mates.there(capture), reference)
+        return replace(
+            found, problems=found.problems or _verdict_problems(found.record, capture, None)
+        )
 
     def _unwritten(self, capture: Capture) -> Step | None:
         for job in self.being_written(capture):
@@ -175,6 +177,14 @@ class RegistrationStages:
             else (f"{capture.object}/{capture.layer}: {' '.join(verdict['reasons'])}",)
         )
         return Step(key, "done", why, warnings=warned)
+
+
+def _drawn(record: dict[str, Any]) -> list[list[str]]:
+    """Return the figures, SVG and caption each, of what a map rests on; none where the record does not say."""
+    from levkas.reporting.figures import draw_basis
+
+    figures = draw_basis(record["trace"], record["reference"]["size"])
+    return [[figure.svg, figure.caption] for figure in figures]
 
 
 def _verdict_problems(

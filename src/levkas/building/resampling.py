@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from levkas.cube import Cube, Flag
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.native import Native
@@ -18,6 +18,18 @@ if TYPE_CHECKING:
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
+NOISE_PX = 320
+"""Side of the noise that is resampled to see what neighbours share: it tells variances to 1 %."""
+LEAST_SHARED = 1.04
+"""Less is chance."""
+
+
+class Mosaic(NamedTuple):
+    """What `calibration.mosaic.demosaic` made a cube of: pattern, method, order of the channels."""
+
+    pattern: Sequence[Sequence[str]]
+    method: str | None
+    channels: Sequence[str]
 
 
 def grey_of(values: np.ndarray, flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,10 +80,13 @@ def resample(
     transforms: dict[str, Transform],
     grid: Grid,
     sigma_of: Callable[[str], np.ndarray | None],
+    *,
+    mosaics: Mapping[str, Mosaic] | None = None,
 ) -> Cube:
     """Return the capture on the grid; orientation, crop, scale and registration are one map.
 
-    `sigma_of` gives the sigma of a sensor, and gives it away.
+    `sigma_of` gives the sigma of a sensor, and gives it away. `mosaics` are the sensors that were
+    demosaiced: neighbours of theirs share noise.
     """
     from levkas.rounding import round_root, round_values
     from levkas.transforms import Composed
@@ -84,6 +99,8 @@ def resample(
         sigma = sigma_of(sensor)
         # In place: a scan's sigma is most of a gigabyte.
         variance = None if sigma is None else np.square(sigma, out=sigma)
+        if variance is not None and mosaics and sensor in mosaics:
+            variance *= shared_noise(mosaics[sensor], maps, shape)
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         found = warped.variance
         if found is not None:
@@ -98,6 +115,50 @@ def resample(
         native.bands,
         native.quantity,
     )
+
+
+def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, int]) -> np.ndarray:
+    """Return how much larger the variance of resampled values is than of independent ones, (bands,), >= 1.
+
+    Parameters
+    ----------
+    mosaic : Mosaic
+        What made the values.
+    maps : sequence of Transform
+        Grid px → native px, one a band.
+    shape : (rows, columns) of the grid
+
+    Notes
+    -----
+    White noise of a mosaic is interpolated as the values were, and warped as they are in the middle of
+    the grid: the mean of its squares over that of Σw²u².
+    """
+    from levkas.calibration.mosaic import interpolate, method_of
+    from levkas.transforms import Affine
+    from levkas.warping import warp
+
+    noise = np.random.default_rng(0).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
+    table, method = method_of(*mosaic)
+    none = np.zeros(noise.shape, np.uint8)
+    values, _, variance = interpolate(noise, none, np.ones_like(noise), table, method)
+    middle = np.array([[shape[1], shape[0]]]) / 2
+    slopes = [one.jacobian(middle)[0] for one in maps]
+    starts = [np.modf(one(middle)[0])[0] + NOISE_PX // 2 for one in maps]
+    reach = max(float(np.abs(slope).sum(1).max()) for slope in slopes)
+    side = int(np.clip((NOISE_PX - 24) / max(reach, 1e-6), 1, NOISE_PX))
+    corner = np.full(2, side // 2)
+    local = [
+        Affine(np.column_stack([slope, start - slope @ corner]))
+        for slope, start in zip(slopes, starts, strict=True)
+    ]
+    made = warp(values, local, (side, side), variance=variance)
+    told = np.nan_to_num(np.asarray(made.variance))
+    seen = np.isfinite(made.values) & (told > 0)
+    squares, expected = (
+        np.where(seen, part, 0).sum((0, 1), dtype=np.float64) for part in (made.values**2, told)
+    )
+    ratio = squares / np.maximum(expected, 1e-12)
+    return np.where(ratio > LEAST_SHARED, ratio, 1.0).astype(np.float32)
 
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:

@@ -124,7 +124,10 @@ class RigMates:
         if where not in self._digests:
             kept = self.ledger.fingerprint(self.key(capture))
             there = kept and self.path(capture).is_file()
-            self._digests[where] = self._noted.get(where) or digest(kept) if there else NOT_THERE
+            self._digests[where] = NOT_THERE
+            if there:
+                own = digest(kept, numbers_of="measure")
+                self._digests[where] = self._noted.get(where) or own
         return self._digests[where]
 
     def leads(self, capture: Capture) -> bool:

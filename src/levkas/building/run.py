@@ -5,31 +5,44 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from levkas.building import fingerprints
-from levkas.building.camera_pages import CameraPages
-from levkas.building.cataloguing import write_catalogue_of
+from levkas.building import fingerprints, sources
+from levkas.building.camera_pages import CameraPages, page_key
+from levkas.building.cataloguing import (
+    by_others,
+    foreign_files,
+    prints_of_catalogue,
+    write_catalogue_of,
+)
+from levkas.building.claiming import check_apart, claim
 from levkas.building.fingerprints import digest
+from levkas.building.imprint import setups_of, spectra_of
 from levkas.building.joint_round import JointRound
 from levkas.building.ledger import Key, Ledger
 from levkas.building.objects import ObjectBuild, Round
 from levkas.building.places import Places
+from levkas.building.removal import REMOVED, describe, no_longer_there, removal
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.shelf import Shelf
 from levkas.building.steps import BuildReport, Step, summarise
-from levkas.building.withdrawing import NoReference
+from levkas.building.withdrawing import CATALOGUE, NoReference, put_away, put_away_stage
 from levkas.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.discovery import Capture, Refusals, find_captures
 from levkas.edits import FILE_NAME, Edits, check_edits
 from levkas.problems import Problem, Refused
 
-if TYPE_CHECKING:
-    pass
+CODE = "code.json"
+"""Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
 
 
 def build(
-    path: str | Path, *, output: str | Path | None = None, objects: list[str] | None = None
+    path: str | Path,
+    *,
+    output: str | Path | None = None,
+    objects: list[str] | None = None,
+    keep_removed: bool = False,
+    verify: bool = False,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
 
@@ -41,6 +54,11 @@ def build(
         The database, instead of the campaign's own `output`.
     objects : list of str, optional
         Only these objects.
+    keep_removed : bool
+        Leave layers, objects, cameras and charts in the database that the campaign no longer has. They
+        are moved to the folder OUTPUT.removed otherwise.
+    verify : bool
+        Read every file anew, whatever its size, times and inode say.
 
     Yields
     ------
@@ -52,37 +70,49 @@ def build(
     Refused
         Where the campaign itself cannot be read, or the output cannot be written.
     """
-    from levkas.files import make_folder, sweep
+    from levkas.files import sweep
 
     campaign, captures, refusals = _plan(path, objects)
+    _, every, lost = _plan(path, None) if objects else (campaign, captures, refusals)
+    spectra_of(campaign, setups_of(campaign))  # refused before any work
     places = Places(Path(output).resolve() if output else campaign.output)
-    _check_apart(campaign, places)
+    claim(campaign, places, every, [*(c.object for c in every), *(key[0] for key in lost)])
     for folder in (places.output, places.kept):
-        make_folder(folder)
         sweep(folder)
-    ledger = Ledger(places.kept, places.output)
-    names = list(dict.fromkeys([c.object for c in captures] + [key[0] for key in refusals]))
+    sources.remember(places.kept / CODE)
+    ledger = Ledger(places.kept, places.output, keep_removed=keep_removed, verify=verify)
+    names = _names(captures, refusals)
     shelf = Shelf(places.kept / "templates", ledger.hashes, shared=len(names) > 1)
     # What cameras told is gathered from all objects: a build of some leaves their pages alone.
     cameras = None if objects else CameraPages(campaign, places, ledger, captures)
     pages = len(cameras.cameras) if cameras else 0
     joint = any(map(campaign.is_joint, campaign.cameras))
-    every = _plan(path, None)[1] if objects and joint else captures
-    mates = RigMates(campaign, places, ledger, every)
+    mates = RigMates(campaign, places, ledger, every if joint else captures)
     first = JointRound(campaign, places, ledger, shelf, mates)
-    counting = _Counting(campaign, captures, first, len(refusals) + len(names) + pages + 1)
+    gone = no_longer_there(campaign, ledger, captures, refusals, _pages(cameras), objects)
+    more = len(refusals) + len(names) + pages + 1 + bool(describe(gone, ledger))
+    counting = _Counting(campaign, captures, first, more)
     for step in first.run():
         yield counting(step)
+    by_object, lost_of = _by_object(captures), _by_object_refused(refusals)
     for name in names:
-        mine = [c for c in captures if c.object == name]
-        theirs = {key: r for key, r in refusals.items() if key[0] == name}
+        mine, theirs = by_object.get(name, []), lost_of.get(name, {})
         for step in _object(campaign, places, ledger, shelf, name, mine, theirs, first):
             yield counting(step, refused=_is_refusal(step, theirs))
     for step in cameras.run(shelf) if cameras else ():
         yield counting(step)
-    catalogue = write_catalogue_of(campaign, places, ledger, captures, names)
-    yield replace(catalogue, done=counting.total, total=counting.total)
+    for step in removal(gone, ledger):
+        yield counting(step)
+    catalogue = write_catalogue_of(campaign, places, ledger, captures, names, whole=not objects)
+    yield replace(
+        catalogue,
+        done=counting.total,
+        total=counting.total,
+        output=places.output,
+        warnings=(*campaign.without_effect, *catalogue.warnings),
+    )
     ledger.hashes.save()
+    sources.keep(places.kept / CODE)
 
 
 class _Counting:
@@ -111,31 +141,92 @@ class _Counting:
         return replace(step, done=self._done, total=self.total)
 
 
-def status(path: str | Path, *, output: str | Path | None = None) -> BuildReport:
+def status(
+    path: str | Path, *, output: str | Path | None = None, verify: bool = False
+) -> BuildReport:
     """Say of every stage whether it is fresh or stale, and why; no pixel is read.
 
-    Raises as `build`.
+    Parameters are those of `build`, and it raises as `build`.
     """
     campaign, captures, refusals = _plan(path, None)
     places = Places(Path(output).resolve() if output else campaign.output)
-    ledger = Ledger(places.kept, places.output)
+    check_apart(campaign, places.output, captures)
+    sources.remember(places.kept / CODE)
+    ledger = Ledger(places.kept, places.output, verify=verify)
     steps = [_refusal(key, refused) for key, refused in refusals.items()]
     shelf = Shelf(places.kept / "templates", ledger.hashes, shared=True)
     mates = RigMates(campaign, places, ledger, captures)
+    by_object = _by_object(captures)
+    lost = _by_object_refused(refusals)
     objects = [
-        ObjectBuild(
-            campaign, places, ledger, shelf, name, [c for c in captures if c.object == name], mates
-        )
-        for name in dict.fromkeys(c.object for c in captures)
+        ObjectBuild(campaign, places, ledger, shelf, name, mine, mates)
+        for name, mine in by_object.items()
+        if _has_reference(campaign, mine)
     ]
     rounds: list[Round] = ["references", "others"]
     for of in rounds:
         for mine in objects:
             mine.note(of)
     for mine in objects:
-        steps += mine.states()
-    steps += CameraPages(campaign, places, ledger, captures).states()
-    return summarise(steps, places.output)
+        ended = mine.states()
+        steps += ended
+        before = [_refusal(*item) for item in lost.get(mine.name, {}).items()]
+        key = Key(mine.name, stage="report")
+        prints = _page_prints(campaign, mine, [*before, *ended])
+        why = ledger.why_stale(key, prints)
+        steps.append(Step(key, "stale" if why else "fresh", why))
+    begun = {mine.name for mine in objects}
+    for capture in captures:
+        if capture.object not in begun:
+            steps.append(_without_reference(campaign, capture, refusals))
+    cameras = CameraPages(campaign, places, ledger, captures)
+    steps += cameras.states()
+    gone = no_longer_there(campaign, ledger, captures, refusals, _pages(cameras), None)
+    if why := describe(gone, ledger):
+        steps.append(Step(REMOVED, "stale", why))
+    steps.append(_state_of_catalogue(campaign, places, ledger, captures, refusals, steps))
+    report = summarise(steps, places.output)
+    return replace(report, warnings=(*campaign.without_effect, *report.warnings))
+
+
+def _state_of_catalogue(
+    campaign: Campaign,
+    places: Places,
+    ledger: Ledger,
+    captures: list[Capture],
+    refusals: Refusals,
+    steps: list[Step],
+) -> Step:
+    """Whether catalogue and manifest are stale, because what they list is, or by themselves."""
+    if any(step.state == "stale" for step in steps):
+        return Step(CATALOGUE, "stale", "what it lists is stale")
+    prints = prints_of_catalogue(campaign, places, ledger, captures, _names(captures, refusals))
+    why = ledger.why_stale(CATALOGUE, prints)
+    warnings = foreign_files(by_others(places, ledger))
+    return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
+
+
+def _names(captures: list[Capture], refusals: Refusals) -> list[str]:
+    """Every object of a campaign, also those of which nothing can be built."""
+    return list(dict.fromkeys([c.object for c in captures] + [key[0] for key in refusals]))
+
+
+def _by_object(captures: list[Capture]) -> dict[str, list[Capture]]:
+    found: dict[str, list[Capture]] = {}
+    for capture in captures:
+        found.setdefault(capture.object, []).append(capture)
+    return found
+
+
+def _by_object_refused(refusals: Refusals) -> dict[str, Refusals]:
+    found: dict[str, Refusals] = {}
+    for key, refused in refusals.items():
+        found.setdefault(key[0], {})[key] = refused
+    return found
+
+
+def _pages(cameras: CameraPages | None) -> list[Key]:
+    return [page_key(name) for name in cameras.cameras] if cameras else []
 
 
 def _plan(path: str | Path, objects: list[str] | None) -> tuple[Campaign, list[Capture], Refusals]:
@@ -174,22 +265,6 @@ def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals
         check_edits(Edits(frames), captures, campaign.root / FILE_NAME)
 
 
-def _check_apart(campaign: Campaign, places: Places) -> None:
-    """Refuse an output that would stand in or over the raw frames' own folder."""
-    if places.output == campaign.root or places.output in campaign.root.parents:
-        raise CampaignInvalid(
-            Problem(
-                "E_VALUE",
-                "the database would be written over the campaign",
-                str(campaign.path),
-                "campaign.output",
-                str(places.output),
-                "a folder of its own",
-                'Write output = "database".',
-            )
-        )
-
-
 def _object(
     campaign: Campaign,
     places: Places,
@@ -203,21 +278,14 @@ def _object(
     """All stages of one object, then its page; what the first round has told is not told again."""
     steps: list[Step] = []
     for key, refused in refusals.items():
+        put_away(*key, ledger)
         steps.append(_refusal(key, refused))
         yield steps[-1]
-    reference = campaign.reference.camera
-    has_reference = bool(captures) and captures[0].camera == reference and not captures[0].setup
-    if not has_reference:
-        lost = refusals.get((name, reference, ""))
-        problem = Problem(
-            "E_NO_REFERENCE",
-            f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
-            field="campaign.reference",
-            found="; ".join(str(p) for p in lost.problems) if lost else "no capture",
-            fix="Mend the reference camera's frames first.",
-        )
+    if not _has_reference(campaign, captures):
         for capture in captures:
-            yield _refusal((name, capture.camera, capture.setup), NoReference(problem))
+            put_away(name, capture.camera, capture.setup, ledger)
+            yield _without_reference(campaign, capture, refusals)
+        put_away_stage(Key(name, stage="report"), ledger)
         return
     steps += first.steps(name)
     left = first.left(captures)
@@ -234,6 +302,37 @@ def _object(
     yield from _page(campaign, places, ledger, name, mine, steps)
 
 
+def _has_reference(campaign: Campaign, captures: list[Capture]) -> bool:
+    """Tell whether the captures of an object begin with the reference camera's own."""
+    reference = campaign.reference.camera
+    return bool(captures) and captures[0].camera == reference and not captures[0].setup
+
+
+def _without_reference(campaign: Campaign, capture: Capture, refusals: Refusals) -> Step:
+    """The step of a capture that there is nothing to register to."""
+    name, reference = capture.object, campaign.reference.camera
+    lost = refusals.get((name, reference, ""))
+    problem = Problem(
+        "E_NO_REFERENCE",
+        f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
+        field="campaign.reference",
+        found="; ".join(str(p) for p in lost.problems) if lost else "no capture",
+        fix="Mend the reference camera's frames first.",
+    )
+    return _refusal((name, capture.camera, capture.setup), NoReference(problem))
+
+
+def _page_prints(campaign: Campaign, mine: ObjectBuild, steps: list[Step]) -> dict[str, Any]:
+    """The fingerprint of an object's page."""
+    layers = {k.layer + " " + k.stage: v for k, v in mine.digests.items()}
+    refused = {
+        f"{s.key.layer} refused": "\n".join(fingerprints.written(campaign, p) for p in s.problems)
+        for s in steps
+        if s.state in ("refused", "failed")
+    }
+    return fingerprints.of_report(campaign, mine.name, {**layers, **refused})
+
+
 def _page(
     campaign: Campaign,
     places: Places,
@@ -247,11 +346,7 @@ def _page(
     from levkas.files import make_folder, together, write_json, write_text
 
     key = Key(name, stage="report")
-    layers = {k.layer + " " + k.stage: v for k, v in mine.digests.items()}
-    refused = {s.key.layer: s.why for s in steps if s.state in ("refused", "failed")}
-    prints = fingerprints.of_report(
-        campaign, name, {**layers, **{f"{k} refused": v for k, v in refused.items()}}
-    )
+    prints = _page_prints(campaign, mine, steps)
     why = ledger.why_stale(key, prints)
     if not why:
         yield Step(key, "fresh")

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from levkas.building.exposure_times import (
+    doubt_scaling,
+    require_exposures,
+    templates_by_exposure,
+    timed,
+    times_in,
+    times_of,
+)
 from levkas.building.flatfielding import require_same_size
-from levkas.building.line_templates import FrameLines, noise_behind_mirror
+from levkas.building.line_templates import FrameLines, best_white, noise_behind_mirror
 from levkas.building.scans import Scan, lines_at_once
 
 if TYPE_CHECKING:
@@ -32,66 +40,94 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
     sensor = capture.sensors[0]
     facts = read_facts(sensor.object[0].path)
     bench = Bench(campaign, campaign.cameras[capture.camera], sensor, facts, shelf)
+    require_exposures(bench)
     prepare = _of_frames if bench.camera.scan == "mirror" else _of_lines
-    dark, white, noise = prepare(bench)
+    darks, white, noise = prepare(bench)
     where = f"{capture.object}/{capture.layer}"
     return Scan(
         open_envi(sensor.object[0].path),
         bench,
-        dark,
+        darks,
         white,
         noise,
         white_reflectance(campaign, sensor.bands),
         where,
         facts.captured,
-        tuple(f"{where}: {doubt}" for doubt in doubts_of(bench)),
+        tuple(
+            f"{where}: {doubt}" for doubt in (*doubts_of(bench), *_doubt_times(bench, darks, white))
+        ),
         {sensor.name: sensor.align},
     )
 
 
-def _of_lines(bench: Bench) -> tuple[Template | None, Template | None, Any]:
-    """Return dark, white and noise of a push-broom camera: one line, seen many times."""
+def _doubt_times(
+    bench: Bench,
+    darks: tuple[Template | FrameLines, ...],
+    white: Template | FrameLines | None,
+) -> list[str]:
+    """Return what exposures leave in doubt, as `developing.develop_cube` notes it."""
+    import numpy as np
+
+    from levkas.calibration.flatfield import describe_darks
+    from levkas.calibration.templates import Template
+
+    times = times_of(bench.sensor.object[0])
+    first = [one.lines(0, 1) if isinstance(one, FrameLines) else one for one in darks]
+    lit = white.lines(0, 1) if isinstance(white, FrameLines) else white
+    doubts = [doubt_scaling(bench, times, times_in(lit))] if lit is not None else []
+    none = np.zeros((1, 1, len(bench.sensor.bands)), bool)
+    shot = timed(Template(none.astype(np.float32), None, 1, none, none), times)
+    return [doubt for doubt in (*doubts, *describe_darks(shot, first, lit, bench.black)) if doubt]
+
+
+def _of_lines(bench: Bench) -> tuple[tuple[Template, ...], Template | None, Any]:
+    """Return darks, white and noise of a push-broom camera: one line, seen many times."""
     from levkas.building.developing import line_noise
     from levkas.building.measuring import note_light
     from levkas.calibration.scanning import average_lines
 
-    def template(frames: Any) -> Template | None:
-        if not frames:
-            return None
+    def make(frames: Any) -> Template:
         blocks = (bench.checked(block, frame) for frame in frames for block in _line_blocks(frame))
         return bench.whole(average_lines(blocks, saturation=bench.saturation), frames)
 
     sensor = bench.sensor
-    dark, white = template(sensor.dark), template(sensor.white)
-    require_same_size(bench, bench.facts.shape, [dark] if dark else [], [white] if white else [])
+    darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
+    require_same_size(bench, bench.facts.shape, darks, whites)
+    white = whites[best_white(whites)] if whites else None
     labels = [band.label for band in sensor.bands]
-    note_light(bench.told, white, [dark] if dark else [], None, labels)
-    return dark, white, line_noise(bench, dark, white)
+    note_light(bench.told, white, darks, None, labels)
+    return tuple(darks), white, line_noise(bench, darks, white)
 
 
-def _of_frames(bench: Bench) -> tuple[FrameLines | None, FrameLines | None, Any]:
-    """Return dark, white and noise of a mirror scanner; its white is looked at by every so-many-th pixel.
+def _of_frames(bench: Bench) -> tuple[tuple[FrameLines, ...], FrameLines | None, Any]:
+    """Return darks, white and noise of a mirror scanner; its white is looked at by every so-many-th pixel.
 
     Raises CalibrationRefused as `flat_field` does of the whole.
     """
     from levkas.building.bench import placed
     from levkas.building.measuring import note_light
-    from levkas.calibration.darks import match_dark
+    from levkas.calibration.darks import level_under
     from levkas.calibration.templates import CalibrationRefused
     from levkas.calibration.whites import check_white, thinning
 
     sensor, shape = bench.sensor, tuple(int(n) for n in bench.facts.shape)
     labels = [band.label for band in sensor.bands]
-    dark, white = (FrameLines.of(bench, f, shape) for f in (sensor.dark, sensor.white))  # type: ignore[arg-type]
-    if white is not None:
-        step = thinning(white.opened[0].facts.shape[:2])
-        seen, under = white.thinned(step), [dark.thinned(step)] if dark else []
+    darks, whites = (
+        FrameLines.by_exposure(bench, frames, shape)  # type: ignore[arg-type]
+        for frames in (sensor.dark, sensor.white)
+    )
+    white = None
+    if whites:
+        step = thinning(shape[:2])
+        looked = [one.thinned(step) for one in whites]
+        chosen = best_white(looked)
+        white, seen, under = whites[chosen], looked[chosen], [dark.thinned(step) for dark in darks]
         try:
-            check_white(seen, match_dark(under or None, None, black=bench.black), None, labels)
+            check_white(seen, level_under(seen, under, black=bench.black), None, labels)
         except CalibrationRefused as refused:
             raise CalibrationRefused(*(placed(p, sensor.white) for p in refused.problems)) from None
         note_light(bench.told, seen, under, None, labels, period=(step, step))
-    return dark, white, noise_behind_mirror(bench)
+    return tuple(darks), white, noise_behind_mirror(bench, white.frames[0] if white else None)
 
 
 def _line_blocks(frame: Any) -> Iterator[np.ndarray]:

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.building.exposure_times import Times, timed, times_of
 from levkas.building.flatfielding import mark_glare_in
 from levkas.building.line_templates import FrameLines, gaps_marked
 from levkas.cache_lines import empty
 from levkas.calibration.lines import LineField
-from levkas.calibration.templates import Template
+from levkas.calibration.templates import Template, bands_alike
 from levkas.cube import Cube, Flag
 from levkas.machine import count_threads, tile_rows
 from levkas.registration.images import BandImage
-from levkas.rounding import round_values
+from levkas.rounding import round_root, round_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -30,8 +31,9 @@ if TYPE_CHECKING:
     from levkas.readers.envi import EnviFile
 
 STREAMED_SAMPLES = 400_000_000
-"""A cube of more samples, of a mirror scanner of a third as many, is streamed. A constant, not a share of the memory that happens to be
-there: which way a scan goes shows in its bytes."""
+"""A cube of more samples, of a mirror scanner of a third as many, is streamed. Layers, maps and records end
+in the same bytes either way; the range on the report's page is then that of every sixteenth pixel. A constant,
+so that which way a scan goes does not hang on the memory that happens to be there."""
 BLOCK_SAMPLES = 8_000_000
 """Calibrated at once, where $LEVKAS_TILE does not say how many lines."""
 LOOKED_AT_PX = 1_000_000
@@ -60,13 +62,13 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class RawLines:
-    """Some lines as they are in the file, with the dark and the white that belong to them.
+    """Some lines as they are in the file, with the darks and the white that belong to them.
 
     Templates are one line high for all, or as high as `codes`.
     """
 
     codes: np.ndarray
-    dark: Template | None
+    darks: tuple[Template, ...]
     white: Template | None
 
 
@@ -78,7 +80,8 @@ class Scan:
     ----------
     opened : EnviFile
     bench : Bench
-    dark, white : Template, FrameLines or None
+    darks : tuple of Template or FrameLines
+    white : Template, FrameLines or None
         One line each, or of a mirror scanner what its lines are read from.
     noise : NoiseModel or None
     reflectance : float or ndarray
@@ -97,7 +100,7 @@ class Scan:
 
     opened: EnviFile
     bench: Bench
-    dark: Template | FrameLines | None
+    darks: tuple[Template | FrameLines, ...]
     white: Template | FrameLines | None
     noise: NoiseModel | None
     reflectance: Any
@@ -137,18 +140,27 @@ class Scan:
 
     @cached_property
     def field(self) -> LineField | None:
-        """The flat field of every line; None where each line has its own, as behind a mirror."""
-        if isinstance(self.dark, FrameLines) or isinstance(self.white, FrameLines):
+        """The flat field of every line; None where each line has its own, as behind a mirror, or each band its times."""
+        lines = [one for one in self.darks if isinstance(one, Template)]
+        if len(lines) < len(self.darks) or isinstance(self.white, FrameLines):
+            return None
+        if isinstance(self.times, tuple) or bands_alike(*lines, self.white):
             return None
         return LineField.of(
-            self.dark,
+            lines,
             self.white,
+            exposure_s=self.times,
             shape=self.shape[1:],
             reflectance=self.reflectance,
             black=self.bench.black,
             noise=self.noise,
             labels=[band.label for band in self.bands],
         )
+
+    @cached_property
+    def times(self) -> Times:
+        """Exposure of the object."""
+        return times_of(self.bench.sensor.object[0])
 
     @cached_property
     def subspace(self) -> Subspace | None:
@@ -228,8 +240,16 @@ class Scan:
         cube = self._flat(raw, into, squared)
         values = cube.values
         if self.subspace is not None:
-            projected = (projecting or Projecting(self.subspace))(_as_numbers(cube))
+            spread = cube.sigma
+            if spread is not None and not squared:
+                np.square(spread, out=spread)
+            project = projecting or Projecting(self.subspace)
+            projected, variance = project(_as_numbers(cube), spread)
             values = np.where(np.isnan(projected), cube.values, projected)
+            if spread is not None and variance is not None:
+                round_root(variance, out=spread)
+                if squared:
+                    np.square(spread, out=spread)
         if self._exact:
             out = None if into is None else into.values
             cube = replace(cube, values=round_values(values, out=out))
@@ -239,8 +259,8 @@ class Scan:
         codes = self.opened.read_lines(start, stop, turned=False)
         return RawLines(
             self.bench.checked(codes, self.bench.sensor.object[0]),
-            self.dark.lines(start, stop) if isinstance(self.dark, FrameLines) else self.dark,
-            self.white.lines(start, stop) if isinstance(self.white, FrameLines) else self.white,
+            tuple(_lines_of(dark, start, stop) for dark in self.darks),
+            None if self.white is None else _lines_of(self.white, start, stop),
         )
 
     @property
@@ -271,13 +291,16 @@ class Scan:
 
         flat = flatten(
             self.bench,
-            gaps_marked(average(iter([raw.codes]), saturation=self.bench.saturation)),
-            [raw.dark] if raw.dark else [],
+            timed(
+                gaps_marked(average(iter([raw.codes]), saturation=self.bench.saturation)),
+                self.times,
+            ),
+            list(raw.darks),
             raw.white,
             white_reflectance=self.reflectance,
             noise=self.noise,
             labels=[band.label for band in self.bands],
-            white_checked=self.field is None,
+            white_checked=isinstance(self.white, FrameLines),
         )
         parts = flat.values, flat.flags, flat.variance, flat.quantity
         cube = cube_of(self.bench, *parts, exact=self._exact)
@@ -298,6 +321,11 @@ class Scan:
                 reducer.add(cube)
             self.pictures.extend(reducer.images())
         return self.pictures
+
+
+def _lines_of(template: Template | FrameLines, start: int, stop: int) -> Template:
+    """Return the lines of a template that belong to some of the scan, or the one that serves all."""
+    return template.lines(start, stop) if isinstance(template, FrameLines) else template
 
 
 def _as_numbers(cube: Cube) -> np.ndarray:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.building.ledger import Hashes, code_version
+from levkas.building.ledger import Hashes
+from levkas.building.sources import code_version
 from levkas.calibration.templates import Template
 from levkas.discovery import FrameRef
 from levkas.files import make_folder, replacing
@@ -41,10 +42,11 @@ class Shelf:
         if not self.shared:
             return average()
         digest = hashlib.sha256(
-            repr((sorted(parameters.items()), code_version("calibration", "readers"))).encode()
+            repr((sorted(parameters.items()), code_version("template"))).encode()
         )
         for frame in frames:
-            digest.update(f"{self.hashes(frame.path)}:{frame.page};".encode())
+            content = [*self.hashes.of_frame(frame.path).values()]
+            digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())
         path = self.folder / f"{digest.hexdigest()[:24]}.npz"
         try:
             return _read(path)

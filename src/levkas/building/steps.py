@@ -19,7 +19,8 @@ FINISHED = ("fresh", "done", "refused", "failed", "stale")
 class Step:
     """One stage of one capture, as it begins (``state = "running"``) or as it has ended.
 
-    `done` of `total` stages are behind us, this one counted where it has ended.
+    `done` of `total` stages are behind us, this one counted where it has ended. The last step of a build
+    has the database's folder as its `output`.
     """
 
     key: Key
@@ -29,6 +30,7 @@ class Step:
     total: int = 0
     problems: tuple[Problem, ...] = ()
     warnings: tuple[str, ...] = ()
+    output: Path | None = None
 
     @property
     def finished(self) -> bool:
@@ -107,4 +109,5 @@ def summarise(steps: Iterable[Step], output: Path | None = None) -> BuildReport:
     ended = tuple(step for step in steps if step.finished)
     problems = list(dict.fromkeys(p for step in ended for p in step.problems))
     warnings = tuple(dict.fromkeys(w for step in ended for w in step.warnings))
+    output = output or next((step.output for step in ended if step.output), None)
     return BuildReport(output, ended, problems, warnings)

@@ -23,7 +23,7 @@ from levkas.transforms import Affine, Composed
 from levkas.warping import Warped, source_rows, warp
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.default_setup import DefaultLayer
@@ -46,7 +46,13 @@ class ScanRefused(Refused):
     """A scan that lies so that it cannot be streamed."""
 
 
-def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -> list[Path]:
+def write_scan(
+    scan: Scan,
+    capture: Capture,
+    places: Places,
+    credits: Credits,
+    centroids: Mapping[str, float],
+) -> list[Path]:
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
     from levkas.building.focusing import Middle
     from levkas.building.passages import Passage, Reducer
@@ -57,7 +63,9 @@ def write_scan(scan: Scan, capture: Capture, places: Places, credits: Credits) -
     sensor = capture.sensors[0].name
     base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
     make_folder(base.parent)
-    layer = Layer(capture.object, capture.camera, capture.setup, credits=credits)
+    layer = Layer(
+        capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
+    )
     reducer, middle = Reducer(scan), Middle(scan.shape, scan.bands)
     with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
         for cube in Passage(scan):

@@ -65,6 +65,16 @@ def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     Raises SpectrumRefused where it is not that.
     """
+    table = read_table(path)
+    values = table[:, 1] / 100 if table[:, 1].max() > 2 else table[:, 1]
+    return table[:, 0], values
+
+
+def read_table(path: Path) -> np.ndarray:
+    """Read the numbers of a two-column CSV, (n, 2): wavelengths in nm, rising, and values as they are.
+
+    Raises SpectrumRefused where it is not that.
+    """
     rows, headed = [], False
     try:
         lines = io.StringIO(read_text(path, "a CSV of wavelength in nm and value"), newline="")
@@ -87,6 +97,7 @@ def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 str(path),
                 found=str(error),
                 expected="a CSV of wavelength in nm and value",
+                fix="Name the right file, or save the table again as CSV.",
             )
         ) from error
     table = np.array(sorted(rows), float).reshape(-1, 2)
@@ -99,7 +110,7 @@ def read_spectrum(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 str(path),
                 found="a wavelength that stands twice" if twice else f"{len(table)} rows",
                 expected="two rows or more of wavelength in nm and value",
+                fix="Name the right file, or mend its rows.",
             )
         )
-    values = table[:, 1] / 100 if table[:, 1].max() > 2 else table[:, 1]
-    return table[:, 0], values
+    return table

@@ -33,6 +33,10 @@ class Blocks:
         Variance of the stack's mean about a plane, counts².
     shots : int
     exposure_s : float, optional
+    band : str, optional
+        Of a tunable filter, which may have a dark for each band.
+    level : ndarray, (n,), optional
+        Counts without light in `mean`, where they are known apart from the darks.
     """
 
     mean: np.ndarray
@@ -40,6 +44,8 @@ class Blocks:
     spatial: np.ndarray
     shots: int
     exposure_s: float | None = None
+    band: str | None = None
+    level: np.ndarray | None = None
 
 
 def block_statistics(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+AT_A_TIME = 1 << 20  # codes: NumPy counts them as whole numbers of 8 bytes
 MOST_CODES = 1 << 16
 FEWEST_LEVELS = 64  # that a curve can be told from
 WINDOW = 24  # gaps whose mean is one point of the fit
@@ -92,9 +93,38 @@ def count_codes(frames: Iterable[np.ndarray]) -> np.ndarray:
     for frame in frames:
         if frame.dtype not in (np.uint8, np.uint16):
             raise ValueError(f"codes are counted in uint8 and uint16, got {frame.dtype}")
-        found = np.bincount(frame.ravel(), minlength=1)
-        total[: len(found)] += found
+        codes = frame.ravel()
+        for start in range(0, codes.size, AT_A_TIME):
+            found = np.bincount(codes[start : start + AT_A_TIME], minlength=1)
+            total[: len(found)] += found
     return total
+
+
+def find_step(frames: Iterable[np.ndarray]) -> float:
+    """Return the counts from one code of some frames to the next; 0 where they are no whole numbers.
+
+    Parameters
+    ----------
+    frames : iterable of ndarray
+        Raw, as in the file; bright ones tell most. On a compression curve it is the step in the dark.
+
+    Notes
+    -----
+    1 where that is not plain: fewer than 64 codes, or more than 1 % of the pixels between the others.
+
+    Examples
+    --------
+    >>> find_step([np.arange(4096, dtype=np.uint16).repeat(4) * 16]), find_step([np.ones(4)])
+    (16.0, 0.0)
+    """
+    whole = [frame for frame in frames if frame.dtype.kind in "ui"]
+    histogram = count_codes(f for f in whole if f.dtype in (np.uint8, np.uint16))
+    if not whole or not histogram.any():
+        return 1.0 if whole else 0.0
+    spacing = find_levels(histogram).spacing
+    seen = np.flatnonzero(histogram)
+    between = np.diff(seen, prepend=-MOST_CODES) < 0.9 * spacing
+    return spacing if histogram[seen[between]].sum() <= 0.01 * histogram.sum() else 1.0
 
 
 def find_levels(histogram: np.ndarray) -> Levels:

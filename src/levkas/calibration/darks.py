@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.templates import CalibrationRefused, Template, bands_alike, pick_bands
 from levkas.problems import Problem
 
 SAME_TIME = 0.01  # relative: EXIF rounds 1/60 s to 0.017 s now and then
@@ -38,6 +38,50 @@ class MatchedDark:
     count: int
     saturated: np.ndarray
     note: str = ""
+
+
+def dark_under(
+    frame: Template,
+    darks: Template | Sequence[Template] | None,
+    *,
+    black: float | None = None,
+) -> MatchedDark:
+    """Return what is left to subtract from a frame: its dark, or zero where that was subtracted.
+
+    Parameters
+    ----------
+    frame : Template
+    darks, black
+        As in `match_dark`, whose refusals are passed on.
+
+    Examples
+    --------
+    >>> none = np.zeros((1, 1), bool)
+    >>> merged = Template(np.full((1, 1), 70, "f4"), None, 1, none, none, 1.0, above_dark=True)
+    >>> float(dark_under(merged, None, black=64.0).mean[0, 0])
+    0.0
+    """
+    if frame.above_dark:
+        return match_dark(None, None)
+    return match_dark(darks, frame.exposure_s, black=black)
+
+
+def level_under(
+    frame: Template,
+    darks: Template | Sequence[Template] | None,
+    *,
+    black: float | None = None,
+) -> np.ndarray:
+    """Return `dark_under`'s mean, also where exposures differ from band to band; broadcasts to the frame."""
+    offered = [darks] if isinstance(darks, Template) else list(darks or ())
+    groups = bands_alike(frame, *offered)
+    if groups is None:
+        return dark_under(frame, offered, black=black).mean
+    level = np.empty((max([1, *(len(d.mean) for d in offered)]), *frame.mean.shape[1:]), np.float32)
+    for bands in groups:
+        under = [pick_bands(dark, bands) for dark in offered]
+        level[..., bands] = dark_under(pick_bands(frame, bands), under, black=black).mean
+    return level
 
 
 def match_dark(

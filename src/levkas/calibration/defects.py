@@ -78,7 +78,7 @@ def find_defects(
         for mark, phase in zip(_planes(found, size), _planes(dark.mean, size), strict=True):
             mark |= _hot(phase, hot, least_hot, floor)
     if white is not None:
-        lit = white.mean - (0 if dark is None else dark.mean)
+        lit = white.mean if dark is None or white.above_dark else white.mean - dark.mean
         for mark, phase in zip(_planes(found, size), _planes(lit, size), strict=True):
             mark |= _dead(phase, dead)
     if np.mean(found) > MANY:

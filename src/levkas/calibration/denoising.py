@@ -55,6 +55,8 @@ class Denoised:
     Parameters
     ----------
     values : ndarray like the input, float32
+    variance : ndarray like the input, float32, or None
+        Of `values`, where that of the input was given.
     subspace : Subspace
     removed : ndarray, (b,), float64
         Rms of what was taken away, band by band; of the order of `subspace.noise` where nothing
@@ -68,6 +70,7 @@ class Denoised:
     subspace: Subspace
     removed: np.ndarray
     removed_most: float
+    variance: np.ndarray | None = None
 
 
 def find_subspace(blocks: Iterable[np.ndarray], *, correlated: float = CORRELATED) -> Subspace:
@@ -159,13 +162,21 @@ def _neighbours(covariance: np.ndarray) -> float:
     return float(np.mean(np.diag(covariance, 1) / (root[1:] * root[:-1])))
 
 
-def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int = 256) -> Denoised:
+def denoise(
+    values: np.ndarray,
+    variance: np.ndarray | None = None,
+    *,
+    subspace: Subspace | None = None,
+    lines: int = 256,
+) -> Denoised:
     """Project a cube on its signal subspace.
 
     Parameters
     ----------
     values : ndarray, (h, w, b), float32
         Kept as it is by the caller: rare real spectra are what projection deletes.
+    variance : ndarray like `values`, float32, optional
+        Of the noise of `values`, independent from band to band.
     subspace : Subspace, optional
         Known one, of a larger scan; default: found here.
     lines : int
@@ -181,15 +192,25 @@ def denoise(values: np.ndarray, *, subspace: Subspace | None = None, lines: int 
     ------
     CalibrationRefused
         As `find_subspace`.
+
+    Notes
+    -----
+    With P = EEᵀ a denoised value has the variance Σⱼ Pᵢⱼ² uⱼ². A pixel that loses more than noise explains,
+    Σ removed² > (1 + 4√(2/(b − k))) Σ u²(removed), gets what it lost, band by band, on top.
     """
     lines = tile_rows(lines, len(values))
     starts = range(0, len(values), lines)
     if subspace is None:
         subspace = find_subspace(values[y : y + lines] for y in starts)
     result, projecting = np.empty(values.shape, np.float32), Projecting(subspace)
+    spread = None if variance is None else np.empty(values.shape, np.float32)
     for y in starts:
-        result[y : y + lines] = projecting(values[y : y + lines])
-    return Denoised(result, subspace, projecting.removed, projecting.most)
+        part = np.s_[y : y + lines]
+        known = None if variance is None else variance[part]
+        result[part], found = projecting(values[part], known)
+        if spread is not None and found is not None:
+            spread[part] = found
+    return Denoised(result, subspace, projecting.removed, projecting.most, spread)
 
 
 class Projecting:
@@ -214,9 +235,11 @@ class Projecting:
         """As `Denoised.removed`, of all blocks so far."""
         return np.asarray(np.sqrt(self._squares / max(self._count, 1)))
 
-    def __call__(self, block: np.ndarray) -> np.ndarray:
-        """Return lines, (lines, samples, bands), projected; spectra with NaN as they are."""
-        from levkas.calibration.projecting import project
+    def __call__(
+        self, block: np.ndarray, variance: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return lines, (lines, samples, bands), projected, and their variance; spectra with NaN as they are."""
+        from levkas.calibration.projecting import project, project_variance
 
         spectra = np.array(_spectra(block))
         good = np.isfinite(spectra).all(1)
@@ -230,7 +253,14 @@ class Projecting:
         self._count += len(away)
         lost = np.sqrt(np.mean((away / self.subspace.noise) ** 2, axis=1))
         self.most = max(self.most, float(lost.max(initial=0.0)))
-        return spectra.reshape(block.shape)
+        if variance is None:
+            return spectra.reshape(block.shape), None
+        spread, basis = np.array(_spectra(variance)), self.subspace.basis
+        chance = 1 + 4 * np.sqrt(2 / (basis.shape[0] - basis.shape[1]))
+        known = np.ascontiguousarray(spread[good])
+        projector = np.einsum("ik,jk->ij", basis, basis)  # the same whatever the threads of BLAS
+        spread[good] = project_variance(known, removed, projector, chance)
+        return spectra.reshape(block.shape), spread.reshape(block.shape)
 
 
 def describe_removed(subspace: Subspace, removed: np.ndarray, most: float) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.calibration.blocks import Blocks
 from levkas.calibration.curves import Levels
+from levkas.calibration.darks import SAME_TIME
 
 if TYPE_CHECKING:
     from levkas.calibration.photon_transfer import Dark
@@ -29,28 +30,24 @@ def estimate(
     shift: np.ndarray,
 ) -> dict[str, float]:
     """Return every number from blocks drawn `weights` times, fitted darks moved by their errors."""
-    dim = [Moved(dark, weights, s) for dark, s in zip(darks, shift, strict=True)]
-    order = sorted(range(len(dim)), key=lambda i: darks[i].exposure_s or 0.0)
-    first = dim[order[0]]
-    black, current = dark_line([dim[i] for i in order])
-    under = matching(dim, current)
-    room = saturation - first.level
+    model = DarkModel([Moved(dark, weights, s) for dark, s in zip(darks, shift, strict=True)])
+    first, room = model.first, saturation - model.black
     quiet = first.temporal - float(rounding.quantisation(first.level))
-    gain, intercept = _gain([*whites, *scenes], under, room, quiet, rounding, weights)
-    quiet = max(intercept if np.isnan(quiet) else quiet, 0.0)
-    dark_noise = np.sqrt(quiet) / gain
+    gain, quiet, told = _gain([*whites, *scenes], model, room, quiet, rounding, weights)
+    read = max(quiet - gain * (first.level - model.black), 0.0)  # shot noise of the dark current
+    dark_noise = np.sqrt(read) / gain if told else np.nan
     full_well = room / gain
-    prnu = _prnu(whites, under, room, (gain, quiet, first.fixed), rounding, weights)
+    prnu = _prnu(whites, model, room, (gain, quiet), rounding, weights)
     least = np.sqrt(dark_noise**2 + 0.25) + 0.5
     return {
         "gain": gain,
-        "black": black,
+        "black": model.black,
         "dark_noise": dark_noise,
-        "dark_current": current / gain,
+        "dark_current": model.current / gain,
         "dsnu": np.sqrt(max(first.fixed, 0.0)) / gain if np.isfinite(first.fixed) else np.nan,
         "prnu": prnu,
         "full_well": full_well,
-        "linearity_error": _linearity(whites, under, room, weights),
+        "linearity_error": _linearity(whites, model, room, weights),
         "dynamic_range": full_well / least,
         "snr": np.sqrt(max(full_well, 0.0)),
         "dark_variance": first.temporal,
@@ -62,12 +59,14 @@ class Moved:
 
     def __init__(self, dark: Dark, weights: np.ndarray, shift: np.ndarray) -> None:
         parts = (dark.level, dark.temporal, dark.fixed)
+        self.spread = _mean(dark.spread, weights)
         self.level, self.temporal, self.fixed = (
             _mean(part, weights) + error * move
             for part, error, move in zip(parts, dark.errors, shift, strict=True)
         )
         self.under = dark.level if isinstance(dark.level, np.ndarray) else self.level
         self.exposure_s = dark.exposure_s
+        self.band = dark.band
 
 
 def _mean(values: np.ndarray | float, weights: np.ndarray) -> float:
@@ -88,46 +87,145 @@ def dark_line(darks: Sequence[Moved]) -> tuple[float, float]:
     return float(start), float(slope)
 
 
-def matching(
-    darks: Sequence[Moved], current: float
-) -> Callable[[float | None], np.ndarray | float]:
-    """Return what gives the counts without light at an exposure: the nearest dark, brought to it."""
-    timed = [(float(d.exposure_s), d) for d in darks if d.exposure_s]
+class DarkModel:
+    """What lies under lit stacks: the dark of their own band and exposure, else lines over those that there are.
 
-    def under(exposure_s: float | None) -> np.ndarray | float:
-        if not exposure_s or not timed:
-            return darks[0].under
-        time, near = min(timed, key=lambda item: abs(np.log(item[0] / exposure_s)))
-        rest = (exposure_s - time) * current
-        return near.under + (rest if np.isfinite(rest) else 0.0)
+    Level = black + current·t, and the fixed pattern's variance = a + b·t², as current differs from sensel
+    to sensel.
 
-    return under
+    Parameters
+    ----------
+    darks : sequence of Moved
+
+    Attributes
+    ----------
+    first : Moved
+        The shortest whose noise over time is known, else the shortest.
+    black, current : float
+        Counts at no time, counts a second; NaN a second where the exposures do not tell it.
+    """
+
+    def __init__(self, darks: Sequence[Moved]) -> None:
+        self.darks = sorted(darks, key=lambda dark: dark.exposure_s or 0.0)
+        noisy = (dark for dark in self.darks if np.isfinite(dark.temporal))
+        self.first = next(noisy, self.darks[0])
+        self.black, self.current = dark_line(self.darks)
+
+    def own(self, band: str | None, exposure_s: float | None) -> Moved | None:
+        """Return the dark of an exposure: of the band, else one that serves all, else of another band."""
+        alike = [d for d in self.darks if same_time(d.exposure_s, exposure_s)]
+        order = {band: 0, None: 1}
+        return min(alike, key=lambda d: order.get(d.band, 2)) if alike else None
+
+    def lacks(self, stack: Blocks) -> bool:
+        """Tell whether a stack has no dark of its exposure, nor others that tell one."""
+        timed = stack.exposure_s and any(d.exposure_s for d in self.darks)
+        known = self.own(stack.band, stack.exposure_s) is not None or np.isfinite(self.current)
+        return bool(timed) and not known
+
+    def under(self, band: str | None, exposure_s: float | None) -> np.ndarray | float:
+        """Return the counts without light, block by block or as one."""
+        own = self.own(band, exposure_s)
+        if own is not None:
+            return own.under
+        near = self._nearest(self.darks, band, exposure_s)
+        rest = ((exposure_s or 0.0) - (near.exposure_s or 0.0)) * self.current
+        timed = exposure_s and near.exposure_s and np.isfinite(rest)
+        return near.under + (rest if timed else 0.0)
+
+    def signal(self, stack: Blocks) -> np.ndarray:
+        """Return the counts above dark of a stack, block by block."""
+        if stack.level is not None:
+            return np.asarray(stack.mean - stack.level)
+        return np.asarray(stack.mean - self.under(stack.band, stack.exposure_s))
+
+    def dark_signal(self, stack: Blocks) -> np.ndarray | float:
+        """Return the counts of dark current in a stack beyond those in `first`: they have shot noise as light has."""
+        if stack.level is not None:
+            return np.asarray(stack.level - self.first.level) if np.isfinite(self.current) else 0.0
+        times = (stack.exposure_s, self.first.exposure_s)
+        if not all(times) or same_time(*times):
+            return 0.0
+        return _mean_of(self.under(stack.band, stack.exposure_s)) - self.first.level
+
+    def fixed(self, stack: Blocks) -> float:
+        """Return the variance from sensel to sensel without light; 0 where no dark tells it."""
+        known = [d for d in self.darks if np.isfinite(d.fixed)]
+        if not known:
+            return 0.0
+        near = self._nearest(known, stack.band, stack.exposure_s)
+        squares = [d.exposure_s**2 for d in known if d.exposure_s]
+        alone = len(squares) < len(known) or max(squares) < 4 * min(squares)
+        if alone or not stack.exposure_s or same_time(near.exposure_s, stack.exposure_s):
+            return near.fixed
+        slope, start = np.polyfit(squares, [d.fixed for d in known], 1)
+        return max(float(start + slope * stack.exposure_s**2), 0.0)
+
+    def _nearest(self, darks: Sequence[Moved], band: str | None, exposure_s: float | None) -> Moved:
+        order = {band: 0, None: 1}
+
+        def apart(dark: Moved) -> tuple[float, int]:
+            if not dark.exposure_s or not exposure_s:
+                return 0.0, order.get(dark.band, 2)
+            return abs(float(np.log(dark.exposure_s / exposure_s))), order.get(dark.band, 2)
+
+        return min(darks, key=apart)
+
+
+def same_time(one: float | None, other: float | None) -> bool:
+    """Tell whether two exposures are known, and one.
+
+    >>> same_time(0.1, 0.1005), same_time(None, None)
+    (True, False)
+    """
+    return bool(one and other) and abs(float(one) / float(other) - 1) <= SAME_TIME  # type: ignore[arg-type]
+
+
+def _mean_of(values: np.ndarray | float) -> float:
+    return float(np.nanmean(values))
 
 
 def _gain(
     lit: Sequence[Blocks],
-    under: Callable[[float | None], np.ndarray | float],
+    model: DarkModel,
     room: float,
     quiet: float,
     rounding: Levels,
     weights: np.ndarray,
-) -> tuple[float, float]:
-    """Return the slope of variance over signal, and its intercept where the dark's is not known."""
+) -> tuple[float, float, bool]:
+    """Return the slope of variance over signal, its intercept, and whether that is told by dark or lit stacks.
+
+    The line goes through the first dark's own point: its level and `quiet`. Dark current that a stack gathered
+    beyond that has shot noise as light has, and counts as signal here.
+    """
     rows = []
     for b in (b for b in lit if b.shots > 1):
-        signal = b.mean - under(b.exposure_s)
+        signal = model.signal(b) + model.dark_signal(b)
         variance = b.temporal - rounding.quantisation(b.mean)
         used = np.isfinite(signal + variance) & (signal < SLOPE_TO * room) & (weights > 0)
         freedom = np.full(used.sum(), b.shots - 1.0) * weights[used]
         rows.append((signal[used], variance[used], freedom, rounding.quantisation(b.mean)[used]))
     x, y, freedom, rounded = (np.concatenate(part) for part in zip(*rows, strict=True))
     known = np.isfinite(quiet)
-    gain, intercept = 0.0, quiet if known else 0.0
+    if not known:
+        free = _line(x, y, freedom, rounded, None)
+        # One shot of a dark spreads by its noise over time and its pattern: no less than the noise.
+        quiet = float(np.clip(free[1], 0.0, np.fmin(model.first.spread, np.inf)))
+        if quiet == free[1]:
+            return *free, True
+    return *_line(x, y, freedom, rounded, quiet), known
+
+
+def _line(
+    x: np.ndarray, y: np.ndarray, freedom: np.ndarray, rounded: np.ndarray, start: float | None
+) -> tuple[float, float]:
+    """Return slope and intercept of variances y on signals x, weighted by 1/variance²; `start` holds the intercept."""
+    gain, intercept = 0.0, start or 0.0
     expected = np.maximum(y.mean() * np.ones_like(y), 1e-9)
     for _ in range(ROUNDS):
         w = freedom / expected**2
-        if known:
-            gain = float(np.sum(w * x * (y - quiet)) / np.sum(w * x * x))
+        if start is not None:
+            gain = float(np.sum(w * x * (y - start)) / np.sum(w * x * x))
         else:
             root = np.sqrt(w)
             design = np.stack([x, np.ones_like(x)], 1) * root[:, None]
@@ -138,21 +236,22 @@ def _gain(
 
 def _prnu(
     whites: Sequence[Blocks],
-    under: Callable[[float | None], np.ndarray | float],
+    model: DarkModel,
     room: float,
-    dark: tuple[float, float, float],
+    dark: tuple[float, float],
     rounding: Levels,
     weights: np.ndarray,
 ) -> float:
     """Return the spread of the response, the temporal share and the dark's own pattern taken out."""
-    gain, quiet, pattern = dark
+    gain, quiet = dark
     above, below = 0.0, 0.0
     for b in whites:
-        signal = b.mean - under(b.exposure_s)
+        signal = model.signal(b)
         over_time = b.temporal
         if b.shots == 1:
-            over_time = gain * signal + quiet + rounding.quantisation(b.mean)
-        fixed = b.spatial - over_time / b.shots - (pattern if np.isfinite(pattern) else 0.0)
+            seen = signal + model.dark_signal(b)
+            over_time = gain * seen + quiet + rounding.quantisation(b.mean)
+        fixed = b.spatial - over_time / b.shots - model.fixed(b)
         used = np.isfinite(signal + fixed)
         used &= (signal > PRNU_RANGE[0] * room) & (signal < PRNU_RANGE[1] * room)
         above += float(np.sum(weights[used] * fixed[used]))
@@ -162,7 +261,7 @@ def _prnu(
 
 def _linearity(
     whites: Sequence[Blocks],
-    under: Callable[[float | None], np.ndarray | float],
+    model: DarkModel,
     room: float,
     weights: np.ndarray,
 ) -> float:
@@ -170,7 +269,7 @@ def _linearity(
     timed = [b for b in whites if b.exposure_s]
     if len({b.exposure_s for b in timed}) < 3:
         return float("nan")
-    signals = [b.mean - under(b.exposure_s) for b in timed]
+    signals = [model.signal(b) for b in timed]
     inside = [np.isfinite(s) & (s < LINE_RANGE[1] * room) for s in signals]
     chosen = [i for i, ok in enumerate(inside) if ok.mean() > 0.5]
     if len(chosen) < 3:

@@ -8,11 +8,11 @@ a dim sensel holds some of a bright neighbour's light until that one is full.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from levkas.calibration.darks import MatchedDark, match_dark
+from levkas.calibration.darks import MatchedDark, dark_under
 from levkas.calibration.gaps import gaps_of
 from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_linearity
@@ -24,6 +24,10 @@ from levkas.problems import Problem
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
 USABLE = 0.98  # of saturation: beyond it the response bends
 ROUNDS = 3
+GROUPS = 24  # of pixels of like rate, whose noise two exposures tell
+FEWEST = 200  # pixels of a group: their variance is known to 10 %
+MANY = 500_000  # pixels that are looked at
+DIM = 4.0  # times the least variance of a group: brighter ones say little of noise without light
 
 
 def best_exposure(shots: Sequence[Template], *, tolerated: float = TOLERATED) -> Template:
@@ -60,7 +64,7 @@ class Merged:
     Parameters
     ----------
     template : Template
-        Counts a second above dark (`exposure_s` 1.0), with the variance of the merge where the
+        Counts a second, `above_dark` (`exposure_s` 1.0), with the variance of the merge where the
         noise is known. Saturated: no exposure was usable there, and the shortest was taken.
         Black: the longest usable one was clipped at black.
     linearity : Linearity
@@ -139,16 +143,102 @@ def merge_exposures(
     )
     if scaling.points and scaling.rms > limit:
         raise CalibrationRefused(_does_not_scale(scaling, limit))
-    unders = [match_dark(darks, shot.exposure_s, black=black) for shot in timed]
+    unders = [dark_under(shot, darks, black=black) for shot in timed]
     apart = [_beside_full(shot, USABLE * saturation) for shot in timed]
+    levels = [under.mean + np.float32(scaling.offset) for under in unders]
+    allowed = noise
+    if noise is not None:
+        read, miss = read_variance_between(timed, levels, apart, noise.gain)
+        more = max(read - noise.read_under(unders[0]), 0.0)
+        noise = replace(noise, read_variance=noise.read_variance + more)
+        allowed = replace(noise, read_variance=noise.read_variance + miss)
     template = _merge(timed, unders, apart, USABLE * saturation, scaling.offset, noise)
     moved = None
-    if noise is not None:
-        levels = [under.mean + np.float32(scaling.offset) for under in unders]
+    if allowed is not None:
         moved = find_moved_between(
-            timed, levels, template.mean, noise, left_out=apart, period=period
+            *(timed, levels, template.mean, allowed),
+            reads=[allowed.read_under(under) for under in unders],
+            left_out=apart,
+            period=period,
         )
     return Merged(template, scaling, moved)
+
+
+def read_variance_between(
+    timed: Sequence[Template],
+    levels: Sequence[np.ndarray],
+    left_out: Sequence[np.ndarray],
+    gain: float,
+) -> tuple[float, float]:
+    """Estimate the noise without light from what the shortest and the longest exposure differ by.
+
+    Parameters
+    ----------
+    timed : sequence of Template
+        Two exposures or more of one scene, shortest first.
+    levels : sequence of ndarray that broadcast to them
+        Counts without light of each.
+    left_out : sequence of ndarray of bool
+        What takes no part in each.
+    gain : float
+        Counts per photo-electron.
+
+    Returns
+    -------
+    read_variance, offset : float, counts²
+        Of one shot; and the square of what the levels miss. Both 0 where too few pixels show both
+        exposures.
+
+    Notes
+    -----
+    With ρ = t_s/t_l, the difference S − ρL has variance read²(1 + ρ²) + gain·S(1 + ρ), and is not
+    correlated with ρS + L where read noise rules: by that pixels are sorted into groups. A group's
+    variance leaves out what chance does not explain, and of the dim groups the median counts, so that
+    what moved does not.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> shots = [Template(rng.normal(100, 3, (99, 99)), None, 1, *2 * [np.zeros((99, 99), bool)], t)
+    ...          for t in (1.0, 4.0)]
+    >>> level, none = np.full((1, 1), 100.0), np.zeros((99, 99), bool)
+    >>> [round(v) for v in read_variance_between(shots, [level] * 2, [none] * 2, 0.5)]
+    [9, 0]
+    """
+    short, long = timed[0], timed[-1]
+    ratio = (short.exposure_s or 0.0) / (long.exposure_s or 1.0)
+    step = max(1, short.mean.size // MANY)
+    good = ~(short.black | long.black | left_out[0] | left_out[-1]).ravel()[::step]
+    lit = [
+        (shot.mean - level).ravel()[::step][good].astype(float)
+        for shot, level in ((short, levels[0]), (long, levels[-1]))
+    ]
+    order = np.argsort(ratio * lit[0] + lit[1], kind="stable")
+    apart, dim = (lit[0] - ratio * lit[1])[order], (ratio * lit[1])[order]
+    parts = np.array_split(np.arange(len(order)), min(GROUPS, len(order) // FEWEST) or 1)
+    found = []
+    for part in parts:
+        if len(part) < FEWEST:
+            return 0.0, 0.0
+        miss, variance = _middle(apart[part])
+        light = gain * max(float(dim[part].mean()), 0.0)
+        shots = 1 / short.count + ratio**2 / long.count
+        read = (variance - light * (1 / short.count + ratio / long.count)) / shots
+        found.append((variance, read, miss**2))
+    table = np.array(found)
+    table = table[table[:, 0] <= DIM * table[:, 0].min()]
+    return max(float(np.median(table[:, 1])), 0.0), float(np.median(table[:, 2]))
+
+
+def _middle(values: np.ndarray) -> tuple[float, float]:
+    """Return mean and variance without what lies more than five deviations off."""
+    kept = values
+    for _ in range(20):
+        inside = values[np.abs(values - np.median(kept)) <= 5 * max(kept.std(), 0.5)]
+        if len(inside) == len(kept):
+            break
+        kept = inside
+    return float(kept.mean()), float(kept.var())
 
 
 def _beside_full(shot: Template, full: float) -> np.ndarray:
@@ -192,6 +282,7 @@ def _merge(
         clipped.reshape(whole) > 0,
         1.0,
         gaps_of(*timed),
+        above_dark=True,
     )
 
 
@@ -207,12 +298,13 @@ def _sums(
     from levkas.calibration.merging import add_exposure
 
     shape = as_rows(timed[0].mean).shape
-    gain, read = (-1.0, 0.0) if noise is None else (noise.gain, noise.read_variance)
+    gain = -1.0 if noise is None else noise.gain
+    reads = [0.0 if noise is None else noise.read_under(under) for under in unders]
     rate = np.zeros(shape, np.float32)
     for _ in range(ROUNDS if noise is not None else 1):
         total, weights = np.zeros(shape), np.zeros(shape)
         clipped = np.zeros(shape, np.uint8)
-        for shot, under, marks in zip(timed, unders, left_out, strict=True):
+        for shot, under, read, marks in zip(timed, unders, reads, left_out, strict=True):
             add_exposure(
                 *(as_rows(shot.mean), as_rows(under.mean)),
                 *(as_marks(marks), as_marks(shot.black)),

@@ -13,14 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from levkas.calibration.darks import MatchedDark, match_dark
+from levkas.calibration.darks import MatchedDark, dark_under, match_dark
 from levkas.calibration.layout import as_marks, as_rows
-from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.noise_fit import WORKED_OUT, NoiseModel
+from levkas.calibration.templates import CalibrationRefused, Template, bands_alike, pick_bands
 from levkas.calibration.whites import check_white, reflectance_table
 from levkas.problems import Problem
-
-WORKED_OUT = 1e9  # degrees of freedom of a variance that was derived, not sampled
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,8 @@ def flat_field(
     white_reflectance : float or sequence
         Of the white target; one number, or one a band (a channel of `pattern`).
     black : float, optional
-        Black level in counts; subtracted where there is no dark. None: not known.
+        Black level in counts; subtracted where there is no dark. None: not known. Neither dark nor
+        black are subtracted from a shot or a white that is above dark.
     noise : NoiseModel, optional
         Variance of one shot over its signal. Without it stacks speak for themselves.
     defects : ndarray of bool like `shot.mean`, optional
@@ -113,6 +112,12 @@ def flat_field(
     from levkas.calibration import flattening
 
     _check_shapes(shot, dark, white, defects)
+    darks = [dark] if isinstance(dark, Template) else list(dark or ())
+    if groups := bands_alike(shot, *darks, white):
+        return _by_bands(
+            groups, shot, darks, white, white_reflectance, defects, labels,
+            black=black, noise=noise, white_checked=white_checked,
+        )  # fmt: skip
     under, white_under, ratio, notes = pair_darks(shot, dark, white, black)
     scale = reflectance_table(white_reflectance, shot, pattern) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
@@ -120,7 +125,7 @@ def flat_field(
         scale, lit, lit_saturated = np.ones((1, 1)), exact_side(1.0), np.zeros((1, 1), np.uint8)
     else:
         if not white_checked:
-            check_white(white, white_under, pattern, labels)
+            check_white(white, white_under.mean, pattern, labels)
         lit, lit_saturated = Side.of_shots(white), as_marks(white.saturated)
     sides = Side.of_shots(shot), Side.of_dark(under), lit, Side.of_dark(white_under)
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
@@ -129,12 +134,47 @@ def flat_field(
     variance = None
     if noise is not None or all(side.known for side in sides):
         shared = under.mean is white_under.mean
-        gain, read = (-1.0, 0.0) if noise is None else (noise.gain, noise.read_variance)
-        parts: list[Any] = [*(p for side in sides for p in side), shared, scale, gain, read]
+        model = model_of(noise, under, white_under)
+        parts: list[Any] = [*(p for side in sides for p in side), shared, scale, *model]
         variance = flattening.propagate(*parts).reshape(shot.mean.shape)
     quantity = "counts" if white is None else "reflectance"
     shape = shot.mean.shape
     return Calibrated(values.reshape(shape), flags.reshape(shape), variance, quantity, notes)
+
+
+def _by_bands(
+    groups: list[np.ndarray],
+    shot: Template,
+    darks: list[Template],
+    white: Template | None,
+    reflectance: float | Sequence[float] | np.ndarray,
+    defects: np.ndarray | None,
+    labels: Sequence[str] | None,
+    **more: Any,
+) -> Calibrated:
+    """Flat-field groups of bands that have one exposure in each template, and put them together."""
+    known = np.broadcast_to(np.asarray(reflectance, float), shot.mean.shape[2:])
+    values, flags = np.empty(shot.mean.shape, np.float32), np.empty(shot.mean.shape, np.uint8)
+    variance: np.ndarray | None = np.empty(shot.mean.shape, np.float32)
+    notes: dict[str, None] = {}
+    for bands in groups:
+        part = flat_field(
+            pick_bands(shot, bands),
+            [pick_bands(dark, bands) for dark in darks],
+            None if white is None else pick_bands(white, bands),
+            white_reflectance=known[bands],
+            defects=None if defects is None else defects[..., bands],
+            labels=[labels[band] for band in bands] if labels else None,
+            **more,
+        )
+        values[..., bands], flags[..., bands] = part.values, part.flags
+        if variance is not None and part.variance is not None:
+            variance[..., bands] = part.variance
+        else:
+            variance = None
+        notes |= dict.fromkeys(part.notes)
+    quantity = "counts" if white is None else "reflectance"
+    return Calibrated(values, flags, variance, quantity, tuple(notes))
 
 
 class Side(NamedTuple):
@@ -174,6 +214,15 @@ def exact_side(value: float) -> Side:
     return Side(np.full((1, 1), value, np.float32), np.zeros((1, 1), np.float32), 0.0, 0.0)
 
 
+def model_of(
+    noise: NoiseModel | None, under: MatchedDark, white_under: MatchedDark
+) -> tuple[float, float, float, float]:
+    """Return gain, variance without light of object and of white, and step, as `flattening` takes them."""
+    if noise is None:
+        return -1.0, 0.0, 0.0, 0.0
+    return noise.gain, noise.read_under(under), noise.read_under(white_under), noise.step
+
+
 def pair_darks(
     shot: Template,
     dark: Template | Sequence[Template] | None,
@@ -181,11 +230,12 @@ def pair_darks(
     black: float | None,
 ) -> tuple[MatchedDark, MatchedDark, float, tuple[str, ...]]:
     """Return the darks of object and white, the white's time over the object's, and notes."""
-    under = match_dark(dark, shot.exposure_s, black=black)
+    under = dark_under(shot, dark, black=black)
     if white is None:
         return under, match_dark(None, None), 1.0, (under.note,) if under.note else ()
     same_time = shot.exposure_s == white.exposure_s
-    white_under = under if same_time else match_dark(dark, white.exposure_s, black=black)
+    alike = same_time and shot.above_dark == white.above_dark
+    white_under = under if alike else dark_under(white, dark, black=black)
     notes = [d.note for d in (under, white_under) if d.note]
     ratio = 1.0
     if shot.exposure_s and white.exposure_s:
@@ -193,6 +243,19 @@ def pair_darks(
     elif not same_time:
         notes.append("the exposure of object or white is not known: taken as equal")
     return under, white_under, ratio, tuple(dict.fromkeys(notes))
+
+
+def describe_darks(
+    shot: Template, darks: Sequence[Template], white: Template | None, black: float | None
+) -> tuple[str, ...]:
+    """Return the notes of `flat_field`, which follow from exposures alone."""
+    every = np.arange(shot.mean.shape[-1])
+    notes: dict[str, None] = {}
+    for bands in bands_alike(shot, *darks, white) or [every]:
+        part, *under = (pick_bands(template, bands) for template in (shot, *darks))
+        lit = None if white is None else pick_bands(white, bands)
+        notes |= dict.fromkeys(pair_darks(part, under, lit, black)[3])
+    return tuple(notes)
 
 
 def _check_shapes(

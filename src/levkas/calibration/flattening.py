@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numba import types
 
+from levkas.calibration.noise_fit import HIDES, WORKED_OUT
 from levkas.calibration.signatures import readonly
 from levkas.cube import Flag
 
@@ -64,19 +65,44 @@ def flatten(  # type: ignore[no-untyped-def]
     return values, flags
 
 
-@numba.njit(cache=True)
-def _one_shot(signal, measured, freedom, gain, read):  # type: ignore[no-untyped-def]
-    """Return the variance of one shot, from a stack, the model, or both."""
+@numba.njit(cache=True, nogil=True)
+def hidden(noise, step):  # type: ignore[no-untyped-def]
+    """Return `noise_fit.hidden_rounding` of one value; 0 where the noise shows all of rounding."""
+    if not noise < HIDES * step * step:
+        return 0.0
+    x, total = -4.0 * np.pi**2 * max(noise, 0.0) / (step * step), np.pi**2 / 6
+    if x < 0.0:
+        total = 0.0
+        for k in range(1, 64):
+            term = np.exp(x * k * k) / (k * k)
+            total += term
+            if term < 1e-6:
+                break
+    return step * step / (2.0 * np.pi**2) * total
+
+
+@numba.njit(cache=True, nogil=True)
+def of_mean(share, signal, measured, freedom, gain, read, step):  # type: ignore[no-untyped-def]
+    """Return the variance of a mean, from a stack, the model, or both; `share` of one shot's is left.
+
+    What rounding does to all shots alike is left whole. A variance that was worked out is taken as it is.
+    """
+    if freedom >= WORKED_OUT:
+        return share * measured
     if gain < 0.0:
-        return measured if freedom > 0.0 else 0.0
+        return share * measured if freedom > 0.0 else 0.0
+    if share == 0.0:
+        return 0.0
     model = read + gain * max(signal, 0.0)
-    return (freedom * measured + PRIOR * model) / (freedom + PRIOR)
+    alike = hidden(model - step * step / 12.0, step)
+    shown = (freedom * measured + PRIOR * (model - alike)) / (freedom + PRIOR)
+    return share * shown + alike
 
 
 @numba.njit(
     [
         types.float32[:, ::1](
-            *(_REAL, _REAL, _SCALAR, _SCALAR) * 4, types.boolean, _TABLE, _SCALAR, _SCALAR
+            *(_REAL, _REAL, _SCALAR, _SCALAR) * 4, types.boolean, _TABLE, *(_SCALAR,) * 4
         )
     ],
     parallel=True,
@@ -103,11 +129,14 @@ def propagate(  # type: ignore[no-untyped-def]
     table,
     gain,
     read,
+    white_read,
+    step,
 ):
     """Return the variance of `flatten`'s values; `shared`: one dark serves both.
 
     Each side is a mean, the variance of one shot of it, that variance's degrees of freedom (0: not
-    measured) and the share of it that the mean keeps. `gain` < 0: there is no noise model.
+    measured) and the share of it that the mean keeps. `gain` < 0: there is no noise model. `read` is the
+    variance without light of the object's exposure, `white_read` that of the white's.
     """
     height, width = shot.shape
     result = np.empty((height, width), np.float32)
@@ -131,20 +160,21 @@ def propagate(  # type: ignore[no-untyped-def]
                 result[y, x] = np.nan
                 continue
             r = signal / lit
-            shot_part = shot_share * _one_shot(
-                signal, shot_variance[s0, x * s1], shot_freedom, gain, read
+            shot_part = of_mean(
+                shot_share, signal, shot_variance[s0, x * s1], shot_freedom, gain, read, step
             )
-            white_part = white_share * _one_shot(
-                lit, white_variance[w0, x * w1], white_freedom, gain, read
+            white_part = of_mean(
+                white_share, lit, white_variance[w0, x * w1], white_freedom, gain, white_read, step
             )
-            dark_part = dark_share * _one_shot(
-                0.0, dark_variance[d0, x * d1], dark_freedom, gain, read
+            dark_part = of_mean(
+                dark_share, 0.0, dark_variance[d0, x * d1], dark_freedom, gain, read, step
             )
             if shared:
                 total = shot_part + r * r * white_part + (1.0 - r) ** 2 * dark_part
             else:
-                under = white_dark_share * _one_shot(
-                    0.0, white_dark_variance[v0, x * v1], white_dark_freedom, gain, read
+                variance = white_dark_variance[v0, x * v1]
+                under = of_mean(
+                    white_dark_share, 0.0, variance, white_dark_freedom, gain, white_read, step
                 )
                 total = shot_part + dark_part + r * r * (white_part + under)
             result[y, x] = total * (scale / lit) ** 2

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from levkas.calibration.flattening import PRIOR
+from levkas.calibration.flattening import of_mean
 from levkas.cube import Flag
 from levkas.double_lanes import (
     doubles,
@@ -35,19 +35,10 @@ TILE, LINES = 64, 16
 
 
 @njit(cache=True, nogil=True)
-def one_shot(signal, measured, freedom, gain, read):
-    """Variance of one shot of one place, as in `flattening`."""
-    if gain < 0.0:
-        return measured if freedom > 0.0 else 0.0
-    model = read + gain * max(signal, 0.0)
-    return (freedom * measured + PRIOR * model) / (freedom + PRIOR)
-
-
-@njit(cache=True, nogil=True)
-def fill_share(out, signal, measured, freedom, share, gain, read):
+def fill_share(out, signal, measured, freedom, share, gain, read, step):
     """Fill the variance of a mean, place by place."""
     for i in range(out.size):
-        out[i] = share * one_shot(signal[i], np.float64(measured[i]), freedom, gain, read)
+        out[i] = of_mean(share, signal[i], np.float64(measured[i]), freedom, gain, read, step)
 
 
 @njit

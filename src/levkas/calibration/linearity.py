@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration.darks import match_dark
+from levkas.calibration.darks import dark_under
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.problems import Problem
 
@@ -93,7 +93,7 @@ def check_linearity(
     rows = slice(0, MANY_ROWS)
     signal, usable = [], []
     for shot in timed:
-        under = match_dark(darks, shot.exposure_s, black=black).mean
+        under = dark_under(shot, darks, black=black).mean
         signal.append((shot.mean - under).astype(np.float32)[rows])
         usable.append(~shot.saturated[rows])
     points = _points(np.array(signal), np.array(usable), times, saturation, period)

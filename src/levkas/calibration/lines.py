@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.flatfield import Side, exact_side, pair_darks
+from levkas.calibration.flatfield import Side, exact_side, model_of, pair_darks
 from levkas.calibration.gaps import gaps_of
 from levkas.calibration.layout import as_marks
 from levkas.calibration.templates import Template
@@ -41,9 +41,10 @@ class LineField:
     @classmethod
     def of(
         cls,
-        dark: Template | None,
+        darks: Sequence[Template],
         white: Template | None,
         *,
+        exposure_s: float | None = None,
         shape: tuple[int, int],
         reflectance: float | np.ndarray,
         black: float | None,
@@ -54,7 +55,11 @@ class LineField:
 
         Parameters
         ----------
-        dark, white : Template, (1, samples, bands), or None
+        darks : sequence of Template, (1, samples, bands)
+            Of one or several exposures.
+        white : Template, (1, samples, bands), or None
+        exposure_s : float, optional
+            Of the lines.
         shape : (samples, bands)
         reflectance, black, noise, labels
             As for `flat_field`.
@@ -67,27 +72,29 @@ class LineField:
         from levkas.calibration.line_kernels import fill_share
 
         nothing = np.zeros((1, *shape), bool)
-        line = Template(np.zeros((1, *shape), np.float32), None, 1, nothing, nothing)
-        under, white_under, ratio, notes = pair_darks(line, dark, white, black)
+        zero = np.zeros((1, *shape), np.float32)
+        line = Template(zero, None, 1, nothing, nothing, exposure_s)
+        under, white_under, ratio, notes = pair_darks(line, darks, white, black)
         scale = reflectance_table(reflectance, line, None) * ratio
         flags = _spread(as_marks(under.saturated), shape) * np.uint8(_DEFECT)
         if white is None:
             scale, lit_side = np.ones((1, 1)), exact_side(1.0)
         else:
-            check_white(white, white_under, None, labels)
+            check_white(white, white_under.mean, None, labels)
             lit_side = Side.of_shots(white)
             flags |= _spread(as_marks(white.saturated), shape) * np.uint8(_SATURATED)
         sides = lit_side, Side.of_dark(under), Side.of_dark(white_under)
         means = [_spread(side.mean, shape).astype(np.float64) for side in sides]
         lit = means[0] - means[2]
-        if (lost := gaps_of(dark, white)) is not None:
+        if (lost := gaps_of(*darks, white)) is not None:
             lit[_spread(lost, shape)] = np.nan  # as where the white is not above dark
-        gain, read = (-1.0, 0.0) if noise is None else (noise.gain, noise.read_variance)
+        gain, read, white_read, step = model_of(noise, under, white_under)
         signals = (lit, np.zeros_like(lit), np.zeros_like(lit))
+        reads = (white_read, read, white_read)
         shares = np.empty((3, lit.size))
-        for row, side, signal in zip(shares, sides, signals, strict=True):
+        for row, side, signal, own in zip(shares, sides, signals, reads, strict=True):
             measured = _spread(side.variance, shape)
-            fill_share(row, signal, measured, side.freedom, side.share, gain, read)
+            fill_share(row, signal, measured, side.freedom, side.share, gain, own, step)
         shared = under.mean is white_under.mean
         table = np.resize(scale.reshape(-1), lit.size)
         if not shared:

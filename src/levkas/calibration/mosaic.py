@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from levkas.calibration import stencils
+from levkas.calibration.detail import interpolation_variance
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused
 from levkas.problems import Problem
@@ -49,7 +50,7 @@ def demosaic(
     Returns
     -------
     values, flags, variance : ndarray, (h, w, c), float32, uint8, float32 or None
-        An interpolated value is NEAR where a flagged sensel took part, with that sensel's bits
+        The variance of interpolated values holds that of detail between the sensels, see `detail`. An interpolated value is NEAR where a flagged sensel took part, with that sensel's bits
         if it was of the same channel. Measured values keep value and flags.
 
     Raises
@@ -70,6 +71,19 @@ def demosaic(
     >>> bool(np.allclose(made, plane[:, :, None], atol=1e-5))
     True
     """
+    table, stencil = method_of(pattern, method, channels)
+    made, noted, spread = interpolate(values, flags, variance, table, stencil)
+    if variance is not None and spread is not None:
+        spread += interpolation_variance(
+            values, flags, variance, table, lambda v, f, u: interpolate(v, f, u, table, stencil)
+        )
+    return made, noted, spread
+
+
+def method_of(
+    pattern: str | Sequence[Sequence[str]], method: str | None, channels: Sequence[str] | None
+) -> tuple[np.ndarray, Callable[[stencils.Place, int], stencils.Taps]]:
+    """Return the table of a pattern and the stencils of a method, arguments and refusals as of `demosaic`."""
     table = channel_table(pattern, channels)
     if method is None:
         method = "malvar" if _is_bayer(table) else "normalised"
@@ -83,7 +97,7 @@ def demosaic(
                 expected=", ".join(METHODS),
             )
         )
-    return interpolate(values, flags, variance, table, METHODS[method])
+    return table, METHODS[method]
 
 
 def interpolate(

@@ -85,6 +85,7 @@ def find_moved_between(
     rate: np.ndarray,
     noise: NoiseModel,
     *,
+    reads: Sequence[float] | None = None,
     left_out: Sequence[np.ndarray] | None = None,
     nonlinear: float = NONLINEAR,
     period: tuple[int, int] = (1, 1),
@@ -101,6 +102,8 @@ def find_moved_between(
         What they were merged to, counts a second.
     noise : NoiseModel
         Of one shot.
+    reads : sequence of float, optional
+        Variance without light of each exposure, counts²; the noise model's by default.
     left_out : sequence of ndarray of bool, optional
         What takes no part in each shot, saturated and black values besides.
     nonlinear : float
@@ -129,9 +132,10 @@ def find_moved_between(
     total, used = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     bad = [s.saturated | s.black for s in shots]
     bad = bad if left_out is None else [b | m for b, m in zip(bad, left_out, strict=True)]
-    for shot, level, lost in zip(shots, levels, bad, strict=True):
+    reads = reads or [noise.read_variance] * len(shots)
+    for shot, level, read, lost in zip(shots, levels, reads, bad, strict=True):
         expected = np.maximum(rate, 0) * np.float32(shot.exposure_s or 0.0)
-        spread = noise.variance(expected) / shot.count + (nonlinear * expected) ** 2
+        spread = (read + noise.gain * expected) / shot.count + (nonlinear * expected) ** 2
         total += np.where(lost, 0, (shot.mean - level - expected) ** 2 / spread)
         used += ~lost
     total[used < 2] = 0

@@ -3,19 +3,29 @@
 From stacks (two shots or more of one scene) the variance over time is free of everything fixed:
 texture, PRNU, shading. From single shots only an upper estimate can be had, from what is left of
 the smoothest parts of object over white, where PRNU and shading divide out.
+
+Rounding to codes a step apart adds step²/12 to the variance of one value. Repeats show it as long as
+the noise carries a value over half a step; what they do not show, B, stays in the mean of any number of
+shots: variance of a mean = (T − B)/n + B, with T = noise² + step²/12 of one shot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.calibration.patterns import channel_table, split
 from levkas.calibration.templates import Template
 
-QUANTISATION = 1 / 12  # variance of rounding to whole counts
+if TYPE_CHECKING:
+    from levkas.calibration.darks import MatchedDark
+
+WORKED_OUT = 1e9  # degrees of freedom of a variance that was derived, not sampled
+HIDES = 0.25  # of step²: more noise than that shows all of rounding (B < 3e-6 step²)
+TERMS = 12  # of the series of B: its error is below 0.4 % of step²
 MANY_PIXELS = 200_000  # of one stack that are looked at
 LEVELS = 24  # groups of equal size by signal, a stack
 MANY_BLACK = 0.02  # a dark with more zeros than this was clipped, and its spread is not noise
@@ -33,9 +43,14 @@ class NoiseModel:
     gain : float
         Counts per photo-electron: slope of variance over signal.
     read_variance : float
-        Variance without light, counts², quantisation included.
+        Variance without light, counts², rounding's step²/12 included.
     source : str
         ``"temporal"`` (from stacks) or ``"spatial"`` (from single shots: an upper estimate).
+    step : float
+        Counts from one code of the file to the next; 0 where values are no whole numbers.
+    level : float, optional
+        Counts of the dark at which `read_variance` holds: that of a longer exposure has the shot
+        noise of its dark current besides.
 
     Examples
     --------
@@ -46,14 +61,84 @@ class NoiseModel:
     gain: float
     read_variance: float
     source: str = "temporal"
+    step: float = 1.0
+    level: float | None = None
 
     def variance(self, signal: float | np.ndarray) -> np.ndarray:
-        """Return the variance at a signal in counts above dark."""
+        """Return the variance of one shot at a signal in counts above dark."""
         return self.read_variance + self.gain * np.maximum(signal, 0.0)
+
+    def read_under(self, dark: MatchedDark) -> float:
+        """Return the variance without light, counts², of frames from which this dark is subtracted.
+
+        >>> from levkas.calibration.darks import match_dark
+        >>> from levkas.calibration.templates import average
+        >>> NoiseModel(0.5, 4.0, level=64.0).read_under(match_dark(average([np.full((2, 2), 74)]), None))
+        9.0
+        """
+        if self.level is None or not dark.count:
+            return self.read_variance
+        more = self.gain * (level_of(dark.mean) - self.level)
+        return max(self.read_variance + more, self.step**2 / 12)
+
+
+def hidden_rounding(noise: float | np.ndarray, step: float) -> np.ndarray:
+    """Return the variance of rounding that repeats do not show, counts².
+
+    Parameters
+    ----------
+    noise : float or ndarray
+        Variance of one value before it is rounded, counts².
+    step : float
+        Counts from code to code.
+
+    Notes
+    -----
+    B = step²/(2π²) Σ exp(−4π²k² noise/step²)/k², the variance of the mean rounding error over values
+    that lie anywhere between two codes [widrow2008]_: step²/12 without noise, nothing from noise of
+    half a step on.
+
+    Examples
+    --------
+    >>> hidden_rounding(np.array([0.0, 0.04, 1.0]), 1.0).round(3).tolist()
+    [0.083, 0.01, 0.0]
+    """
+    if not step:
+        return np.zeros(np.shape(noise))
+    k = np.arange(1, TERMS + 1)
+    share = np.maximum(np.asarray(noise, float)[..., None], 0.0) / step**2
+    series = np.sum(np.exp(-4 * np.pi**2 * k**2 * share) / k**2, axis=-1)
+    # Without noise the series has what its first terms have, and the rest of π²/6.
+    rest = (np.pi**2 / 6 - np.sum(1.0 / k**2)) * np.exp(-4 * np.pi**2 * TERMS**2 * share[..., 0])
+    return np.asarray(step**2 / (2 * np.pi**2) * (series + rest))
+
+
+def whole_variance(shown: float | np.ndarray, step: float) -> np.ndarray:
+    """Return the variance of one value, rounding included, from what repeats show of it, counts².
+
+    >>> whole_variance(np.array([0.0, 4.0]), 1.0).round(3).tolist()
+    [0.083, 4.0]
+    """
+    if not step:
+        return np.asarray(shown, float)
+    noise = np.linspace(0, HIDES, 500) * step**2
+    whole = noise + step**2 / 12
+    seen = whole - hidden_rounding(noise, step)
+    small = np.interp(shown, seen, whole)
+    return np.where(np.asarray(shown) < seen[-1], small, shown)
+
+
+def level_of(dark: np.ndarray) -> float:
+    """Return the median of a dark, of many pixels about `MANY_PIXELS`."""
+    return float(np.median(dark.ravel()[:: max(1, dark.size // MANY_PIXELS)]))
 
 
 def fit_noise(
-    stacks: Sequence[Template], dark: Template | None = None, *, black: float = 0.0
+    stacks: Sequence[Template],
+    dark: Template | Sequence[Template] | None = None,
+    *,
+    black: float = 0.0,
+    step: float = 1.0,
 ) -> NoiseModel | None:
     """Fit the noise of a sensor to stacks of at least two shots.
 
@@ -62,39 +147,91 @@ def fit_noise(
     stacks : sequence of Template
         Objects, whites, darks, charts of one sensor at one gain setting; those of a single shot
         are passed over.
-    dark : Template, optional
-        Subtracted from each to have the signal; without it `black` is, counts.
+    dark : Template or sequence of Template, optional
+        Subtracted from each to have the signal, one for all or one for each stack; without it
+        `black` is, counts. Darks of several shots are stacks like others: pass them among `stacks`.
+    step : float
+        Counts from code to code; 0 where values are not rounded.
 
     Returns
     -------
     noise : NoiseModel or None
         None where no stack has signal. Where all stacks have about the same signal, the read
-        noise is taken as quantisation's alone and the gain follows.
+        noise is taken as rounding's alone and the gain follows.
 
     Notes
     -----
+    Where darks have different levels, those of longer exposures, what they have above the lowest counts
+    as light: dark current has shot noise.
     Pixels are grouped by signal; a group's variance is the mean of theirs without what chance
     does not explain (something moved), so that few shots suffice where there are many pixels.
     Then one weighted line, three rounds. PRNU never enters; lamp flicker does.
     """
-    groups = [g for s in stacks if s.variance is not None for g in _groups(s, dark, black)]
+    darks = [dark] * len(stacks) if dark is None or isinstance(dark, Template) else list(dark)
+    levels = [None if d is None else level_of(d.mean) for d in darks]
+    lowest = min((level for level in levels if level is not None), default=None)
+    groups: list[tuple[float, ...]] = []
+    for stack, under, level in zip(stacks, darks, levels, strict=True):
+        if stack.variance is not None:
+            warm = 0.0 if level is None or lowest is None else level - lowest
+            groups += [(s + warm, v, n) for s, v, n in _groups(stack, under, black, step)]
     if not groups:
         return None
     signal, variance, freedom = np.array(groups).T
     if signal.max() <= 0 or variance.max() <= 0:
         return None
     # Freedom is bounded so that a misfit of 1 % in one full group does not rule the line.
-    gain, read = _line(signal, np.ones_like(signal), variance, np.minimum(freedom, 2e4))
-    return NoiseModel(gain, read, "temporal")
+    freedom = np.minimum(freedom, 2e4)
+    gain, read = _line(signal, np.ones_like(signal), variance, freedom, step)
+    return NoiseModel(gain, read, "temporal", step, lowest)
+
+
+def mean_variance(stack: Template, *, step: float = 1.0) -> np.ndarray:
+    """Return the variance of a stack's mean where nothing is known of the sensor: of a photograph.
+
+    Parameters
+    ----------
+    stack : Template, (h, w) or (h, w, b)
+        Of two shots or more, of whatever tone curve.
+    step : float
+        Counts from code to code; 0 where values are not rounded.
+
+    Returns
+    -------
+    variance : ndarray like the stack, float32
+        Counts².
+
+    Notes
+    -----
+    A pixel's own variance of a few shots is no sigma: it weighs n − 1 against 60 of what pixels of like
+    signal have in the mean, channel by channel.
+    """
+    from levkas.calibration.flattening import PRIOR
+
+    freedom = stack.count - 1
+    assert stack.variance is not None
+    found = np.empty(stack.mean.shape, np.float32)
+    for part in np.ndindex(stack.mean.shape[2:]):
+        mean, variance, saturated, black = (
+            array[(..., *part)]
+            for array in (stack.mean, stack.variance, stack.saturated, stack.black)
+        )
+        groups = _groups(Template(mean, variance, stack.count, saturated, black), None, 0.0, step)
+        whole = np.interp(mean, *zip(*(g[:2] for g in groups), strict=True)) if groups else variance
+        alike = hidden_rounding(whole - step**2 / 12, step)
+        shown = (freedom * variance + PRIOR * (whole - alike)) / (freedom + PRIOR)
+        found[(..., *part)] = shown / stack.count + alike
+    return found
 
 
 def fit_noise_single(
     shots: Sequence[Template],
     whites: Sequence[Template | None],
-    dark: Template | None = None,
+    dark: Template | Sequence[Template] | None = None,
     *,
     black: float = 0.0,
     pattern: str | Sequence[Sequence[str]] | None = None,
+    step: float = 1.0,
 ) -> NoiseModel | None:
     """Estimate the noise of a sensor from single shots: an upper estimate.
 
@@ -104,10 +241,12 @@ def fit_noise_single(
         Objects, of one sensor at one gain setting; several bands may be pooled.
     whites : sequence of Template or None, as many
         The white of each; PRNU and shading divide out. None: they count as noise.
-    dark : Template, optional
-        Subtracted from all; without it `black` is, counts.
+    dark : Template or sequence of Template, optional
+        Subtracted from all, or one for each; without it `black` is, counts.
     pattern : str or rows of names, optional
         Of a mosaic: differences are taken within a phase.
+    step : float
+        Counts from code to code; 0 where values are not rounded.
 
     Returns
     -------
@@ -122,52 +261,61 @@ def fit_noise_single(
     """
     rows, columns = (1, 1) if pattern is None else channel_table(pattern).shape
     groups: list[tuple[float, ...]] = []
-    for shot, white in zip(shots, whites, strict=True):
-        level = np.float32(black) if dark is None else dark.mean
+    darks = [dark] * len(shots) if dark is None or isinstance(dark, Template) else list(dark)
+    lowest = min((level_of(d.mean) for d in darks if d is not None), default=None)
+    for shot, white, under in zip(shots, whites, darks, strict=True):
+        level = np.float32(black) if under is None else under.mean
+        warm = 0.0 if under is None or lowest is None else level_of(under.mean) - lowest
         planes = _ratio_planes(shot, white, level)
+        # A dark that was clipped has no noise that it adds.
+        noisy = under is not None and np.mean(under.black) <= MANY_BLACK
+        counts = (shot.count, white.count if white else 0, under.count if under and noisy else 0)
         for parts in zip(*(split(plane, rows, columns) for plane in planes), strict=True):
-            groups += _smooth_groups(*parts, shots=(shot.count, white.count if white else 0))
+            found = _smooth_groups(*parts, shots=counts)
+            groups += [(light + warm * dim, dim, v) for light, dim, v in found]
     if not groups:
         return None
     light, dim, variance = np.array(groups).T
     if light.max() <= 0:
         return None
-    gain, read = _line(light, dim, variance, np.full(len(light), 100.0))
-    return NoiseModel(gain, read, "spatial")
+    gain, read = _line(light, dim, variance, np.full(len(light), 100.0), step)
+    return NoiseModel(gain, read, "spatial", step, lowest)
 
 
-def _groups(stack: Template, dark: Template | None, black: float) -> list[tuple[float, ...]]:
+def _groups(
+    stack: Template, dark: Template | None, black: float, step: float
+) -> list[tuple[float, float, float]]:
     """Return (signal, variance, degrees of freedom) of groups of pixels of one stack."""
-    step = max(1, stack.mean.size // MANY_PIXELS)
-    level = black if dark is None else np.broadcast_to(dark.mean, stack.mean.shape).ravel()[::step]
-    signal = stack.mean.ravel()[::step].astype(float) - level
-    spread = np.asarray(stack.variance).ravel()[::step].astype(float)
-    clipped = stack.black.ravel()[::step]
-    keep = np.isfinite(signal) & np.isfinite(spread) & ~stack.saturated.ravel()[::step]
+    thin = np.s_[:: max(1, stack.mean.size // MANY_PIXELS)]
+    level = black if dark is None else np.broadcast_to(dark.mean, stack.mean.shape).ravel()[thin]
+    signal = stack.mean.ravel()[thin].astype(float) - level
+    spread = np.asarray(stack.variance).ravel()[thin].astype(float)
+    clipped = stack.black.ravel()[thin]
+    keep = np.isfinite(signal) & np.isfinite(spread) & ~stack.saturated.ravel()[thin]
     if np.mean(clipped) > MANY_BLACK:
         keep &= ~clipped
     # Near black the clipping of single shots thins the spread where none was marked.
     if np.mean(clipped) > MANY_BLACK and keep.any():
-        keep &= signal > 5 * np.sqrt(max(np.median(spread[keep]), QUANTISATION))
+        keep &= signal > 5 * np.sqrt(max(np.median(spread[keep]), step**2 / 12))
     signal, spread = signal[keep], spread[keep]
     order = np.argsort(signal, kind="stable")
     parts = np.array_split(order, LEVELS) if len(order) >= 50 * LEVELS else [order]
     freedom = stack.count - 1
-    return [
-        (float(signal[p].mean()), _mean_variance(spread[p], freedom), float(freedom * len(p)))
-        for p in parts
-        if len(p) >= 20
-    ]
+    found = []
+    for p in (part for part in parts if len(part) >= 20):
+        variance = float(whole_variance(_mean_variance(spread[p], freedom, step), step))
+        found.append((float(signal[p].mean()), variance, float(freedom * len(p))))
+    return found
 
 
-def _mean_variance(spread: np.ndarray, freedom: int) -> float:
-    """Return the mean of sample variances without those that chance does not explain."""
+def _mean_variance(spread: np.ndarray, freedom: int, step: float) -> float:
+    """Return the mean of sample variances without those that neither chance nor rounding explains."""
     from scipy.special import gammainccinv
 
     limit = 2 * float(gammainccinv(freedom / 2, 1e-6)) / freedom
     kept = spread
     for _ in range(20):
-        inside = spread[spread <= limit * kept.mean()]
+        inside = spread[spread <= max(limit * kept.mean(), step**2 / 2)]
         if len(inside) == len(kept) or not len(inside):
             break
         kept = inside
@@ -187,7 +335,7 @@ def _ratio_planes(
 
 
 def _smooth_groups(
-    ratio: np.ndarray, lit: np.ndarray, good: np.ndarray, *, shots: tuple[int, int]
+    ratio: np.ndarray, lit: np.ndarray, good: np.ndarray, *, shots: tuple[int, int, int]
 ) -> list[tuple[float, float, float]]:
     """Return (factor of gain, factor of read², variance) of groups of smooth blocks."""
     high, wide = ((n - 2) // BLOCK for n in ratio.shape)
@@ -203,10 +351,11 @@ def _smooth_groups(
 
     usable = blocks(good[part]) == 1
     f, m, v = (a[usable] for a in (blocks(ratio[part]), blocks(lit[part]), blocks(rough**2)))
-    n, white_n = shots
+    n, white_n, dark_n = shots
     by_white = f**2 / white_n if white_n else 0 * f
+    by_dark = (1 - (f if white_n else 0 * f)) ** 2 / dark_n if dark_n else 0 * f
     light = np.maximum(f, 0) * m / n + by_white * m
-    variance, dim = v * m**2, 1 / n + by_white
+    variance, dim = v * m**2, 1 / n + by_white + by_dark
     order = np.argsort(light, kind="stable")
     parts = np.array_split(order, max(1, min(LEVELS, len(order) // 100))) if len(order) else []
     return [
@@ -217,19 +366,20 @@ def _smooth_groups(
 
 
 def _line(
-    light: np.ndarray, dim: np.ndarray, variance: np.ndarray, freedom: np.ndarray
+    light: np.ndarray, dim: np.ndarray, variance: np.ndarray, freedom: np.ndarray, step: float
 ) -> tuple[float, float]:
     """Return (gain, read²) of variance = gain·light + read²·dim, weighted, both kept in range."""
+    least = max(step**2 / 12, 1e-12 * float(variance.max()))  # rounding, or hardly anything
     if light.max() < SPREAD * max(light.min(), 1e-9):
-        rest = np.maximum(variance - QUANTISATION * dim, 0.0)
-        return float(np.sum(freedom * rest) / np.sum(freedom * light)), QUANTISATION
-    gain, read, expected = 0.0, 0.0, np.maximum(variance, QUANTISATION * dim)
+        rest = np.maximum(variance - least * dim, 0.0)
+        return float(np.sum(freedom * rest) / np.sum(freedom * light)), least
+    gain, read, expected = 0.0, 0.0, np.maximum(variance, least * dim)
     for _ in range(3):
         weight = np.sqrt(freedom) / expected
         design = np.stack([light, dim], 1) * weight[:, None]
         gain, read = np.linalg.lstsq(design, variance * weight, rcond=None)[0]
-        if read < QUANTISATION:
-            read = QUANTISATION
+        if read < least:
+            read = least
             rest = variance - read * dim
             gain = np.sum(weight**2 * light * rest) / np.sum((weight * light) ** 2)
         if gain < 0:

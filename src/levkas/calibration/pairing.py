@@ -49,8 +49,8 @@ def pair_blocks(
     Returns
     -------
     blocks : Blocks
-        Of 2 shots; `mean` is counts above dark at which one shot has the variance `temporal`. NaN
-        where a frame is saturated, or the levels lie more than a factor of 6 apart.
+        Of 2 shots; `mean` is counts above dark at which one shot has the variance `temporal`, and `level` the
+        counts without light at which it has the variance of the dark's. NaN where a frame is saturated, or the levels lie more than a factor of 6 apart.
 
     Examples
     --------
@@ -70,12 +70,13 @@ def pair_blocks(
         bad = bad | first.black | second.black
     planes = (split(a, rows, columns) for a in (first.mean - dark[0], second.mean - dark[1], bad))
     parts = [_phase(a, b, marks, scaled, side) for a, b, marks in zip(*planes, strict=True)]
-    mean, temporal, spatial = np.concatenate(parts, axis=1)
-    return Blocks(mean, temporal, spatial, 2, first.exposure_s)
+    mean, temporal, spatial, squared = np.concatenate(parts, axis=1)
+    level = (dark[0] + squared * dark[1]) / (1 + squared)  # as the two shots' noise is weighted
+    return Blocks(mean, temporal, spatial, 2, first.exposure_s, level=level)
 
 
 def _phase(a: np.ndarray, b: np.ndarray, bad: np.ndarray, scaled: bool, side: int) -> np.ndarray:
-    """Return level, variance over time and variance of the mean of each block, (3, n)."""
+    """Return level, variance over time, variance of the mean and squared ratio of each block, (4, n)."""
     level, rest = without_plane(a, side)
     other, other_rest = without_plane(b, side)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -90,9 +91,9 @@ def _phase(a: np.ndarray, b: np.ndarray, bad: np.ndarray, scaled: bool, side: in
     mean = level * alike if scaled else (level + other) / 2
     stray = _strays(apart, known) | _strays(rest, known)  # hot sensels are alike in both
     lost = without_plane(bad.astype(np.float32), side)[0] > 0
-    found = np.stack([mean, temporal, fixed * alike**2 + temporal / 2])
-    found[:, lost | ~known] = np.nan
-    found[1:, stray] = np.nan
+    found = np.stack([mean, temporal, fixed * alike**2 + temporal / 2, ratio**2])
+    found[:3, lost | ~known] = np.nan
+    found[1:3, stray] = np.nan
     return found
 
 

@@ -8,14 +8,14 @@ DSNU in the dark, PRNU in the light. Intervals are those of a bootstrap over blo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from levkas.calibration.blocks import Blocks
 from levkas.calibration.clipping import DarkLevel
 from levkas.calibration.curves import Levels
-from levkas.calibration.estimates import SLOPE_TO, Moved, dark_line, estimate, matching
+from levkas.calibration.estimates import SLOPE_TO, DarkModel, Moved, estimate
 from levkas.calibration.templates import CalibrationRefused
 from levkas.problems import Problem
 
@@ -54,6 +54,8 @@ class Dark:
         Standard errors of the three where they are no blocks.
     spread : ndarray, (blocks,), or float
         Of a single shot: variance from sensel to sensel, noise over time included.
+    band : str, optional
+        Of a tunable filter; None: it serves all.
     """
 
     level: np.ndarray | float
@@ -62,6 +64,7 @@ class Dark:
     exposure_s: float | None = None
     errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
     spread: np.ndarray | float = float("nan")
+    band: str | None = None
 
     @classmethod
     def of_blocks(cls, blocks: Blocks) -> Dark:
@@ -70,7 +73,7 @@ class Dark:
         fixed = blocks.spatial - blocks.temporal / blocks.shots
         spread = blocks.spatial if blocks.shots == 1 else float("nan")
         level, temporal = blocks.mean + sound, blocks.temporal + sound
-        return cls(level, temporal, fixed, blocks.exposure_s, spread=spread)
+        return cls(level, temporal, fixed, blocks.exposure_s, spread=spread, band=blocks.band)
 
     @classmethod
     def of_clipped(cls, level: DarkLevel, exposure_s: float | None = None) -> Dark:
@@ -97,20 +100,20 @@ class PhotonTransfer:
     black : Interval
         Counts of a dark, at no time where the darks have several.
     dark_noise : Interval, optional
-        Temporal dark noise, electrons, rounding taken out.
+        Temporal dark noise, electrons, rounding taken out; at no time where the darks have several.
     dark_current : Interval, optional
         Electrons a second.
     dsnu : Interval, optional
         Electrons: EMVA's DSNU₁₂₈₈, of the shortest dark.
     prnu : Interval, optional
         Share of the signal: PRNU₁₂₈₈. Texture of the white counts.
-    full_well : Interval
+    full_well : Interval, optional
         Electrons at saturation: the saturation capacity.
     linearity_error : Interval, optional
         Deviation from EMVA's line, rms over 5–95 % of saturation, relative.
     dynamic_range : Interval, optional
         Full well over the signal whose SNR is one.
-    snr : Interval
+    snr : Interval, optional
         At saturation, shot noise alone: the root of the full well.
     levels : int
         Stacks of light that took part.
@@ -125,10 +128,10 @@ class PhotonTransfer:
     dark_current: Interval | None
     dsnu: Interval | None
     prnu: Interval | None
-    full_well: Interval
+    full_well: Interval | None
     linearity_error: Interval | None
     dynamic_range: Interval | None
-    snr: Interval
+    snr: Interval | None
     levels: int
     notes: tuple[str, ...] = ()
     points: tuple[tuple[float, float], ...] = ()
@@ -172,13 +175,13 @@ def measure_sensor(
     Raises
     ------
     CalibrationRefused
-        E_TEMPLATE_MISSING without a dark, E_SIZE where sizes differ, E_SHOTS without two shots of anything lit,
+        E_TEMPLATE_MISSING without a dark, E_SIZE where sizes differ or frames are too small, E_SHOTS without two shots of anything lit,
         E_WHITE_SATURATED where nothing lit is below 70 % of saturation, E_WHITE_DARK where it is no
         brighter than the dark, E_NOISE where noise does not grow with the light.
 
     Notes
     -----
-    Gain: line through the dark's own point, weighted by 1/variance², over 0–70 % of saturation
+    Gain: line through the shortest dark's own point, weighted by 1/variance², over 0–70 % of saturation
     (EMVA 1288, 6.5). Noise, DSNU and PRNU within blocks, so that shading is no non-uniformity.
     """
     lit = [*whites, *scenes]
@@ -205,22 +208,32 @@ def measure_sensor(
         for name, value in again.items():
             drawn[name].append(value)
     found = {name: _interval(value, drawn[name]) for name, value in best.items()}
-    notes = _notes(best, lit, whites, reached)
+    notes = _notes(best, model_darks(darks), lit, whites, reached)
     wanted = {f.name for f in fields(PhotonTransfer)}
     given = {name: value for name, value in found.items() if name in wanted}
     points = _points(darks, lit, rounding)
     return PhotonTransfer(**given, levels=len(lit), notes=notes, points=points)  # type: ignore[arg-type]
 
 
+def model_darks(darks: Sequence[Dark]) -> DarkModel:
+    """Return the level and fixed pattern without light over exposures, of all blocks alike."""
+    return DarkModel([Moved(dark, np.ones(np.size(dark.level)), np.zeros(3)) for dark in darks])
+
+
+def without_full_scale(found: PhotonTransfer) -> PhotonTransfer:
+    """Leave out what hangs on the code at which a sensel is full, where nobody declares it."""
+    told = tuple(note for note in found.notes if not note.startswith("no shot saturates"))
+    return replace(found, full_well=None, snr=None, dynamic_range=None, notes=told)
+
+
 def _points(
     darks: Sequence[Dark], lit: Sequence[Blocks], rounding: Levels
 ) -> tuple[tuple[float, float], ...]:
-    """Return means of groups of blocks of like signal, over all lit stacks."""
-    weights = np.ones(len(lit[0].mean))
-    dim = [Moved(dark, weights, np.zeros(3)) for dark in darks]
-    under = matching(dim, dark_line(dim)[1])
+    """Return means of groups of blocks of like signal, dark current included, over all lit stacks."""
+    model = model_darks(darks)
     repeated = [b for b in lit if b.shots > 1]
-    signal = np.concatenate([b.mean - under(b.exposure_s) for b in repeated])
+    above = model.first.level - model.black
+    signal = np.concatenate([model.signal(b) + model.dark_signal(b) + above for b in repeated])
     variance = np.concatenate([b.temporal - rounding.quantisation(b.mean) for b in repeated])
     order = np.argsort(signal)
     order = order[np.isfinite(signal + variance)[order]]
@@ -236,9 +249,20 @@ def _interval(value: float, drawn: Sequence[float]) -> Interval | None:
 
 
 def _notes(
-    best: dict[str, float], lit: Sequence[Blocks], whites: Sequence[Blocks], reached: bool
+    best: dict[str, float],
+    model: DarkModel,
+    lit: Sequence[Blocks],
+    whites: Sequence[Blocks],
+    reached: bool,
 ) -> tuple[str, ...]:
     told = []
+    if lacking := sorted({b.exposure_s or 0.0 for b in whites if model.lacks(b)}):
+        had = sorted({d.exposure_s for d in model.darks if d.exposure_s})
+        told.append(
+            f"no dark of {_seconds(lacking)}, the exposure of the white, and those of {_seconds(had)} tell no dark "
+            "current: PRNU, DSNU and linearity are doubtful where there is one. Capture darks at the exposure of "
+            "the white"
+        )
     if not reached:
         told.append("no shot saturates: the full well is what the converter's top code would hold")
     if best["dark_variance"] < LEAST_QUANTISED:
@@ -252,6 +276,10 @@ def _notes(
     if (levels := sum(b.shots > 1 for b in lit)) < 5:
         told.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 asks for more")
     return tuple(told)
+
+
+def _seconds(times: Sequence[float]) -> str:
+    return ", ".join(f"{time:g} s" for time in times)
 
 
 def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> None:
@@ -285,6 +313,14 @@ def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> N
         )
     dark = float(np.nanmean(darks[0].level)) if np.any(np.isfinite(darks[0].level)) else np.nan
     means = np.concatenate([b.mean for b in repeated])
+    if means.size < FEWEST_BLOCKS:
+        raise _refusal(
+            "E_SIZE",
+            "the frames are too small for statistics",
+            f"{means.size} blocks of one channel",
+            f"{FEWEST_BLOCKS} or more",
+            "Capture dark and white over the whole sensor, or over more samples of the line.",
+        )
     if np.count_nonzero(np.isfinite(means)) < FEWEST_BLOCKS:
         raise _refusal(
             "E_WHITE_SATURATED",

@@ -1,4 +1,4 @@
-"""Kernels of `denoising`: products of bands summed over spectra, and projection to a subspace.
+"""Kernels of `denoising`: products of bands summed over spectra, projection to a subspace, its variance.
 
 Sums run in the order of the spectra, whatever the threads.
 """
@@ -49,3 +49,30 @@ def project(spectra, basis):  # type: ignore[no-untyped-def]
             kept[n, i] = line[i]
             removed[n, i] = spectra[n, i] - line[i]
     return kept, removed
+
+
+@numba.njit(
+    [types.float32[:, ::1](_SPECTRA, _SPECTRA, _BASIS, types.float64)], parallel=True, cache=True
+)
+def project_variance(variance, removed, projector, most):  # type: ignore[no-untyped-def]
+    """Return the variances of projected spectra; `projector` is P = EEᵀ, (b, b).
+
+    Σⱼ Pᵢⱼ² uⱼ²; where Σ removed² is more than `most` times what noise explains, removedᵢ² besides.
+    """
+    pixels, bands = variance.shape
+    weights = projector * projector
+    found = np.empty((pixels, bands), np.float32)
+    for n in numba.prange(pixels):
+        line = np.zeros(bands)
+        for j in range(bands):
+            spread = np.float64(variance[n, j])
+            for i in range(bands):
+                line[i] += weights[j, i] * spread
+        away, expected = 0.0, 0.0
+        for i in range(bands):
+            away += np.float64(removed[n, i]) ** 2
+            expected += line[i] + (1.0 - 2.0 * projector[i, i]) * np.float64(variance[n, i])
+        for i in range(bands):
+            more = np.float64(removed[n, i]) ** 2 if away > most * expected else 0.0
+            found[n, i] = line[i] + more
+    return found

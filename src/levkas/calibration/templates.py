@@ -6,7 +6,7 @@ sums are whole numbers, so the result does not depend on the order of the shots 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,11 @@ class Template:
     exposure_s : float, optional
     lost : ndarray like `mean`, bool, optional
         Where a shot was no finite number and `gaps.close_gaps` put another value. None: nowhere.
+    above_dark : bool
+        Whether `mean` is above dark: dark or black level were subtracted, and `darks.dark_under` gives
+        zero for it.
+    band_times_s : tuple of float, optional
+        Exposure of every band, where a scan has one of its own each; `exposure_s` is None then.
 
     Examples
     --------
@@ -56,12 +61,39 @@ class Template:
     black: np.ndarray
     exposure_s: float | None = None
     lost: np.ndarray | None = None
+    above_dark: bool = False
+    band_times_s: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         arrays = [self.mean, self.saturated, self.black]
         arrays += [] if self.variance is None else [self.variance]
         if len({a.shape for a in arrays}) != 1:
             raise ValueError(f"template has arrays of shapes {[a.shape for a in arrays]}")
+
+
+def bands_alike(*templates: Template | None) -> list[np.ndarray] | None:
+    """Return the bands, as indices, that have one exposure in each template; None where no bands differ."""
+    listed = [t.band_times_s for t in templates if t is not None and t.band_times_s]
+    if not listed:
+        return None
+    times = np.array(listed)
+    _, which = np.unique(times, axis=1, return_inverse=True)
+    return [np.flatnonzero(which == group) for group in range(int(which.max()) + 1)]
+
+
+def pick_bands(template: Template, bands: np.ndarray) -> Template:
+    """Return some bands of a template, all of one exposure, as a template of that exposure."""
+    times, variance, lost = template.band_times_s, template.variance, template.lost
+    return replace(
+        template,
+        mean=template.mean[..., bands],
+        variance=None if variance is None else variance[..., bands],
+        saturated=template.saturated[..., bands],
+        black=template.black[..., bands],
+        lost=None if lost is None else lost[..., bands],
+        exposure_s=times[bands[0]] if times else template.exposure_s,
+        band_times_s=None,
+    )
 
 
 def average(

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from levkas.calibration.darks import MatchedDark
 from levkas.calibration.patterns import channel_names, channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.problems import Problem
@@ -60,18 +59,20 @@ def reflectance_table(
 
 def check_white(
     white: Template,
-    dark: MatchedDark,
+    level: np.ndarray,
     pattern: str | Sequence[Sequence[str]] | None,
     labels: Sequence[str] | None,
 ) -> None:
     """Refuse a white that is darker than dark, or saturated, over more than half of a channel.
+
+    `level` is the white's dark, counts; it broadcasts to the white.
 
     Raises
     ------
     CalibrationRefused
         E_WHITE_DARK, E_WHITE_SATURATED; one problem for each channel, `labels` naming the bands.
     """
-    level = np.broadcast_to(dark.mean, white.mean.shape)
+    level = np.broadcast_to(level, white.mean.shape)
     problems = []
     for name, part in _channels(white, pattern, labels):
         lit, under, clipped = white.mean[part], level[part], white.saturated[part]

@@ -17,9 +17,10 @@ import numpy as np
 from levkas.comparison.captures import ComparisonRefused
 from levkas.comparison.methods import COMPARED
 from levkas.comparison.trial import Trial
+from levkas.database.registrations import read_registration, read_registrations
 from levkas.machine import count_threads
+from levkas.ownership import OwnFiles
 from levkas.problems import Problem
-from levkas.readers.texts import read_json
 
 Checks = Mapping[tuple[str, str, str], np.ndarray]
 TIME_LIMIT_S = 600.0
@@ -97,8 +98,7 @@ class Row:
 def layers_of(database: Path) -> list[Layer]:
     """Return the layers that were registered to another camera."""
     layers = []
-    for path in sorted(database.glob("objects/*/registration/*.json")):
-        record = read_json(path)
+    for path, record in read_registrations(database):
         if record["camera"] != record["reference"]["camera"] or record.get("setup"):
             layers.append(Layer(path.parents[1].name, path.stem))
     if not layers:
@@ -151,24 +151,27 @@ def run_rows(
     truth: Path | None,
     checks: Checks,
     objects: Sequence[str] = (),
-    output: Path | None,
+    output: OwnFiles | None,
     time_limit_s: float = TIME_LIMIT_S,
 ) -> Iterator[Row]:
-    """Yield a row a layer and method, in that order."""
+    """Yield a row a layer and method, in that order; SSIM maps are drawn into `output`."""
     layers = [one for one in layers_of(database) if not objects or one.object in objects]
     done, total = 0, len(layers) * len(methods)
     for layer in layers:
         own = _of_layer(database, layer, checks)
         for method in methods:
             name = f"{layer.object}_{layer.name.replace('@', '_')}_{method}_ssim.png"
+            page = output.folder / name if output else None
+            if output and page:
+                output.claim(page)
             trial = Trial(
                 str(database), layer.object, layer.name, method,
-                str(truth or ""), own, str(output / name) if output else "",
+                str(truth or ""), own, str(page or ""),
             )  # fmt: skip
             facts = _in_a_child(trial, time_limit_s)
-            drawn = (
-                name if output and (output / name).is_file() and not facts.get("failure") else ""
-            )
+            if output and page:
+                output.keep(page)
+            drawn = name if page and page.is_file() and not facts.get("failure") else ""
             done += 1
             yield Row(layer, method, facts, drawn, done, total)
 
@@ -176,7 +179,7 @@ def run_rows(
 def _of_layer(database: Path, layer: Layer, checks: Checks) -> dict[str, list[list[float]]]:
     """Check points of a layer by band; those of no band are of the camera's reference channel."""
     path = database / "objects" / layer.object / "registration" / f"{layer.name}.json"
-    channel = str((read_json(path).get("target") or {}).get("band", ""))
+    channel = str((read_registration(path).get("target") or {}).get("band", ""))
     found: dict[str, list[list[float]]] = {}
     for (name, here, band), pairs in checks.items():
         if (name, here) == (layer.object, layer.name):

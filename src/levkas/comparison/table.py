@@ -115,6 +115,7 @@ def compare(
     frame: str | None = None,
     objects: Sequence[str] = (),
     output: str | Path | None = None,
+    overwrite: bool = False,
     time_limit_s: float | None = None,
     draw: Callable[[Iterable[Row]], list[Row]] = list,
 ) -> Comparison:
@@ -133,7 +134,9 @@ def compare(
     objects : sequence of str
         Only these; all without.
     output : path, optional
-        Folder for comparison.html, comparison.json and the SSIM maps.
+        Folder for comparison.html, comparison.json and the SSIM maps. Other files in it stay.
+    overwrite : bool
+        Whether files may be replaced there that no comparison wrote, or that were changed since.
     time_limit_s : float, optional
         For one method on one layer; 600 without.
     draw : callable
@@ -142,18 +145,17 @@ def compare(
     Raises
     ------
     ComparisonRefused, EvaluationRefused
+    WriteRefused
+        Where a file of somebody else's stands in the way.
     """
     from levkas.assessment import locate, read_check_points
     from levkas.comparison.running import TIME_LIMIT_S, chosen_methods, run_rows
+    from levkas.ownership import OwnFiles
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)
     folder = Path(truth).resolve() if truth else beside / "truth"
-    where = Path(output).resolve() if output else None
-    if where is not None:
-        from levkas.files import make_folder
-
-        make_folder(where)
+    where = OwnFiles(Path(output).resolve(), overwrite=overwrite) if output else None
     rows = run_rows(
         found,
         wanted,
@@ -167,5 +169,6 @@ def compare(
     if where is not None:
         from levkas.comparison.page import write_page
 
-        write_page(comparison, where)
+        with where.writing():
+            write_page(comparison, where.folder)
     return comparison

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import resource
+import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -79,8 +79,8 @@ def run_trial(trial: Trial) -> dict[str, Any]:
     row: dict[str, Any] = {
         "seconds": round(time.perf_counter() - start, 3),
         "cpu_seconds": round(time.process_time() - worked, 3),
-        "peak_mib": round(_peak_mib()),
-        "before_mib": round(before),
+        "peak_mib": _peak_mib(),
+        "before_mib": before,
         "decision": decision,
         "note": note,
         "failure": failure,
@@ -93,8 +93,14 @@ def run_trial(trial: Trial) -> dict[str, Any]:
     return row
 
 
-def _peak_mib() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def _peak_mib() -> int | None:
+    """Return the most memory that this process has held, MiB; None where the system does not say."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    unit = 1 << 20 if sys.platform == "darwin" else 1 << 10
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit)
 
 
 def _region(record: dict[str, Any]) -> tuple[float, ...] | None:

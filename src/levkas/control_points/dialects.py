@@ -17,6 +17,7 @@ from levkas.control_points import (
     table,
 )
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
+from levkas.control_points.text import check_lines
 from levkas.problems import Problem
 from levkas.readers.texts import LARGEST_TABLE
 
@@ -82,13 +83,14 @@ def sniff(data: bytes) -> str:
     Raises
     ------
     PointsRefused
-        Where it is of none.
+        Where it is of none, or has more lines than points could need.
 
     Examples
     --------
     >>> sniff(b'"Pt-0","true","1","2","3","4"\\n')
     'bigwarp'
     """
+    check_lines(data)
     for name, dialect in DIALECTS.items():
         try:
             if dialect.recognises(data):

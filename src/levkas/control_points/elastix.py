@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import re
 
-from levkas.control_points.points import ControlPoints
+from levkas.control_points.points import MOST_POINTS, ControlPoints
 from levkas.control_points.text import decode, number, number_text, unreadable
 
-_OUTPUT = re.compile(r"(InputPoint|OutputPoint)\s*=\s*\[([^\]]*)\]")
+MOST_WORDS = 2 + 3 * MOST_POINTS
+_OUTPUT = re.compile(r"(InputPoint|OutputPoint)\s*=\s*\[([^][]*)\]")
 
 
 def recognises(data: bytes) -> bool:
@@ -39,7 +40,9 @@ def read(data: bytes, target: bytes | None = None) -> ControlPoints:
 
 
 def _read_points(text: str) -> list[list[float]]:
-    words = text.split()
+    words = text.split(maxsplit=MOST_WORDS)
+    if len(words) > MOST_WORDS:
+        raise unreadable("more words", f"at most {MOST_POINTS} points of two or three numbers")
     if len(words) < 2 or words[0].lower() not in ("point", "index"):
         raise unreadable(" ".join(words[:2])[:60], "`point` or `index`, then how many")
     count = int(number(words[1], "line 2"))

@@ -12,16 +12,24 @@ from __future__ import annotations
 import re
 
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.control_points.text import decode, number, number_text, unreadable
+from levkas.control_points.text import LONGEST_LINE, decode, number, number_text, unreadable
 from levkas.problems import Problem
 
 _WORD = re.compile(r'([a-zA-Z]+)("[^"]*"|[^\s"]+)')
-_POINT = re.compile(rb"^c\s+.*\bn\d+\b.*\bN\d+\b", re.MULTILINE)
 
 
 def recognises(data: bytes) -> bool:
     """Tell whether there are lines of pictures and of points."""
-    return bool(_POINT.search(data)) or data.startswith(b"# hugin project file")
+    if data.startswith(b"# hugin project file"):
+        return True
+    lines = data.split(b"\n")
+    points = (line[:LONGEST_LINE].split() for line in lines if line.startswith((b"c ", b"c\t")))
+    return any(_names(words, b"n") and _names(words, b"N") for words in points)
+
+
+def _names(words: list[bytes], letter: bytes) -> bool:
+    """Tell whether a picture is among the words of a line: ``n0``."""
+    return any(word.startswith(letter) and word[1:].isdigit() for word in words)
 
 
 def read(data: bytes) -> ControlPoints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,15 @@ from levkas.control_points import table
 from levkas.control_points.dialects import sniff
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
 from levkas.control_points.reading import read_points
-from levkas.control_points.text import rows, write_rows
+from levkas.control_points.text import decode, rows, write_rows
 from levkas.problems import Problem
 from levkas.readers.texts import TextRefused, read_text
 
 #: (object, CAMERA or CAMERA@SETUP, band; empty for the camera's reference channel)
 Frame = tuple[str, str, str]
 FRAME = ("object", "camera", "band")
+MOST_FRAMES = 5000
+"""Of one table: each is read by itself."""
 
 
 def is_table_of_frames(path: Path) -> bool:
@@ -39,13 +42,28 @@ def read_table_of_frames(path: Path) -> dict[Frame, ControlPoints]:
         text = read_text(path, "a CSV in UTF-8")
     except TextRefused as refused:
         raise PointsRefused(*refused.problems) from None
-    body = rows(text)
+    try:
+        body = rows(decode(text.encode()))
+    except PointsRefused as refused:
+        raise PointsRefused(*(replace(p, file=str(path)) for p in refused.problems)) from None
     head = [cell.strip() for cell in body[0]]
     places = [head.index(name) if name in head else None for name in FRAME]
     groups: dict[Frame, list[list[str]]] = {}
     for row in body[1:]:
         frame = tuple("" if p is None or p >= len(row) else row[p].strip() for p in places)
         groups.setdefault(frame, []).append(row)  # type: ignore[arg-type]
+        if len(groups) > MOST_FRAMES:
+            raise PointsRefused(
+                Problem(
+                    "E_SIZE",
+                    "points of too many frames in one table",
+                    str(path),
+                    "object, camera, band",
+                    f"more than {MOST_FRAMES}",
+                    f"at most {MOST_FRAMES}",
+                    "Write a table for each camera.",
+                )
+            )
     try:
         return {
             frame: table.read(write_rows([head, *group]).encode())

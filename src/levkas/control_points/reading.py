@@ -58,20 +58,31 @@ def read_points(
         ) from None
 
 
-def write_points(points: ControlPoints, path: str | Path, dialect: str) -> list[Path]:
+def write_points(
+    points: ControlPoints, path: str | Path, dialect: str, *, overwrite: bool = False
+) -> list[Path]:
     """Write control points; a dialect of two files adds `.reference` and `.target` to the name.
 
     Returns
     -------
     paths : list of Path
         What was written.
+
+    Raises
+    ------
+    PointsRefused
+    WriteRefused
+        Where a file of that name stands already, unless `overwrite`, or the disk refuses.
     """
     from levkas.files import write_bytes
+    from levkas.ownership import require_free
 
     contents = format_points(points, dialect)
     path = Path(path)
     suffixes = DIALECTS[dialect].suffixes
     paths = [path] if len(contents) == 1 else [path.with_name(path.stem + s) for s in suffixes]
+    for one in paths:
+        require_free(one, overwrite=overwrite)
     for one, data in zip(paths, contents, strict=True):
         write_bytes(one, data)
     return paths

@@ -11,10 +11,29 @@ from levkas.control_points.points import MOST_POINTS, PointsRefused
 from levkas.problems import Problem
 
 LONGEST_LINE = 4096
+LONGEST_TEXT_LINE = 4 * LONGEST_LINE
+"""Of a text as it stands: a reference system in a comment may be long."""
+MOST_LINES = 4 * MOST_POINTS
+"""Empty ones and comments counted: the work of reading is bounded by it, whatever the lines hold."""
+
+
+def check_lines(data: bytes) -> None:
+    """Refuse more lines than a file of points can need; raises PointsRefused."""
+    if (lines := data.count(b"\n")) > MOST_LINES:
+        raise unreadable(f"{lines} lines", f"at most {MOST_LINES}")
 
 
 def decode(data: bytes) -> str:
-    """Return a text in UTF-8, with or without a mark of its byte order."""
+    """Return a text in UTF-8, with or without a mark of its byte order.
+
+    Raises
+    ------
+    PointsRefused
+        Where it is none, or has too many lines, or one that is too long.
+    """
+    check_lines(data)
+    if (longest := max(map(len, data.split(b"\n")))) > LONGEST_TEXT_LINE:
+        raise unreadable(f"a line of {longest} bytes", f"lines of at most {LONGEST_TEXT_LINE}")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -9,8 +9,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from levkas.database.containment import check_inside, check_plain_names
 from levkas.files import write_changed
 from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -75,11 +77,14 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     ------
     DatabaseRefused
         Where there is none, or rows cannot be understood: all of them, at most ten.
+    LinkRefused
+        Where it is a link that leads out of the database.
     """
     path = Path(database) / NAME
+    check_inside(path.parent, path)
     try:
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
-    except (OSError, ValueError, csv.Error) as error:
+        rows = list(csv.reader(io.StringIO(read_text(path, "a CSV in UTF-8"), newline="")))
+    except (Refused, csv.Error) as error:
         raise DatabaseRefused(
             Problem(
                 "E_UNREADABLE",
@@ -114,6 +119,7 @@ def entry_of(row: list[str]) -> Entry:
     if len(row) != len(COLUMNS):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
     cells = dict(zip(COLUMNS, row, strict=True))
+    check_plain_names(cells["object"], cells["camera"], cells["setup"] or "-")
     return Entry(
         object=cells["object"],
         camera=cells["camera"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from levkas.database.soundness import TiffFacts
 from levkas.database.spectral_tiff import METADATA, decode_text
+from levkas.readers.texts import parse_bounded
 
 TWINS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 """Arrays of a Zarr layer, and the endings of the files that hold the same numbers."""
@@ -61,7 +61,7 @@ def base_of(group: str) -> str:
 def record_of(facts: TiffFacts | None) -> dict[str, Any]:
     """Return what a TIFF says of itself in tag 65111; {} where it says nothing of the kind."""
     try:
-        record = json.loads(decode_text(str(facts.tags.get(METADATA, "")))) if facts else {}
+        record = parse_bounded(decode_text(str(facts.tags.get(METADATA, "")))) if facts else {}
     except ValueError:
         return {}
     return record if isinstance(record, dict) else {}

@@ -22,7 +22,7 @@ from levkas.files import remove, together
 from levkas.rounding import SIGMA_DROP, is_rounded, round_sigma
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from levkas.cube import Band, Cube
 
@@ -38,7 +38,7 @@ class Layer:
     px_per_mm : float
         NaN where the sampling is not known.
     credits : Credits
-    centroids : sequence of float, nm, optional
+    centroids : mapping of label to float, nm
         Of the sensitivities of channels without a centre wavelength, for tag 65000.
     """
 
@@ -47,7 +47,7 @@ class Layer:
     setup: str = ""
     px_per_mm: float = nan
     credits: Credits = field(default_factory=Credits)
-    centroids: tuple[float, ...] | None = None
+    centroids: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -190,8 +190,8 @@ def write_tiffs(
     return written
 
 
-def centres_of(bands: Sequence[Band], centroids: Sequence[float] | None = None) -> list[float]:
-    """Return what tag 65000 holds: centres, else centroids of sensitivities, else 0 … n−1.
+def centres_of(bands: Sequence[Band], centroids: Mapping[str, float] | None = None) -> list[float]:
+    """Return what tag 65000 holds: centres, else centroids of sensitivities; 0 … n−1 where one has neither.
 
     Examples
     --------
@@ -199,10 +199,11 @@ def centres_of(bands: Sequence[Band], centroids: Sequence[float] | None = None) 
     >>> centres_of([Band("R1"), Band("G1")]), centres_of([Band("550 nm", 550.0)])
     ([0.0, 1.0], [550.0])
     """
-    centres = [band.wavelength for band in bands]
+    known = centroids or {}
+    centres = [
+        known.get(b.label, b.wavelength) if isnan(b.wavelength) else b.wavelength for b in bands
+    ]
     if any(isnan(centre) for centre in centres):
-        centres = list(centroids) if centroids is not None else []
-    if len(centres) != len(bands) or any(isnan(centre) for centre in centres):
         centres = [float(number) for number in range(len(bands))]
     return centres
 

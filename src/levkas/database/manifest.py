@@ -15,10 +15,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from levkas.database.containment import stays_inside
 from levkas.digests import hash_file
 from levkas.files import PARTIAL, write_changed
 from levkas.machine import count_threads
 from levkas.problems import Problem
+from levkas.readers.texts import DEEPEST
 
 NAME = "manifest-sha256.txt"
 LARGEST = 256 << 20
@@ -131,7 +133,7 @@ def read_manifest(path: str | Path) -> Manifest:
 def list_files(folder: str | Path) -> list[str]:
     """Return the files below `folder`, relative with ``/``, sorted by code point; links to folders too.
 
-    What file browsers leave behind is left out.
+    What file browsers leave behind is left out. A folder deeper than `DEEPEST` is listed like a file.
     """
     return sorted(_walk(Path(folder)))
 
@@ -153,11 +155,15 @@ def plain(name: str) -> str:
 
 
 def _walk(root: Path) -> Iterator[str]:
+    # Thousands of names where all is fresh: texts, not paths.
     for place, folders, names in os.walk(root):
-        links = [name for name in folders if Path(place, name).is_symlink()]
-        for name in (*names, *links):
+        above = place[len(str(root)) :].replace(os.sep, "/").strip("/")
+        closed = [name for name in folders if os.path.islink(f"{place}{os.sep}{name}")]  # noqa: PTH114
+        if above.count("/") + 1 >= DEEPEST:
+            closed, folders[:] = [*folders], []
+        for name in (*names, *closed):
             if name not in DROPPINGS:
-                yield Path(place, name).relative_to(root).as_posix()
+                yield f"{above}/{name}" if above else name
 
 
 def _to_bytes(files: Mapping[str, Listed], total: int) -> bytes:
@@ -182,7 +188,7 @@ def _parse(path: Path, body: bytes) -> Manifest:
             continue
         found = _LINE.fullmatch(text)
         name = _decode(found.group(2)) if found else ""
-        if found and name not in files and _stays_inside(name):
+        if found and name not in files and stays_inside(name):
             files[name] = Listed(name, found.group(1).lower(), size)
         elif text.strip():
             wrong.append(number)
@@ -194,12 +200,6 @@ def _parse(path: Path, body: bytes) -> Manifest:
             path, f"{len(wrong)} lines cannot be read, the first is {wrong[0]}", manifest
         )
     return manifest
-
-
-def _stays_inside(name: str) -> bool:
-    return (
-        bool(name) and not name.startswith("/") and ".." not in name.split("/") and "\0" not in name
-    )
 
 
 def _encode(name: str) -> str:

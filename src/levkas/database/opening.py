@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from math import nan
@@ -14,11 +13,13 @@ from xarray.core import indexing
 
 from levkas.cube import Band, band_labels
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
+from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.pixels import TiffPixels, ZarrPixels, read_group
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS, layer_name
 from levkas.database.tiff_pages import TiffPages, open_pages
 from levkas.problems import Problem
+from levkas.readers.texts import parse_bounded
 
 if TYPE_CHECKING:
     from levkas.mapping import FrameMap
@@ -165,9 +166,10 @@ class Origin:
         """Open the values, flags or sigma of the layer, selected as the array was."""
         group = self.path / "zarr" / f"{self.object}.zarr" / layer_name(self.camera, self.setup)
         if (group / "zarr.json").is_file():
-            array = _from_zarr(group, kind)
+            array = _from_zarr(group, kind, self.path)
         else:
-            array = open_pixels(self._tiff(kind))
+            check_inside(self.path, tiff := self._tiff(kind))
+            array = open_pixels(tiff)
         array._origin = Origin(self.path, self.object, self.camera, self.setup)
         for method, arguments in self.selections:
             array = getattr(array, method)(**arguments)
@@ -234,11 +236,12 @@ class LayerArray(xarray.DataArray):
         return result
 
 
-def _from_zarr(group: Path, kind: str) -> LayerArray:
+def _from_zarr(group: Path, kind: str, root: Path) -> LayerArray:
+    check_inside(root, *group.glob("*/zarr.json"), *group.glob("*/c/0"))
     facts = read_group(group)
     if kind not in facts.arrays:
         raise _missing(group / kind, kind)
-    return _array(ZarrPixels(group / kind), facts.bands, facts.attributes[kind], kind)
+    return _array(ZarrPixels(group / kind, root), facts.bands, facts.attributes[kind], kind)
 
 
 @dataclass(frozen=True)
@@ -295,6 +298,17 @@ def _array(
         "wavelength": ("band", [band.wavelength for band in bands], {"units": "nm"}),
         "fwhm": ("band", [band.fwhm for band in bands], {"units": "nm"}),
     }
+    if len(pixels.shape) != 3 or pixels.shape[2] != len(bands):
+        raise DatabaseRefused(
+            Problem(
+                "E_SIZE",
+                f"the {name} are not of as many bands as the layer has",
+                str(pixels.path),
+                found=" x ".join(map(str, pixels.shape)),
+                expected=f"rows, columns and {len(bands)} bands",
+                fix="Copy the database anew, or build it again.",
+            )
+        )
     lazy = indexing.LazilyIndexedArray(pixels)
     return LayerArray(lazy, coordinates, DIMENSIONS, name=name, attrs=attributes)
 
@@ -305,16 +319,24 @@ def _layers_found(path: Path, name: str) -> tuple[tuple[str, str], ...]:
     for tiff in sorted((path / "objects" / name).glob("*.tif")):
         if tiff.name.endswith((".flags.tif", ".sigma.tif")):
             continue
+        check_inside(path, tiff)
         text = next((t for t in open_pages(tiff).tags(METADATA) if t), "")
         record = _json(decode_text(str(text)))
-        camera = record.get("camera") or tiff.stem.removeprefix(f"{name}_")
-        found.append((str(camera), str(record.get("setup", ""))))
+        camera = str(record.get("camera") or tiff.stem.removeprefix(f"{name}_"))
+        setup = str(record.get("setup", ""))
+        try:
+            check_plain_names(camera, setup or "-")
+        except ValueError as error:
+            raise DatabaseRefused(
+                Problem("E_VALUE", str(error), str(tiff), f"tag {METADATA}")
+            ) from None
+        found.append((camera, setup))
     return tuple(found)
 
 
 def _json(text: str) -> dict[str, Any]:
     try:
-        record = json.loads(text)
+        record = parse_bounded(text)
     except ValueError:
         return {"metadata": text} if text else {}
     return record if isinstance(record, dict) else {"metadata": text}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import product
-from math import nan
+from math import nan, prod
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +14,19 @@ from xarray.core import indexing
 
 from levkas.cube import Band
 from levkas.database.catalogue import DatabaseRefused
+from levkas.database.containment import check_inside
 from levkas.database.tiff_pages import DAMAGE, TiffPages, open_pages
-from levkas.problems import Problem
+from levkas.problems import Problem, Refused
+from levkas.readers.texts import LARGEST_TABLE, read_json
+
+MOST_SAMPLES = 1 << 26
+"""Of a chunk, which is decoded as a whole."""
 
 
 class Pixels(BackendArray):
     """The (y, x, band) numbers of one file or group, as xarray's lazy indexing wants them."""
 
+    path: Path
     shape: tuple[int, ...]
     dtype: np.dtype
 
@@ -56,15 +61,19 @@ def _span(places: np.ndarray) -> tuple[int, int]:
 class ZarrPixels(Pixels):
     """An array of a layer's group."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, root: Path) -> None:
         import zarr
 
-        self.path = path
-        self._array = zarr.open_array(str(path), mode="r", zarr_format=3)
+        self.path, self._root = path, root
+        check_description(path)
+        try:
+            self._array = zarr.open_array(str(path), mode="r", zarr_format=3)
+        except DAMAGE as error:
+            raise DatabaseRefused(_damaged(path / "zarr.json", error)) from error
         self.shape, self.dtype = self._array.shape, np.dtype(self._array.dtype)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.path,)
+        return type(self), (self.path, self._root)
 
     def _block(self, rows: np.ndarray, columns: np.ndarray, bands: np.ndarray) -> np.ndarray:
         spans = [_span(places) for places in (rows, columns, bands)]
@@ -96,13 +105,14 @@ class ZarrPixels(Pixels):
                     fix="Build it again.",
                 )
                 raise DatabaseRefused(problem)
+            check_inside(self._root, shard)
 
 
 class TiffPixels(Pixels):
     """The band pages of a spectral TIFF; of each band only the strips that are needed are read."""
 
     def __init__(self, pages: TiffPages) -> None:
-        self._pages = pages
+        self._pages, self.path = pages, pages.path
         self.shape, self.dtype = pages.shape, pages.dtype
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -154,6 +164,7 @@ def _read_whole(path: Path) -> np.ndarray:
     """Read a small array of a group: as Levkas writes it within a tenth of the time that zarr takes."""
     import zarr
 
+    check_description(path)
     found = _decode_whole(path)
     if found is not None:
         return found
@@ -167,13 +178,15 @@ def _decode_whole(path: Path) -> np.ndarray | None:
         from numcodecs import blosc
         from numcodecs.vlen import VLenUTF8
 
-        record = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+        record = read_json(path / "zarr.json")
         data = (path / "c" / "0").read_bytes()
         first, *packing = [codec["name"] for codec in record["codecs"]]
         endian = record["codecs"][0].get("configuration", {}).get("endian", "little")
         whole = record["chunk_grid"]["configuration"]["chunk_shape"] == record["shape"]
         good = crc32c(data[:-4]) == int.from_bytes(data[-4:], "little")
         if not (whole and good and packing == ["blosc", "crc32c"]):
+            return None
+        if int.from_bytes(data[4:8], "little") > LARGEST_TABLE:
             return None
         raw = blosc.decompress(data[:-4])
         if (first, record["data_type"]) == ("vlen-utf8", "string"):
@@ -182,13 +195,43 @@ def _decode_whole(path: Path) -> np.ndarray | None:
             values = np.frombuffer(raw, "<f8")
         else:
             return None
-    except (ImportError, OSError, ValueError, KeyError, TypeError, RuntimeError):
+    except (Refused, ImportError, OSError, ValueError, KeyError, TypeError, RuntimeError):
         return None
     return values if list(values.shape) == record["shape"] else None
 
 
+def check_description(path: Path) -> None:
+    """Refuse an array whose description cannot be read, or asks for chunks that no memory holds.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of an array of Zarr 3.
+
+    Raises
+    ------
+    DatabaseRefused
+    """
+    place = path / "zarr.json"
+    try:
+        record = read_json(place)
+        shape, grid = record["shape"], record["chunk_grid"]["configuration"]["chunk_shape"]
+        codecs = [codec.get("configuration") or {} for codec in record["codecs"]]
+        inner = [codec.get("chunk_shape", grid) for codec in codecs]
+        for sides in (shape, grid, *inner):
+            if len(sides) != len(shape) or any(type(n) is not int or n < 0 for n in sides):
+                raise ValueError("a shape is not numbers of pixels")
+        largest = max(prod(sides) for sides in (*inner, shape if len(shape) < 2 else ()))
+        if largest > MOST_SAMPLES:
+            raise ValueError(f"a chunk of {largest} samples; at most {MOST_SAMPLES}")
+    except Refused as refused:
+        raise DatabaseRefused(*refused.problems) from None
+    except DAMAGE as error:
+        raise DatabaseRefused(_damaged(place, error)) from error
+
+
 def _attributes(path: Path) -> dict[str, Any]:
-    record = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
+    record = read_json(path / "zarr.json")["attributes"]
     return {key: value for key, value in record.items() if key != "coordinates"}
 
 

@@ -5,23 +5,32 @@ from __future__ import annotations
 import csv
 import logging
 import struct
-import tomllib
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from levkas.database.pixels import check_description
 from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE
-from levkas.problems import Problem
-from levkas.readers.texts import parse_json
+from levkas.declaring.toml import read_toml
+from levkas.problems import Problem, Refused
+from levkas.readers.facts import check_expansion, check_memory
+from levkas.readers.texts import parse_bounded, parse_json
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PLAIN = 1  # tag Compression
 FIX = "Copy it anew, or build it again."
+CRATE = "ro-crate-metadata.json"
+"""Lists all files of a publication, and so has no bound of its own."""
+LARGEST_TEXT = 256 << 20
+"""Bytes of a text."""
+MOST_GAPS = 10_000
+"""Missing chunks that are named one by one."""
 TEXTS = frozenset([".txt", ".md", ".html", ".htm", ".xml", ".svg", ".cff", ".css", ".js"])
 
 # What tifffile logs about a damaged file is told as a problem; its lines on stderr help nobody.
@@ -85,10 +94,12 @@ def check_tiff(path: Path) -> tuple[TiffFacts | None, list[Problem]]:
             if end is None or any(tiff.filehandle.read(tiff.tiff.offsetsize)):
                 found = f"{len(pages)} pages"
                 problems.append(damaged(path, "the list of pages breaks off", found=found))
+            size, itemsize = path.stat().st_size, pages[0].dtype.itemsize
+            check_expansion(path, sum(page.size for page in pages), itemsize, size)
             for index, page in enumerate(pages):
                 problems += _check_page(path, page, index, path.stat().st_size)
             return _facts(pages), problems
-    except DAMAGE as error:
+    except (*DAMAGE, Refused) as error:
         return None, [*problems, damaged(path, _reason(error))]
 
 
@@ -166,6 +177,9 @@ def _check_jpeg(path: Path) -> Iterator[Problem]:
 
 
 def _check_text(path: Path, kind: str) -> Iterator[Problem]:
+    if (size := path.stat().st_size) > LARGEST_TEXT:
+        yield damaged(path, "it is far too large", code="E_SIZE", found=f"{size >> 20} MiB")
+        return
     data = path.read_bytes()
     if not data.strip():
         yield damaged(path, "it is empty", code="E_TRUNCATED", found=f"{len(data)} bytes")
@@ -176,31 +190,33 @@ def _check_text(path: Path, kind: str) -> Iterator[Problem]:
     try:
         text = data.decode("utf-8-sig")
         if kind == ".json":
-            parse_json(text)
+            (parse_json if path.name == CRATE else parse_bounded)(text)
         elif kind == ".toml":
-            tomllib.loads(text)
+            read_toml(path)
         elif kind == ".csv":
             yield from _check_table(path, text)
         elif kind in (".html", ".htm") and not text.rstrip().lower().endswith("</html>"):
             yield damaged(path, "it is cut off", code="E_TRUNCATED", expected="</html> at the end")
-    except (ValueError, RecursionError) as error:
+    except (ValueError, RecursionError, Refused) as error:
         yield damaged(path, _reason(error))
 
 
 def _check_table(path: Path, text: str) -> Iterator[Problem]:
     try:
-        rows = [row for row in csv.reader(text.splitlines(), strict=True) if row]
+        lines = csv.reader(text.splitlines(), strict=True)
+        rows = enumerate((len(row) for row in lines if row), 1)
+        _, first = next(rows, (0, 0))
+        ragged = next(((i, count) for i, count in rows if count != first), None)
     except csv.Error as error:
         yield damaged(path, str(error))
         return
-    ragged = [i for i, row in enumerate(rows, 1) if len(row) != len(rows[0])]
     if ragged:
         yield damaged(
             path,
             "a row has other cells than the first",
             field=f"row {ragged[0]}",
-            found=f"{len(rows[ragged[0] - 1])} cells",
-            expected=f"{len(rows[0])} cells",
+            found=f"{ragged[1]} cells",
+            expected=f"{first} cells",
         )
 
 
@@ -214,8 +230,10 @@ def _read_through(path: Path) -> None:
 # --- Zarr -------------------------------------------------------------------------------------
 
 
-def check_array(path: Path) -> list[Problem]:
+def check_array(path: Path, names: Iterable[str]) -> list[Problem]:
     """Check one Zarr array: its description, that every shard or chunk is there and decodes, no more.
+
+    `names` are its files, relative with ``/``.
 
     A chunk that is not there reads as the fill value, so it is a problem unless the array is said
     to leave empty ones out, which no store of Levkas does.
@@ -223,12 +241,19 @@ def check_array(path: Path) -> list[Problem]:
     import zarr
 
     problems: list[Problem] = []
+    names = sorted(names)
     try:
+        if (path / "zarr.json").exists():
+            check_description(path)
         array = zarr.open_array(str(path), mode="r")
         steps = array.shards or array.chunks
         grid = [range(-(-size // step)) for size, step in zip(array.shape, steps, strict=True)]
+        if (count := prod(len(side) for side in grid)) > MOST_GAPS + 2 * len(names):
+            told = {"found": f"{len(names)} files", "expected": f"{count} chunks"}
+            return [damaged(_description(path), "nearly all of its chunks are missing", **told)]
+        check_memory(path, prod(steps), array.dtype.itemsize)
         keys = {array.metadata.encode_chunk_key(place): place for place in product(*grid)}
-    except DAMAGE as error:
+    except (*DAMAGE, Refused) as error:
         return [damaged(_description(path), _reason(error))]
     for key, place in keys.items():
         part = path / key
@@ -241,7 +266,7 @@ def check_array(path: Path) -> list[Problem]:
         except DAMAGE as error:
             problems.append(damaged(part, _reason(error)))
     known = {*keys, "zarr.json", ".zarray", ".zattrs"}
-    for name in sorted(p.relative_to(path).as_posix() for p in path.rglob("*") if p.is_file()):
+    for name in names:
         if name not in known:
             problems.append(
                 Problem(

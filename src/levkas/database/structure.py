@@ -16,8 +16,8 @@ from levkas.database.soundness import (
     check_tiff,
 )
 from levkas.database.twins import check_stores
-from levkas.problems import Problem
-from levkas.readers.texts import parse_json
+from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_json
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,14 @@ def check_structure(root: Path, names: frozenset[str]) -> Iterator[Structure]:
     gaps: list[Problem] = []
     undescribed = {str(Path(p.file or "").parent) for p in described}
     for array in arrays:
-        found = [] if str(root / array) in undescribed else check_array(root / array)
+        found = (
+            []
+            if str(root / array) in undescribed
+            else check_array(
+                root / array,
+                [n.removeprefix(f"{array}/") for n in inside if n.startswith(f"{array}/")],
+            )
+        )
         # Others may leave empty chunks out: what the TIFF beside has there decides.
         gaps += [p for p in found if p.code == "E_MISSING" and not ours]
         problems += (found := [p for p in found if p not in gaps])
@@ -98,9 +105,8 @@ def _is_array(folder: Path) -> bool:
     if (folder / ".zarray").is_file():
         return True
     try:
-        record = parse_json((folder / "zarr.json").read_text("utf-8"))
-        return bool(record.get("node_type") != "group")
-    except (OSError, ValueError, AttributeError):
+        return bool(read_json(folder / "zarr.json").get("node_type") != "group")
+    except Refused:
         return (folder / "c").is_dir()
 
 

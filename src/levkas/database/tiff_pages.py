@@ -11,6 +11,8 @@ import numpy as np
 
 from levkas.machine import count_threads
 from levkas.problems import Problem, Refused
+from levkas.readers.facts import UnreadableCapture
+from levkas.readers.tiff_pages import kinds_of_pages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -117,6 +119,8 @@ def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
 
     path = Path(path)
     try:
+        if path.exists():
+            _check_directories(path)
         with TiffFile(path) as tiff:
             pages: list[Any] = list(tiff.pages)
             if not pages:
@@ -132,6 +136,17 @@ def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
     first = 0 if render is None else 1
     _check_bands(path, pages[first:], uniform)
     return TiffPages(path, render, pages[first:], tags[first:])
+
+
+def _check_directories(path: Path) -> None:
+    """Refuse what would keep a decoder reading for ever; what is cut off is told of by the checks that follow."""
+    if not path.is_file():  # to open a pipe waits for ever
+        raise ValueError("it is no file")
+    try:
+        kinds_of_pages(path)
+    except UnreadableCapture as refused:
+        if refused.problems[0].code != "E_TRUNCATED":
+            raise TiffRefused(*refused.problems) from None
 
 
 def _check_bands(path: Path, pages: list[TiffPage], uniform: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,8 @@ import numpy as np
 
 from levkas.database.holdings import TWINS, Holdings, base_of, record_of, same_numbers
 from levkas.database.soundness import TiffFacts, damaged
-from levkas.problems import Problem
+from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_json
 
 ROWS = 64
 
@@ -60,15 +60,15 @@ def _described(store: str, name: str, *, ours: bool) -> list[str]:
 def _check_index(root: Path, store: str, names: frozenset[str]) -> Iterator[Problem]:
     """The store's index repeats the descriptions of its members."""
     try:
-        index = json.loads((root / store / "zarr.json").read_bytes())["consolidated_metadata"]
+        index = read_json(root / store / "zarr.json")["consolidated_metadata"]
         described = dict(index["metadata"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (Refused, ValueError, KeyError, TypeError):
         return
     for member, facts in described.items():
         own = root / store / member / "zarr.json"
         try:
-            same = json.loads(own.read_bytes()) == facts
-        except (OSError, ValueError):
+            same = read_json(own) == facts
+        except Refused:
             continue  # told by others
         if not same:
             yield damaged(own, "it is not what the index of its store says")

@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 
 from levkas.declaring.cameras import check_camera, check_pattern, wrong
-from levkas.declaring.tables import ONLY_OF_THE_PAPER, Document, RegistrationKeys
+from levkas.declaring.tables import ONLY_OF_THE_PAPER, THRESHOLDS, Document, RegistrationKeys
 from levkas.problems import Problem
 
 LONGEST_NAME = 80
+MOST_COMPARED = 20_000
+"""Pairs of names whose likeness is looked at, one after the other; each takes some 10 µs."""
+MOST_LISTED = 20
+MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
+"""Cameras; objects times cameras; patterns of one camera: each is looked up among the files."""
 _UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
 
 
 def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
     """Yield everything that does not fit together; `file` is left for the caller to say."""
+    if too_many := list(_sizes(document)):
+        yield from too_many
+        return
     yield from _names(document)
     yield from _targets(document)
     for name, camera in document.cameras.items():
@@ -24,6 +33,30 @@ def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
     yield from _setups(document)
     yield from _registration(document)
     yield from _files(document, root)
+    output = document.campaign.output
+    if why := no_place((root / output).resolve(), root.resolve()):
+        yield wrong(
+            "campaign.output", why, output, "a folder of its own", 'Write output = "database".'
+        )
+
+
+def no_place(output: Path, root: Path) -> str:
+    """Return why no database can be written to a folder, whatever stands there; ``""`` where one can.
+
+    >>> no_place(Path("/"), Path("/data/icons"))
+    'the database would be written over a whole disk or a home'
+    >>> no_place(Path("/data/icons/database"), Path("/data/icons"))
+    ''
+    """
+    try:
+        home = Path.home().resolve()
+    except RuntimeError:  # a user without one
+        home = root
+    if output in (Path(output.anchor), home):
+        return "the database would be written over a whole disk or a home"
+    if output in (root, *root.parents):
+        return "the database would be written over the campaign"
+    return ""
 
 
 def is_safe_name(name: str) -> bool:
@@ -41,8 +74,40 @@ def meant(text: str, known: Iterable[str]) -> str | None:
     >>> meant("fles", ["files", "kind"])
     "Did you mean 'files'?"
     """
-    near = difflib.get_close_matches(text, list(known), 1, 0.6)
+    names = [n for n in islice(known, MOST_COMPARED) if len(n) <= LONGEST_NAME]
+    near = difflib.get_close_matches(text[:LONGEST_NAME], names, 1, 0.6)
     return f"Did you mean {near[0]!r}?" if near else None
+
+
+def listed(names: Collection[str]) -> str:
+    """Return names as they are listed in a message, the first twenty of many.
+
+    >>> listed(["nir", "vis"]), listed([str(n) for n in range(100)])[-8:]
+    ('nir, vis', '18, 19 …')
+    """
+    more = " …" if len(names) > MOST_LISTED else ""
+    return ", ".join(n[:LONGEST_NAME] for n in islice(names, MOST_LISTED)) + more
+
+
+def _sizes(document: Document) -> Iterator[Problem]:
+    cameras = document.cameras
+    objects = document.targets.objects or document.objects
+    lightings = 1 + len(document.setups)
+    patterns = max((len(camera.patterns) for camera in cameras.values()), default=0)
+    for field, count, most, what in (
+        ("cameras", len(cameras), MOST_CAMERAS, "cameras"),
+        ("setups", lightings, MOST_CAMERAS, "lightings"),
+        (
+            "targets.objects",
+            max(1, len(objects)) * len(cameras),
+            MOST_LAYERS,
+            "objects times cameras",
+        ),
+        ("cameras", patterns, MOST_PATTERNS, "patterns of one camera"),
+    ):
+        if count > most:
+            fix = "Divide it into several campaigns."
+            yield Problem("E_SIZE", f"too many {what}", None, field, count, f"at most {most}", fix)
 
 
 # --- names ------------------------------------------------------------------------------------
@@ -55,7 +120,7 @@ def _names(document: Document) -> Iterator[Problem]:
             "campaign.reference.camera",
             "the reference camera is not declared",
             reference,
-            f"one of {', '.join(cameras)}",
+            f"one of {listed(cameras)}",
             meant(reference, cameras),
         )
     own = [document.campaign.setup] if document.campaign.setup else []
@@ -113,14 +178,17 @@ def _targets(document: Document) -> Iterator[Problem]:
                 yield wrong(
                     f"targets.{role}", f"{name!r} is declared twice", name, f"{other} or {role}"
                 )
-    for name in document.objects:
-        near = meant(name, targets.objects or ())
-        if near and name not in (targets.objects or ()):  # else its facts wait for another build
+    known = tuple(targets.objects or ())
+    # What is like none of them waits for another build.
+    for name in islice(
+        sorted(document.objects.keys() - set(known)), MOST_COMPARED // max(1, len(known))
+    ):
+        if near := meant(name, known):
             yield wrong(
                 f"objects.{name}",
                 "facts of an object that is not among targets.objects",
                 name,
-                ", ".join(targets.objects or ()),
+                listed(known),
                 near,
             )
 
@@ -145,7 +213,7 @@ def _setups(document: Document) -> Iterator[Problem]:
                     field,
                     "a setup names a camera that is not declared",
                     name,
-                    f"one of {', '.join(document.cameras)}",
+                    f"one of {listed(document.cameras)}",
                     meant(name, document.cameras),
                 )
                 continue
@@ -170,6 +238,8 @@ def _registration(document: Document) -> Iterator[Problem]:
         yield wrong("registration.use", "there are no points to use", common.use)
     if "mirhashemi2019" not in methods.values():
         yield from _of_the_paper("registration", common)
+    else:
+        yield from _detector("registration", common)
     if common.joint and "levkas" not in methods.values():
         yield _not_joint("registration.joint")
     for name, keys in own.items():
@@ -177,6 +247,8 @@ def _registration(document: Document) -> Iterator[Problem]:
             yield _not_joint(f"cameras.{name}.registration.joint")
         if methods[name] != "mirhashemi2019":
             yield from _of_the_paper(f"cameras.{name}.registration", keys)
+        else:
+            yield from _detector(f"cameras.{name}.registration", keys)
         if keys.use is not None and (keys.points or common.points) is None:
             yield wrong(f"cameras.{name}.registration.use", "there are no points to use", keys.use)
         reject, stop = keys.reject or common.reject, keys.stop or common.stop or 1.0
@@ -203,6 +275,42 @@ def _of_the_paper(where: str, keys: RegistrationKeys) -> Iterator[Problem]:
                 getattr(keys, key),
                 fix='Take it out, or write method = "mirhashemi2019".',
             )
+
+
+def find_ineffective(document: Document) -> Iterator[str]:
+    """Yield what is accepted and changes nothing: thresholds of the paper's method where that is not used.
+
+    `reject` and `stop` have been taken under either method from the first, and stay so.
+    """
+    common = document.registration
+    own = {name: camera.registration for name, camera in document.cameras.items()}
+    methods = {name: keys.method or common.method or "levkas" for name, keys in own.items()}
+    tables = {
+        f"cameras.{name}.registration": own[name] for name in own if methods[name] == "levkas"
+    }
+    if "mirhashemi2019" not in methods.values():
+        tables = {"registration": common, **tables}
+    for where, keys in tables.items():
+        for key in THRESHOLDS:
+            if getattr(keys, key) is not None:
+                yield f"campaign.toml: {without_effect(f'{where}.{key}')}"
+
+
+def without_effect(field: str) -> str:
+    """Return what is said of a threshold that the default method does not have."""
+    return (
+        f'{field} has no effect under the default method; it belongs to method = "mirhashemi2019"'
+    )
+
+
+def _detector(where: str, keys: RegistrationKeys) -> Iterator[Problem]:
+    """Yield the problem of key points that the installed OpenCV does not find."""
+    if keys.detector in (None, "sift"):
+        return
+    from levkas.registration.features import available_detectors, no_detector
+
+    if keys.detector not in available_detectors():
+        yield no_detector(keys.detector, f"{where}.detector")
 
 
 def _files(document: Document, root: Path) -> Iterator[Problem]:

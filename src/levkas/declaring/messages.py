@@ -12,6 +12,8 @@ from levkas.declaring.contradictions import meant
 from levkas.declaring.tables import Document
 from levkas.problems import Problem
 
+MOST_PROBLEMS = 100
+"""That one report lists; a file with more is not of the kind that was looked for."""
 PHRASES = {
     "^Value error, ": "",
     "^(Input|Tuple|Dictionary|String) should ": "",
@@ -34,7 +36,7 @@ EXAMPLES = {
 def explain(
     record: dict[str, Any], errors: Sequence[Any], document: type[BaseModel] = Document
 ) -> list[Problem]:
-    """Return the problems that findings of the schema mean.
+    """Return the problems that findings of the schema mean, of very many the first ones.
 
     Parameters
     ----------
@@ -45,7 +47,18 @@ def explain(
     document : type
         The schema they were found by.
     """
-    return _without_echoes([_problem(record, e, document) for e in errors])
+    listed = errors[:MOST_PROBLEMS]
+    problems = _without_echoes([_problem(record, e, document) for e in listed])
+    return [*problems, *left_out(len(errors) - len(listed))]
+
+
+def left_out(count: int | None = None) -> list[Problem]:
+    """Return what ends a list that was cut short; nothing where `count` is 0."""
+    if count == 0:
+        return []
+    how_many = "more" if count is None else f"{count} more"
+    fix = "Mend those above first; is it the right file?"
+    return [Problem("E_TOO_MANY", f"there are {how_many} problems, which are not listed", fix=fix)]
 
 
 def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> Problem:

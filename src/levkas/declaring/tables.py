@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
@@ -47,10 +48,15 @@ class Range(Table):
         >>> Range(start=400, stop=420, step=10).values()
         (400.0, 410.0, 420.0)
         """
-        count = (self.stop - self.start) / self.step
-        if not -1e-6 < count < MOST_WAVELENGTHS or abs(count - round(count)) > 1e-6:
-            return ()
-        return tuple(round(self.start + i * self.step, 6) for i in range(round(count) + 1))
+        return _steps(self.start, self.stop, self.step)
+
+
+@lru_cache(maxsize=256)
+def _steps(start: float, stop: float, step: float) -> tuple[float, ...]:
+    count = (stop - start) / step
+    if not -1e-6 < count < MOST_WAVELENGTHS or abs(count - round(count)) > 1e-6:
+        return ()
+    return tuple(round(start + i * step, 6) for i in range(round(count) + 1))
 
 
 Wavelengths = Annotated[
@@ -111,7 +117,7 @@ class RegistrationKeys(Table):
     stop: Annotated[Number, Field(gt=0)] | None = None
     ratio: Annotated[Number, Field(gt=0, le=1)] | None = None
     order: Annotated[Whole, Field(ge=1, le=5)] | None = None
-    detector: Literal["sift", "kaze", "akaze"] | None = None
+    detector: Literal["sift", "orb", "kaze", "akaze"] | None = None
     matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
     points: Annotated[Text, Field(min_length=1)] | None = None
     use: Literal["check", "seeds"] | None = None
@@ -124,6 +130,8 @@ class RegistrationKeys(Table):
 
 ONLY_OF_THE_PAPER = ("ratio", "order", "detector", "matching")
 """Keys of [registration] that only the method "mirhashemi2019" has."""
+THRESHOLDS = ("reject", "stop")
+"""Keys of [registration] that the method "levkas" takes and does not need: T1 and T2 of the paper."""
 OF_THE_POINTS = ("points", "use")
 """Keys of [registration] that say where control points are, and what for."""
 OF_THE_RIG = ("joint",)

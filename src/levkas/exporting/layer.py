@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from levkas.cube import Band
+from levkas.database.containment import check_inside
 from levkas.problems import Problem, Refused
 
 KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
@@ -53,6 +54,9 @@ class ExportLayer:
                     "E_MISSING", f"the layer {stem} has no TIFF", str(path), fix="Build it again."
                 )
             )
+        check_inside(
+            database, path, *(path.with_name(f"{stem}{ending}.tif") for ending in KINDS.values())
+        )
         described = open_tiff(path)
         return cls(name, camera, setup, described.bands, described.facts, path)
 

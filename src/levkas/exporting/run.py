@@ -53,6 +53,7 @@ def export(
     output: str | Path | None = None,
     objects: Sequence[str] = (),
     cameras: Sequence[str] = (),
+    overwrite: bool = False,
 ) -> Iterator[Exported]:
     """Write layers of a database as another program wants them, yielding layer after layer.
 
@@ -63,19 +64,21 @@ def export(
     form : str
         One of `FORMS`.
     output : path, optional
-        Folder; default ``DATABASE.FORM`` beside the database.
+        Folder; default ``DATABASE.FORM`` beside the database. Other files in it stay.
     objects, cameras : sequence of str
         Only these; default all.
+    overwrite : bool
+        Whether a file may be replaced that no export wrote, or that was changed since.
 
     Raises
     ------
     ExportRefused
         Where nothing of that name is in the database, or a layer does not fit the format.
     WriteRefused
-        Where the disk refuses.
+        Where such a file stands in the way, or the disk refuses.
     """
     from levkas.database.opening import Database
-    from levkas.files import make_folder
+    from levkas.ownership import OwnFiles
 
     root = Path(database).resolve()
     opened = Database(root)
@@ -97,14 +100,16 @@ def export(
                 fix="Give another folder with -o.",
             )
         )
-    make_folder(folder)
+    own = OwnFiles(folder, overwrite=overwrite)
     for done, (name, camera, setup) in enumerate(layers, 1):
         layer = ExportLayer.read(root, name, camera, setup)
-        files = writer(layer, folder)
+        with own.writing():
+            files = writer(layer, folder)
         yield Exported(layer.stem, tuple(files), done, len(layers))
     finish = getattr(import_module(FORMS[form].partition(":")[0]), "finish", None)
     if finish is not None:
-        files = finish([ExportLayer.read(root, *layer) for layer in layers], folder)
+        with own.writing():
+            files = finish([ExportLayer.read(root, *layer) for layer in layers], folder)
         yield Exported(form, tuple(files), len(layers), len(layers))
 
 

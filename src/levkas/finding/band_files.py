@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
 from math import nan
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from levkas.campaign import Camera
 
 Key = float | str
+SAME_NM = 1e-6
+"""Between wavelengths that are one, as files and campaign.toml write them."""
 
 
 def band_key(frame: FrameRef) -> Key | None:
@@ -132,9 +135,11 @@ def _checked(
     """Return the keys in their order, or refuse."""
     alike = {k for k in others if isinstance(k, float) == isinstance(keys[0], float)}
     expected = list(declared) if declared else sorted({*keys, *alike}, key=_order)
-    match = {k: _same(k, keys) for k in expected}
+    near = _Near(keys)
+    match = {k: near.same(k) for k in expected}
     missing = [k for k in expected if match[k] is None]
-    surplus = [k for k in keys if k not in match.values()]
+    taken = set(match.values())
+    surplus = [k for k in keys if k not in taken]
     if not missing and not surplus:
         return [k for k in match.values() if k is not None]
     told = described(declared) if declared else f"other targets have {len(expected)} bands"
@@ -155,10 +160,20 @@ def _checked(
     )
 
 
-def _same(key: Key, keys: Sequence[Key]) -> Key | None:
-    if not isinstance(key, float):
-        return key if key in keys else None
-    return next((k for k in keys if isinstance(k, float) and abs(k - key) < 1e-6), None)
+class _Near:
+    """Keys among which one is looked up, wavelengths within 1e-6 nm; thousands of bands are."""
+
+    def __init__(self, keys: Sequence[Key]) -> None:
+        self._labels = {k for k in keys if not isinstance(k, float)}
+        self._wavelengths = sorted(k for k in keys if isinstance(k, float))
+
+    def same(self, key: Key) -> Key | None:
+        """Return the key that is alike, None without one."""
+        if not isinstance(key, float):
+            return key if key in self._labels else None
+        place = bisect_left(self._wavelengths, key - SAME_NM)
+        found = self._wavelengths[place : place + 1]
+        return found[0] if found and found[0] < key + SAME_NM else None
 
 
 def _listed(keys: Sequence[Key]) -> str:

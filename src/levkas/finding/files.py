@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from pathlib import Path
 
-from levkas.finding.folders import Folders, composed
-from levkas.finding.patterns import Pattern, natural
+from levkas.finding.folders import DEEPEST, Folders, composed, too_deep
+from levkas.finding.patterns import Pattern, natural, ways_to_read
 
 MOST_COMPARED = 2000
 TYPICAL = {"{wavelength}": "550", "{exposure}": "100", "{shot}": "001"}
@@ -57,15 +57,20 @@ def find(
         For a folder that cannot be listed.
     """
     folders = folders or Folders()
+    ways = ways_to_read(known or {})
     seen: dict[Path, Found] = {}
     for pattern in patterns:
         parsed = Pattern.parse(pattern) if isinstance(pattern, str) else pattern
-        for path, text in _walk(parsed, folders, _start(root, parsed), 0, ""):
-            told = None if path in seen else parsed.read(text, known)
+        for path, text in _walk(parsed, folders, _start(root, parsed), 0, "", set()):
+            told = None if path in seen else parsed.read(text, ways)
             if told is not None:
                 seen[path] = Found(path, parsed, **told)
-    found = sorted(seen.values(), key=lambda f: (natural(f.path.as_posix()), f.path.as_posix()))
-    return _without_data_of_headers(found)
+    return _without_data_of_headers(in_natural_order(seen.values()))
+
+
+def in_natural_order(found: Iterable[Found]) -> list[Found]:
+    """Return files by their paths, 9 before 10."""
+    return sorted(found, key=lambda f: (natural(f.path.as_posix()), f.path.as_posix()))
 
 
 def nearest(
@@ -107,28 +112,39 @@ def _start(root: Path, pattern: Pattern) -> Path:
 
 
 def _walk(
-    pattern: Pattern, folders: Folders, folder: Path, index: int, text: str
+    pattern: Pattern,
+    folders: Folders,
+    folder: Path,
+    index: int,
+    text: str,
+    been: set[tuple[int, str]],
 ) -> Iterator[tuple[Path, str]]:
-    """Yield (path, its part that the pattern describes), one folder level a segment."""
+    """Yield (path, its part that the pattern describes), one folder level a segment; no way is gone twice."""
+    if (index, text) in been:
+        return
+    been.add((index, text))
     segment = pattern.segments[index]
+    if segment == "**" and text.count("/") > DEEPEST:
+        raise too_deep(folder)
     if segment == "..":
-        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../")
+        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../", been)
     elif segment == "**":
-        yield from _walk(pattern, folders, folder, index + 1, text)
+        yield from _walk(pattern, folders, folder, index + 1, text, been)
         for name in folders.folders(folder):
             if not folders.is_link(folder, name):
-                yield from _walk(pattern, folders, folder / name, index, f"{text}{composed(name)}/")
+                deeper = f"{text}{composed(name)}/"
+                yield from _walk(pattern, folders, folder / name, index, deeper, been)
     elif index == len(pattern.segments) - 1:
         for name in folders.files(folder):
             if pattern.fits_segment(index, composed(name)):
                 yield folder / name, text + composed(name)
     elif not re.search(r"[{*]", segment):
-        yield from _walk(pattern, folders, folder / segment, index + 1, f"{text}{segment}/")
+        yield from _walk(pattern, folders, folder / segment, index + 1, f"{text}{segment}/", been)
     else:
         for name in folders.folders(folder):
             if pattern.fits_segment(index, composed(name)):
                 deeper = f"{text}{composed(name)}/"
-                yield from _walk(pattern, folders, folder / name, index + 1, deeper)
+                yield from _walk(pattern, folders, folder / name, index + 1, deeper, been)
 
 
 def _without_data_of_headers(found: list[Found]) -> list[Found]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from levkas.finding.patterns import natural
 from levkas.problems import Problem, Refused
 
 PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 """Names that an interrupted writer leaves behind."""
 OWN_FILES = ("campaign.toml", "edits.toml")
+DEEPEST = 64
+"""Folders in one another below the one that is looked at; captures lie three or four deep."""
 
 
 class FolderUnreadable(Refused):
@@ -57,6 +60,46 @@ class Folders:
         if key not in self._known:
             self._known[key] = ((), (), frozenset()) if key in self._never else _scan(folder)
         return self._known[key]
+
+
+def too_deep(folder: Path) -> FolderUnreadable:
+    """Return the refusal of a folder that lies deeper than `DEEPEST`."""
+    return FolderUnreadable(
+        Problem(
+            "E_SIZE",
+            "folders are nested too deeply",
+            str(folder),
+            found=f"over {DEEPEST} in one another",
+            expected=f"at most {DEEPEST}",
+            fix="Name the folder that holds the frames.",
+        )
+    )
+
+
+def walk(root: Path, folders: Folders) -> Iterator[tuple[tuple[str, ...], tuple[str, ...] | None]]:
+    """Yield (folders below the root, names of the files) of every folder, in natural order, from the top.
+
+    No folder is entered twice, whatever links lead to it. For what is nested deeper than `DEEPEST`
+    the names are None, and it is not entered.
+    """
+    visited: set[tuple[int, int]] = set()
+    waiting: list[tuple[str, ...]] = [()]
+    while waiting:
+        above = waiting.pop()
+        folder = root.joinpath(*above)
+        found = folder.stat() if folder.is_dir() else None
+        if found is None or (found.st_dev, found.st_ino) in visited:
+            continue
+        visited.add((found.st_dev, found.st_ino))
+        if len(above) > DEEPEST:
+            yield above, None
+            continue
+        yield above, tuple(_naturally(folders.files(folder)))
+        waiting += [(*above, name) for name in reversed(_naturally(folders.folders(folder)))]
+
+
+def _naturally(names: Iterable[str]) -> list[str]:
+    return sorted(names, key=lambda name: (natural(name), name))
 
 
 def _scan(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozenset[str]]:

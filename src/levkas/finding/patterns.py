@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
+
+from levkas.finding.matching import Depths, Fixed, Kind, Number, OneOf, Piece, Span, match_pieces
 
 FIELDS = ("target", "setup", "band", "wavelength", "exposure", "shot", "sensor")
 SECONDS = {
@@ -32,7 +34,41 @@ _BODY = {
     "wavelength": _NUMBER,
     "exposure": _NUMBER,
 }
-Known = tuple[tuple[str, tuple[str, ...]], ...]
+_KIND: dict[str, Kind] = {
+    "target": Span(1),
+    "setup": Span(1, greedy=False),
+    "band": Span(1, greedy=False),
+    "sensor": Span(1, greedy=False),
+    "shot": Span(0, greedy=False),
+    "wavelength": Number(),
+    "exposure": Number(),
+}
+LONGEST = 4096
+"""Letters of a path, as file systems have it."""
+TAME, SHORT = 3, 80
+"""Stars and placeholders up to which a regular expression, 50 times as fast, has few ways to share out a name of
+so many letters; of a longer one two of them."""
+MOST_ALTERNATIVES = 64
+"""Known values up to which a regular expression tries one after the other; of more, lengths are tried."""
+
+
+class Known(tuple[tuple[str, tuple[str, ...]], ...]):
+    """Values by placeholder, hashed once: a name of thousands is a key to what was made of it."""
+
+    @cached_property
+    def _hash(self) -> int:
+        return tuple.__hash__(self)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def is_long(self) -> bool:
+        """Whether a placeholder has more values than a regular expression tries quickly."""
+        return any(len(values) > MOST_ALTERNATIVES for _, values in self)
+
+
+NOTHING_KNOWN = Known()
 
 
 @dataclass(frozen=True)
@@ -67,8 +103,13 @@ class Pattern:
         >>> sorted(Pattern.parse("raw/{target}/{wavelength}nm*.tif").fields)
         ['target', 'wavelength']
         """
+        if len(text) > LONGEST:
+            raise ValueError(f"the pattern is longer than the {LONGEST} letters of any path")
         path = text.replace("\\", "/")
         segments = tuple(s for s in path.split("/") if s not in ("", "."))
+        segments = tuple(
+            s for i, s in enumerate(segments) if s != "**" or segments[i - 1 : i] != (s,)
+        )
         if not segments or path.endswith("/"):
             raise ValueError("the pattern ends in a folder, not in a file")
         fields = set()
@@ -101,10 +142,10 @@ class Pattern:
     def fits_segment(self, index: int, name: str) -> bool:
         """Whether a file's or folder's name could stand at one place between slashes."""
         last = index == len(self.segments) - 1
-        return _compiled(self.segments[index], (), False, last).fullmatch(name) is not None
+        return _match(self.segments[index], NOTHING_KNOWN, last, name, named=False) is not None
 
     def read(
-        self, path: str, known: Mapping[str, Collection[str]] | None = None
+        self, path: str, known: Mapping[str, Collection[str]] | tuple[Known, ...] | None = None
     ) -> dict[str, Any] | None:
         """Return what a path says, by field; None where it does not fit.
 
@@ -113,7 +154,8 @@ class Pattern:
         path : str
             Relative as the pattern is, with ``/``.
         known : dict of field to values, optional
-            Preferred where a name could be read in several ways; else {target} is the longest.
+            Preferred where a name could be read in several ways; else {target} is the longest. For many
+            names, as `ways_to_read` gives it.
 
         Examples
         --------
@@ -121,10 +163,10 @@ class Pattern:
         {'target': 'icon_1', 'exposure_s': 0.25}
         """
         text = "/".join(self.segments)
-        for knowledge in _steps(known or {}):
-            found = _compiled(text, knowledge, True, True).fullmatch(path)
-            if found:
-                return self._values(found.groupdict())
+        for knowledge in known if isinstance(known, tuple) else ways_to_read(known or {}):
+            found = _match(text, knowledge, True, path, named=True)
+            if found is not None:
+                return self._values(found)
         return None
 
     def _values(self, texts: dict[str, str]) -> dict[str, Any]:
@@ -158,20 +200,63 @@ def natural(text: str) -> list[tuple[int, int, str]]:
     return [(0, int(p), p) if i % 2 else (1, 0, p) for i, p in enumerate(parts) if p]
 
 
-def _steps(known: Mapping[str, Collection[str]]) -> Iterator[Known]:
-    """Everything known, then all but the target, then nothing."""
-    told = tuple((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
-    but_target = tuple(item for item in told if item[0] != "target")
-    yield from dict.fromkeys((told, but_target, ()))
+def ways_to_read(known: Mapping[str, Collection[str]]) -> tuple[Known, ...]:
+    """Return what names are read with: everything known, then all but the target, then nothing."""
+    told = Known((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
+    but_target = Known(item for item in told if item[0] != "target")
+    return tuple(dict.fromkeys((told, but_target, NOTHING_KNOWN)))
+
+
+def _match(text: str, known: Known, ends: bool, name: str, *, named: bool) -> dict[str, str] | None:
+    """Return what a name says by placeholder; None where it does not fit."""
+    if known.is_long or _free(text) > (2 if len(name) > SHORT else TAME):
+        return match_pieces(_pieces(text, known, named, ends), name)
+    found = _compiled(text, known, named, ends).fullmatch(name)
+    return found.groupdict() if found else None
+
+
+@lru_cache(maxsize=4096)
+def _free(text: str) -> int:
+    """Count what shares a name with something else and may end in more than one place; no numbers."""
+    shared = [s for s in text.split("/") if not re.fullmatch(r"\{[^{}]*\}", s)]
+    numbers = r"\{(?:wavelength|exposure)\}"
+    return sum(len(re.findall(r"\*\*|\*|\{", re.sub(numbers, "", s))) for s in shared)
+
+
+def _split(text: str) -> list[str]:
+    """Return stars, placeholders and what stands between; ``\0`` for any number of folders."""
+    pieces = [p for p in _PIECE.split(text) if p]
+    if "**" not in pieces:
+        return pieces
+    return [p for p in re.split(r"(\{[^{}]*\}|\0|\*)", text.replace("**/", "\0")) if p]
+
+
+@lru_cache(maxsize=4096)
+def _pieces(text: str, known: Known, named: bool, ends: bool) -> tuple[Piece, ...]:
+    """Return a pattern, or one segment of it, for `match_pieces`."""
+    values, pieces = dict(known), _split(text)
+    out: list[Piece] = []
+    for i, piece in enumerate(pieces):
+        if piece == "\0":
+            out.append((Depths(), ""))
+        elif piece == "*":
+            out.append((Span(), ""))
+        elif not piece.startswith("{"):
+            out.append((Fixed(re.compile(_literal(piece, ends and i == len(pieces) - 1))), ""))
+        else:
+            name = piece[1:-1]
+            kind = _KIND[name]
+            if name in values:
+                before, after = (_beside(pieces[j : j + 1]) for j in (i - 1, i + 1))
+                kind = OneOf(_longest_first(values[name]), before, after)
+            out.append((kind, name if named else ""))
+    return tuple(out)
 
 
 @lru_cache(maxsize=4096)
 def _compiled(text: str, known: Known, named: bool, ends: bool) -> re.Pattern[str]:
     """Compile a pattern, or one segment of it; upper and lower case differ but in the suffix."""
-    values, pieces = dict(known), [p for p in _PIECE.split(text) if p]
-    if "**" in pieces:  # any number of folders, none included
-        text = text.replace("**/", "\0")
-        pieces = [p for p in re.split(r"(\{[^{}]*\}|\0|\*)", text) if p]
+    values, pieces = dict(known), _split(text)
     out: list[str] = []
     used: set[str] = set()
     for i, piece in enumerate(pieces):
@@ -201,7 +286,16 @@ def _literal(text: str, last: bool) -> str:
 
 def _alternatives(values: tuple[str, ...], before: list[str], after: list[str]) -> str:
     """Known values, longest first; beside a wildcard ``icon1`` is no part of ``icon10``."""
-    body = "|".join(re.escape(v) for v in sorted(values, key=lambda v: (-len(v), v)))
-    start = r"(?<![^\W_])" if before and before[0][0] in "{*" else ""
-    stop = r"(?![^\W_])" if after and after[0][0] in "{*" else ""
+    body = "|".join(re.escape(v) for v in _longest_first(values))
+    start = r"(?<![^\W_])" if _beside(before) else ""
+    stop = r"(?![^\W_])" if _beside(after) else ""
     return f"{start}(?:{body}){stop}"
+
+
+def _longest_first(values: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(sorted(values, key=lambda v: (-len(v), v)))
+
+
+def _beside(pieces: list[str]) -> bool:
+    """Whether the piece beside a placeholder is free itself."""
+    return bool(pieces) and pieces[0][0] in "{*"

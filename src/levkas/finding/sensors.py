@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from levkas.finding.band_files import Key, band_key, bands_by_name, label_templates
+from levkas.finding.band_files import band_key, bands_by_name, label_templates
 from levkas.finding.bands import bands_in_file, bands_of_mosaic, count_problem, relabel
 from levkas.finding.captures import CaptureRefused, FrameRef, Rows, SensorFrames
-from levkas.finding.files import Found
+from levkas.finding.files import Found, in_natural_order
 from levkas.finding.survey import patterns_of
 from levkas.problems import Problem, Refused
 
@@ -59,15 +59,17 @@ def _sensor(
     survey: Survey, name: str, camera: Camera, setup: str, sensor: Sensor | None
 ) -> SensorFrames:
     label = sensor.name if sensor else ""
-    mine = [f for f in survey.frames[camera.name, setup] if f.sensor == label]
-    default = [f for f in survey.frames[camera.name, ""] if f.sensor == label]
-    seen = [f for f in mine if f.target == name]
+
+    def frames_of(targets: Iterable[str], setup: str) -> list[Found]:
+        found = [f for t in dict.fromkeys(targets) for f in survey.of(t, camera.name, setup)]
+        return [f for f in in_natural_order(found) if f.sensor == label]
+
+    seen = frames_of([name], setup)
     if not seen:
         raise CaptureRefused(_no_sensor(survey, name, camera, label))
     dark_names, white_names = survey.campaign.darks_of(camera), survey.campaign.whites_of(camera)
-    own_darks = [f for f in mine if f.target in dark_names]
-    darks = [_ref(f) for f in own_darks or default if f.target in dark_names]
-    whites = [_ref(f) for f in mine if f.target in white_names]
+    darks = [_ref(f) for f in frames_of(dark_names, setup) or frames_of(dark_names, "")]
+    whites = [_ref(f) for f in frames_of(white_names, setup)]
     missing = [
         _no_template(survey, camera, label, setup, kind, names)
         for kind, names, got in (("dark", dark_names, darks), ("white", white_names, whites))
@@ -75,7 +77,7 @@ def _sensor(
     ]
     if missing:
         raise CaptureRefused(*missing)
-    frames, pattern, bands = _frames_and_bands(survey, camera, sensor, seen, mine)
+    frames, pattern, bands = _frames_and_bands(survey, camera, sensor, seen, setup)
     darks, whites = (_fitted(survey, camera, t, frames, bands) for t in (darks, whites))
     _check_exposures(camera, seen, frames, bands)
     for kind, templates in (("dark", darks), ("white", whites)):
@@ -91,7 +93,7 @@ def _ref(found: Found) -> FrameRef:
 
 
 def _frames_and_bands(
-    survey: Survey, camera: Camera, sensor: Sensor | None, seen: list[Found], mine: list[Found]
+    survey: Survey, camera: Camera, sensor: Sensor | None, seen: list[Found], setup: str
 ) -> tuple[list[FrameRef], Rows | None, tuple[Band, ...]]:
     """Frames of the object with their bands, the mosaic's pattern, and the bands."""
     frames, first = [_ref(f) for f in seen], seen[0].path
@@ -113,16 +115,12 @@ def _frames_and_bands(
         paged = [replace(f, band=b.label, page=i) for i, b in enumerate(bands) for f in frames]
         return paged, pattern, bands
     frames, bands = bands_by_name(
-        camera, frames, _other_bands(survey, camera, mine), str(first.parent)
+        camera,
+        frames,
+        survey.bands(camera, sensor.name if sensor else "", setup),
+        str(first.parent),
     )
     return frames, pattern, bands
-
-
-def _other_bands(survey: Survey, camera: Camera, mine: list[Found]) -> set[Key]:
-    """Bands of the camera's objects and whites, whichever."""
-    targets = {*survey.objects, *survey.campaign.whites_of(camera)}
-    keys = (band_key(_ref(f)) for f in mine if f.target in targets)
-    return {key for key in keys if key is not None}
 
 
 def _fitted(
@@ -196,7 +194,10 @@ def _several_exposures(
         f"cameras.{camera.name}.exposures",
         ", ".join(f"{t:g} s" for t in times),
         "one exposure",
-        'Write exposures = "best" (the longest unsaturated) or "merge".',
+        'Write exposures = "best" (the longest unsaturated) or "merge".'
+        if camera.kind != "cube"
+        else 'Name one of them in `files`; or write exposures = "best" if they are strips of one scan: each is '
+        "divided by its own time.",
     )
 
 

@@ -29,6 +29,37 @@ class Survey:
     broken: dict[tuple[str, str], Refused] = field(default_factory=dict)
     objects: list[str] = field(default_factory=list)
     _facts: dict[Path, Facts] = field(default_factory=dict)
+    _by_target: dict[tuple[str, str], dict[str, list[Found]]] = field(default_factory=dict)
+    _has_objects: dict[tuple[str, str], bool] = field(default_factory=dict)
+    _bands: dict[tuple[str, str, str], set[float | str]] = field(default_factory=dict)
+
+    def of(self, name: str, camera: str, setup: str) -> list[Found]:
+        """Return the frames of one target by a camera under a setup, in natural order."""
+        key = camera, setup
+        if key not in self._by_target:
+            self._by_target[key] = {}
+            for found in self.frames[key]:
+                self._by_target[key].setdefault(found.target, []).append(found)
+        return self._by_target[key].get(name, [])
+
+    def has_objects(self, camera: str, setup: str) -> bool:
+        """Whether any object was taken by a camera under a setup."""
+        key = camera, setup
+        if key not in self._has_objects:
+            self._has_objects[key] = any(self.of(name, *key) for name in self.objects)
+        return self._has_objects[key]
+
+    def bands(self, camera: Camera, sensor: str, setup: str) -> set[float | str]:
+        """Return the bands that one sensor's frames of objects and whites show, whichever."""
+        key = camera.name, setup, sensor
+        if key not in self._bands:
+            targets = {*self.objects, *self.campaign.whites_of(camera)}
+            self._bands[key] = {
+                f.band if f.wavelength is None else f.wavelength
+                for f in self.frames[camera.name, setup]
+                if f.sensor == sensor and f.target in targets
+            } - {""}
+        return self._bands[key]
 
     def facts(self, path: Path) -> Facts:
         """Return what a file's header says, read once."""
@@ -42,7 +73,8 @@ class Survey:
 def look(campaign: Campaign) -> Survey:
     """Find the frames of every camera under every setup, whatever their targets."""
     output = campaign.output
-    folders = Folders(never=(output, output.with_name(output.name + ".kept")))
+    beside = [output.with_name(f"{output.name}.{what}") for what in ("kept", "removed")]
+    folders = Folders(never=(output, *beside))
     survey = Survey(campaign, folders)
     for name, camera in campaign.cameras.items():
         _look(survey, name, camera)

@@ -68,7 +68,7 @@ def write_campaign(proposal: Proposal) -> Path:
     from levkas.files import write_text
 
     path = proposal.root / FILE
-    if path.exists():
+    if path.exists() or path.is_symlink():
         raise LookRefused(
             Problem(
                 "E_EXISTS",

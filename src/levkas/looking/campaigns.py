@@ -67,7 +67,8 @@ def propose(listing: Listing) -> Proposal:
     how = "by their histograms" if by_eye else "by their names"
     targets, objects, more = _targets(listing, cameras, cameras[reference].name, how)
     unknown += [text for camera in cameras for text in camera.unknown] + more
-    left_out += [f"{name}: {reason}" for name, reason in listing.unreadable.items()]
+    unreadable = {**listing.unreadable, **samples.refused}
+    left_out += [f"{name}: {reason}" for name, reason in unreadable.items()]
     band = _band(cameras[reference])
     told = {"camera": cameras[reference].name} | ({"band": band} if band else {})
     described = {"title": Said(_title(listing.root)), **_date(listing)}
@@ -182,10 +183,11 @@ def _targets(
     listing: Listing, cameras: Sequence[CameraGuess], reference: str, how: str
 ) -> tuple[dict[str, Said], list[str], list[str]]:
     """Keys of [targets], the objects, and what is unknown of them."""
-    by_role: dict[str, list[str]] = {"dark": [], "white": [], "chart": [], "object": []}
+    gathered: dict[str, dict[str, None]] = {"dark": {}, "white": {}, "chart": {}, "object": {}}
     for camera in cameras:
         for target, role in camera.targets.items():
-            by_role[role] += [target] if target not in by_role[role] else []
+            gathered[role][target] = None
+    by_role = {role: list(names) for role, names in gathered.items()}
     calibrated = {t for c in cameras if c.kind != "image" for t in c.targets}
     unknown: list[str] = []
     keys: dict[str, Said] = {}

@@ -198,7 +198,8 @@ def _are_wavelengths(texts: Sequence[str], frames: Sequence[Frame]) -> bool:
     by_target: dict[str, set[float]] = defaultdict(set)
     for text, frame in zip(texts, frames, strict=True):
         by_target[frame.target].add(float(text))
-    same = all(values == set(numbers) for values in by_target.values())
+    every = set(numbers)
+    same = all(values == every for values in by_target.values())
     return min(steps) >= 2 and len(steps) == 1 and same
 
 

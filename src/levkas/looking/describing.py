@@ -65,6 +65,7 @@ def describe_camera(
     if kind != "image":
         keys |= _scale_keys(group, samples, notes)
         keys |= _exposure_keys(group, files)
+        _check_exposures(group, notes)
         _check_templates(group, samples, notes)
     _check_shots(group, files, kind, samples, notes)
     return CameraGuess(
@@ -252,6 +253,33 @@ def _exposure_keys(group: Group, files: Files) -> dict[str, Said]:
 
 
 # --- checks -----------------------------------------------------------------------------------
+
+
+def _check_exposures(group: Group, notes: Notes) -> None:
+    """Say what names and headers state of exposures, and doubt them where only some frames do."""
+    stated: dict[str, set[float]] = {}
+    silent: dict[str, set[str | None]] = {}
+    for role in ("dark", "white", "object"):
+        for frame in group.of_role(role):
+            if times := frame.exposures_s:
+                stated.setdefault(role, set()).update(times)
+            elif not frame.named.seen.borrowed:
+                silent.setdefault(role, set()).add(frame.named.seen.facts.exposure_unclear)
+    if stated:
+        spans = {role: sorted({min(times), max(times)}) for role, times in stated.items()}
+        told = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
+        notes.about.append(f"Exposures: {', '.join(told)}.")
+    unclear = {text for texts in silent.values() for text in texts}
+    if stated and silent:
+        notes.unknown.append(
+            f"the exposure of {' and '.join(silent)} frames: others state theirs, and a build wants it of all "
+            "or of none; give them in a `manifest`"
+        )
+    elif len(unclear) > 1:
+        shown = ", ".join(sorted(f"{text!r}" for text in unclear if text)[:3])
+        notes.unknown.append(
+            f"the exposures, whose unit the headers leave open ({shown}); give them in a `manifest`"
+        )
 
 
 def _check_templates(group: Group, samples: Samples, notes: Notes) -> None:

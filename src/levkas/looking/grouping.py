@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from levkas.finding.patterns import natural
+from levkas.finding.patterns import SECONDS, natural
 from levkas.looking.targets import TARGET, Named, signature
 from levkas.looking.words import (
     BANDS,
@@ -44,6 +44,14 @@ class Frame:
     def with_role(self, role: str) -> Frame:
         """Return the frame with another role."""
         return replace(self, named=replace(self.named, role=role))
+
+    @property
+    def exposures_s(self) -> tuple[float, ...]:
+        """Its exposure as its path or its header states it, s; several of a list by bands."""
+        for token in (t for segment in self.segments for t in segment if t.kind == "exposure"):
+            return (float(token.number) * SECONDS[token.after.lower()],)
+        facts = self.named.seen.facts
+        return facts.band_times_s or (() if facts.exposure_s is None else (facts.exposure_s,))
 
     def number(self, kind: str) -> str | None:
         """The number of its wavelength or exposure, as it stands in the path."""

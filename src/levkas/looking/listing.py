@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from levkas.finding.folders import Folders
-from levkas.finding.patterns import natural
+from levkas.finding.folders import DEEPEST, Folders, walk
 from levkas.problems import Refused
 from levkas.readers.facts import Facts
 
@@ -20,11 +18,15 @@ FEW = 3
 
 @dataclass(frozen=True)
 class Seen:
-    """One capture: its file, the folders it stands in below the root, its stem, and its facts."""
+    """One capture: its file, the folders it stands in below the root, its stem, and its facts.
+
+    Facts that are `borrowed` are those of files like it: its header was not read.
+    """
 
     path: Path
     folders: tuple[str, ...]
     facts: Facts
+    borrowed: bool = False
 
     @property
     def stem(self) -> str:
@@ -71,7 +73,15 @@ def list_captures(root: str | Path) -> Listing:
     from levkas.readers.raw import SUFFIXES
 
     listing = Listing(Path(root))
-    paths = list(_walk(listing.root, (), Folders(), set()))
+    paths: list[tuple[tuple[str, ...], Path]] = []
+    for above, names in walk(listing.root, Folders()):
+        if any(name.endswith((".kept", ".removed")) for name in above):
+            continue
+        if names is None:
+            listing.unreadable["/".join(above)] = f"over {DEEPEST} folders in one another"
+            continue
+        folder = listing.root.joinpath(*above)
+        paths += [(above, folder / name) for name in names]
     headers = {p.with_suffix("") for _, p in paths if p.suffix.lower() == ".hdr"}
     known: dict[tuple[object, ...], list[Facts]] = {}
     for folders, path in paths:
@@ -88,7 +98,7 @@ def list_captures(root: str | Path) -> Listing:
         spared = len(alike) >= FEW and (suffix in SUFFIXES or len(paths) > MOST_READ)
         if spared and all(f.shape == alike[0].shape for f in alike):
             facts = replace(alike[0], path=path, exposure_s=None, captured=None)
-            listing.seen.append(Seen(path, folders, facts))
+            listing.seen.append(Seen(path, folders, facts, borrowed=True))
             continue
         told = _no_capture(path) or _facts(path)
         if isinstance(told, str):
@@ -99,28 +109,15 @@ def list_captures(root: str | Path) -> Listing:
     return listing
 
 
-def _walk(
-    folder: Path, above: tuple[str, ...], folders: Folders, visited: set[Path]
-) -> Iterator[tuple[tuple[str, ...], Path]]:
-    """Yield (folders below the root, path) of every file, folder by folder; no link is followed twice."""
-    real = folder.resolve()
-    if real in visited:
-        return
-    visited.add(real)
-    for name in sorted(folders.files(folder), key=lambda n: (natural(n), n)):
-        yield above, folder / name
-    for name in sorted(folders.folders(folder), key=lambda n: (natural(n), n)):
-        if not name.endswith(".kept"):
-            yield from _walk(folder / name, (*above, name), folders, visited)
-
-
 def _facts(path: Path) -> Facts | str:
     from levkas.readers.frames import read_facts
 
     try:
         return read_facts(path)
     except Refused as refused:
-        return refused.problems[0].message
+        problem = refused.problems[0]
+        sizes = f" ({problem.found}; {problem.expected})"
+        return problem.message + (sizes if problem.code in ("E_SIZE", "E_MEMORY") else "")
 
 
 def _no_capture(path: Path) -> str:

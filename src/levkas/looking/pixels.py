@@ -64,18 +64,18 @@ def describe_pixels(values: np.ndarray) -> Statistics:
     (4080, 80, 2)
     """
     plane = np.asarray(values)
-    counts = plane.astype(np.float64)
+    counts = plane.astype(np.float32)
     low, high = (float(v) for v in np.percentile(counts, (1, 99)))
-    top = counts.max(initial=0)
+    top = plane.max(initial=0)
     block = block_means(counts, 1 + min(counts.shape) // BLOCKS)
     level = float(np.median(block)) or 1.0
     p5, p95 = np.percentile(block, (5, 95))
     return Statistics(
-        mean=float(counts.mean()),
+        mean=float(counts.mean(dtype=np.float64)),
         low=low,
         high=high,
         top=int(top),
-        top_count=int(np.count_nonzero(counts == top)),
+        top_count=int(np.count_nonzero(plane == top)),
         step=_step(plane),
         unevenness=float(p95 - p5) / abs(level),
         texture=_texture(counts) / abs(level),
@@ -88,7 +88,7 @@ def phase_means(values: np.ndarray, side: int) -> np.ndarray:
     """Return the mean of each phase of a tile of `side` x `side` sensels, (side, side)."""
     height, width = (n // side * side for n in values.shape)
     tiles = values[:height, :width].reshape(height // side, side, width // side, side)
-    return np.asarray(tiles.mean(axis=(0, 2)))
+    return np.asarray(tiles.mean(axis=(0, 2), dtype=np.float64))
 
 
 def find_mosaic(phases: dict[int, np.ndarray], *, dark: float = 0.0) -> int:
@@ -150,7 +150,7 @@ def block_means(values: np.ndarray, side: int) -> np.ndarray:
     side = max(1, min(side, *values.shape))
     height, width = (n // side for n in values.shape)
     blocks = values[: height * side, : width * side].reshape(height, side, width, side)
-    return np.asarray(blocks.mean(axis=(1, 3)))
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))
 
 
 def _texture(values: np.ndarray) -> float:

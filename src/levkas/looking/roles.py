@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from levkas.looking.grouping import Frame, Group, sensor_of
 from levkas.looking.pixels import Statistics
-from levkas.looking.samples import Samples
+from levkas.looking.samples import Samples, spread
 
 DARK_SHARE = 0.08
 """A dark's 99th percentile is below this share of the brightest level that any target reaches."""
 EVEN, SMOOTH = 0.6, 0.04
 """A white's illumination may fall off by this share; from sensel to sensel it hardly differs."""
+MOST_TARGETS = 200
+"""Of a camera, over all, of which a frame is decoded; more would take minutes."""
 STRUCTURED = 3.0
 """The others must have this many times its texture."""
 
@@ -32,23 +32,30 @@ def tell_roles(group: Group, samples: Samples) -> list[str]:
     """
     frames = group.of_role("object")
     plain = all(f.named.seen.channels == 1 or f.named.seen.facts.kind == "envi" for f in frames)
-    targets = list(dict.fromkeys(f.target for f in frames))
+    by_target: dict[str, list[Frame]] = {}
+    for frame in frames:
+        by_target.setdefault(frame.target, []).append(frame)
+    targets = list(by_target)
     if group.of_role("dark", "white") or not plain or len(targets) < 2:
         return []
     found: dict[str, Statistics] = {}
-    for target in targets:
-        told = samples.of_some([f.named.seen for f in _comparable(frames, target)], 1)
+    for target in spread(targets, MOST_TARGETS):
+        mine = _comparable(by_target[target], frames[0])
+        told = samples.of_some([f.named.seen for f in mine], 1)
         if told:
             found[target] = told[0]
     roles, reasons = _judged(found)
     group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
+    if len(targets) > MOST_TARGETS:
+        reasons.append(
+            f"whether darks or whites are among {len(targets) - MOST_TARGETS} of {len(targets)} targets whose "
+            "names do not say so: their frames were not looked at"
+        )
     return reasons
 
 
-def _comparable(frames: Sequence[Frame], target: str) -> list[Frame]:
+def _comparable(mine: list[Frame], first: Frame) -> list[Frame]:
     """Frames of a target by the sensor and in the band of the first frame of all."""
-    first = frames[0]
-    mine = [f for f in frames if f.target == target]
     like = [
         f
         for f in mine

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -14,12 +14,23 @@ from levkas.problems import Refused
 if TYPE_CHECKING:
     from levkas.looking.listing import Seen
 
+T = TypeVar("T")
 MOST_SAMPLED = 6
 """Frames of one kind that are decoded."""
 CLIPPED = 20
 """Samples at the highest code from which on it is taken for the sensor's end."""
 LINES = 64
-"""Of a cube: read from its middle."""
+"""Of a cube: read from its middle, fewer where they would be more than `MOST_SEEN` values."""
+
+
+def spread(things: Sequence[T], count: int) -> list[T]:
+    """Return up to `count` of some things, evenly over all.
+
+    >>> spread("abcdefg", 3)
+    ['a', 'd', 'g']
+    """
+    places = np.linspace(0, len(things) - 1, min(count, len(things))).round()
+    return [things[int(i)] for i in np.unique(places)] if things else []
 
 
 class Samples:
@@ -27,30 +38,29 @@ class Samples:
 
     def __init__(self) -> None:
         self._known: dict[Path, Statistics | None] = {}
+        self.refused: dict[str, str] = {}
 
     def of(self, seen: Seen) -> Statistics | None:
         """Return the statistics of one frame; None where it cannot be decoded."""
         if seen.path not in self._known:
             try:
                 self._known[seen.path] = describe_pixels(_plane(seen))
-            except (Refused, ValueError):
+            except Refused as refused:
+                self._known[seen.path] = None
+                self.refused[seen.name] = str(refused.problems[0])
+            except ValueError:
                 self._known[seen.path] = None
         return self._known[seen.path]
 
     def of_some(self, frames: Sequence[Seen], count: int) -> list[Statistics]:
         """Return the statistics of up to `count` frames, spread over all."""
-        places = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round())
-        found = [self.of(frames[int(i)]) for i in places] if frames else []
+        found = [self.of(seen) for seen in spread(frames, count)]
         return [told for told in found if told is not None]
 
     def spectrum_of(self, seen: Seen) -> np.ndarray | None:
         """Return the mean level of each band of some lines of a cube, (bands,); None where it cannot be read."""
-        from levkas.readers.envi import open_envi
-
         try:
-            cube, lines = open_envi(seen.path), seen.facts.shape[0]
-            start = max(0, lines // 2 - LINES // 2)
-            block = cube.read_lines(start, min(lines, start + LINES))
+            block = _middle(seen)
         except (Refused, ValueError):
             return None
         return np.asarray(block.mean(axis=(0, 1), dtype=np.float64))
@@ -64,13 +74,23 @@ class Samples:
 def _plane(seen: Seen) -> np.ndarray:
     """Read one plane: of a cube the brightest band of a few lines, of a photograph the mean."""
     if seen.facts.kind == "envi":
-        from levkas.readers.envi import open_envi
-
-        cube, lines = open_envi(seen.path), seen.facts.shape[0]
-        start = max(0, lines // 2 - LINES // 2)
-        block = cube.read_lines(start, min(lines, start + LINES))
+        block = _middle(seen)
         return np.asarray(block[:, :, int(block.mean(axis=(0, 1), dtype=np.float64).argmax())])
-    from levkas.readers.frames import read_frame
+    from levkas.readers.frames import read_sample
 
-    values = read_frame(seen.path)
-    return values if values.ndim == 2 else values[..., :3].mean(axis=2)
+    values = read_sample(seen.path)
+    return values if values.ndim == 2 else values[..., :3].mean(axis=2, dtype=np.float32)
+
+
+def _middle(seen: Seen) -> np.ndarray:
+    """Read some lines of a cube, (lines, samples, bands)."""
+    from levkas.readers.envi import open_envi
+    from levkas.readers.facts import check_memory
+    from levkas.readers.frames import MOST_SEEN
+
+    cube = open_envi(seen.path)
+    lines, samples, bands = cube.facts.shape
+    count = max(1, min(LINES, MOST_SEEN // (samples * bands)))
+    check_memory(seen.path, count * samples * bands, np.dtype(cube.layout).itemsize)
+    start = max(0, lines // 2 - count // 2)
+    return cube.read_lines(start, min(lines, start + count))

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from levkas.looking.grouping import Frame, Group
-from levkas.looking.samples import Samples
+from levkas.looking.samples import Samples, spread
 
 LONG_NM, SHORT_NM = 620.0, 460.0
 NEAR_NM = 25.0
+MOST_TARGETS = 200
+"""Of a camera, over all, whose colour is looked at."""
 
 
 def find_warmth(groups: Sequence[Group], samples: Samples) -> dict[str, float]:
@@ -28,10 +30,15 @@ def find_warmth(groups: Sequence[Group], samples: Samples) -> dict[str, float]:
     """
     warmth: dict[str, float] = {}
     for group in groups:
+        by_target: dict[str, list[Frame]] = {}
+        for frame in group.frames:
+            by_target.setdefault(frame.target, []).append(frame)
+        templates = {f.target for f in group.of_role("dark", "white")}
+        asked = {*templates, *spread(list(by_target), MOST_TARGETS)}
         levels = {
             target: found
-            for target in dict.fromkeys(f.target for f in group.frames)
-            if (found := _two_levels(group, target, samples)) is not None
+            for target, frames in by_target.items()
+            if target in asked and (found := _two_levels(frames, samples)) is not None
         }
         roles = {f.target: f.role for f in group.frames}
         whites = [v for t, v in levels.items() if roles[t] == "white"]
@@ -46,9 +53,8 @@ def find_warmth(groups: Sequence[Group], samples: Samples) -> dict[str, float]:
     return warmth
 
 
-def _two_levels(group: Group, target: str, samples: Samples) -> np.ndarray | None:
-    """Mean levels of a target near 620 and near 460 nm, (2,)."""
-    frames = [f for f in group.frames if f.target == target]
+def _two_levels(frames: Sequence[Frame], samples: Samples) -> np.ndarray | None:
+    """Mean levels of a target near 620 and near 460 nm, (2,), by its frames."""
     facts = frames[0].named.seen.facts
     if facts.kind == "envi" and facts.wavelengths:
         spectrum = samples.spectrum_of(frames[0].named.seen)

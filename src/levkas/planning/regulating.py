@@ -1,9 +1,9 @@
 """The filter that evens a camera's channels out: a linear program.
 
 A filter only takes light away, so that of the exposure *time* is part of the program: with u = t·T(λ)
-the electrons of a channel are linear in u, and so are 0 ≤ T ≤ 1 (0 ≤ u ≤ t) and |T′| ≤ s. The
-smallest channel is maximised while the largest stays at full exposure. (With the time left out, no
-filter at all would always win.)
+the electrons of a channel are linear in u, and so are the limits 0 ≤ T ≤ 1 (0 ≤ u ≤ t) and s of the
+slope of T. The smallest channel is maximised while the largest stays at full exposure. (With the time
+left out, no filter at all would always win.)
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas import __version__
-from levkas.readers.texts import parse_json
+from levkas.readers.texts import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,7 +37,7 @@ def describe_steps(publication: Publication, entities: dict[str, Entity]) -> lis
     """
     actions: list[Entity] = []
     for path in sorted(publication.folder.glob(f"objects/*/{PROVENANCE}")):
-        record = parse_json(path.read_text(encoding="utf-8"))
+        record = read_json(path)
         for step in record.get("steps", ()):
             actions.append(_step(record, step, entities))
     actions += _editions(publication, entities)

@@ -99,19 +99,20 @@ def _encoded(name: str) -> str:
 
 def check_target(root: Path, target: Path) -> None:
     """Refuse a folder that is no bag of ours, holds what is bagged, or lies in it."""
-    inside = target == root or root in target.parents or target in root.parents
-    ours = not target.exists() or (target / "bagit.txt").is_file()
-    if inside or not ours:
-        why = "it holds what is bagged, or lies in it" if inside else "something else stands there"
+    from levkas.ownership import require_ours
+
+    fix = "Give another folder: --bag NEW."
+    if target == root or root in target.parents or target in root.parents:
         raise PublishRefused(
             Problem(
                 "E_UNWRITABLE",
-                f"the bag cannot be written to this folder: {why}",
+                "the bag cannot be written to this folder: it holds what is bagged, or lies in it",
                 file=str(target),
                 expected="a new folder, or an earlier bag",
-                fix="Give another folder: --bag NEW.",
+                fix=fix,
             )
         )
+    require_ours(target, "bag", fix=fix)
 
 
 def _check_bag(folder: Path, final: Path) -> None:

@@ -39,7 +39,7 @@ def check_crate(folder: str | Path) -> list[Problem]:
     path = Path(folder) / NAME
     try:
         document = parse_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         return [_wrong(path, "", f"it cannot be read: {error}")]
     graph = document.get("@graph") if isinstance(document, dict) else None
     if not isinstance(graph, list) or not all(isinstance(e, dict) for e in graph):

@@ -7,6 +7,7 @@ grid. A layer that is no larger is copied.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,12 +18,12 @@ import numpy as np
 from levkas.cube import Cube
 from levkas.database.agreement import stem_of
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
+from levkas.database.registrations import read_registration
 from levkas.database.store import layer_name, write_index
 from levkas.digests import hash_file
 from levkas.plain_json import to_json
 from levkas.publishing.content import not_whole
 from levkas.publishing.publication import PublishRefused
-from levkas.readers.texts import parse_json
 
 if TYPE_CHECKING:
     from levkas.database.credits import Credits
@@ -169,12 +170,27 @@ def _write_layer(publication: Publication, root: Path, entry: Entry) -> Entry:
         entry.setup,
         entry.px_per_mm * size[0] / entry.width,
         credits_of(source),
+        centroids_of(source),
     )
     kind = publication.facts.cameras.get(entry.camera, {}).get("kind")
     made, _ = write_layer(
         root, layer, shrink(source, size), verdict=entry.verdict, encoded=kind == "image"
     )
     return replace(made, quantity=entry.quantity)
+
+
+def centroids_of(path: Path) -> dict[str, float]:
+    """Return the centroids that tag 65000 of a TIFF holds of channels without a centre wavelength, by label."""
+    from levkas.database.opening import describe_pages
+    from levkas.database.spectral_tiff import WAVELENGTHS
+    from levkas.database.tiff_pages import open_pages
+
+    pages = open_pages(path)
+    told = next((tag for tag in pages.tags(WAVELENGTHS) if tag is not None), ())
+    centres, bands = np.atleast_1d(np.asarray(told, float)).tolist(), describe_pages(pages).bands
+    if len(centres) != len(bands) or centres == list(range(len(bands))):
+        return {}
+    return {b.label: c for b, c in zip(bands, centres, strict=True) if math.isnan(b.wavelength)}
 
 
 def credits_of(path: Path) -> Credits:
@@ -204,7 +220,7 @@ def _write_records(publication: Publication, root: Path, name: str, size: tuple[
             _copy(publication, root, place)
             continue
         _check(publication, path)
-        record = parse_json(path.read_text(encoding="utf-8"))
+        record = read_registration(path)
         grid = record.get("grid")
         if grid and tuple(grid["size"]) != size:
             smaller = map_of(size, tuple(grid["size"]))

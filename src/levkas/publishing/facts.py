@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from levkas.declaring.toml import read_toml
 from levkas.problems import Problem
 
 NAME = "database.toml"
@@ -166,6 +166,11 @@ def read_facts(database: str | Path, *, file: str | None = None) -> Facts:
     ----------
     file : str, optional
         Where a person may mend the facts, where it is not database.toml itself: the campaign's file.
+
+    Raises
+    ------
+    TomlRefused
+        Where a file is there and cannot be read.
     """
     root = Path(database)
     record = _toml(root / NAME)
@@ -228,7 +233,7 @@ def missing_facts(facts: Facts) -> list[Problem]:
         "campaign.creator": (
             facts.creators,
             "nobody is named as creator",
-            '"Family, Given", or publication.creators',
+            '"Family, Given"',
         ),
         "campaign.licence": (
             facts.licence,
@@ -238,7 +243,7 @@ def missing_facts(facts: Facts) -> list[Problem]:
         "campaign.date": (
             facts.published,
             "neither the captures nor the campaign say a date",
-            '"2024-05-31", or publication.date',
+            "2024-05-31",
         ),
     }
     return [
@@ -287,10 +292,7 @@ def _person(told: Any) -> Person:
 
 
 def _toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
+    return read_toml(path) if path.exists() or path.is_symlink() else {}
 
 
 def _line(value: Any) -> str:

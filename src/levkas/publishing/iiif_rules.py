@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from levkas.problems import Problem
 from levkas.publishing.tiles import tile_names
-from levkas.readers.texts import parse_json
+from levkas.readers.texts import read_json
 
 
 def check_iiif(folder: str | Path, base: str) -> list[Problem]:
@@ -122,7 +122,7 @@ class _Check:
                 yield self._wrong(name, "sizes", "a size that is listed is not there", file)
 
     def _read(self, path: Path) -> dict[str, Any]:
-        record = parse_json(path.read_text(encoding="utf-8"))
+        record = read_json(path)
         return record if isinstance(record, dict) else {}
 
     def _file(self, address: str) -> Path:

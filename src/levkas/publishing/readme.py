@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.cube import Flag
+from levkas.flags import MARKS
 from levkas.publishing.citation import cite
 from levkas.publishing.describing import describe_dataset
 
@@ -16,16 +16,6 @@ if TYPE_CHECKING:
     from levkas.publishing.publication import Publication
 
 NAME = "README.md"
-MEANINGS = {
-    Flag.OUTSIDE: "outside what the camera saw; the value is NaN",
-    Flag.SATURATED: "saturated",
-    Flag.BLACK: "clipped at black",
-    Flag.DEFECT: "a defect, replaced from its neighbours",
-    Flag.GLARE: "glare: the lamp mirrored in varnish or gold",
-    Flag.MOVED: "moved between shots",
-    Flag.NEAR: "interpolated from a flagged pixel",
-    Flag.VEILED: "veiled: brighter than under the default lighting, by as much in every band; paint is seen",
-}
 PARTS = {
     "catalogue.csv": "one row a layer: object, camera, setup, bands, size, sampling, quantity, verdict",
     "database.toml": "title, creators, licence, cameras and lightings",
@@ -144,7 +134,7 @@ sensitivities, or 0, 1, 2 …), tag 65111 a JSON text with labels and widths."""
 
 
 def _values() -> str:
-    rows = "\n".join(f"| {int(flag)} | {text} |" for flag, text in MEANINGS.items())
+    rows = "\n".join(f"| {int(flag)} | {mark.meaning} |" for flag, mark in sorted(MARKS.items()))
     return f"""## What the numbers mean
 
 Reflectance: 1.0 is a perfect diffuser; gold and gloss exceed it. `.sigma.tif` holds one standard deviation

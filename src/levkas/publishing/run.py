@@ -203,9 +203,10 @@ def publish(
     Raises
     ------
     PublishRefused
-        Where facts are missing, the database is not whole, or `output` cannot be taken.
+        Where facts are missing, the database is not whole, or `output` holds it, or lies in it.
     WriteRefused
-        Where the disk refuses; an earlier publication still stands.
+        Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
+        publication still stands then.
     """
     from levkas.database.manifest import write_manifest
     from levkas.files import publishing, sweep_beside
@@ -219,7 +220,7 @@ def publish(
     final = Path(output).resolve() if output else subject.default_output.resolve()
     _check_output(final, subject)
     if bag is not None:
-        for root in (final, subject.database.resolve()):
+        for root in (subject.database.resolve(), final):
             check_target(root, Path(bag).resolve())
     if final.parent.is_dir():
         sweep_beside(final)
@@ -263,8 +264,13 @@ def find_manifest(database: Path) -> Manifest:
     Raises
     ------
     PublishRefused
-        Where there is none, it is damaged, or an interrupted build left unfinished files.
+        Where there is none, it is damaged, lists too little, or something leads out of the database.
+    DatabaseRefused
+        Where the catalogue cannot be read, or names in it are paths.
     """
+    from levkas.database.catalogue import NAME as CATALOGUE
+    from levkas.database.catalogue import read_catalogue
+    from levkas.database.containment import find_escapes
     from levkas.database.manifest import NAME, is_partial, list_files, read_manifest
 
     path = database / NAME
@@ -294,8 +300,11 @@ def find_manifest(database: Path) -> Manifest:
                 fix="Give that database, or its campaign's folder.",
             )
         )
+    names = list_files(database)
+    if escapes := list(find_escapes(database, names)):
+        raise PublishRefused(*escapes[:10])
     listed = {*manifest.files, NAME}
-    extra = [name for name in list_files(database) if name not in listed and not is_partial(name)]
+    extra = [name for name in names if name not in listed and not is_partial(name)]
     if extra:
         raise PublishRefused(
             Problem(
@@ -306,6 +315,8 @@ def find_manifest(database: Path) -> Manifest:
                 fix="Take them away, or run levkas build again, which brings the manifest up to date.",
             )
         )
+    if CATALOGUE in manifest.files:
+        read_catalogue(database)
     return manifest
 
 
@@ -319,24 +330,30 @@ def _run(publication: Publication) -> Iterator[PublishStep]:
 
 def _check_output(final: Path, subject: Subject) -> None:
     """Refuse a folder that is none of ours, and one that holds, or lies in, what is published."""
-    from levkas.database.manifest import NAME
+    from levkas.database.catalogue import DatabaseRefused, read_catalogue
+    from levkas.ownership import require_ours, stands_in
 
     database = subject.database.resolve()
-    inside = final == database or database in final.parents or final in database.parents
-    ours = not final.exists() or (
-        final.is_dir() and ((final / NAME).is_file() or not any(final.iterdir()))
-    )
-    if not inside and ours:
+    if final == database or database in final.parents or final in database.parents:
+        raise PublishRefused(_not_there(final, "it holds the database, or lies in it"))
+    require_ours(final, "publication", fix="Give another folder with -o.")
+    if not stands_in(final):
         return
-    why = "it holds the database, or lies in it" if inside else "something else stands there"
-    raise PublishRefused(
-        Problem(
-            "E_UNWRITABLE",
-            f"the publication cannot be written to this folder: {why}",
-            file=str(final),
-            expected="a new folder, or an earlier publication",
-            fix="Give another folder with -o.",
-        )
+    try:
+        one, other = ({entry.object for entry in read_catalogue(f)} for f in (database, final))
+    except DatabaseRefused:
+        return
+    if one and other and not one & other:
+        raise PublishRefused(_not_there(final, f"it holds that of {', '.join(sorted(other)[:3])}"))
+
+
+def _not_there(final: Path, why: str) -> Problem:
+    return Problem(
+        "E_UNWRITABLE",
+        f"the publication cannot be written to this folder: {why}",
+        file=str(final),
+        expected="a new folder, or an earlier publication of this database",
+        fix="Give another folder with -o.",
     )
 
 

@@ -24,12 +24,14 @@ NEAR = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A chart as one sensor saw it."""
+    """A chart as one sensor saw it; `steps` and `count` as in `patches.measure_patches`."""
 
     sensor: str
     located: Located
     cube: Cube
     shots: tuple[np.ndarray, np.ndarray] | None = None
+    steps: tuple[float, ...] | None = None
+    count: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,8 @@ def sight(
     corners: np.ndarray | None = None,
     near: np.ndarray | None = None,
     shots: tuple[np.ndarray, np.ndarray] | None = None,
+    steps: tuple[float, ...] | None = None,
+    count: int = 1,
 ) -> Sighting:
     """Find a chart in one cube; `near` is where another sensor of the camera saw it."""
     from levkas.radiometry.locating import Located, find_corners, patch_means
@@ -153,7 +157,7 @@ def sight(
             raise
         areas = place_patches(way, chart, (cube.values.shape[1], cube.values.shape[0]))
         found = Located(way, areas, 1.0, patch_means(cube.values, areas))
-    return Sighting(sensor, found, cube, shots)
+    return Sighting(sensor, found, cube, shots, steps, count)
 
 
 def measure(
@@ -170,7 +174,13 @@ def measure(
     from levkas.radiometry.indicators import compare_colours, rate
 
     tables = [
-        measure_patches(s.cube.values, s.cube.flags, s.located.areas, shots=s.shots) for s in seen
+        measure_patches(
+            *(s.cube.values, s.cube.flags, s.located.areas),
+            shots=s.shots,
+            steps=s.steps,
+            count=s.count,
+        )
+        for s in seen
     ]
     mean, noise, saturated = (
         np.concatenate([getattr(t, part) for t in tables], 1)

@@ -11,6 +11,8 @@ from levkas.cube import Flag
 from levkas.radiometry.charts import pixels_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from levkas.radiometry.blur import Preblur
 
 SATURATED = 0.01
@@ -63,6 +65,8 @@ def measure_patches(
     areas: np.ndarray,
     *,
     shots: tuple[np.ndarray, np.ndarray] | None = None,
+    steps: Sequence[float] | None = None,
+    count: int = 1,
 ) -> PatchTable:
     """Measure every patch in every band.
 
@@ -76,10 +80,15 @@ def measure_patches(
         From `charts.place_patches`.
     shots : two ndarrays like `values`, optional
         Independent halves whose mean is `values`: the noise is then that of half their difference.
+    steps : sequence of float, (bands,), optional
+        What a step from code to code is of the values; 0 where that is not known.
+    count : int
+        Shots that `values` are the mean of.
 
     Notes
     -----
-    A plane is fitted to each patch first: shading is no noise.
+    A plane is fitted to each patch first: shading is no noise. Rounding that a patch of hardly any noise
+    does not show, being the same code all over, is added: `noise_fit.hidden_rounding`.
 
     Examples
     --------
@@ -90,9 +99,9 @@ def measure_patches(
     >>> round(float(table.snr[0, 0])), round(float(table.snr_db[0, 0]), 1)
     (25, 14.0)
     """
-    count, bands = len(areas), values.shape[2]
-    mean, noise, saturated = (np.zeros((count, bands)) for _ in range(3))
-    pixels = np.zeros(count, int)
+    bands = values.shape[2]
+    mean, noise, saturated = (np.zeros((len(areas), bands)) for _ in range(3))
+    pixels = np.zeros(len(areas), int)
     for i, area in enumerate(areas):
         rows, columns = pixels_of(area)
         pixels[i] = len(rows)
@@ -107,7 +116,8 @@ def measure_patches(
                 continue
             mean[i, band] = part[use, band].mean()
             told = part[:, band] if half is None else half[:, band]
-            noise[i, band] = _spread(told[use], rows[use], columns[use])
+            step = 0.0 if steps is None else float(steps[band])
+            noise[i, band] = _rounded(_spread(told[use], rows[use], columns[use]), step, count)
     return PatchTable(mean, noise, saturated, pixels, shots is not None)
 
 
@@ -116,6 +126,14 @@ def _spread(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> float:
     basis = np.column_stack([np.ones(len(values)), rows - rows.mean(), columns - columns.mean()])
     left = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
     return float(np.sqrt(left @ left / (len(values) - 3)))
+
+
+def _rounded(noise: float, step: float, count: int) -> float:
+    """Return the noise of a mean of shots with the rounding that all of them share."""
+    from levkas.calibration.noise_fit import whole_variance
+
+    shown = count * noise**2
+    return float(np.sqrt(noise**2 + whole_variance(shown, step) - shown))
 
 
 def noise_planes(

@@ -83,6 +83,46 @@ def scene_ranges(
     return found
 
 
+def sensel_noise(
+    values: np.ndarray, flags: np.ndarray, variance: np.ndarray, table: np.ndarray
+) -> list[tuple[float, float]]:
+    """Return noise and signal-to-noise of the sensels of each channel of a mosaic.
+
+    Interpolated values are left out: their sigma also holds the detail that was not sampled, which
+    more light does not mend.
+
+    Parameters
+    ----------
+    values, flags, variance : ndarray, (h, w)
+        Of the mosaic after the flat field.
+    table : ndarray, (rows, columns), int
+        Channel at each place of the pattern.
+
+    Returns
+    -------
+    found : list of (noise, snr)
+        As of `BandRange`, channel by channel.
+
+    Examples
+    --------
+    >>> flat, none = np.full((4, 4), 0.5), np.zeros((4, 4), np.uint8)
+    >>> sensel_noise(flat, none, flat / 1250, np.array([[0, 1], [1, 2]]))[1]
+    (0.02, 25.0)
+    """
+    rows, columns = (np.arange(n) % p for n, p in zip(values.shape, table.shape, strict=True))
+    good = ((flags & LOST) == 0) & np.isfinite(values) & np.isfinite(variance)
+    found = []
+    for channel in range(int(table.max()) + 1):
+        mine = good & (table == channel)[np.ix_(rows, columns)]
+        noise = np.sqrt(variance[mine].astype(float))
+        ratio = values[mine] / np.maximum(noise, 1e-12)
+        known = noise.size > 0 and bool(noise.any())
+        found.append(
+            (float(np.median(noise)), float(np.median(ratio))) if known else (np.nan, np.nan)
+        )
+    return found
+
+
 def _one(label: str, values: np.ndarray, bits: np.ndarray, noise: np.ndarray | None) -> BandRange:
     nan = float("nan")
     if not values.size:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import prod
 from pathlib import Path
 
 import numpy as np
 
+from levkas.readers.envi_exposure import exposure_facts
 from levkas.readers.envi_header import (
     Fields,
     find_data,
@@ -18,7 +20,7 @@ from levkas.readers.envi_header import (
     text_of,
 )
 from levkas.readers.envi_layout import DATA_TYPES, check_length, layout_of
-from levkas.readers.facts import COPY_AGAIN, Facts, unreadable
+from levkas.readers.facts import COPY_AGAIN, Facts, check_memory, unreadable
 from levkas.readers.texts import what_stands_at
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
@@ -154,13 +156,13 @@ def open_envi(path: str | Path) -> EnviFile:
         dtype=layout.dtype.newbyteorder("=").name,
         bits=8 * layout.dtype.itemsize if layout.dtype.kind == "u" else None,
         saturation=number_of(text_of(fields, "data ceiling")) or None,
-        exposure_s=_exposure(fields),
         captured=_date(fields),
         model=text_of(fields, "sensor type") or None,
         wavelengths=_wavelengths(header, fields, "wavelength", centres),
         fwhm=_wavelengths(header, fields, "fwhm", centres),
         band_names=_names(fields, bands),
         interleave=layout.interleave,
+        **exposure_facts(header, fields, bands),
     )
     ignore = text_of(fields, "data ignore value")
     return EnviFile(
@@ -180,8 +182,10 @@ def read_envi_facts(path: Path) -> Facts:
 
 
 def read_envi(path: Path) -> np.ndarray:
-    """Read a whole cube, (lines, samples, bands)."""
-    return open_envi(path).read()
+    """Read a whole cube, (lines, samples, bands); refuses one that does not fit in memory."""
+    cube = open_envi(path)
+    check_memory(path, prod(cube.facts.shape), np.dtype(cube.layout).itemsize)
+    return cube.read()
 
 
 def _wavelengths(path: Path, fields: Fields, key: str, bands: int) -> tuple[float, ...] | None:
@@ -219,12 +223,6 @@ def _to_nanometres(unit: str, top: float) -> Callable[[float], float] | None:
 def _names(fields: Fields, bands: int) -> tuple[str, ...] | None:
     names = fields.get("band names")
     return tuple(names) if isinstance(names, list) and len(names) == bands else None
-
-
-def _exposure(fields: Fields) -> float | None:
-    """Return `tint` in s: Specim's, in ms. Other vendors' keys do not say their unit."""
-    value = number_of(text_of(fields, "tint"))
-    return value / 1e3 if value is not None and value > 0 else None
 
 
 def _date(fields: Fields) -> str | None:

@@ -9,6 +9,7 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
+from levkas.machine import MEMORY, chosen_memory, memory_bound
 from levkas.problems import Problem, Refused
 
 MOST_SAMPLES = 2_000_000_000
@@ -16,6 +17,12 @@ MOST_SAMPLES = 2_000_000_000
 LONGEST_SIDE = 500_000
 FREE_BYTES = 64 << 20
 """What a file may expand to whatever its ratio: constant dark frames compress very well."""
+SMALL_SAMPLES = 32 << 20
+"""What may be as constant as it will: darks of 32 megapixels that are nothing but zeros."""
+LARGEST_EXPANSION = 50
+"""Bytes of a larger frame from one stored byte; noise of one code compresses to a tenth, and PackBits goes to 64 to 1."""
+IN_WORK = 8
+"""Bytes of a sample in work, beside the frame as it was read: a float64, or several smaller arrays."""
 COPY_AGAIN = "Copy the file again from the camera, or leave it out of the campaign."
 
 
@@ -46,6 +53,10 @@ class Facts:
     pattern : str or None
         Bayer letters of the visible area row by row: ``"RGGB"``.
     exposure_s, iso : float or None
+    band_times_s : tuple of float or None
+        Exposures band by band, where an ENVI header lists several; `exposure_s` is None then.
+    exposure_unclear : str or None
+        What an ENVI header says of the exposure without its unit.
     captured : str or None
         ISO 8601, local time of the camera unless the file states an offset.
     model : str or None
@@ -65,6 +76,8 @@ class Facts:
     blacks: tuple[float, ...] | None = None
     pattern: str | None = None
     exposure_s: float | None = None
+    band_times_s: tuple[float, ...] | None = None
+    exposure_unclear: str | None = None
     iso: float | None = None
     captured: str | None = None
     model: str | None = None
@@ -135,6 +148,64 @@ def check_size(
         found=" x ".join(str(s) for s in shape),
         expected=f"1 to {most} samples, sides up to {LONGEST_SIDE}",
         fix=fix,
+    )
+
+
+def check_expansion(
+    path: Path, samples: int, itemsize: int, stored: int, *, most: int = LARGEST_EXPANSION
+) -> None:
+    """Refuse a large frame from a small file, unless $LEVKAS_MEMORY says how much it may take.
+
+    Parameters
+    ----------
+    path : Path
+    samples, itemsize : int
+        Of all pages, and bytes of each sample.
+    stored : int
+        Bytes of the file.
+    most : int
+        Bytes that one stored byte may become.
+
+    Raises
+    ------
+    UnreadableCapture
+        ``E_SIZE`` with the decoded size.
+    """
+    needed = samples * itemsize
+    if samples <= SMALL_SAMPLES or needed <= most * stored or chosen_memory() is not None:
+        return
+    raise unreadable(
+        path,
+        "a small file decodes to a large frame, as no capture does",
+        code="E_SIZE",
+        field="width, height",
+        found=f"{needed / 1e6:.0f} MB from {stored / 1e6:.2g} MB",
+        expected=f"at most {most} to 1 where there are over {SMALL_SAMPLES >> 20} Mi samples",
+        fix=f"Is it the right file? If so, save it again without compression, or set {MEMORY} to the GB that "
+        "a command may take.",
+    )
+
+
+def check_memory(path: Path, samples: int, itemsize: int) -> None:
+    """Refuse a frame that does not fit in memory, before it is decoded.
+
+    Raises
+    ------
+    UnreadableCapture
+        ``E_MEMORY`` with the decoded size and the bound.
+    """
+    needed = samples * (itemsize + IN_WORK)
+    if samples <= SMALL_SAMPLES // 2 or (bound := memory_bound()) is None or needed <= bound:
+        return
+    raise unreadable(
+        path,
+        "the frame does not fit in memory",
+        code="E_MEMORY",
+        field="width, height",
+        found=f"{samples * itemsize / 1e6:.0f} MB decoded, {needed / 1e6:.0f} MB in work",
+        expected=f"at most {bound / 1e6:.0f} MB, as levkas doctor says",
+        fix=f"Use a machine with more memory, close other programs, or set {MEMORY} to the GB that a command "
+        "may take.",
     )
 
 

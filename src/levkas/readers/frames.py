@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,15 @@ from levkas.readers.facts import COPY_AGAIN, Facts, UnreadableCapture, unreadabl
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
 from levkas.readers.texts import what_stands_at
 
-__all__ = ["Facts", "UnreadableCapture", "kind_of", "read_facts", "read_frame"]
+__all__ = [
+    "Facts",
+    "UnreadableCapture",
+    "files_of",
+    "kind_of",
+    "read_facts",
+    "read_frame",
+    "read_sample",
+]
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 FOREIGN = {
@@ -27,6 +36,10 @@ FOREIGN = {
     b"CDF\x02": "netCDF",
 }
 """Formats of cubes that are not read, by their first bytes."""
+MOST_SEEN, BLOCKS, BLOCK = 16 << 20, 8, 60
+"""Samples that tell what a frame is; blocks they are taken from, and what their sides are multiples of."""
+ALONE = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", *RAW_SUFFIXES]) - {*DATA_SUFFIXES}
+"""Suffixes of files that hold a frame by themselves."""
 READERS = {
     "tiff": ("levkas.readers.tiff", "read_tiff_facts", "read_tiff_page"),
     "png": ("levkas.readers.png", "read_png_facts", "read_png"),
@@ -73,6 +86,29 @@ def kind_of(path: str | Path) -> str:
         expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
         fix="Leave it out of `files`, or put the header of a cube beside it.",
     )
+
+
+def files_of(path: str | Path) -> tuple[Path, ...]:
+    """Return every file that a frame is read from: of an ENVI cube its header and its data.
+
+    A cube that cannot be opened is what is there of it.
+
+    Examples
+    --------
+    >>> [file.name for file in files_of("raw/icon1.tif")]
+    ['icon1.tif']
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix != ".hdr" and (suffix in ALONE or find_header(path) is None):
+        return (path,)
+    from levkas.readers.envi import open_envi
+
+    try:
+        cube = open_envi(path)
+    except UnreadableCapture:
+        return (path,)
+    return cube.facts.path, cube.data
 
 
 def _foreign(path: Path, name: str) -> UnreadableCapture:
@@ -135,6 +171,53 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
             expected="a TIFF of several pages",
         )
     return read(Path(path))
+
+
+def read_sample(path: str | Path, *, most: int = MOST_SEEN) -> np.ndarray:
+    """Read a frame, or of one of more than `most` samples blocks of rows spread over it.
+
+    Parameters
+    ----------
+    path : path
+    most : int
+        Samples. Of PNG, JPEG, camera raw and a TIFF in one strip all are decoded, few are returned.
+
+    Returns
+    -------
+    values : ndarray, (h, w) or (h, w, samples)
+        As `read_frame` reads them. Blocks begin at multiples of 60 px, so that the tiles of a mosaic
+        go on through them.
+
+    Raises
+    ------
+    UnreadableCapture
+    """
+    facts = read_facts(path)
+    if facts.kind == "envi" or prod(facts.shape) <= most:
+        return read_frame(path)
+    pixels = most // prod(facts.shape[2:])
+    columns = _spread(facts.shape[1], pixels // (BLOCKS * BLOCK))
+    rows = _spread(facts.shape[0], pixels // sum(stop - start for start, stop in columns))
+    if facts.kind == "tiff":
+        from levkas.readers.tiff import read_tiff_parts
+
+        return read_tiff_parts(Path(path), rows, columns)
+    values = read_frame(path)
+    lines = [[values[slice(*r), slice(*c)] for c in columns] for r in rows]
+    return np.concatenate([np.concatenate(line, axis=1) for line in lines])
+
+
+def _spread(length: int, most: int) -> list[tuple[int, int]]:
+    """Return where up to `most` of `length` places are taken from, in blocks spread over all.
+
+    >>> _spread(100, 480), _spread(10_000, 1000)[:3]
+    ([(0, 100)], [(0, 120), (1380, 1500), (2820, 2940)])
+    """
+    size = max(BLOCK, most // BLOCKS // BLOCK * BLOCK)
+    if length <= max(most, BLOCKS * size):
+        return [(0, length)]
+    starts = (i * (length - size) // (BLOCKS - 1) // BLOCK * BLOCK for i in range(BLOCKS))
+    return [(start, start + size) for start in starts]
 
 
 def _reader(path: str | Path, which: int) -> Callable[..., Any]:

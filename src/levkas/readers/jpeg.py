@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
+from math import prod
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from levkas.readers.exif import read_exif
-from levkas.readers.facts import COPY_AGAIN, Facts, check_ratio, check_size, decoding, unreadable
+from levkas.readers.facts import (
+    COPY_AGAIN,
+    Facts,
+    check_expansion,
+    check_memory,
+    check_ratio,
+    check_size,
+    decoding,
+    unreadable,
+)
 
 SIGNATURE = b"\xff\xd8\xff"
 NO_FRAME = (0xC4, 0xC8, 0xCC)  # tables and an extension, among the markers of frames
 LARGEST_RATIO = 4000
+LARGEST_EXPANSION = 150
+"""Of a large one; one even colour is 200 to 1, a painting before black less than 100."""
 MOST_SCANS = 64
 """Of a progressive JPEG; encoders write about ten, and each goes through the whole image."""
 SCAN = b"\xff\xda"
@@ -37,6 +49,7 @@ def read_jpeg(path: Path) -> np.ndarray:
 
     with decoding(path, "JPEG"):
         facts, scan = _walk(path)
+        check_memory(path, prod(facts.shape), 1)
         data = path.read_bytes()
         if data.rfind(END) < scan:
             raise unreadable(
@@ -117,5 +130,6 @@ def _facts(path: Path, frame: tuple[int, int, int, int], exif: bytes | None, siz
     shape = (height, width) if samples == 1 else (height, width, 3)
     check_size(path, shape)
     check_ratio(path, height * width * samples, size, ratio=LARGEST_RATIO)
+    check_expansion(path, height * width * samples, 1, size, most=LARGEST_EXPANSION)
     more = read_exif(BytesIO(exif)) if exif else {}
     return Facts(path=path, kind="jpeg", shape=shape, dtype="uint8", bits=8, **more)

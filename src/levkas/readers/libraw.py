@@ -21,7 +21,7 @@ MEMORY = 8 << 30
 SECONDS = 300
 READING_S, READING_S_PER_MB = 2.0, 1.0
 """Of processor time for opening and unpacking, without the start; cameras' own files take a tenth."""
-LARGEST_RATIO, FREE_BYTES = 400, 64 << 20
+LARGEST_RATIO, FREE_BYTES = 100, 64 << 20
 """Most bytes that a byte of the file may unpack to, and what is allowed whatever the file's size."""
 
 

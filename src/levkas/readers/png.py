@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from levkas.readers.exif import read_exif
-from levkas.readers.facts import COPY_AGAIN, Facts, check_ratio, check_size, decoding, unreadable
+from levkas.readers.facts import (
+    COPY_AGAIN,
+    Facts,
+    check_expansion,
+    check_memory,
+    check_ratio,
+    check_size,
+    decoding,
+    unreadable,
+)
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SAMPLES = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
@@ -43,6 +53,7 @@ def read_png_facts(path: Path) -> Facts:
     check_ratio(
         path, height * width * SAMPLES[colour] * max(depth // 8, 1), stored, ratio=DEFLATE_RATIO
     )
+    check_expansion(path, prod(shape), max(depth // 8, 1), stored)
     full = max(depth, 8)
     bits = min(chunks.get(b"sBIT", b"")[: SAMPLES[colour]], default=full)
     if not 0 < bits < full or depth < 8 or colour == 3:
@@ -64,6 +75,7 @@ def read_png(path: Path) -> np.ndarray:
     import imagecodecs
 
     facts = read_png_facts(path)
+    check_memory(path, prod(facts.shape), np.dtype(facts.dtype).itemsize)
     with decoding(path, "PNG"):
         data = path.read_bytes()
         if b"IEND" not in data[-4096:]:

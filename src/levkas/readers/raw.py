@@ -16,7 +16,7 @@ import numpy as np
 
 from levkas.readers.dng import check_parts
 from levkas.readers.exif import iso_date, read_exif
-from levkas.readers.facts import COPY_AGAIN, Facts, check_size, decoding, unreadable
+from levkas.readers.facts import COPY_AGAIN, Facts, check_memory, check_size, decoding, unreadable
 
 EXTENSIONS = """
     3fr ari arq arw bay cap cr2 cr3 crw cs1 dc2 dcr dcs dng drf erf fff gpr iiq k25 kdc mdc mef mos
@@ -101,6 +101,7 @@ def _ask(path: Path, what: str) -> tuple[dict[str, Any], memoryview]:
     if "error" in found:
         raise _refused(path, found["error"])
     check_size(path, tuple(found["shape"]))
+    check_memory(path, prod(int(s) for s in found["shape"]), 2)
     return found, memoryview(done.stdout)[4 + length :]
 
 

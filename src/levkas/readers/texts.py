@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import stat
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from levkas.problems import Problem, Refused
 
@@ -14,6 +15,16 @@ LARGEST_TABLE = 16 << 20
 """Bytes of a CSV or a JSON record."""
 DEEPEST = 64
 """Brackets within brackets of a JSON record; Python's parser calls itself for each."""
+MOST_TOKENS = 1_000_000
+"""Texts and brackets of a JSON record; those that Levkas writes have some thousands."""
+KINDS = (
+    (stat.S_ISREG, "a file"),
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)
 _BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 
 
@@ -50,18 +61,12 @@ def what_stands_at(path: Path) -> str:
     'no such file'
     """
     try:
-        if path.is_file():
-            return "a file"
-        kinds = (
-            (path.is_dir(), "a folder"),
-            (path.is_fifo(), "a pipe"),
-            (path.is_char_device() or path.is_block_device(), "a device"),
-            (path.is_socket(), "a socket"),
-            (path.is_symlink(), "a link that leads to no such file"),
-        )
-        return next((said for is_one, said in kinds if is_one), "no such file")
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return "a link that leads to no such file" if path.is_symlink() else "no such file"
     except (OSError, ValueError) as error:  # a name that is too long, or holds a null byte
-        return str(error)
+        return getattr(error, "strerror", None) or str(error)
+    return next((words for is_one, words in KINDS if is_one(mode)), "no plain file")
 
 
 def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
@@ -82,30 +87,52 @@ def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
     check_file(path, expected)
     try:
         with path.open("rb") as file:
-            data = file.read(most + 1)
-        if len(data) > most:
-            raise TextRefused(
-                Problem(
-                    "E_SIZE",
-                    f"{path.name}: the file is too large",
-                    str(path),
-                    found=f"over {most >> 20} MiB",
-                    expected=f"at most {most >> 20} MiB",
-                    fix="Name the right file, or take out what does not belong in it.",
-                )
-            )
-        return data.decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+            return read_stream(file, path.name, expected, file=str(path), most=most)
+    except OSError as error:
         raise TextRefused(
             Problem(
                 "E_UNREADABLE",
                 f"{path.name} cannot be read",
                 str(path),
-                found=getattr(error, "strerror", None) or str(error),
+                found=error.strerror or str(error),
                 expected=expected,
-                fix="Save it again as text in UTF-8."
-                if isinstance(error, UnicodeDecodeError)
-                else "Make it readable, or copy it again.",
+                fix="Make it readable, or copy it again.",
+            )
+        ) from error
+
+
+def read_stream(
+    stream: BinaryIO,
+    name: str,
+    expected: str,
+    *,
+    file: str | None = None,
+    most: int = LARGEST_TABLE,
+) -> str:
+    """Read a text in UTF-8 from an open file, such as standard input, as `read_text` does."""
+    data = stream.read(most + 1)
+    if len(data) > most:
+        raise TextRefused(
+            Problem(
+                "E_SIZE",
+                f"{name}: the file is too large",
+                file,
+                found=f"over {most >> 20} MiB",
+                expected=f"at most {most >> 20} MiB",
+                fix="Name the right file, or take out what does not belong in it.",
+            )
+        )
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise TextRefused(
+            Problem(
+                "E_UNREADABLE",
+                f"{name} cannot be read",
+                file,
+                found=str(error),
+                expected=expected,
+                fix="Save it again as text in UTF-8.",
             )
         ) from error
 
@@ -119,14 +146,15 @@ def read_json(path: Path) -> dict[str, Any]:
         Also where it is nested deeper than `DEEPEST`, or is no object.
     """
     text = read_text(path, "a JSON table in UTF-8")
-    if (depth := _depth(text)) > DEEPEST:
+    if too_much := _too_much(text):
+        what, found, expected = too_much
         raise TextRefused(
             Problem(
                 "E_SIZE",
-                f"{path.name}: it is nested too deeply",
+                f"{path.name}: it {what}",
                 str(path),
-                found=f"{depth} levels",
-                expected=f"at most {DEEPEST} levels",
+                found=found,
+                expected=f"at most {expected}",
                 fix="Write the file again with the program that made it.",
             )
         )
@@ -162,6 +190,17 @@ def parse_json(text: str) -> Any:
     )
 
 
+def parse_bounded(text: str) -> Any:
+    """Parse JSON of an unknown origin, such as a tag of a TIFF, within the bounds of `read_json`; raises ValueError."""
+    if too_much := _too_much(text):
+        what, found, expected = too_much
+        raise ValueError(f"it {what}: {found}, at most {expected}")
+    try:
+        return parse_json(text)
+    except RecursionError as error:
+        raise ValueError(str(error)) from error
+
+
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     record = dict(pairs)
     if len(record) != len(pairs):
@@ -182,11 +221,14 @@ def _finite(text: str) -> float:
     return value
 
 
-def _depth(text: str) -> int:
-    """Return how deep brackets stand in one another, those in strings left out."""
-    depth = deepest = 0
-    for token in _BRACKET.finditer(text):
+def _too_much(text: str) -> tuple[str, str, str] | None:
+    """Return what is too much for the parser, what was found of it, and how much may be; None where all fits."""
+    depth = 0
+    for number, token in enumerate(_BRACKET.finditer(text)):
+        if number == MOST_TOKENS:
+            return "holds too much", f"over {number}", f"{number} texts and brackets"
         if (letter := token[0][0]) != '"':
             depth += 1 if letter in "[{" else -1
-            deepest = max(deepest, depth)
-    return deepest
+            if depth > DEEPEST:
+                return "is nested too deeply", f"over {DEEPEST} levels", f"{DEEPEST} levels"
+    return None

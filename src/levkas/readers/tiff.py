@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import ceil, prod
 from pathlib import Path
@@ -10,13 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from levkas.readers.facts import COPY_AGAIN, Facts, check_ratio, check_size, decoding, unreadable
+from levkas.readers.facts import (
+    COPY_AGAIN,
+    Facts,
+    check_expansion,
+    check_memory,
+    check_ratio,
+    check_size,
+    decoding,
+    unreadable,
+)
 from levkas.readers.tiff_codecs import CODECS, JPEG, OWN_SIZE, SLACK, check_frames
 from levkas.readers.tiff_pages import full_pages
 from levkas.readers.tiff_tags import colours_of, describe
 
 LARGEST_RATIO = 2000
 PLAIN = 1  # tag Compression
+Span = tuple[int, int]
 
 
 def read_tiff_facts(path: Path) -> Facts:
@@ -24,6 +34,8 @@ def read_tiff_facts(path: Path) -> Facts:
     with _opened(path) as (tiff, pages):
         page = tiff.pages[pages[0]]
         shape = _checked(path, tiff, page, 0)
+        samples, stored = len(pages) * prod(shape), tiff.filehandle.size
+        check_expansion(path, samples, page.dtype.itemsize, stored)
         return Facts(
             path=path,
             kind="tiff",
@@ -42,31 +54,144 @@ def read_tiff_page(path: Path, page: int | None = None) -> np.ndarray:
     """
     if page is not None and page < 0:
         raise ValueError(f"page {page}; pages count from 0")
-    index = page or 0
     with _opened(path) as (tiff, pages):
-        if index >= len(pages):
-            raise unreadable(
-                path,
-                f"there is no page {index}",
-                code="E_BAND_MISSING",
-                field="page",
-                found=f"{len(pages)} pages",
-                expected=f"at least {index + 1}",
-            )
-        wanted = tiff.pages[pages[index]]
-        shape = _checked(path, tiff, wanted, index)
-        if wanted.compression in JPEG:
-            _check_endings(path, tiff, wanted)
-        # One thread: strips of a frame are small, and builds run frames side by side.
-        values = wanted.asarray(maxworkers=1)
-        if values.shape != shape:
-            values = np.moveaxis(values, 0, -1)
-        if values.shape != shape:
-            raise unreadable(path, "the TIFF is not what its tags say", found=str(values.shape))
-        values = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("="), copy=False)
-        if colours_of(wanted) == "zero is white" and values.dtype.kind == "u":
-            values = np.subtract(2**wanted.bitspersample - 1, values, dtype=values.dtype)
-        return values
+        return _decode(path, tiff, pages, page or 0)
+
+
+def read_tiff_pages(path: Path) -> Iterator[np.ndarray]:
+    """Decode all pages one after the other, each as `read_tiff_page` does; the file is opened once."""
+    with _opened(path) as (tiff, pages):
+        for index in range(len(pages)):
+            yield _decode(path, tiff, pages, index)
+
+
+def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
+    if index >= len(pages):
+        raise unreadable(
+            path,
+            f"there is no page {index}",
+            code="E_BAND_MISSING",
+            field="page",
+            found=f"{len(pages)} pages",
+            expected=f"at least {index + 1}",
+        )
+    wanted = tiff.pages[pages[index]]
+    shape = _checked(path, tiff, wanted, index)
+    if wanted.compression in JPEG:
+        _check_endings(path, tiff, wanted)
+    check_memory(path, prod(shape), wanted.dtype.itemsize)
+    # One thread: strips of a frame are small, and builds run frames side by side.
+    values = wanted.asarray(maxworkers=1)
+    if values.shape != shape:
+        values = np.moveaxis(values, 0, -1)
+    if values.shape != shape:
+        raise unreadable(path, "the TIFF is not what its tags say", found=str(values.shape))
+    return _bright_is_more(wanted, values)
+
+
+def read_tiff_parts(path: Path, rows: Sequence[Span], columns: Sequence[Span]) -> np.ndarray:
+    """Decode parts of the first page, (rows, columns) or (rows, columns, samples), joined.
+
+    Only the strips or tiles that hold them are decoded; samples in planes of their own, or a page in
+    one piece, are decoded whole.
+
+    Parameters
+    ----------
+    path : Path
+    rows, columns : sequence of (start, stop)
+        In order, not over one another.
+    """
+    with _opened(path) as (tiff, pages):
+        page = tiff.pages[pages[0]]
+        shape = _checked(path, tiff, page, 0)
+        separate = page.planarconfig == 2 and page.samplesperpixel > 1
+        pieces = len(page.dataoffsets)
+        if separate or (pieces < 2 and not page.is_contiguous):
+            whole = read_tiff_page(path)
+            return np.ascontiguousarray(whole[np.ix_(_all_of(rows), _all_of(columns))])
+        if page.compression in JPEG:
+            _check_endings(path, tiff, page)
+        size = tuple(sum(stop - start for start, stop in side) for side in (rows, columns))
+        out = np.empty((*size, *shape[2:]), page.dtype.newbyteorder("="))
+        pieces_of = _contiguous if page.is_contiguous else _decoded
+        for y, x, piece in pieces_of(path, tiff, page, rows, columns):
+            _paste(out, piece, y, x, rows, columns)
+        return _bright_is_more(page, out)
+
+
+def _bright_is_more(page: Any, values: np.ndarray) -> np.ndarray:
+    """Return samples in native byte order, turned where the tags say that zero is white."""
+    values = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("="), copy=False)
+    if colours_of(page) == "zero is white" and values.dtype.kind == "u":
+        values = np.subtract(2**page.bitspersample - 1, values, dtype=values.dtype)
+    return values
+
+
+def _all_of(spans: Sequence[Span]) -> np.ndarray:
+    return np.concatenate([np.arange(start, stop) for start, stop in spans])
+
+
+def _contiguous(
+    path: Path, tiff: Any, page: Any, rows: Sequence[Span], columns: Sequence[Span]
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield (row, column, samples) of the wanted rows of a page that is stored as it is."""
+    samples, stored = page.samplesperpixel, page.dtype.newbyteorder(tiff.byteorder)
+    count = page.imagewidth * samples
+    for row in _all_of(rows):
+        tiff.filehandle.seek(page.dataoffsets[0] + int(row) * count * stored.itemsize)
+        line = np.frombuffer(tiff.filehandle.read(count * stored.itemsize), stored, count)
+        yield int(row), 0, line.reshape(1, page.imagewidth, samples)
+
+
+def _decoded(
+    path: Path, tiff: Any, page: Any, rows: Sequence[Span], columns: Sequence[Span]
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield (row, column, samples) of the strips or tiles that hold wanted samples."""
+    high = page.tilelength if page.is_tiled else page.rowsperstrip
+    wide = page.tilewidth if page.is_tiled else page.imagewidth
+    across = ceil(page.imagewidth / wide)
+    check_memory(path, prod(page.chunks), page.dtype.itemsize)
+    decode, tables = page.decode, page.jpegtables  # which read tags, and so move the handle
+    for index, (offset, count) in enumerate(
+        zip(page.dataoffsets, page.databytecounts, strict=False)
+    ):
+        y, x = index // across * high, index % across * wide
+        if not _meets(rows, y, y + high) or not _meets(columns, x, x + wide):
+            continue
+        tiff.filehandle.seek(offset)
+        piece = decode(tiff.filehandle.read(count), index, jpegtables=tables)[0]
+        if piece is None or piece.ndim != 4:
+            raise unreadable(path, "a strip or tile cannot be decoded", field=f"number {index}")
+        yield y, x, piece[0]
+
+
+def _meets(spans: Sequence[Span], start: int, stop: int) -> bool:
+    return any(a < stop and start < b for a, b in spans)
+
+
+def _paste(
+    out: np.ndarray,
+    piece: np.ndarray,
+    y: int,
+    x: int,
+    rows: Sequence[Span],
+    columns: Sequence[Span],
+) -> None:
+    """Put what is wanted of a piece (h, w, samples), whose corner is at (y, x), where it belongs."""
+    piece = piece if out.ndim == 3 else piece[..., 0]
+    for to_y, from_y in _shared(rows, y, y + piece.shape[0]):
+        for to_x, from_x in _shared(columns, x, x + piece.shape[1]):
+            out[to_y, to_x] = piece[from_y, from_x]
+
+
+def _shared(spans: Sequence[Span], start: int, stop: int) -> Iterator[tuple[slice, slice]]:
+    """Yield (place among the joined spans, place in the piece) of what both have."""
+    before = 0
+    for a, b in spans:
+        first, last = max(a, start), min(b, stop)
+        if first < last:
+            yield slice(before + first - a, before + last - a), slice(first - start, last - start)
+        before += b - a
 
 
 @contextmanager
@@ -219,7 +344,8 @@ def _check_endings(path: Path, tiff: Any, page: Any) -> None:
 def _check_stack(path: Path, tiff: Any, page: Any) -> None:
     """Refuse stacks that ImageJ or tifffile keep behind a single page: one frame would be read."""
     text = page.description or ""
-    if len(tiff.pages) > 1 or not (text.startswith("ImageJ=") or '"truncated"' in text):
+    # Counting pages reads all their headers: only where the text says that there may be a stack.
+    if not (text.startswith("ImageJ=") or '"truncated"' in text) or len(tiff.pages) > 1:
         return
     held = int(np.prod(tiff.series[0].shape))
     if held > prod(page.shape):

@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 from levkas.readers.facts import COPY_AGAIN, unreadable
 
-MOST_PAGES = 65_536
+MOST_PAGES = 4096
 MOST_TAGS = 4096
 SUBFILE_TYPE = 254  # its value says whether a page is a preview or a mask
 REDUCED, MASK = 1, 4
@@ -22,8 +22,28 @@ def full_pages(path: Path) -> list[int]:
     Raises
     ------
     UnreadableCapture
-        Where the chain leaves the file, turns back on itself (a decoder would follow it for ever)
-        or has no image.
+        As `kinds_of_pages`, and where there is no image.
+    """
+    kinds = kinds_of_pages(path)
+    pages = [i for i, kind in enumerate(kinds) if not kind & (REDUCED | MASK)]
+    if not pages:
+        raise unreadable(
+            path,
+            "the TIFF holds no image",
+            field="NewSubfileType",
+            found=f"{len(kinds)} previews or masks" if kinds else "no pages",
+            expected="at least one full-size page",
+        )
+    return pages
+
+
+def kinds_of_pages(path: Path) -> list[int]:
+    """Return NewSubfileType of every directory in the chain.
+
+    Raises
+    ------
+    UnreadableCapture
+        Where the chain leaves the file, or turns back on itself: a decoder would follow it for ever.
     """
     with path.open("rb") as handle:
         size = handle.seek(0, 2)
@@ -47,16 +67,7 @@ def full_pages(path: Path) -> list[int]:
             walked += handle.tell() - offset
             offset = following
             kinds.append(kind)
-    pages = [i for i, kind in enumerate(kinds) if not kind & (REDUCED | MASK)]
-    if not pages:
-        raise unreadable(
-            path,
-            "the TIFF holds no image",
-            field="NewSubfileType",
-            found=f"{len(kinds)} previews or masks" if kinds else "no pages",
-            expected="at least one full-size page",
-        )
-    return pages
+    return kinds
 
 
 def _directory(path: Path, handle: BinaryIO, offset: int, order: str, big: bool) -> tuple[int, int]:

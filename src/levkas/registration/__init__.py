@@ -6,6 +6,8 @@ from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas.registration.images import BandImage
 from levkas.registration.record import (
     Matches,
@@ -17,8 +19,6 @@ from levkas.registration.record import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    import numpy as np
 
     from levkas.registration.given import Given
 
@@ -73,7 +73,7 @@ def register(
         For what is drawn at random; a fixed seed without it.
     given : mapping of sensor name to Given, optional
         Pairs given by hand: added and pinned ones are never removed, deleted ones never used, check
-        points are measured into ``errors["check_points"]``.
+        points are measured into ``errors["check_points"]``, each by the band that it was placed in.
     **options
         Of the method.
 
@@ -113,23 +113,32 @@ def register(
 def _checked(
     found: Registration, target: Sequence[BandImage], given: Mapping[str, Given]
 ) -> Registration:
-    """Measure the check points of every sensor by its first band."""
+    """Measure every check point by the map of the band in which it was placed."""
     from levkas.registration.given import measure_checks, with_checks
 
     report: list[dict[str, Any]] = []
     matches, others = found.matches, dict(found.others)
     for sensor, pairs in given.items():
-        label = next((image.label for image in target if image.sensor == sensor), None)
-        if label is None or not len(pairs.checks):
+        first = next((image.label for image in target if image.sensor == sensor), None)
+        if first is None or not len(pairs.checks):
             continue
-        errors = measure_checks(pairs.checks, found.transforms[label])
+        labels = [label or first for label in pairs.placed or ("",) * len(pairs.checks)]
+        errors = np.full(len(labels), np.nan)
+        for label in dict.fromkeys(labels):
+            here = np.array([one == label for one in labels])
+            errors[here] = measure_checks(pairs.checks[here], found.transforms[label])
         if sensor == target[0].sensor:
             matches = with_checks(matches, pairs.checks, errors)
         elif sensor in others:
             others[sensor] = with_checks(others[sensor], pairs.checks, errors)
         report += [
-            {"band": label, "reference": pair[:2].tolist(), "error": float(error)}
-            for pair, error in zip(pairs.checks, errors, strict=True)
+            {
+                "band": label,
+                "reference": pair[:2].tolist(),
+                "target": pair[2:].tolist(),
+                "error": float(error),
+            }
+            for label, pair, error in zip(labels, pairs.checks, errors, strict=True)
         ]
     if not report:
         return found

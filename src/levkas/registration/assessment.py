@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.registration.basis import describe_basis
 from levkas.registration.ladder import RUNGS
 from levkas.registration.pyramid import GOOD_PX
 from levkas.registration.record import Matches, Registration, Verdict
@@ -35,11 +36,26 @@ BELIEVED, DOUBTED = 0.5, 0.2
 #: Held-out error, reference px and px of the grid that was compared.
 BAD_PX, BAD_STEPS = 1.0, 0.3
 LEAST_COVER = 0.5
+#: What a sensor without a name is called among numbers.
+ONLY = "sensor"
 LEAST_BORNE_OUT = 0.15
+LEAST_CHECKED = 0.75
+#: By so many of its sigmas others may move a band: three of a normal error are one in three hundred.
+MOST_SIGMAS = 3.0
+#: Share of detail that only one of two pictures has. Views of one painting in light of the same wavelengths:
+#: 0.01 to 0.17; copies by one pattern: 0.30 to 0.55, of whose windows 0.6 to 0.91 are recognised
+#: (`benchmarks/replicas.py`).
+STRANGE = {"warn": 0.22, "refuse": 0.28}
+MOST_FOUND_OF_A_COPY = 0.95
 
 
-def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
-    """Return the registration of a camera whose sensors are `sensors`, bands in order of `labels`."""
+def assess(
+    sensors: Sequence[Sensor], labels: Sequence[str], mask: dict[str, Any] | None = None
+) -> Registration:
+    """Return the registration of a camera whose sensors are `sensors`, bands in order of `labels`.
+
+    `mask`, of `describe_mask`, is what of the reference was compared.
+    """
     transforms: dict[str, Transform] = {}
     sigma: dict[str, Sigma] = {}
     for sensor in sensors:
@@ -48,12 +64,13 @@ def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
     return Registration(
         method="levkas",
         transforms={label: transforms[label] for label in labels},
-        verdict=judge(sensors),
+        verdict=judge({s.name or ONLY: _numbers(s) for s in sensors}),
         errors={"bands": _band_errors(sensors), "sensors": {s.name: _numbers(s) for s in sensors}},
         matches=_matches(sensors[0]),
         trace=None,
         model={
             "kind": "levkas",
+            "mask": mask or {},
             "sensors": [
                 {
                     "sensor": s.name,
@@ -63,6 +80,8 @@ def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
                     "chromatic": s.chromatic.kind,
                     "mirrored": bool(s.start.mirrored) if s.start else False,
                     "step": s.step,
+                    "rounds": s.course.get("rounds"),
+                    "settled": s.course.get("settled"),
                 }
                 for s in sensors
             ],
@@ -70,42 +89,76 @@ def assess(sensors: Sequence[Sensor], labels: Sequence[str]) -> Registration:
         sigma={label: sigma[label] for label in labels},
         others={s.name: _matches(s) for s in sensors[1:] if s.start is not None},
         sightings=tuple(Sighting.of(sensor) for sensor in sensors),
+        basis={"kind": "windows", "sensors": [_basis(s) for s in sensors]},
     )
 
 
-def judge(sensors: Sequence[Sensor]) -> Verdict:
-    """Weigh the evidence of every sensor; the worst decides."""
-    found = [(sensor, _findings(sensor)) for sensor in sensors]
-    numbers = {sensor.name or "sensor": _numbers(sensor) for sensor in sensors}
+def judge(numbers: Mapping[str, Mapping[str, Any]]) -> Verdict:
+    """Weigh the evidence of every sensor; the worst decides.
+
+    Parameters
+    ----------
+    numbers : mapping of a sensor's name to its numbers
+        As `Verdict.numbers` holds them; of the reference's own sensor, which is registered to nothing,
+        nothing is asked.
+    """
+    asked = {name: n for name, n in numbers.items() if n["held_out_px"] is not None}
+    found = [(name, one) for name, n in asked.items() for one in _findings(n)]
     for decision in ("refuse", "warn"):
-        spoken = [(s.name, one) for s, all_ in found for one in all_ if one.decision == decision]
+        spoken = [(name, one) for name, one in found if one.decision == decision]
         if spoken:
-            reasons = (
-                f"sensor {name}: {one.reason}" if name else one.reason for name, one in spoken
-            )
-            return Verdict(decision, tuple(reasons), spoken[0][1].next_step, numbers)
-    return Verdict("accept", tuple(_praise(s) for s in sensors if s.rung), "", numbers)
+            reasons = (_where(name) + one.reason for name, one in spoken)
+            return Verdict(decision, tuple(reasons), spoken[0][1].next_step, dict(numbers))
+    praise = tuple(_where(name) + _praise(n) for name, n in asked.items())
+    return Verdict("accept", praise, "", dict(numbers))
 
 
-def _findings(sensor: Sensor) -> list[Finding]:
-    """Return what the rules have against a sensor; nothing is known of the reference's own."""
-    if sensor.rung is None or sensor.start is None:
-        return []
-    plain = sensor.rung.name.partition("+spline")[0].partition("+ledge")[0]
-    terms = RUNGS[plain][0] // 4
-    known = {"kept": int(sensor.start.kept.sum()), "terms": max(3, terms), **_numbers(sensor)}
-    known |= sensor.borne_out
+def _where(name: str) -> str:
+    return "" if name == ONLY else f"sensor {name}: "
+
+
+def _findings(numbers: Mapping[str, Any]) -> list[Finding]:
+    """Return what the rules have against a sensor."""
+    known = {"kept": numbers["key_points_kept"], **numbers, **numbers["borne_out"]}
     return [one for rule in RULES if (one := rule(known))]
 
 
-def _praise(sensor: Sensor) -> str:
-    rung, n = sensor.rung, sensor.borne_out
-    where = f"sensor {sensor.name}: " if sensor.name else ""
-    miss = rung.scores[rung.name] if rung else 0.0
+def _praise(numbers: Mapping[str, Any]) -> str:
+    n = numbers["borne_out"]
     return (
-        f"{where}{n.get('agreeing', 0)} of {n.get('found', 0)} windows that are recognised lie where "
-        f"the map puts them; blocks left out of the fit are predicted to {miss:.2f} px."
+        f"{n.get('agreeing', 0)} of {n.get('found', 0)} windows that are recognised lie where "
+        f"the map puts them; blocks left out of the fit are predicted to {numbers['held_out_px']:.2f} px, "
+        f"over the {_percent(n['checked'])} of the object that is checked."
     )
+
+
+def terms_of(model: str) -> int:
+    """Return the coefficients, of x and y each, of a model by its name; of a rig's the most there are.
+
+    >>> terms_of("cubic+spline(0.01)+ledge"), terms_of("rig+affine")
+    (10, 21)
+    """
+    plain = model.partition("+spline")[0].partition("+ledge")[0]
+    least = RUNGS[plain][0] if plain in RUNGS else max(least for least, _ in RUNGS.values())
+    return max(3, least // 4)
+
+
+def _basis(sensor: Sensor) -> dict[str, Any]:
+    """Return what a sensor's base map rests on; of the reference's own, which has none, its name."""
+    if sensor.rung is None:
+        return {"sensor": sensor.name}
+    labels = list(sensor.windows)
+    source = labels[0] if len(labels) == 1 else "fused"
+    return describe_basis(sensor.name, source, sensor.course["band"], sensor.rung, sensor.checks)
+
+
+def _percent(share: float) -> str:
+    """Return a share as text, never rounded up to all of it.
+
+    >>> _percent(1.0), _percent(0.998), _percent(0.375)
+    ('100 %', '99 %', '38 %')
+    """
+    return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
 
 
 def _better_than_chance(n: dict[str, Any]) -> Finding | None:
@@ -158,6 +211,64 @@ def _borne_out(n: dict[str, Any]) -> Finding | None:
     )
 
 
+def _checked(n: dict[str, Any]) -> Finding | None:
+    """Warn where the map reaches over more than a quarter of what both pictures show."""
+    share = n.get("checked", 1.0)
+    if share >= LEAST_CHECKED or not n["unchecked"]:
+        return None
+    *box, part = n["unchecked"][0]
+    return Finding(
+        "warn",
+        f"Blocks left out of the fit are predicted to {n['held_out_px']:.2f} px over the {_percent(share)} of "
+        f"the object that could be checked; nothing confirms the map in {_percent(part)} of it (x, y, width, "
+        f"height: {', '.join(f'{v:.0f}' for v in box)}), where it only reaches over.",
+        REGION,
+    )
+
+
+def _at_rest(n: dict[str, Any]) -> Finding | None:
+    if n["settled"] is not False:
+        return None
+    return Finding(
+        "warn",
+        f"The map had not come to rest in the last of {n['rounds']} rounds: it still moved by {n['moved']:.2f} px.",
+        LOOK,
+    )
+
+
+def _allowed(n: dict[str, Any]) -> Finding | None:
+    """Warn where captures that a band was adjusted with move it by more than its own windows allow."""
+    excess = n.get("joint_excess")
+    if excess is None or excess["sigmas"] < MOST_SIGMAS:
+        return None
+    return Finding(
+        "warn",
+        f"Adjusted with other captures, {excess['band']} moves by {excess['px']:.2f} px in the mean, "
+        f"{excess['sigmas']:.0f} times what its own windows leave open.",
+        "Look at the other captures of this camera, or build without `joint`.",
+    )
+
+
+def _same_painting(n: dict[str, Any]) -> Finding | None:
+    """Refuse or warn where outlines agree and what lies between them does not."""
+    strange = n.get("strange")
+    if strange is None or strange < STRANGE["warn"]:
+        return None
+    found = n["found"] / max(n["windows"], 1)
+    told = f"Where windows are recognised, {strange:.0%} of their detail (strokes, cracks) is not in the reference"
+    if n["alike"] and strange >= STRANGE["refuse"] and found < MOST_FOUND_OF_A_COPY:
+        return Finding(
+            "refuse",
+            f"{told}, which sees the same light: it is another painting by the same pattern.",
+            f"{OTHER}.",
+        )
+    return Finding(
+        "warn",
+        f"{told}: it may be another painting by the same pattern, or one seen in quite another light.",
+        LOOK,
+    )
+
+
 RULES: tuple[Callable[[dict[str, Any]], Finding | None], ...] = (
     _better_than_chance,
     _predicts_blocks,
@@ -167,7 +278,11 @@ RULES: tuple[Callable[[dict[str, Any]], Finding | None], ...] = (
     check_rival,
     check_overlap,
     _borne_out,
+    _checked,
+    _same_painting,
+    _allowed,
     _compared,
+    _at_rest,
 )
 
 
@@ -181,6 +296,12 @@ def _numbers(sensor: Sensor) -> dict[str, Any]:
         "step": sensor.step,
         "key_points_kept": int(sensor.start.kept.sum()) if sensor.start else None,
         "key_points": len(sensor.start.kept) if sensor.start else None,
+        "rounds": sensor.course.get("rounds"),
+        "settled": sensor.course.get("settled"),
+        "moved": sensor.course.get("moved"),
+        "checked": sensor.borne_out.get("checked"),
+        "alike": sensor.alike,
+        "terms": terms_of(rung.name) if rung else None,
         "borne_out": sensor.borne_out,
     }
 

@@ -9,17 +9,20 @@ import numpy as np
 
 from levkas.registration.consent import usable
 from levkas.registration.corroboration import corroborate, reduction
-from levkas.registration.prediction import compared
+from levkas.registration.prediction import LEAST_BANDS, compared
 from levkas.registration.refinement import Windows
 from levkas.registration.sampling import highpass
 from levkas.registration.task import Task
 from levkas.transforms import Transform
 
 if TYPE_CHECKING:
+    from levkas.registration.checks import Checks
     from levkas.registration.images import BandImage
 
 #: Of the windows; fewer that are predicted beyond chance are only part of the object.
 PARTLY = 0.8
+#: Correlation of the detail of two channels that are one grey picture.
+GREY = 0.98
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,12 @@ class Belief:
         """Whether windows that chance explains lie together: something covers the object."""
         used = usable(self.seen.information)
         return bool(self.around(self.seen.centres)[used].sum() <= PARTLY * used.sum())
+
+    @property
+    def predicted(self) -> np.ndarray:
+        """Centres, (n, 2) reference px, of usable windows that are predicted beyond chance as most near are."""
+        used = usable(self.seen.information)
+        return np.asarray(self.seen.centres[used & self.around(self.seen.centres)])
 
     def around(self, centres: np.ndarray) -> np.ndarray:
         """Tell at which places, (n, 2) reference px, most windows near are predicted beyond chance."""
@@ -86,10 +95,36 @@ def weigh(task: Task, band: BandImage, transform: Transform, step: int) -> Belie
     return Belief(seen, level, evidence)
 
 
-def bear_out(task: Task, band: BandImage, transform: Transform, step: int) -> dict[str, Any]:
-    """Return what `corroborate` measures of a map, on a grid of `step` reference px or coarser."""
+def bear_out(
+    task: Task, band: BandImage, transform: Transform, step: int, belief: Belief
+) -> tuple[dict[str, Any], Checks]:
+    """Return what `corroborate` measures of a map, on a grid of `step` reference px or coarser.
+
+    `belief` is of the same map, on the grid of `step`.
+    """
+    there = belief.predicted
+    cell = float(task.scene.predictor(step).cell * step)
     step *= reduction(task.scene.shape, step)
     image = highpass(task.sampled(band, transform, step))
     predictors = task.scene.predictor(step).images
     valid = np.isfinite(task.images[band.label])
-    return corroborate(predictors, image, step, transform, task.within, valid)
+    return corroborate(predictors, image, step, transform, task.within, valid, there, cell)
+
+
+def sees_alike(task: Task, band: BandImage, transform: Transform, step: int) -> bool:
+    """Tell whether a band sees light that the reference sees too, so that little of it may be missed there.
+
+    Its wavelength says so. Where it has none, the band of a colour camera does: one of three or more whose
+    detail is not the same throughout, as that of a grey picture stored as colours is.
+    """
+    if np.isfinite(band.wavelength):
+        return task.scene.sees(band.wavelength)
+    if min(len(task.bands), task.scene.count) < LEAST_BANDS:
+        return False
+    mine = highpass(task.sampled(band, transform, step))
+    for other in (task.bands[0], task.bands[-1]):
+        theirs = highpass(task.sampled(other, transform, step))
+        both = np.isfinite(mine) & np.isfinite(theirs)
+        if both.any() and np.corrcoef(mine[both], theirs[both])[0, 1] < GREY:
+            return True
+    return False

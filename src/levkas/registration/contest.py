@@ -27,10 +27,11 @@ Folds = list[tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Part:
-    """A model fitted without some blocks, and the share of all information that these hold."""
+    """A model fitted without the blocks of a fold, and the share of all information that these hold."""
 
     transform: Transform
     without: float
+    fold: int = 0
 
 
 @dataclass(frozen=True)
@@ -74,16 +75,16 @@ class Contest:
         """Return the best model fitted without each fold, and the share of knowledge left out."""
         know = np.trace(self._judged.information, axis1=1, axis2=2)
         return tuple(
-            Part(self.fit(self._judged.part(rest)), float(know[~rest].sum() / know.sum()))
-            for unseen, rest in self._folds
+            Part(self.fit(self._judged.part(rest)), float(know[~rest].sum() / know.sum()), fold)
+            for fold, (unseen, rest) in enumerate(self._folds)
             if unseen.any() and rest.sum() >= 6
         )
 
-    def rivals(self) -> tuple[Rival, ...]:
-        """Return the models that come within `NEAR` of the best."""
+    def rivals(self, near: float = NEAR) -> tuple[Rival, ...]:
+        """Return the models that come within `near` of the best, as a share of its held-out error."""
         best = self.scores[self.taken]
         close = (
-            {n: 1 - (score / best - 1) / NEAR for n, score in self.scores.items()} if best else {}
+            {n: 1 - (score / best - 1) / near for n, score in self.scores.items()} if best else {}
         )
         return tuple(
             Rival(self.fits[name](self._judged), min(weight, 1.0))
@@ -92,13 +93,14 @@ class Contest:
         )
 
 
-def deal(points: np.ndarray, apart: float = 0.0) -> Folds:
-    """Return (held out, fitted), masks (n,), of every fold of blocks.
+def deal(points: np.ndarray, apart: float = 0.0, over: np.ndarray | None = None) -> Folds:
+    """Return (held out, fitted), masks (n,), of every fold of blocks over all of `over`, `points` without it.
 
     Windows within `apart` of a held-out block are neither: they share pixels with what they would
     predict.
     """
-    low, high = points.min(0), points.max(0)
+    over = points if over is None else over
+    low, high = over.min(0), over.max(0)
     size = max(float((high - low).max()) / BLOCKS, LEAST_BLOCK * apart, 1e-9)
     number = _numbers(points - low, size)
     near = np.stack([_numbers(points - low + shift, size) for shift in _around(apart)])

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.registration.agreement import LONG_SIDE_PX, Agreement, compare
+from levkas.registration.agreement import LONG_SIDE_PX, WINDOW_PX, Agreement, compare
+from levkas.registration.checks import Checks
 from levkas.registration.evidence import (
     Evidence,
     measure_shape,
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 BLOCK_PX = 80
 RIDGE = 1e-3
+LEAST_STRANGE = 6
+#: Of the detail of a window of the middle: fainter ones are counted as if they had so much.
+FAINT = 0.05
 
 
 def corroborate(
@@ -37,7 +41,9 @@ def corroborate(
     transform: Transform,
     within: np.ndarray,
     valid: np.ndarray,
-) -> dict[str, Any]:
+    predicted_at: np.ndarray | None = None,
+    cell: float = 0.0,
+) -> tuple[dict[str, Any], Checks]:
     """Measure what the verdict on a dense map rests on.
 
     Parameters
@@ -53,16 +59,22 @@ def corroborate(
     within : ndarray of bool, reference px
         Where the object lies.
     valid : ndarray of bool, native px
+    predicted_at : ndarray, (n, 2), reference px, optional
+        Windows of the dense refinement that are predicted beyond chance, `cell` px apart.
+    cell : float, reference px
 
     Returns
     -------
     numbers : dict
-        As `measure_shape`, `measure_windows` and `measure_support` of `evidence` name them, and
-        ``tolerance``, reference px.
+        As `measure_shape`, `measure_windows` and `measure_support` of `evidence` name them,
+        ``tolerance``, reference px, and ``strange``, of `measure_strange`.
+    checks : Checks
+        The windows themselves.
     """
     predicted = predict(predictors, image)
     both = [(np.nan_to_num(a), np.isfinite(a)) for a in (predicted, image)]
-    agreement = _enlarged(compare(both[0], both[1], Affine.identity()), step)
+    compared = compare(both[0], both[1], Affine.identity())
+    agreement = _enlarged(compared, step)
     rows, columns = (np.flatnonzero(within.any(axis)) for axis in (1, 0))
     box = (columns[0], rows[0], np.ptp(columns) + 1, np.ptp(rows) + 1) if len(rows) else None
     evidence = Evidence(
@@ -75,15 +87,21 @@ def corroborate(
         region=None if box is None else tuple(float(v) for v in box),
     )
     tolerance = max(1.0, agreement.step)
+    checks = Checks(
+        agreement.centres, agreement.shift, agreement.found, tolerance,
+        WINDOW_PX * agreement.step, predicted_at, cell, evidence.region,
+    )  # fmt: skip
     numbers = {
         "tolerance": tolerance,
         **measure_shape(evidence),
-        **measure_windows(agreement, tolerance),
-        **measure_support(evidence, agreement, tolerance),
+        **measure_windows(checks),
+        "rival": float(agreement.rival),
+        **measure_support(evidence, checks),
+        "strange": measure_strange(predicted, image, compared),
     }
     share = float(within[_rows(box), _columns(box)].mean()) if box else 1.0
     numbers["overlap"] = min(1.0, numbers["overlap"] / max(share, 1e-9))
-    return numbers
+    return numbers, checks
 
 
 def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -118,6 +136,44 @@ def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
             block[known] = gains @ part[:, known]
             out[top:bottom, left:right] = block.reshape(bottom - top, right - left)
     return out
+
+
+def measure_strange(predicted: np.ndarray, image: np.ndarray, agreement: Agreement) -> float | None:
+    """Return the share of a picture's detail that its prediction lacks, the median over recognised windows.
+
+    Two views of one painting differ by noise, of which neighbouring pixels have little in common; of
+    brush strokes, craquelure and pattern they have much. Of what is left when the prediction is taken away only
+    what neighbours have in common is counted, as a share of what they have in common in the picture.
+    A copy by the same pattern has the same outlines, so that windows are recognised, and strokes of its own.
+
+    Parameters
+    ----------
+    predicted, image : ndarray, (h, w)
+        NaN where invalid; slow parts taken out.
+    agreement : Agreement
+        Of the two, in their own px.
+
+    Returns
+    -------
+    strange : float or None
+        0 where all detail is predicted, 1 where none is; None where fewer than `LEAST_STRANGE` windows
+        are recognised.
+    """
+    known = np.isfinite(predicted) & np.isfinite(image)
+    detail, left = (np.where(known, part, np.nan) for part in (image, image - predicted))
+    places = np.rint(agreement.centres[agreement.found] - (WINDOW_PX - 1) / 2).astype(int)
+    if len(places) < LEAST_STRANGE:
+        return None
+    of, rest = (np.array([_common(part, *place) for place in places]) for part in (detail, left))
+    return float(np.median(rest / np.maximum(of, FAINT * max(float(np.median(of)), 1e-30))))
+
+
+def _common(image: np.ndarray, x: int, y: int) -> float:
+    """Return the mean product of neighbours, along either axis, in the window at (x, y)."""
+    window = image[y : y + WINDOW_PX, x : x + WINDOW_PX]
+    window = window - np.nanmean(window)
+    along, down = window[:, 1:] * window[:, :-1], window[1:] * window[:-1]
+    return float((np.nanmean(along) + np.nanmean(down)) / 2)
 
 
 def reduction(shape: tuple[int, int], step: int) -> int:

@@ -14,12 +14,15 @@ from levkas.transforms import Polynomial
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from levkas.registration.agreement import Agreement
+    from levkas.registration.checks import Checks
     from levkas.registration.record import Matches
     from levkas.transforms import Transform
 
 GRID = (24, 18)
 CELLS = (6, 5)
+#: Points, four by four a cell, that tell which part of the box both pictures show; half of a cell's make it shown.
+FINE, FINE_LEAST = (4 * CELLS[0], 4 * CELLS[1]), 8
+MOST_UNCHECKED = 4
 FOLDS = 5
 LEAST_FOUND = 3
 CHANCE_REPEATS = 5
@@ -83,17 +86,27 @@ def measure_shape(evidence: Evidence) -> dict[str, Any]:
     """
     points = grid_points(evidence.box, GRID)
     inside = seen(evidence, points)
-    change = evidence.transform.jacobian(points)
+    return {"overlap": float(inside.mean()), **measure_map(evidence.transform, points, inside)}
+
+
+def measure_map(transform: Transform, points: np.ndarray, inside: np.ndarray) -> dict[str, Any]:
+    """Measure folds and stretches of a map at `points`, (n, 2), of which the target shows `inside`, (n,) bool.
+
+    Returns
+    -------
+    numbers : dict
+        As of `measure_shape`, without the overlap.
+    """
+    change = transform.jacobian(points)
     known = np.isfinite(change).all((1, 2))
     determinant = np.linalg.det(np.where(known[:, None, None], change, 0))
     mirrored = bool(np.median(determinant[inside]) < 0) if inside.any() else False
     upright = (determinant < 0) if mirrored else (determinant > 0)
     # A map that folds has no value beyond the fold: such points count, wherever they lie.
-    lost = ~np.isfinite(evidence.transform(points)).all(1)
+    lost = ~np.isfinite(transform(points)).all(1)
     judged = inside | lost
     good = inside & upright & known
     numbers: dict[str, Any] = {
-        "overlap": float(inside.mean()),
         "folded": float(1 - good[judged].mean()) if judged.any() else 1.0,
         "mirrored": mirrored,
     }
@@ -223,44 +236,58 @@ def _count_kept(target: np.ndarray, reference: np.ndarray, evidence: Evidence) -
     return count
 
 
-def measure_windows(agreement: Agreement, tolerance: float) -> dict[str, Any]:
+def measure_windows(checks: Checks) -> dict[str, Any]:
     """Sum up what windows say of a map; distances in reference px.
-
-    Parameters
-    ----------
-    agreement : Agreement
-    tolerance : float, reference px
-        A window that is found within twice that of its place agrees.
 
     Returns
     -------
     numbers : dict
         ``windows`` with structure, ``found`` of these, ``agreeing`` of the found;
-        ``window_median``, ``window_p90`` of how far the found ones are off (infinite without any);
-        ``rival``, of `Agreement`.
+        ``window_median``, ``window_p90`` of how far the found ones are off (infinite without any).
     """
-    found = agreement.found
-    distance = np.hypot(*agreement.shift.T)[found]
+    found = checks.found
+    distance = np.hypot(*checks.shift.T)[found]
     middle, high = np.percentile(distance, (50, 90)) if found.any() else (np.inf, np.inf)
     return {
         "windows": len(found),
         "found": int(found.sum()),
-        "agreeing": int((distance <= 2 * tolerance).sum()),
+        "agreeing": int(checks.confirmed.sum()),
         "window_median": float(middle),
         "window_p90": float(high),
-        "rival": float(agreement.rival),
     }
 
 
-def measure_support(evidence: Evidence, agreement: Agreement, tolerance: float) -> dict[str, Any]:
+def measure_support(evidence: Evidence, checks: Checks) -> dict[str, Any]:
     """Tell in which cells of the box the map is borne out by matches or by windows.
+
+    Returns
+    -------
+    numbers : dict
+        ``box``, (x, y, width, height), reference px, and as `measure_cells` names them.
+    """
+    box = evidence.box
+    shown = seen(evidence, grid_points(box, FINE))
+    kept = evidence.matches.reference[evidence.matches.kept]
+    return {"box": list(box), **measure_cells(box, shown, checks, kept)}
+
+
+def measure_cells(
+    box: tuple[float, float, float, float],
+    shown: np.ndarray,
+    checks: Checks,
+    matched_at: np.ndarray,
+) -> dict[str, Any]:
+    """Tell in which cells of a box windows or matches bear a map out, and how much of it is checked.
 
     Parameters
     ----------
-    evidence : Evidence
-    agreement : Agreement
-    tolerance : float, reference px
-        Windows of a cell that move alike bear the map out where their median is within it.
+    box : (x, y, width, height), reference px
+    shown : ndarray of bool, (n,)
+        Which points of the grid `FINE` over the box both pictures show.
+    checks : Checks
+        Windows of a cell that move alike bear the map out where their median is within the tolerance.
+    matched_at : ndarray, (m, 2), reference px
+        Matches, which bear out the cell that they lie in.
 
     Returns
     -------
@@ -268,26 +295,28 @@ def measure_support(evidence: Evidence, agreement: Agreement, tolerance: float) 
         ``coverage`` 0..1: of the cells that both pictures show and that have structure, the share
         that is borne out; ``unsupported``, ``off``, ``outside``: lists of (x, y, width, height),
         reference px, of the cells where nothing bears it out, where windows say that it is off,
-        and that the target does not show.
+        and that the target does not show. ``checked`` 0..1: of all that both pictures show, with structure or
+        without, the share that is no farther than a window's side from windows that confirm the map;
+        ``checked_box``: the rectangle about that, ``unchecked``: the rectangles about connected parts
+        of the rest, the largest first, each with its share of all at the end.
     """
-    box = evidence.box
+    count = CELLS[0] * CELLS[1]
     centres = grid_points(box, CELLS)
-    count = len(centres)
-    fine = grid_points(box, (4 * CELLS[0], 4 * CELLS[1]))
-    shown = np.bincount(_cell_of(fine, box), seen(evidence, fine), minlength=count) >= 8
+    fine = grid_points(box, FINE)
+    in_view = np.bincount(_cell_of(fine, box), shown, minlength=count) >= FINE_LEAST
     matched = np.zeros(count, bool)
-    matched[_cell_of(evidence.matches.reference[evidence.matches.kept], box)] = True
-    home = _cell_of(agreement.centres, box)
+    matched[_cell_of(matched_at, box)] = True
+    home = _cell_of(checks.centres, box)
     structured = np.bincount(home, minlength=count) > 0
     agreeing, off = np.zeros(count, bool), np.zeros(count, bool)
-    for cell in np.unique(home[agreement.found]):
-        here = agreement.shift[agreement.found & (home == cell)]
+    for cell in np.unique(home[checks.found]):
+        here = checks.shift[checks.found & (home == cell)]
         middle = np.median(here, 0)
         # Windows that are found in wrong places scatter; a map that is off moves them alike.
-        alike = (np.hypot(*(here - middle).T) <= tolerance).mean() >= 0.5
-        agreeing[cell] = alike and np.hypot(*middle) <= tolerance
+        alike = (np.hypot(*(here - middle).T) <= checks.tolerance).mean() >= 0.5
+        agreeing[cell] = alike and np.hypot(*middle) <= checks.tolerance
         off[cell] = alike and len(here) >= LEAST_FOUND and not agreeing[cell]
-    asked = shown & (structured | matched)
+    asked = in_view & (structured | matched)
     support = (matched | agreeing) & ~off
     size = box[2] / CELLS[0], box[3] / CELLS[1]
 
@@ -300,7 +329,36 @@ def measure_support(evidence: Evidence, agreement: Agreement, tolerance: float) 
         "off_share": float(off[asked].mean()) if asked.any() else 0.0,
         "unsupported": cells(asked & ~support & ~off),
         "off": cells(asked & off),
-        "outside": cells(~shown),
+        "outside": cells(~in_view),
+        **_checked(box, shown, checks.beyond(fine) == 0),
+    }
+
+
+def _checked(
+    box: tuple[float, float, float, float], shown: np.ndarray, near: np.ndarray
+) -> dict[str, Any]:
+    """Return how much of what both pictures show is near to what confirms the map, and the rest's rectangles."""
+    from scipy import ndimage
+
+    columns, rows = FINE
+    total = max(int(shown.sum()), 1)
+    cell = np.array([box[2] / columns, box[3] / rows])
+
+    def rectangle(part: tuple[slice, ...]) -> list[float]:
+        low = np.array([part[1].start, part[0].start]) * cell + np.array(box[:2])
+        high = np.array([part[1].stop, part[0].stop]) * cell + np.array(box[:2])
+        return [round(float(v), 1) for v in (*low, *(high - low))]
+
+    good, rest = ((mask & shown).reshape(rows, columns) for mask in (near, ~near))
+    patches, count = ndimage.label(rest)
+    sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
+    parts = ndimage.find_objects(patches)
+    order = np.argsort(-sizes, kind="stable")[:MOST_UNCHECKED]
+    whole = ndimage.find_objects(good.astype(int))
+    return {
+        "checked": float(good.sum() / total),
+        "checked_box": rectangle(whole[0]) if whole else None,
+        "unchecked": [[*rectangle(parts[k]), round(float(sizes[k] / total), 4)] for k in order],
     }
 
 

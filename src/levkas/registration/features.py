@@ -17,6 +17,8 @@ CONTRAST = 0.01
 LIMIT = 10_000
 BALANCE_CELLS = 8
 ROOT_SIFT_LEVELS = 512
+ORB_POINTS = 4 * LIMIT
+"""Looked for before the strongest of each cell are kept; OpenCV's 500 lie where contrast is highest."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def find_key_points(
         Where there is no such detector, or the OpenCV that is installed lacks it.
     """
     if detector not in DETECTORS:
-        raise _no_detector(detector, f"one of {', '.join(sorted(DETECTORS))}")
+        raise RegistrationRefused(no_detector(detector))
     found = DETECTORS[detector](picture, **options)
     found = found[_supported(found, valid)]
     order = np.lexsort((found.angles, found.sizes, found.points[:, 1], found.points[:, 0]))
@@ -168,28 +170,59 @@ def akaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
     return _gather(*finder.detectAndCompute(picture, None), width=61)
 
 
-DETECTORS: dict[str, Callable[..., KeyPoints]] = {"sift": sift, "kaze": kaze, "akaze": akaze}
+def orb(picture: np.ndarray, *, contrast: int = 5) -> KeyPoints:
+    """ORB of Rublee 2011, binary descriptors; in every OpenCV. `contrast` is the threshold of FAST, grey levels."""
+    finder = _opencv("ORB_create", "orb")(
+        nfeatures=ORB_POINTS, fastThreshold=contrast, scaleFactor=1.2, nlevels=8
+    )
+    return _gather(*finder.detectAndCompute(picture, None), width=32)
+
+
+DETECTORS: dict[str, Callable[..., KeyPoints]] = {
+    "sift": sift,
+    "orb": orb,
+    "kaze": kaze,
+    "akaze": akaze,
+}
+CONSTRUCTORS = {
+    "sift": "SIFT_create",
+    "orb": "ORB_create",
+    "kaze": "KAZE_create",
+    "akaze": "AKAZE_create",
+}
+
+
+def available_detectors() -> list[str]:
+    """Return the detectors that the installed OpenCV has; KAZE and AKAZE left it with release 5."""
+    return [name for name, constructor in CONSTRUCTORS.items() if _constructor(constructor)]
+
+
+def _constructor(name: str) -> Any:
+    import cv2
+
+    homes = (cv2, getattr(cv2, "xfeatures2d", None))
+    return next((getattr(home, name) for home in homes if hasattr(home, name)), None)
 
 
 def _opencv(constructor: str, detector: str) -> Any:
+    found = _constructor(constructor)
+    if found is None:
+        raise RegistrationRefused(no_detector(detector))
+    return found
+
+
+def no_detector(detector: str, field: str = "registration.detector") -> Problem:
+    """Return the problem of a detector that is unknown, or not in the installed OpenCV."""
     import cv2
 
-    for home in (cv2, getattr(cv2, "xfeatures2d", None)):
-        if hasattr(home, constructor):
-            return getattr(home, constructor)
-    raise _no_detector(detector, f"OpenCV {cv2.__version__} here has no {constructor}")
-
-
-def _no_detector(detector: str, expected: str) -> RegistrationRefused:
-    return RegistrationRefused(
-        Problem(
-            "E_VALUE",
-            f"key points of kind {detector!r} are not available",
-            field="registration.detector",
-            found=detector,
-            expected=expected,
-            fix='Use "sift".',
-        )
+    here = ", ".join(f'"{name}"' for name in available_detectors())
+    return Problem(
+        "E_VALUE",
+        f"key points of kind {detector!r} are not available",
+        field=field,
+        found=detector,
+        expected=f"one of {here}, which OpenCV {cv2.__version__} here has",
+        fix='Use "sift".',
     )
 
 

@@ -51,6 +51,9 @@ class Given:
         Pairs that no fit may rest on.
     checks : ndarray, (n, 4)
         Pairs that measure and are never fitted.
+    placed : tuple of str
+        Band of the sensor in which each check point was placed, whose map measures it; where it is empty, or
+        one of its names is, the sensor's first band.
 
     Examples
     --------
@@ -64,6 +67,7 @@ class Given:
     restored: np.ndarray = field(default_factory=_none)
     deleted: np.ndarray = field(default_factory=_none)
     checks: np.ndarray = field(default_factory=_none)
+    placed: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return bool(len(self.sure) + len(self.deleted) + len(self.checks))

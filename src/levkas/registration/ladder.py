@@ -7,7 +7,7 @@ alike), and a richer one is taken only where it is better there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -47,6 +47,7 @@ COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", 
 REACHING = ["similarity", "affine", "homography", "homography+lens"]
 STIFF = (1e-3, 1e-2)
 #: What is tried before the map of a rig; it is near already, and seen afresh in so many steps.
+TWICE = 1.0
 RIG, NEWTON = ("similarity", "affine", "homography", "quadratic"), 2
 
 
@@ -84,6 +85,9 @@ class Rung:
         On which it was taken.
     fit : callable or None
         How it was fitted.
+    reaching : callable or None
+        Returns the models that predict blocks at most twice as badly: where nothing was seen they
+        may be as right.
     """
 
     name: str
@@ -95,11 +99,23 @@ class Rung:
     rivals: tuple[Rival, ...] = ()
     terms: Terms | None = None
     fit: Fit | None = None
+    reaching: Callable[[], tuple[Rival, ...]] | None = None
 
     @property
     def knowledge(self) -> float:
         """All information together, 1/px², by how windows really scatter about the model."""
         return float(np.trace(self.observations.information, axis1=1, axis2=2).sum())
+
+    def held_out(self) -> np.ndarray:
+        """Return how far each window, (n,), reference px, lies from a fit without its block; NaN without one."""
+        missed = np.full(len(self.observations), np.nan)
+        if self.parts and self.terms is not None:
+            folds = deal(self.observations.points, self.terms.apart)
+            for part in self.parts:
+                unseen = folds[part.fold][0]
+                left = self.observations.part(unseen).residuals(part.transform)
+                missed[unseen] = np.hypot(*left.T)
+        return missed
 
     def sigma(self, points: np.ndarray) -> np.ndarray:
         """Return one standard deviation of either axis at `points`, (n,), reference px.
@@ -116,12 +132,21 @@ class Rung:
         for part in self.parts:
             moved = solve_pairs(jacobian, part.transform(points) - here)
             total += (1 - part.without) / part.without * (moved**2).sum(1) / 2
-        variance = total / len(self.parts)
-        weights = 1 + sum(rival.weight for rival in self.rivals)
-        for rival in self.rivals:
+        return np.sqrt(total / len(self.parts) + self._apart(points, self.rivals))
+
+    def sigma_beyond(self, points: np.ndarray) -> np.ndarray:
+        """Return how far models lie apart at `points`, (n,), reference px, that may be right beyond what was seen."""
+        return np.sqrt(self._apart(points, self.reaching() if self.reaching else ()))
+
+    def _apart(self, points: np.ndarray, rivals: Sequence[Rival]) -> np.ndarray:
+        """Return the variance, of either axis, of `rivals` about this model, each by its weight."""
+        jacobian, here = self.transform.jacobian(points), self.transform(points)
+        weights = 1 + sum(rival.weight for rival in rivals)
+        variance = np.zeros(len(points))
+        for rival in rivals:
             apart = solve_pairs(jacobian, rival.transform(points) - here)
             variance += rival.weight / weights * (apart**2).sum(1) / 2
-        return np.sqrt(variance)
+        return variance
 
 
 def climb(
@@ -175,7 +200,7 @@ def climb(
     judged = tempered.part(np.arange(len(tempered)) % every == 0)
     if rig is not None:
         judged = judged.weighted(np.full(len(judged), float(every)))
-    contest = Contest(judged, deal(judged.points, apart))
+    contest = Contest(judged, deal(judged.points, apart, tempered.points))
     for name in names:
         contest.enter(name, *RUNGS[name])
     if standing is not None and contest.withstands(standing):
@@ -196,7 +221,8 @@ def climb(
     rivals = () if coarse else contest.rivals()
     terms = Terms(spacing, apart, cell, coarse, reaching, sure)
     return Rung(
-        contest.taken, transform, contest.scores, tempered, weights, parts, rivals, terms, contest.fit
+        contest.taken, transform, contest.scores, tempered, weights, parts, rivals, terms, contest.fit,
+        partial(contest.rivals, TWICE),
     )  # fmt: skip
 
 

@@ -37,13 +37,15 @@ class Reference:
     ) -> None:
         from levkas.registration.key_points import KeyPictures
         from levkas.registration.pictures import images_of
-        from levkas.registration.silhouette import find_object
+        from levkas.registration.silhouette import describe_mask, find_object
 
         self.anchor = next(image for image in bands if image.label == band)
         self.siblings = [image for image in bands if image.sensor == self.anchor.sensor]
         self.images = images_of(bands)
         greys = _Greys([self.images[image.label] for image in self.siblings])
-        self._within = _inside(region, self.anchor.values.shape) & find_object(greys[0])
+        asked, body = _inside(region, self.anchor.values.shape), find_object(greys[0])
+        self._within = asked & body
+        self.mask = describe_mask(body, region)
         self.keys, self._greys = KeyPictures(greys, self._within), greys
         self._scene: Scene | None = None
 
@@ -63,7 +65,8 @@ class Reference:
             bands = self.predicting()
             masked = {band.label: self.object_in(band) for band in bands}
             known = {band.label: transforms[band.label] for band in bands}
-            self._scene = Scene(registered(masked, known, self.anchor.values.shape))
+            stack = registered(masked, known, self.anchor.values.shape)
+            self._scene = Scene(stack, [band.wavelength for band in bands])
         return self._scene
 
     def rest(self) -> None:
@@ -150,7 +153,7 @@ def register_levkas(
             sensors.append(
                 align_sensor(bands, pictures, scene, base.keys, theirs, hand, reference_sigma)
             )
-    return assess(sensors, [image.label for image in target])
+    return assess(sensors, [image.label for image in target], base.mask)
 
 
 def _inside(region: Sequence[float] | None, shape: tuple[int, int]) -> np.ndarray:

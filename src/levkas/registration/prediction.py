@@ -25,6 +25,8 @@ LEAST_SHARE = 1e-6
 TOE = 0.02
 SAMPLED_PX = 100_000
 LINES = 32
+#: Light that far beyond the outermost of some bands is predicted by them as well as what lies between.
+NEAR_NM, LEAST_BANDS = 20.0, 3
 
 
 @dataclass(frozen=True)
@@ -230,16 +232,26 @@ class Scene:
     ----------
     stack : ndarray, (bands, h, w)
         Registered bands, `rooted`; NaN where invalid.
+    wavelengths : sequence of float
+        Of the bands, nm; NaN where not known.
     """
 
-    def __init__(self, stack: np.ndarray) -> None:
+    def __init__(self, stack: np.ndarray, wavelengths: Sequence[float] = ()) -> None:
         self.palette = condense(stack)
+        self._wavelengths, self.count = tuple(wavelengths), len(stack)
         self._ready: dict[int, Predictor] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) of the reference frame."""
         return self.palette.images.shape[1], self.palette.images.shape[2]
+
+    def sees(self, wavelength: float) -> bool:
+        """Tell whether a wavelength, nm, lies among those of the reference's bands; not where any is unknown."""
+        if len(self._wavelengths) < LEAST_BANDS or not np.isfinite(self._wavelengths).all():
+            return False
+        low, high = min(self._wavelengths) - NEAR_NM, max(self._wavelengths) + NEAR_NM
+        return bool(low <= wavelength <= high)
 
     def forget(self) -> None:
         """Let go of the predictors, which are larger than what they are made of."""

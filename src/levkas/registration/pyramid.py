@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.problems import Problem
-from levkas.registration.belief import PARTLY, bear_out, weigh
+from levkas.registration.belief import PARTLY, bear_out, sees_alike, weigh
 from levkas.registration.chromatic import Chromatic, fit_chromatic, still
 from levkas.registration.consent import (
     LEAST_WINDOWS,
@@ -30,6 +30,7 @@ from levkas.registration.task import Task
 from levkas.transforms import Affine, Composed, Transform
 
 if TYPE_CHECKING:
+    from levkas.registration.checks import Checks
     from levkas.registration.images import BandImage
 
 COARSE_BANDS = 4
@@ -64,6 +65,14 @@ class Refined:
         How far its best band is predicted above chance.
     borne_out : dict
         What `corroborate` measured.
+    checks : Checks
+        The windows that it looked for.
+    course : dict
+        ``rounds`` that were made, ``settled``: whether the map had come to rest in the last of them,
+        ``moved``, reference px: by how much that moved it, the median over windows, ``band`` by which
+        it was judged.
+    alike : bool
+        Whether the band by which it was judged sees light that the reference sees too.
     """
 
     base: Transform
@@ -74,6 +83,9 @@ class Refined:
     climbs: list[dict[str, Any]]
     evidence: dict[str, float]
     borne_out: dict[str, Any]
+    checks: Checks
+    course: dict[str, Any]
+    alike: bool
 
     @property
     def good(self) -> bool:
@@ -113,7 +125,9 @@ def _refine(task: Task, *, stiff: bool) -> Refined:
     small = scene.shape[0] * scene.shape[1] < LARGE_PX * step**2
     # In large frames bands are pixels apart, and a coarser grid brings them near at a quarter of the cost.
     planned = [step] * (STIFF_ROUNDS if stiff else ROUNDS) if small else [2 * step, step]
-    for tried, at in enumerate(planned + [step] * (MOST_ROUNDS - len(planned)), 1):
+    rounds = 0
+    settled, shift = False, np.inf
+    for rounds, at in enumerate(planned + [step] * (MOST_ROUNDS - len(planned)), 1):
         here = task.look(bands, [model.transform(i) for i in range(len(bands))], base, at)
         rung = _settle(task, base, here, at, climbs, stiff=stiff, ledge=at == step)
         moved = correction(base, rung.transform, rung.observations.points)
@@ -121,9 +135,14 @@ def _refine(task: Task, *, stiff: bool) -> Refined:
             common = correction(base, rung.transform, here[0].centres)
             model = fit_chromatic(here, model, [band.wavelength for band in bands], common=common)
         base = rung.transform
-        if tried >= len(planned) and np.sqrt(np.median((moved**2).sum(1))) < STILL * step:
+        shift = float(np.sqrt(np.median((moved**2).sum(1))))
+        settled = shift < STILL * step
+        if rounds >= len(planned) and settled:
             break
     best = max(range(len(bands)), key=lambda i: float(here[i].r2.mean()))
+    course = {
+        "rounds": rounds, "settled": settled, "moved": round(shift, 5), "band": bands[best].label,
+    }  # fmt: skip
     judged = max(step, task.plain)
     belief = weigh(task, bands[best], Composed(model.transform(best), base), judged)
     for _ in range(ROUNDS):
@@ -135,8 +154,13 @@ def _refine(task: Task, *, stiff: bool) -> Refined:
         base = rung.transform
         here = task.look(bands, [model.transform(i) for i in range(len(bands))], base, step)
         belief = weigh(task, bands[best], Composed(model.transform(best), base), judged)
-    borne_out = bear_out(task, bands[best], Composed(model.transform(best), base), judged)
-    return Refined(base, judged, model, rung, here, climbs, belief.evidence, borne_out)
+    borne_out, checks = bear_out(
+        task, bands[best], Composed(model.transform(best), base), judged, belief
+    )
+    return Refined(
+        base, judged, model, rung, here, climbs, belief.evidence, borne_out, checks, course,
+        sees_alike(task, bands[best], Composed(model.transform(best), base), judged),
+    )  # fmt: skip
 
 
 def _settle(

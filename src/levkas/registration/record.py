@@ -168,6 +168,7 @@ class Trace:
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record; which match left when is in the matches' rows."""
         return {
+            "kind": "removal",
             "reject": float(self.reject),
             "stop": float(self.stop),
             "matches": len(self.scale_errors),
@@ -228,6 +229,9 @@ class Registration:
     matches : Matches
         Of the target's first sensor; of the reference camera itself there are none.
     trace : Trace or None
+        Of a method that removes outliers one by one.
+    basis : dict
+        What a map without such a trace rests on, as `describe_basis` tells it of each sensor, JSON-ready.
     model : dict
         ``kind`` and what else describes the model, JSON-ready.
     sigma : dict of str to Sigma
@@ -248,6 +252,7 @@ class Registration:
     sigma: dict[str, Sigma] = field(default_factory=dict)
     others: dict[str, Matches] = field(default_factory=dict)
     sightings: tuple[Sighting, ...] = ()
+    basis: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self, *, reference: str = "", target: str = "") -> dict[str, Any]:
         """Return the record of CAMERA.json; `reference` and `target` are the names of frames."""
@@ -259,7 +264,7 @@ class Registration:
             "model": _plain(self.model),
             "bands": {label: t.to_dict() for label, t in self.transforms.items()},
             "errors": _plain(self.errors),
-            "trace": self.trace.to_dict() if self.trace else {},
+            "trace": self.trace.to_dict() if self.trace else _plain(self.basis),
         }
 
 

@@ -19,6 +19,7 @@ from levkas.registration.uncertainty import Sigma, measure_sigma
 from levkas.transforms import Composed, Transform
 
 if TYPE_CHECKING:
+    from levkas.registration.checks import Checks
     from levkas.registration.chromatic import Chromatic
     from levkas.registration.images import BandImage
     from levkas.registration.initial import Start
@@ -52,6 +53,12 @@ class Sensor:
     borne_out : dict
         What `corroborate` measured of it; empty for the reference's own sensor.
     sigma : dict of label to Sigma
+    checks : Checks or None
+        Windows that were looked for freely; None for the reference's own sensor.
+    course : dict
+        How many rounds it took, and whether it came to rest; empty for the reference's own sensor.
+    alike : bool
+        Whether it sees light of wavelengths that the reference sees too.
     """
 
     name: str
@@ -66,6 +73,9 @@ class Sensor:
     climbs: list[dict[str, Any]] = field(default_factory=list)
     borne_out: dict[str, Any] = field(default_factory=dict)
     sigma: dict[str, Sigma] = field(default_factory=dict)
+    checks: Checks | None = None
+    course: dict[str, Any] = field(default_factory=dict)
+    alike: bool = False
 
 
 def ordered(bands: Sequence[BandImage]) -> list[BandImage]:
@@ -128,5 +138,9 @@ def align_sensor(
     return Sensor(
         bands[0].sensor, transforms, got.base, got.model, got.rung, seen, found, got.step,
         got.evidence, got.climbs, got.borne_out,
-        measure_sigma(scene.shape, [band.label for band in bands], got.model, got.rung, known),
+        measure_sigma(
+            scene.shape, [band.label for band in bands], got.model, got.rung, known,
+            checks=got.checks,
+        ),
+        got.checks, got.course, got.alike,
     )  # fmt: skip

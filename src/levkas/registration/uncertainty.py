@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from levkas.registration.checks import Checks
     from levkas.registration.chromatic import Chromatic
     from levkas.registration.ladder import Rung
 
@@ -28,6 +29,9 @@ FOLDS_FACTOR, BANDS_FACTOR = 1.4, 2.0
 #: Half of the variance of the folds is taken where it is seen, half from the whole frame: nine
 #: folds know a place badly.
 LOCAL_SHARE = 0.5
+#: By so much a map may stray, per px that it reaches beyond what windows confirm. Of cut and bent pairs
+#: (`benchmarks/unchecked.py`).
+STRAY = 0.06
 #: Radius of the circle that holds nine of ten errors, in sigmas of one axis: sqrt(2 ln 10).
 NINE_OF_TEN = 2.146
 
@@ -85,6 +89,7 @@ def measure_sigma(
     rung: Rung | None = None,
     reference: Mapping[str, Sigma] | None = None,
     behind: Rung | None = None,
+    checks: Checks | None = None,
 ) -> dict[str, Sigma]:
     """Return the sigma of every band of a sensor.
 
@@ -100,6 +105,8 @@ def measure_sigma(
         Of the bands that predicted these.
     behind : Rung, optional
         A map that the base map rests on, fitted to more than this sensor saw.
+    checks : Checks, optional
+        Windows that confirm the base map; away from them it is known the less the farther.
     """
     x, y = (
         np.round(np.linspace(0, n - 1, k), 2) for n, k in zip(shape[::-1], LATTICE, strict=True)
@@ -112,6 +119,8 @@ def measure_sigma(
         inside = np.all((points >= seen.min(0)) & (points <= seen.max(0)), 1)
         middle = float(np.median(folds[inside])) if inside.any() else float(np.median(folds))
         common += FOLDS_FACTOR**2 * (LOCAL_SHARE * folds + (1 - LOCAL_SHARE) * middle)
+        if checks is not None:
+            common += _beyond(rung, points, checks.beyond(points), checks.side, shape)
     if behind is not None:
         common += behind.sigma(points) ** 2
     if reference:
@@ -122,3 +131,33 @@ def measure_sigma(
         values = np.sqrt(common + apart).reshape(LATTICE[::-1])
         result[label] = Sigma(x, y, np.round(values, DECIMALS))
     return result
+
+
+def _beyond(
+    rung: Rung, points: np.ndarray, far: np.ndarray, side: float, shape: tuple[int, int]
+) -> np.ndarray:
+    """Return the variance that a map has more where nothing confirms it.
+
+    Other models that saw the same and reach elsewhere count in full a window's `side` beyond what is
+    checked; what none of them shows grows with the distance.
+    """
+    far = np.minimum(far, float(np.hypot(*shape)))
+    if not far.any():
+        return np.zeros(len(points))
+    share = np.minimum(far / side, 1.0)
+    return np.asarray((share * rung.sigma_beyond(points)) ** 2 + (STRAY * far) ** 2)
+
+
+def with_colour(known: Sigma, band: int, before: Chromatic, after: Chromatic) -> Sigma:
+    """Return the sigma of a band whose colour is known otherwise than it was, all else being as it was.
+
+    Parameters
+    ----------
+    known : Sigma
+    band : int
+        Its number in `before` and `after`, in which sigma has its part of the variance.
+    """
+    points = np.stack(np.meshgrid(known.x, known.y), -1).reshape(-1, 2)
+    apart = after.variance(band, points) - before.variance(band, points)
+    variance = known.values**2 + BANDS_FACTOR**2 * apart.reshape(known.values.shape)
+    return Sigma(known.x, known.y, np.round(np.sqrt(np.maximum(variance, 0.0)), DECIMALS))

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.registration.agreement import compare
+from levkas.registration.agreement import WINDOW_PX, compare
+from levkas.registration.checks import Checks
 from levkas.registration.evidence import (
     Evidence,
     measure_chance,
@@ -43,17 +44,26 @@ LEAST_FOUND_SHARE = 0.05
 LEAST_AGREEING_SHARE = 0.6
 
 OTHER = "Check that both pictures show the same object, the same way up and framed alike"
+POINTS = "give control points to start from"
 LOOK = "Look at both pictures in the report with the flicker before you rely on this camera."
 REGION = "Use nothing from there, or give control points there."
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What one rule found against a registration."""
+    """What one rule found against a registration.
+
+    Parameters
+    ----------
+    decision, reason, next_step : str
+    of_the_paper : str
+        The next step under the paper's method, where it has keys that the default method has not.
+    """
 
     decision: str
     reason: str
     next_step: str
+    of_the_paper: str = ""
 
 
 def judge(
@@ -81,7 +91,9 @@ def judge(
     findings = [found for rule in RULES if (found := rule(numbers))]
     refusals = [f for f in findings if f.decision == "refuse"]
     if refusals:
-        return Verdict("refuse", _reasons(refusals), refusals[0].next_step, numbers)
+        first = refusals[0]
+        step = first.of_the_paper or first.next_step
+        return Verdict("refuse", _reasons(refusals), step, numbers)
     if findings:
         return Verdict("warn", _reasons(findings), findings[0].next_step, numbers)
     return Verdict("accept", (_praise(numbers),), "", numbers)
@@ -100,6 +112,9 @@ def measure(
     )
     # What a working pixel of the comparison cannot show is not held against the map.
     tolerance = max(evidence.stop, agreement.step)
+    checks = Checks(
+        agreement.centres, agreement.shift, agreement.found, tolerance, WINDOW_PX * agreement.step
+    )
     return {
         "matches": len(matches),
         "kept": int(matches.kept.sum()),
@@ -109,8 +124,9 @@ def measure(
         **measure_chance(evidence, rng or np.random.default_rng(SEED)),
         **measure_held_out(evidence, fit),
         **measure_shape(evidence),
-        **measure_windows(agreement, tolerance),
-        **measure_support(evidence, agreement, tolerance),
+        **measure_windows(checks),
+        "rival": float(agreement.rival),
+        **measure_support(evidence, checks),
     }
 
 
@@ -162,6 +178,7 @@ def check_fold(n: dict[str, Any]) -> Finding | None:
     return Finding(
         "refuse",
         f"The map folds over or has no answer in {100 * n['folded']:.0f} % of the overlap.",
+        f"{OTHER}; if they do, {POINTS}.",
         f"{OTHER}; if they do, lower the order of the polynomial.",
     )
 
@@ -226,6 +243,7 @@ def check_windows(n: dict[str, Any]) -> Finding | None:
             "refuse",
             f"Of {n['found']} windows of the reference that are recognised, {n['agreeing']} lie "
             f"where the map puts them; they are {n['window_median']:.1f} px off in the median.",
+            f"{OTHER}; if they do, {POINTS}.",
             f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
         )
     return None
@@ -237,7 +255,8 @@ def check_rival(n: dict[str, Any]) -> Finding | None:
         return Finding(
             "refuse",
             "Shifted elsewhere, the pictures agree better than here: this is not the place.",
-            f"{OTHER}; if they do, try the method `levkas`, or give control points.",
+            f"{OTHER}; if they do, {POINTS}.",
+            f"{OTHER}; if they do, try the method `levkas`, or {POINTS}.",
         )
     for decision in ("refuse", "warn"):
         if n["rival"] > RIVAL[decision]:

@@ -1,18 +1,22 @@
-"""The paper's Figures 9 and 10 of one registration, as SVG text."""
+"""What one registration rests on, and the paper's Figures 9 and 10 of its own method, as SVG text."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.registration.checks import Checks
+from levkas.registration.outliers import frame_corners
 from levkas.reporting.page import Figure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from levkas.registration.record import Matches, Trace
 
+LONG_PX = 12.0
+"""Of a panel: shifts are drawn about so long, and never longer than twice that."""
 MOST_PAIRS = 400
 """Pairs drawn in a panel; more only blacken it."""
 PANEL_PX = 260
@@ -25,12 +29,110 @@ def draw_trace(matches: Matches, trace: Trace | None) -> list[Figure]:
     if trace is None:
         height = _placing(matches.reference).height
         return [Figure(_panels([_pairs_only(matches)], height), _PAIRS)]
-    middle = max(1, trace.rounds // 2)
+    middle = trace.rounds // 2
     rounds = sorted({0, middle, trace.rounds - 1})
     panels = [_panel(matches, trace, -1, "start: scale alone")]
     panels += [_panel(matches, trace, r, f"round {r + 1} of {trace.rounds}") for r in rounds]
     height = _placing(_both_frames(trace)).height
     return [Figure(_panels(panels, height), _COURSE), Figure(_curve(trace), _LARGEST)]
+
+
+def draw_basis(trace: Mapping[str, Any], size: Sequence[int]) -> list[Figure]:
+    """Return a figure a sensor of what a dense map rests on, as `describe_basis` tells it; none of other traces."""
+    if trace.get("kind") != "windows":
+        return []
+    return [
+        Figure(_basis(sensor, size), _said_of_basis(sensor))
+        for sensor in trace["sensors"]
+        if "windows" in sensor
+    ]
+
+
+def _said_of_basis(sensor: Mapping[str, Any]) -> str:
+    windows, count = sensor["windows"], sensor["count"]
+    shown = len(windows["x"])
+    some = f" ({shown} of them drawn)" if shown < count else ""
+    whose = "all bands together" if sensor["source"] == "fused" else sensor["source"]
+    told = (
+        f"What the map{' of sensor ' + sensor['sensor'] if sensor['sensor'] else ''} rests on, in reference "
+        f"pixels. Left: {count} windows{some} of {whose} that it was fitted to, the fainter the less they weigh; lines lead "
+        f"from where the map puts each to where it is seen, {_enlargement(sensor):g} times as long, the longest cut."
+    )
+    if sensor["checks"] is None:
+        return told
+    return (
+        f"{told} Right: windows of {sensor['band']} that were free to be found 12 px around: blue ones lie where "
+        "the map puts them, red ones elsewhere, hollow ones were not recognised. Where there are no blue ones "
+        "nothing confirms the map."
+    )
+
+
+def _enlargement(sensor: Mapping[str, Any]) -> float:
+    """Return the round number by which three of four shifts become shorter than some ten pixels."""
+    windows = sensor["windows"]
+    length = np.hypot(windows["shift_x"], windows["shift_y"])
+    most = max(float(np.percentile(length, 75)) if len(length) else 0.0, 1e-4)
+    return max(_rounded_down(LONG_PX / most), 1.0)
+
+
+def _rounded_down(value: float) -> float:
+    """Return the largest of 1, 2, 5, 10 … and their tenths that is not above `value`.
+
+    >>> _rounded_down(4.9), _rounded_down(0.021), _rounded_down(170.0)
+    (2.0, 0.02, 100.0)
+    """
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-9)) * power)
+
+
+def _basis(sensor: Mapping[str, Any], size: Sequence[int]) -> str:
+    """Two panels: the windows of the fit with their shifts, and those that check it."""
+    corners = frame_corners((int(size[0]), int(size[1])))
+    place, windows = _placing(corners), sensor["windows"]
+    points = np.stack([windows["x"], windows["y"]], 1)
+    shift = np.stack([windows["shift_x"], windows["shift_y"]], 1) * _enlargement(sensor)
+    longest = LONG_PX * 2 / place.scale
+    shift *= np.minimum(1.0, longest / np.maximum(np.hypot(*shift.T), 1e-9))[:, None]
+    parts = [_outline(place(corners), "currentColor")]
+    for low, high, opacity in ((0.0, 0.5, 0.25), (0.5, 2.0, 1.0)):
+        weight = np.array(windows["weight"])
+        here = (weight >= low) & (weight < high)
+        ends = _lines(place(points[here]), place(points[here] + shift[here]))
+        dots = _dots(place(points[here]), "var(--ref)")
+        parts.append(f'<g opacity="{opacity}">{ends}{dots}</g>')
+    held = [v for v in windows["held_out"] if v is not None]
+    scatter = f", single ones scatter by {np.median(held):.2g} px" if held else ""
+    parts.append(f'<text x="8" y="16">{sensor["count"]} windows{scatter}</text>')
+    parts.append(_scale_bar(place, _enlargement(sensor)))
+    panels = ["".join(parts)]
+    if sensor["checks"] is not None:
+        panels.append(_checks(Checks.from_dict(sensor["checks"]), corners, place))
+    return _panels(panels, place.height, "what the map rests on")
+
+
+def _scale_bar(place: _placing, enlargement: float) -> str:
+    """A bar as long as a shift of a round number of reference px is drawn, with that number."""
+    unit = place.scale * enlargement
+    length = _rounded_down(60.0 / unit)
+    x, y = 20.0, place.height - 8
+    bar = f'<path d="M{x} {y:.1f}h{length * unit:.1f}" stroke="#999" stroke-width="1.5"/>'
+    return f'{bar}<text x="{x + length * unit + 6:.1f}" y="{y + 4:.1f}">{length:g} px</text>'
+
+
+def _checks(checks: Checks, corners: np.ndarray, place: _placing) -> str:
+    good = checks.confirmed
+    parts = [_outline(place(corners), "currentColor")]
+    for mask, style in (
+        (good, 'fill="var(--tgt)"'),
+        (checks.found & ~good, 'fill="var(--ref)"'),
+        (~checks.found, 'fill="none" stroke="#999" stroke-width="0.8"'),
+    ):
+        spots = "".join(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.4"/>' for x, y in place(checks.centres[mask])
+        )
+        parts.append(f"<g {style}>{spots}</g>")
+    parts.append(f'<text x="8" y="16">{int(good.sum())} of {len(good)} confirm the map</text>')
+    return "".join(parts)
 
 
 _COURSE = (
@@ -45,7 +147,7 @@ _LARGEST = (
 _PAIRS = "Pairs of control points in reference pixels: kept ones red, removed ones gray."
 
 
-def _panels(panels: Sequence[str], height: float) -> str:
+def _panels(panels: Sequence[str], height: float, label: str = "course of the registration") -> str:
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
     placed = [
@@ -53,7 +155,7 @@ def _panels(panels: Sequence[str], height: float) -> str:
         for i, p in enumerate(panels)
     ]
     size = f"0 0 {columns * PANEL_PX} {rows * height:.0f}"
-    return f'<svg viewBox="{size}" role="img" aria-label="course of the registration">{"".join(placed)}</svg>'
+    return f'<svg viewBox="{size}" role="img" aria-label="{label}">{"".join(placed)}</svg>'
 
 
 def _panel(matches: Matches, trace: Trace, number: int, title: str) -> str:
@@ -75,9 +177,7 @@ def _panel(matches: Matches, trace: Trace, number: int, title: str) -> str:
 
 
 def _both_frames(trace: Trace) -> np.ndarray:
-    width, height = trace.size
-    frame = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], float)
-    return np.vstack([frame, trace.frame])
+    return np.vstack([frame_corners(trace.size), trace.frame])
 
 
 def _under_corners(trace: Trace, number: int, mapped: np.ndarray) -> np.ndarray:

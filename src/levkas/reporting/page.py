@@ -137,4 +137,9 @@ def describe_model(model: dict[str, Any]) -> str:
             base = base.replace("rig", "one map with other captures", 1)
         name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
         told.append(name + (f"{base}, " if base else "") + f"bands apart by {apart}")
+    mask = model.get("mask") or {}
+    if mask.get("automatic"):
+        told.append(
+            f"only the object is compared, told from its background: {mask['share']:.0%} of the frame"
+        )
     return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")

@@ -43,6 +43,8 @@ def describe_layer(
     if not ranges:
         return None
     learnt, focus = calibrated.get("learnt", {}), calibrated.get("focus", [])
+    of_sensels = {b: m for one in learnt.values() for b, m in one.get("sensels", {}).items()}
+    ranges = [{**r, **of_sensels.get(r["band"], {})} for r in ranges]
     quantity = str(calibrated.get("quantity", ""))
     stops = max(r["stops"] for r in ranges)
     sensors = [one["sensor"]["stops"] for one in learnt.values() if "sensor" in one]

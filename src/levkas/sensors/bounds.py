@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.blocks import Blocks
-from levkas.calibration.photon_transfer import Dark
+from levkas.calibration.estimates import DarkModel
+from levkas.calibration.photon_transfer import Dark, model_darks
 
 LIT = (0.15, 0.9)
 """Of saturation, above dark: where a white says something of noise and PRNU."""
@@ -59,15 +60,16 @@ def bound_sensor(
     >>> [str(b) for b in bound_sensor([dark], [white], saturation=4095)]
     ['black = 0 DN', 'gain K ≤ 0.1 DN/e⁻', 'PRNU ≤ 1 %', 'full well ≥ 4.1e+04 e⁻', 'SNR of the white ≥ 100']
     """
-    found, level, quiet = [], 0.0, 0.0
+    found, level, quiet, model = [], 0.0, 0.0, None
     if darks:
         level = _middle(darks[0].level)
+        model = model_darks(darks)
         found.append(Bound("black", "=", level, "DN"))
         spread = _middle(darks[0].spread)
         if np.isfinite(spread):
             quiet = spread
             found.append(Bound("noise in the dark, DSNU included", "≤", np.sqrt(quiet), "DN"))
-    signal, variance = _lit(whites, level, saturation)
+    signal, variance = _lit(whites, model, saturation - level)
     if len(signal) < FEWEST_BLOCKS:
         return found
     each = np.maximum(variance - quiet, 0)
@@ -82,12 +84,15 @@ def bound_sensor(
 
 
 def _lit(
-    whites: Sequence[Blocks], level: float, saturation: float
+    whites: Sequence[Blocks], model: DarkModel | None, room: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return signal and spatial variance of blocks that are well lit."""
-    signal = np.concatenate([b.mean - level for b in whites]) if whites else np.empty(0)
+    above = [
+        b.mean - (_middle(model.under(b.band, b.exposure_s)) if model is not None else 0.0)
+        for b in whites
+    ]
+    signal = np.concatenate(above) if whites else np.empty(0)
     variance = np.concatenate([b.spatial for b in whites]) if whites else np.empty(0)
-    room = saturation - level
     used = np.isfinite(signal + variance) & (signal > LIT[0] * room) & (signal < LIT[1] * room)
     return signal[used], variance[used]
 

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.building.bench import Bench, exposure_of
-from levkas.calibration.blocks import Blocks
 from levkas.calibration.clipping import DarkLevel, fit_clipped_dark, is_clipped
 from levkas.calibration.patterns import channel_table, split
-from levkas.calibration.photon_transfer import Dark
+from levkas.calibration.photon_transfer import Dark, model_darks
 from levkas.calibration.templates import CalibrationRefused
 from levkas.sensors.gathered import Key, Sensor, reduce_stack
 
@@ -72,12 +71,10 @@ def _channels(frames: Sequence[np.ndarray], bench: Bench) -> dict[str, list[np.n
 
 
 def put_darks(sensor: Sensor, levels: dict[Key, dict[str, Dark]]) -> None:
-    """Keep the darks of the first band: levels of the others are brought to them."""
-    bands = list(dict.fromkeys(band for band, _ in levels))
+    """Keep the darks of all exposures and bands: the sensor behind a tunable filter is the same."""
     for (band, _), channels in levels.items():
-        if band == bands[0]:
-            for channel, dark in channels.items():
-                sensor.darks.setdefault(channel, []).append(dark)
+        for channel, dark in channels.items():
+            sensor.darks.setdefault(channel, []).append(replace(dark, band=band))
 
 
 def put_black(sensor: Sensor, black: float) -> None:
@@ -87,20 +84,9 @@ def put_black(sensor: Sensor, black: float) -> None:
         sensor.darks[channel] = [Dark(black, float("nan"), float("nan"))]
 
 
-def level_under(levels: dict[Key, dict[str, Dark]], band: str | None, time: float | None) -> float:
-    """Return the counts of the dark that belongs to a band; 0 where there is none."""
-    for key in ((band, time), (None, time), *levels):
-        for dark in levels.get(key, {}).values():
-            return float(np.nanmean(dark.level))
-    return 0.0
-
-
-def shift_blocks(
-    blocks: Blocks, channel: str, band: str | None, levels: dict[Key, dict[str, Dark]]
-) -> Blocks:
-    """Bring a band that has darks of its own to the level of the darks that are kept."""
-    kept = next((d[channel] for d in levels.values() if channel in d), None)
-    own = next((d[channel] for (b, _), d in levels.items() if b == band and channel in d), None)
-    if kept is None or own is None or own is kept or band is None:
-        return blocks
-    return replace(blocks, mean=blocks.mean + float(np.nanmean(kept.level) - np.nanmean(own.level)))
+def level_under(sensor: Sensor, band: str | None, time: float | None) -> float:
+    """Return the counts without light under a band at an exposure; `black` or 0 where there is no dark."""
+    darks = next(iter(sensor.darks.values()), [])
+    if not darks:
+        return sensor.bench.black or 0.0
+    return float(np.nanmean(model_darks(darks).under(band, time)))

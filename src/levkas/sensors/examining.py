@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.calibration.photon_transfer import measure_sensor
+from levkas.calibration.photon_transfer import measure_sensor, without_full_scale
 from levkas.calibration.templates import CalibrationRefused
 from levkas.problems import Problem, Refused
 from levkas.sensors.bounds import Bound, bound_sensor
@@ -97,24 +97,32 @@ def _report(sensor: Sensor, rng: np.random.Generator) -> SensorReport:
     """Measure every channel of a sensor; what is refused for all is said once."""
     facts = describe_frame(sensor.bench.sensor.object[0].path)
     bits = sensor.bench.camera.bits or facts.bits
-    white, black = _white_level(sensor), sensor.bench.black
-    facts = replace(facts, bits=bits, white=white, black=black, pattern=_pattern(sensor))
+    white, declared = _white_level(sensor)
+    facts = replace(
+        facts,
+        bits=bits,
+        white=white if declared else None,
+        black=sensor.bench.black,
+        pattern=_pattern(sensor),
+    )
+    full = white or facts.full
     channels, problems = {}, []
     bounds: dict[str, list[Bound]] = {}
     for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):
         try:
-            channels[channel] = measure_sensor(
+            found = measure_sensor(
                 sensor.darks.get(channel, []),
                 sensor.whites.get(channel, []),
                 sensor.scenes.get(channel, []),
-                saturation=facts.full,
+                saturation=full,
                 rng=rng,
                 levels=sensor.levels,
                 reached=sensor.reached,
             )
+            channels[channel] = found if declared else without_full_scale(found)
         except CalibrationRefused as refused:
-            if found := _bounds(sensor, channel, facts.full):
-                bounds[channel] = found
+            if least := _bounds(sensor, channel, full):
+                bounds[channel] = least
             folder = str(sensor.bench.sensor.object[0].path.parent)
             problems += [
                 replace(
@@ -150,15 +158,20 @@ def _bounds(sensor: Sensor, channel: str, full: float | None) -> list[Bound]:
     )
 
 
-def _white_level(sensor: Sensor) -> float | None:
-    """Saturation as declared; where only the storage tells, what the top code needs, and say so."""
+def _white_level(sensor: Sensor) -> tuple[float | None, bool]:
+    """Return saturation in counts, and whether it is declared: else it is what the top code needs.
+
+    What the top code needs is enough for the range of the gain, and too little to tell a full well.
+    """
     bench, top = sensor.bench, sensor.levels.highest
     declared = bench.camera.saturation or bench.camera.bits or bench.facts.saturation
     if declared or not top or top > (bench.saturation or 0) / 4:
-        return bench.saturation
-    guess = float(2 ** max(8, top.bit_length()) - 1)
-    sensor.notes.append(f"neither `bits` nor `saturation` is declared: taken for {guess:.0f}")
-    return guess
+        return bench.saturation, True
+    sensor.notes.append(
+        "neither `bits` nor `saturation` of the camera is in campaign.toml, and the frames do not tell: full well, "
+        "SNR at saturation and dynamic range are left out"
+    )
+    return float(2 ** max(8, top.bit_length()) - 1), False
 
 
 def _pattern(sensor: Sensor) -> str | None:

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from levkas.calibration.curves import MOST_CODES, Levels, count_codes, find_levels
+from levkas.finding.folders import Folders, too_deep, walk
 from levkas.problems import Problem, Refused
 from levkas.readers.frames import Facts, kind_of, read_facts, read_frame
+from levkas.readers.tiff import read_tiff_pages
 
 MOST_FRAMES = 400
 SIDECARS = (".hdr",)
@@ -92,10 +94,10 @@ Codes = tuple[np.ndarray, np.ndarray]
 
 def _read(path: Path) -> tuple[Facts, Codes | None]:
     told = read_facts(path)
-    frames = [read_frame(path, page=n if told.pages > 1 else None) for n in range(told.pages)]
-    if frames[0].dtype not in (np.uint8, np.uint16):
+    if told.dtype not in ("uint8", "uint16"):
+        read_frame(path)
         return told, None
-    histogram = count_codes(frames)
+    histogram = count_codes(read_tiff_pages(path) if told.pages > 1 else [read_frame(path)])
     codes = np.flatnonzero(histogram)
     return told, (codes, histogram[codes])
 
@@ -221,15 +223,18 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
 def frames_below(folder: Path) -> list[Path]:
     """Return the files below a folder that are frames by name and first bytes."""
     found = []
-    for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-        if file.suffix.lower() in SIDECARS or file.name.startswith("."):
-            continue
-        try:
-            kind_of(file)
-        except Refused:
-            continue
-        found.append(file)
-    return found
+    for above, names in walk(folder, Folders()):
+        if names is None:
+            raise too_deep(folder.joinpath(*above))
+        for file in (folder.joinpath(*above, name) for name in names):
+            if file.suffix.lower() in SIDECARS:
+                continue
+            try:
+                kind_of(file)
+            except Refused:
+                continue
+            found.append(file)
+    return sorted(found)
 
 
 def facts_table(frames: Sequence[FrameFacts], root: Path) -> str:

@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.bench import read_cube
+from levkas.building.bench import exposure_of, read_cube
 from levkas.calibration.blocks import SIDE, Blocks, block_statistics, cut_blocks
 from levkas.calibration.curves import MOST_CODES, count_codes, find_levels
 from levkas.calibration.drift import Drift, Light, measure_drift
 from levkas.calibration.pairing import pair_blocks
-from levkas.calibration.photon_transfer import Dark
+from levkas.calibration.photon_transfer import Dark, model_darks
 from levkas.calibration.templates import Template, average
-from levkas.sensors.gathered import Sensor
+from levkas.sensors.dark_levels import level_under
+from levkas.sensors.gathered import Sensor, by_exposure
 
 if TYPE_CHECKING:
     from levkas.discovery import FrameRef, SensorFrames
 
 CHANNEL = "all"
+THIN = 4
+"""Side, sensels, of a block where there are fewer than 16 bands."""
 MOST_PAIRS = 64
 """Pairs of neighbouring lines of a mirror scanner's white that are looked at."""
 
@@ -33,18 +36,21 @@ def gather_lines(sensor: Sensor, frames: SensorFrames) -> None:
     repeats: the sensels of (sample, band) are the same in both.
     """
     mirror = sensor.bench.camera.scan == "mirror"
-    level = 0.0
-    if frames.dark:
-        stack, _ = _averaged(sensor, frames.dark)
-        found = block_statistics(stack, clipped=True)[""]
-        sensor.darks[CHANNEL] = [Dark.of_blocks(found)]
-        level = float(np.nanmean(found.mean))
-    if frames.white:
-        stack, light = _averaged(sensor, frames.white)
+    for shots in by_exposure(frames.dark).values():
+        stack, side, _ = _averaged(sensor, shots)
+        found = block_statistics(stack, clipped=True, side=side)[""]
+        sensor.darks.setdefault(CHANNEL, []).append(Dark.of_blocks(found))
+    for (_, time), shots in by_exposure(frames.white).items():
+        stack, side, light = _averaged(sensor, shots)
+        level = level_under(sensor, None, time)
         drift = measure_drift(light.cells, level)
         if drift is not None and not mirror:
-            sensor.light.append(("white, line by line", drift))
-        sensor.whites[CHANNEL] = [_white_of(sensor, frames.white, stack, drift, level)]
+            label = f"white {f'{time:g} s' if time else ''}".strip()
+            sensor.light.append((f"{label}, line by line", drift))
+        sensor.whites.setdefault(CHANNEL, []).append(
+            _white_of(sensor, shots, stack, side, drift, level)
+        )
+    if frames.white:
         sensor.levels = find_levels(_codes_of(frames.white))
     sensor.notes.append(
         "mirror scanner: neighbouring lines of the white stand in for shots, and texture of the board counts as "
@@ -54,26 +60,35 @@ def gather_lines(sensor: Sensor, frames: SensorFrames) -> None:
     )
 
 
-def _averaged(sensor: Sensor, shots: Sequence[FrameRef]) -> tuple[Template, Light]:
-    """Average all lines of some cubes."""
-    light = Light()
+def _averaged(sensor: Sensor, shots: Sequence[FrameRef]) -> tuple[Template, int, Light]:
+    """Average all lines of some cubes of one exposure; return them, the side of their blocks, and the light."""
+    light, time = Light(), exposure_of(shots[0])
     lines = (line for frame in shots for line in read_cube(frame))
-    stack = average(light.watch(lines), saturation=sensor.bench.saturation)
+    full = sensor.bench.saturation
+    stack = average(light.watch(lines), saturation=full, exposure_s=time)
     sensor.reached |= bool(np.mean(stack.saturated) > 1e-3)
-    return stack, light
+    return *_laid_out(stack), light
 
 
 def _white_of(
-    sensor: Sensor, shots: Sequence[FrameRef], stack: Template, drift: Drift | None, level: float
+    sensor: Sensor,
+    shots: Sequence[FrameRef],
+    stack: Template,
+    side: int,
+    drift: Drift | None,
+    level: float,
 ) -> Blocks:
     """Reduce the white; the spread is told along the samples, of a mirror scanner's mean over the board."""
     mirror = sensor.bench.camera.scan == "mirror"
-    found = block_statistics(stack, drift=drift)[""]
-    spatial = _spread_along_samples(stack.mean - level, found.mean - level)
-    found = replace(found, spatial=spatial)
+    found = block_statistics(stack, drift=drift, dark=level, side=side)[""]
+    centre, darks = found.mean - level, sensor.darks.get(CHANNEL, [])
+    fixed = model_darks(darks).fixed(found) if darks else 0.0
     pairs = [_pair(sensor, *two, level) for two in _neighbours(shots)] if mirror else []
     if not pairs:
-        return replace(found, temporal=np.full_like(found.mean, np.nan)) if mirror else found
+        noise = np.nan_to_num(found.temporal) / stack.count + fixed
+        spatial = _spread_along_samples(stack.mean - level, centre, noise, side)
+        temporal = np.full_like(centre, np.nan) if mirror else found.temporal
+        return replace(found, temporal=temporal, spatial=spatial)
     # Each pair has noise of its own level: per signal they can be put together.
     with np.errstate(invalid="ignore"):
         each = np.stack([pair.temporal for pair in pairs])
@@ -84,8 +99,10 @@ def _white_of(
             for part in (each, np.stack([pair.mean for pair in pairs]))
         ]
     temporal, mean = (np.where(count > 0, part, np.nan) for part in sums)
-    scale = (mean / (found.mean - level)) ** 2  # the spread belongs to the mean of all lines
-    return Blocks(mean + level, temporal, spatial * scale, stack.count)
+    scale = mean / centre  # the spread belongs to the mean of all lines
+    noise = temporal / scale / stack.count + fixed
+    spatial = _spread_along_samples(stack.mean - level, centre, noise, side)
+    return Blocks(mean + level, temporal, spatial * scale**2, stack.count, stack.exposure_s)
 
 
 def _neighbours(shots: Sequence[FrameRef]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -101,8 +118,10 @@ def _neighbours(shots: Sequence[FrameRef]) -> Iterator[tuple[np.ndarray, np.ndar
 
 
 def _pair(sensor: Sensor, first: np.ndarray, second: np.ndarray, level: float) -> Blocks:
-    a, b = (average([line], saturation=sensor.bench.saturation) for line in (first, second))
-    return pair_blocks(a, b, dark=(level, level))
+    full = sensor.bench.saturation
+    a, side = _laid_out(average([first], saturation=full))
+    b, _ = _laid_out(average([second], saturation=full))
+    return pair_blocks(a, b, dark=(level, level), side=side)
 
 
 def _codes_of(shots: Sequence[FrameRef]) -> np.ndarray:
@@ -115,17 +134,49 @@ def _codes_of(shots: Sequence[FrameRef]) -> np.ndarray:
     return histogram
 
 
-def _spread_along_samples(mean: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def _laid_out(stack: Template) -> tuple[Template, int]:
+    """Return a line, (samples, bands), as a plane to cut into blocks, and the side of these.
+
+    A block of 16 x 16 sensels wants 16 bands. Of fewer, each block is 16 neighbouring samples of one band, laid in
+    four rows of four.
+    """
+    samples, bands = stack.mean.shape
+    if bands >= SIDE:
+        return stack, SIDE
+    rows = samples // THIN
+
+    def laid(array: np.ndarray) -> np.ndarray:
+        folded = array[: rows * THIN].reshape(rows, THIN, bands)
+        return np.ascontiguousarray(folded.transpose(0, 2, 1)).reshape(rows, bands * THIN)
+
+    variance = None if stack.variance is None else laid(stack.variance)
+    marks = laid(stack.saturated), laid(stack.black)
+    return Template(laid(stack.mean), variance, stack.count, *marks, stack.exposure_s), THIN
+
+
+def _spread_along_samples(
+    mean: np.ndarray, centre: np.ndarray, noise: np.ndarray, side: int
+) -> np.ndarray:
     """Return the variance of the white about a line along the samples, block by block, (n,).
 
-    Along the bands the white is a spectrum, not an even surface: each band is fitted by itself, relative
-    to its own level. `mean` is (samples, bands) above dark, `centre` the mean of each block.
+    Along the bands the white is a spectrum, not an even surface: each band is fitted by itself. What grows with
+    the light is brought from the bands' own levels to the block's.
+
+    Parameters
+    ----------
+    mean : ndarray, (samples, bands)
+        Counts above dark, or laid out.
+    centre, noise : ndarray, (n,)
+        Mean of each block, and the part of its variance that is no response: noise over time, dark pattern.
+    side : int
+        Of a block.
     """
     ramp = np.arange(SIDE) - (SIDE - 1) / 2
-    pixels = cut_blocks(mean, SIDE).astype(np.float64).reshape(-1, SIDE, SIDE)
+    pixels = cut_blocks(mean, side).astype(np.float64).reshape(-1, SIDE, side * side // SIDE)
+    level = pixels.mean(1)
+    slope = np.einsum("s,nsb->nb", ramp, pixels) / (ramp @ ramp)
+    rest = pixels - level[:, None] - ramp[None, :, None] * slope[:, None]
+    spread = np.sum(rest**2, axis=(1, 2)) / ((SIDE - 2) * level.shape[1])
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = pixels / pixels.mean(1, keepdims=True)
-    slope = np.einsum("s,nsb->nb", ramp, even) / (ramp @ ramp)
-    rest = even - 1 - ramp[None, :, None] * slope[:, None]
-    spread = np.sum(rest**2, axis=(1, 2)) / (SIDE * (SIDE - 2)) * centre**2
+        spread = (spread - noise) * centre**2 / np.mean(level**2, axis=1) + noise
     return np.where(np.isfinite(spread), spread, np.nan)

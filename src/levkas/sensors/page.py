@@ -108,10 +108,14 @@ def draw_transfer(channels: dict[str, PhotonTransfer]) -> str:
 
 def draw_snr(channels: dict[str, PhotonTransfer]) -> str:
     """Return SNR over exposure as SVG: solid as raw frames have it, dashed after the flat field."""
-    drawn = {name: f for name, f in channels.items() if f.dark_noise is not None}
+    drawn = {
+        name: (f, f.full_well.value)
+        for name, f in channels.items()
+        if f.dark_noise is not None and f.full_well is not None
+    }
     if not drawn:
         return ""
-    full = max(found.full_well.value for found in drawn.values())
+    full = max(well for _, well in drawn.values())
     decades = (0.0, float(np.log10(full)))
     high = 5 * float(np.ceil(10 * np.log10(np.sqrt(full)) / 5))
     place = _place(decades, (0.0, high))
@@ -120,10 +124,10 @@ def draw_snr(channels: dict[str, PhotonTransfer]) -> str:
             place, decades, (0.0, high), "exposure, log₁₀ of photo-electrons", "SNR, dB (10 log₁₀)"
         )
     ]
-    for i, (name, found) in enumerate(drawn.items()):
+    for i, (name, (found, well)) in enumerate(drawn.items()):
         ink = _ink(i, name)
         read = found.dark_noise.value if found.dark_noise else 0.0
-        exposure = np.geomspace(1, found.full_well.value, 80)
+        exposure = np.geomspace(1, well, 80)
         for prnu, dashes in ((found.prnu.value if found.prnu else 0.0, ""), (0.0, "5 4")):
             snr = snr_db(exposure, Sensor(dark=0, read=read, prnu=prnu, dsnu=0))
             shown = snr >= 0

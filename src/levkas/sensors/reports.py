@@ -82,7 +82,8 @@ class SensorReport:
         ranges = [found.dynamic_range for found in self.channels.values()]
         told = ["–" if r is None else f"{20 * log10(r.value):.1f}" for r in ranges]
         stops = ["–" if r is None else f"{log2(r.value):.2f}" for r in ranges]
-        peak = [f"{10 * log10(found.snr.value):.1f}" for found in self.channels.values()]
+        peaks = [found.snr for found in self.channels.values()]
+        peak = ["–" if p is None else f"{10 * log10(p.value):.1f}" for p in peaks]
         lines += [
             ("dynamic range", *told, "dB, 20·log₁₀"),
             ("dynamic range", *stops, "stops, log₂"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -12,7 +13,6 @@ from levkas.calibration.blocks import Blocks
 from levkas.calibration.curves import MOST_CODES, count_codes, find_levels
 from levkas.calibration.drift import Light, measure_drift
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
-from levkas.calibration.photon_transfer import Dark
 from levkas.calibration.templates import average
 from levkas.readers.frames import read_facts
 from levkas.sensors.dark_levels import (
@@ -20,9 +20,8 @@ from levkas.sensors.dark_levels import (
     measure_dark,
     put_black,
     put_darks,
-    shift_blocks,
 )
-from levkas.sensors.gathered import Key, Sensor, by_exposure, reduce_stack
+from levkas.sensors.gathered import Sensor, by_exposure, reduce_stack
 from levkas.sensors.line_stacks import gather_lines
 from levkas.sensors.stand_ins import add_stand_ins
 
@@ -81,7 +80,7 @@ def _gather_frames(
     ):
         if shots[0].band not in (None, *bands):
             continue
-        blocks, seen = _lit(sensor, name, shots, levels)
+        blocks, seen = _lit(sensor, name, shots)
         histogram += seen
         for channel, found in blocks.items():
             kind.setdefault(channel, []).append(found)
@@ -89,7 +88,7 @@ def _gather_frames(
     add_stand_ins(sensor, frames, objects)
     if not sensor.darks and (hidden or bench.black is not None):
         put_black(sensor, 0.0 if bench.black is None else bench.black)
-    _scaling(sensor, objects, bands, levels)
+    _scaling(sensor, objects, bands, hidden=not any(levels.values()))
 
 
 def _chosen_bands(frames: SensorFrames) -> list[str | None]:
@@ -100,9 +99,9 @@ def _chosen_bands(frames: SensorFrames) -> list[str | None]:
 
 
 def _lit(
-    sensor: Sensor, name: str, shots: Sequence[FrameRef], levels: dict[Key, dict[str, Dark]]
+    sensor: Sensor, name: str, shots: Sequence[FrameRef]
 ) -> tuple[dict[str, Blocks], np.ndarray]:
-    """Reduce one lit stack; its level is brought to the dark that is kept."""
+    """Reduce one lit stack, and count its codes."""
     bench, light, time = sensor.bench, Light(), exposure_of(shots[0])
     histogram = np.zeros(MOST_CODES, np.int64)
 
@@ -116,24 +115,22 @@ def _lit(
     stack = bench.whole(average(frames, saturation=bench.saturation, exposure_s=time), shots)
     sensor.reached |= bool(np.mean(stack.saturated) > 1e-3)
     label = f"{name} {shots[0].band or ''} {f'{time:g} s' if time else ''}".strip()
-    drift = measure_drift(
-        light.cells, level_under(levels, shots[0].band, time) or bench.black or 0.0
-    )
+    drift = measure_drift(light.cells, level_under(sensor, shots[0].band, time))
     if drift is not None:
         sensor.light.append((" ".join(label.split()), drift))
     blocks = reduce_stack(stack, bench, drift)
-    return {k: shift_blocks(b, k, shots[0].band, levels) for k, b in blocks.items()}, histogram
+    return {k: replace(b, band=shots[0].band) for k, b in blocks.items()}, histogram
 
 
 def _scaling(
     sensor: Sensor,
     objects: Sequence[tuple[str, tuple[FrameRef, ...]]],
     bands: Sequence[str | None],
-    levels: dict[Key, dict[str, Dark]],
+    *,
+    hidden: bool,
 ) -> None:
     """Check linearity on objects that were taken at several exposures, black fitted where darks hide it."""
     bench, pattern = sensor.bench, sensor.bench.sensor.pattern
-    hidden = not any(levels.values())
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     for name, taken in objects[:1]:
         for band in bands:
@@ -141,7 +138,12 @@ def _scaling(
             if len(times) < 3 or bench.saturation is None:
                 continue
             shots = [bench.average(frames) for frames in times.values()]
-            black = 0.0 if hidden else level_under(levels, band, None)
+            levels = [0.0 if hidden else level_under(sensor, band, t) for t in times]
+            black = min(levels)
+            shots = [
+                replace(shot, mean=shot.mean - np.float32(level - black))
+                for shot, level in zip(shots, levels, strict=True)
+            ]
             # A free offset would hide a bend where darks tell the black.
             found = check_linearity(
                 shots, saturation=bench.saturation, black=black, fit_offset=hidden, **more

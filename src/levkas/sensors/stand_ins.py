@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.building.bench import exposure_of
 from levkas.calibration.pairing import pair_blocks
 from levkas.calibration.photon_transfer import Dark
+from levkas.sensors.dark_levels import level_under
 from levkas.sensors.gathered import Key, Sensor, by_exposure
 
 if TYPE_CHECKING:
@@ -94,24 +96,23 @@ def _add(
     kind: dict[str, list],  # type: ignore[type-arg]
     pair: tuple[FrameRef, FrameRef],
 ) -> None:
-    """Add the blocks of a pair, brought to the level of the dark that is kept."""
+    """Add the blocks of a pair, with the counts without light that belong to both."""
     first, second = (sensor.bench.average([frame]) for frame in pair)
     dark = _level(sensor, frames, pair[0]), _level(sensor, frames, pair[1])
     blocks = pair_blocks(first, second, dark=dark, pattern=sensor.bench.sensor.pattern)
-    kept = sensor.darks.get("")
-    under = float(np.nanmean(kept[0].level)) if kept else sensor.bench.black or 0.0
     # The time is left out: between two exposures there is none.
-    kind.setdefault("", []).append(replace(blocks, mean=blocks.mean + under, exposure_s=None))
+    kind.setdefault("", []).append(
+        replace(blocks, mean=blocks.mean + blocks.level, exposure_s=None)
+    )
 
 
 def _level(sensor: Sensor, frames: SensorFrames, frame: FrameRef) -> float:
-    """Return the counts without light of a frame: of its own dark, else of one that serves all."""
-    darks = by_exposure(frames.dark)
-    wanted: list[Key] = [(frame.band, frame.exposure_s), (frame.band, None)]
-    wanted += [(None, frame.exposure_s), (None, None)]
+    """Return the counts without light of a frame: of its own dark, else of others brought to its exposure."""
+    darks, time = by_exposure(frames.dark), exposure_of(frame)
+    wanted: list[Key] = [(frame.band, time), (frame.band, None), (None, time), (None, None)]
     own = next((darks[key] for key in wanted if key in darks), None)
     if own is None:
-        return sensor.bench.black or 0.0
+        return level_under(sensor, frame.band, time)
     return _middle(sensor.bench.average(own[:1]))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.files import publishing
+from levkas.ownership import require_outside, stands_in
 from levkas.simulation.cameras import CameraModel, camera_models
 from levkas.simulation.campaign_files import FrameWriter, write_campaign_toml, write_tables
 from levkas.simulation.capture import Camera, Sight, look
@@ -110,10 +111,13 @@ def simulate_campaign(
         Where the folder cannot be written or the disk is full.
     """
     folder = Path(folder)
+    folder = folder.resolve() if folder.is_symlink() else folder
     chosen = choose_preset(preset, scale=scale, objects=objects)
     models = choose_cameras(chosen, cameras)
-    if folder.is_dir() and any(folder.iterdir()):
-        raise refusal("the folder is not empty", "folder", str(folder), "a new folder")
+    require_outside(folder, fix="Give another folder.")
+    if found := stands_in(folder):
+        why = "the folder is not empty" if found == "a folder" else f"{found} stands there"
+        raise refusal(why, "folder", str(folder), "a new folder")
     root = int(np.random.default_rng(seed).integers(2**62))
     session = Session(chosen, models, root, objects)
     under_lamp = setups and SETUP[1] in models

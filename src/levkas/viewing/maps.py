@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.cube import Flag
 from levkas.database.tiff_pages import open_pages
+from levkas.flags import MARKS
 from levkas.mapping import Frame, Records
 
 if TYPE_CHECKING:
@@ -22,16 +22,6 @@ if TYPE_CHECKING:
 SCALE = ((20, 17, 15), (60, 32, 64), (122, 46, 76), (181, 83, 51), (217, 154, 60), (250, 236, 190))
 """Colours of a scalar map from least to most; lightness rises evenly."""
 UNKNOWN = (70, 72, 76)
-FLAG_COLOURS: dict[Flag, tuple[str, tuple[int, int, int]]] = {
-    Flag.NEAR: ("interpolated from a flagged pixel", (120, 144, 156)),
-    Flag.BLACK: ("clipped at black", (92, 107, 192)),
-    Flag.DEFECT: ("defect, replaced", (38, 166, 154)),
-    Flag.MOVED: ("moved between shots", (171, 71, 188)),
-    Flag.GLARE: ("glare", (255, 202, 40)),
-    Flag.SATURATED: ("saturated", (239, 83, 80)),
-    Flag.OUTSIDE: ("outside what the camera saw", (70, 72, 76)),
-}
-"""Least first: a pixel shows the gravest flag that any band has there."""
 CLEAR = (24, 22, 19)
 PERCENTILES = (1.0, 99.0)
 BLOCK_BYTES = 64_000_000
@@ -83,11 +73,11 @@ def flag_map(path: Path) -> tuple[np.ndarray, np.ndarray, Legend]:
     image = np.zeros((height, width), np.uint8)
     for rows in blocks_of(pages):
         either = np.bitwise_or.reduce(pages.read(rows.start, rows.stop), axis=2)
-        for number, flag in enumerate(FLAG_COLOURS, start=1):
+        for number, flag in enumerate(MARKS, start=1):
             image[rows][(either & flag.value) != 0] = number
-    palette = np.array([CLEAR, *(colour for _, colour in FLAG_COLOURS.values())], np.uint8)
+    palette = np.array([CLEAR, *(mark.colour for mark in MARKS.values())], np.uint8)
     there = np.unique(image)
-    names = [("no flag", CLEAR), *FLAG_COLOURS.values()]
+    names = [("no flag", CLEAR), *((mark.meaning, mark.colour) for mark in MARKS.values())]
     return image, palette, Legend(tuple(names[number] for number in there))
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.cube import Band
+from levkas.database.registrations import read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import layer_name
 from levkas.database.tiff_pages import open_pages
+from levkas.declaring.toml import read_toml
+from levkas.flags import describe_marks
 from levkas.mapping import Frame
+from levkas.problems import Refused
+from levkas.readers.texts import parse_bounded, read_text
 from levkas.reporting.page import DECISIONS
 from levkas.viewing.lattice import write_lattices
 from levkas.viewing.pages import address, worst
@@ -68,8 +71,8 @@ class Item:
         """Return a layer's registration record, {} where it has none."""
         path = self.folder / "registration" / f"{layer}.json"
         try:
-            return dict(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError):
+            return read_registration(path)
+        except Refused:
             return {}
 
     def tiff(self, camera: str, setup: str) -> Path:
@@ -177,6 +180,7 @@ def object_record(
             "px_per_mm": sampling if sampling and math.isfinite(sampling) else None,
         },
         "reference": item.reference,
+        "flags": describe_marks(),
         "layers": layers,
         "downloads": [
             {
@@ -265,7 +269,7 @@ def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]
     pages = open_pages(tiff)
     text = next((t for t in pages.tags(METADATA) if t), "")
     try:
-        told = dict(json.loads(decode_text(str(text))))
+        told = dict(parse_bounded(decode_text(str(text))))
     except (ValueError, TypeError):
         told = {}
     count = len(pages)
@@ -289,10 +293,10 @@ def _centroids(path: Path, bands: tuple[Band, ...]) -> list[float]:
     """Centroids of broad channels by their camera's published sensitivities; NaN where not known."""
     unknown = [math.nan] * len(bands)
     try:
-        with path.open(encoding="utf-8") as lines:
-            head = [cell.strip() for cell in lines.readline().split(",")]
-            table = np.loadtxt(lines, delimiter=",", ndmin=2)
-    except (OSError, ValueError):
+        head_line, *lines = read_text(path, "a CSV of sensitivities").splitlines()
+        head = [cell.strip() for cell in head_line.split(",")]
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except (Refused, ValueError):
         return unknown
     columns = {label: table[:, i] for i, label in enumerate(head) if i and i < table.shape[1]}
     found = [columns.get(band.label) for band in bands]
@@ -356,6 +360,6 @@ def _say_size(size: Any) -> str:
 
 def _read_facts(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_toml(path)
+    except Refused:
         return {}

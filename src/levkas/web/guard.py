@@ -22,7 +22,8 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 SAFE = frozenset({"GET", "HEAD"})
 OPEN = frozenset({"/", "/assets/workbench.js", "/assets/workbench.css", "/enter"})
 """What needs no token: the page without any data, and where the token is handed in."""
-LARGEST_BODY = 48 << 20
+LARGEST_ENTRY, LARGEST_BODY, LARGEST_IMPORT = 512, 1 << 20, 48 << 20
+"""Bytes of a body: where no token is needed, with one, and with two files of 16 MiB in base64."""
 CSP = "; ".join(
     (
         "default-src 'none'",
@@ -83,9 +84,12 @@ class Guard:
                 await receive()
                 await send({"type": "websocket.close", "code": 1008, "reason": refusal.reason})
             return
-        if refusal is None:
-            await self.app(scope, _bounded(receive), _with_headers(send))
-        else:
+        body = await _body_of(receive, largest_of(scope["path"])) if refusal is None else b""
+        if body is None:
+            refusal = _too_long(scope["path"])
+        if refusal is None and body is not None:
+            await self.app(scope, _replayed(body, receive), _with_headers(send))
+        elif refusal is not None:
             await _refuse(refusal, _with_headers(send))
 
     def judge(self, scope: Scope) -> Refusal | None:
@@ -102,9 +106,9 @@ class Guard:
             kind = headers.get("content-type", [""])[-1].partition(";")[0].strip().lower()
             if kind != "application/json":
                 return Refusal(415, "requests are JSON")
-            length = headers.get("content-length", ["0"])[-1]
-            if not length.isdigit() or int(length) > LARGEST_BODY:
-                return Refusal(413, f"at most {LARGEST_BODY >> 20} MiB")
+        lengths = headers.get("content-length", [])
+        if not socket and any(_is_above(text, largest_of(scope["path"])) for text in lengths):
+            return _too_long(scope["path"])
         return None
 
     def _origin(self, headers: dict[str, list[str]], socket: bool, scope: Scope) -> Refusal | None:
@@ -156,15 +160,47 @@ def _with_headers(send: Send) -> Send:
     return sending
 
 
-def _bounded(receive: Receive) -> Receive:
-    """Stop a body that is longer than it said."""
-    taken = 0
+def largest_of(path: str) -> int:
+    """Return how many bytes a body may have that is sent to this path."""
+    if path in OPEN:
+        return LARGEST_ENTRY
+    return LARGEST_IMPORT if path.endswith("/import") else LARGEST_BODY
+
+
+def _is_above(length: str, most: int) -> bool:
+    """Whether a length that is announced is more, or no length at all."""
+    return not (length.isascii() and length.isdigit()) or len(length) > 9 or int(length) > most
+
+
+def _too_long(path: str) -> Refusal:
+    return Refusal(413, f"the request is too long: at most {largest_of(path):,} bytes")
+
+
+async def _body_of(receive: Receive, most: int) -> bytes | None:
+    """Return the body; None as soon as more than `most` bytes have come, whatever was announced."""
+    parts: list[bytes] = []
+    taken, more = 0, True
+    while more:
+        message = await receive()
+        if message["type"] != "http.request":  # who asked has gone
+            break
+        parts.append(message.get("body", b""))
+        taken, more = taken + len(parts[-1]), message.get("more_body", False)
+        if taken > most:
+            return None
+    return b"".join(parts)
+
+
+def _replayed(body: bytes, receive: Receive) -> Receive:
+    """Give a body that was read already, then what comes after it."""
+    given = False
 
     async def receiving() -> MutableMapping[str, Any]:
-        nonlocal taken
-        message = await receive()
-        taken += len(message.get("body", b""))
-        return {"type": "http.disconnect"} if taken > LARGEST_BODY else message
+        nonlocal given
+        if given:
+            return await receive()
+        given = True
+        return {"type": "http.request", "body": body, "more_body": False}
 
     return receiving
 

@@ -6,6 +6,7 @@ import base64
 import binascii
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import wraps
 from secrets import compare_digest
 from typing import Any
@@ -15,6 +16,8 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
+from levkas.edits import EditsConflict
+from levkas.locks import Taken
 from levkas.problems import Problem, Refused
 from levkas.screen import read_built
 from levkas.web.pages import PAGE
@@ -26,11 +29,20 @@ from levkas.workbench.maps import KINDS, MapMissing, find_kinds
 from levkas.workbench.operations import OperationRefused, refused
 from levkas.workbench.sensor_view import SensorView
 
-STATUS: dict[type[Refused], int] = {FrameMissing: 404, MapMissing: 404, Busy: 409}
+STATUS: dict[type[Refused], int] = {
+    FrameMissing: 404,
+    MapMissing: 404,
+    Busy: 409,
+    EditsConflict: 409,
+    Taken: 409,
+}
 ASSETS = {"workbench.js": "text/javascript", "workbench.css": "text/css"}
 MOST_FILES = 2
 MOST_BANDS = 3
-DEEPEST_LEVEL = 16
+LONGEST_NUMBER = 9
+"""Digits of a whole number in an address or a request."""
+FARTHEST_PX = 1000.0
+"""How far from where a map puts it a partner is looked for at most."""
 
 Answer = Callable[[Request, dict[str, Any]], Response]
 
@@ -47,15 +59,20 @@ def answering(handler: Callable[..., Response]) -> Callable[[Request], Any]:
             return await run_in_threadpool(handler, request, body)
         except Refused as refusal:
             status = next((s for kind, s in STATUS.items() if isinstance(refusal, kind)), 422)
-            problems = [p.to_dict() for p in refusal.problems]
-            return JSONResponse({"ok": False, "problems": problems}, status)
+            told: dict[str, Any] = {"problems": [p.to_dict() for p in refusal.problems]}
+            if isinstance(refusal, EditsConflict):
+                told["present"] = asdict(refusal.present)
+            return JSONResponse({"ok": False, **told}, status)
 
     return answer
 
 
 async def _body(request: Request) -> dict[str, Any]:
     try:
-        record = json.loads(await request.body(), parse_constant=_no_constant)
+        record = json.loads(
+            await request.body(), parse_constant=_no_constant, parse_int=_whole_number
+        )
+        json.dumps(record, ensure_ascii=False).encode()  # half a character is none
     except (ValueError, RecursionError):
         raise refused("the request is no JSON", "", "a JSON object") from None
     if not isinstance(record, dict):
@@ -67,8 +84,30 @@ def _no_constant(name: str) -> float:
     raise ValueError(name)
 
 
-def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
-    """Return every route; each but those of `guard.OPEN` is behind the token, which `cookie` carries."""
+def _whole_number(text: str) -> int:
+    if len(text) > LONGEST_NUMBER:
+        raise ValueError(text[:LONGEST_NUMBER])
+    return int(text)
+
+
+async def refuse_http(request: Request, error: Exception) -> Response:
+    """Answer for a path or a method that there is not, as every refusal is answered."""
+    status = getattr(error, "status_code", 404)
+    problem = Problem(
+        "E_NO_PAGE", "there is nothing here", found=f"{request.method} {request.url.path[:80]}"
+    )
+    return JSONResponse(
+        {"ok": False, "problems": [problem.to_dict()]}, status, getattr(error, "headers", None)
+    )
+
+
+def routes(
+    library: Library, *, token: str, cookie: str, entered: Callable[[], object] = lambda: None
+) -> list[Route]:
+    """Return every route; each but those of `guard.OPEN` is behind the token, which `cookie` carries.
+
+    `entered` is called whenever a browser has handed in the token.
+    """
     rebuild = Rebuild(library)
 
     def frame_of(request: Request) -> Frame:
@@ -89,6 +128,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
             problem = {"code": "E_NOT_ALLOWED", "message": "the token is wrong"}
             return JSONResponse({"ok": False, "problems": [problem]}, 401)
         response = JSONResponse({"ok": True})
+        entered()
         response.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
         return response
 
@@ -102,6 +142,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
     def pairs(request: Request, body: dict[str, Any]) -> Response:
         frame = frame_of(request)
         with frame.lock:
+            library.catch_up(frame)
             return _told(describe(frame.session, packed=True))
 
     def edit(request: Request, body: dict[str, Any]) -> Response:
@@ -122,7 +163,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
 
     def tile(request: Request, body: dict[str, Any]) -> Response:
         which = request.path_params["which"]
-        level, column, row = (int(request.path_params[k]) for k in ("level", "column", "row"))
+        level, column, row = (_digits(request.path_params[k]) for k in ("level", "column", "row"))
         asked = request.query_params
         more = {"map_": asked.get("map", ""), "tint": asked.get("tint", "")}
         bands = _bands(asked.get("bands", ""))
@@ -152,7 +193,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
     def import_(request: Request, body: dict[str, Any]) -> Response:
         frame = frame_of(request)
         with frame.lock:
-            told = frame.take(_files(body.get("files")), body.get("dialect") or None)
+            told = frame.take(_files(body.get("files")), str(body.get("dialect") or "") or None)
             return _told({**told, **describe(frame.session, packed=True)})
 
     def start_build(request: Request, body: dict[str, Any]) -> Response:
@@ -173,7 +214,7 @@ def routes(library: Library, *, token: str, cookie: str) -> list[Route]:
         (f"{one}/edit", edit, "POST"),
         (f"{one}/attempt", attempt, "POST"),
         (f"{one}/partner", partner, "GET"),
-        (one + "/tiles/{which}/{level:int}/{column:int}/{row:int}", tile, "GET"),
+        (one + "/tiles/{which}/{level}/{column}/{row}", tile, "GET"),
         (one + "/maps/{kind}", map_, "GET"),
         (f"{one}/export", export, "POST"),
         (f"{one}/import", import_, "POST"),
@@ -269,7 +310,7 @@ def _asked(request: Request) -> dict[str, Any]:
         "y": _number(asked.get("y")),
         "side": "target" if asked.get("from") == "target" else "reference",
         "which": asked.get("map", ""),
-        "reach": None if asked.get("reach") is None else _number(asked.get("reach")),
+        "reach": None if asked.get("reach") is None else _reach(asked.get("reach")),
         "bands": {side: _bands(asked.get(side, "")) for side in SIDES},
     }
 
@@ -279,7 +320,7 @@ def _bands(text: str) -> tuple[int, ...]:
     parts = text.split(",") if text else []
     if len(parts) > MOST_BANDS or not all(part.isascii() and part.isdigit() for part in parts):
         raise refused("bands are numbers", text[:40], "none, one, or three separated by commas")
-    return tuple(int(part[:6]) for part in parts)
+    return tuple(int(part[:LONGEST_NUMBER]) for part in parts)
 
 
 def _number(value: Any) -> float:
@@ -290,6 +331,19 @@ def _number(value: Any) -> float:
     if not np.isfinite(number) or isinstance(value, bool):
         raise refused("a number is missing", str(value)[:40], "a finite number")
     return number
+
+
+def _digits(text: str) -> int:
+    if not (text.isascii() and text.isdigit()) or len(text) > LONGEST_NUMBER:
+        raise FrameMissing(Problem("E_NO_TILE", "there is no such tile", found=text[:40]))
+    return int(text)
+
+
+def _reach(value: Any) -> float:
+    reach = _number(value)
+    if not 0 < reach <= FARTHEST_PX:
+        raise refused("no partner is looked for so far", reach, f"up to {FARTHEST_PX:g} px")
+    return reach
 
 
 def _pair(value: Any) -> list[float]:

@@ -97,14 +97,15 @@ class Frame:
 
         Raises
         ------
-        IndexError
+        OperationRefused
             Where there is no such band, or they are neither one nor three.
         """
         first, view = (
             (self.reference_band, self.main) if side == "reference" else (self.band, self.view)
         )
         if len(numbers) not in (0, 1, 3) or any(not 0 <= n < len(view.labels) for n in numbers):
-            raise IndexError(numbers)
+            found = ", ".join(map(str, numbers))
+            raise refused("there is no such band", found, f"one or three below {len(view.labels)}")
         return [view.labels[n] for n in numbers] or [first]
 
     @property
@@ -176,6 +177,8 @@ class Frame:
         ------
         IndexError
             Where there is none.
+        OperationRefused
+            Where there is no such band.
         """
         if which not in ("reference", "target", "warped"):
             raise IndexError(which)

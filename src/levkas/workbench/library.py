@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import threading
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +15,9 @@ import numpy as np
 from levkas.building.places import Places
 from levkas.campaign import load_campaign
 from levkas.discovery import Capture, find_captures
-from levkas.edits import FILE_NAME, FrameEdits, read_edits, write_edits
+from levkas.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
 from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_json
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import Frame
 from levkas.workbench.pictures import Picture, read_picture
@@ -126,6 +126,10 @@ class Library:
                 self._frames[key] = self._opened(self.views[key])
             return self._frames[key]
 
+    def catch_up(self, frame: Frame) -> None:
+        """Take over what others wrote into edits.toml of a camera; the frame's lock is held by the caller."""
+        frame.session.take(self._edits(frame.view))
+
     def reopen(self, key: str) -> None:
         """Read the records of an object anew after a build; corrections and undo stay."""
         with self._lock:
@@ -188,7 +192,7 @@ class Library:
             reject=keys.get("reject"),
             stop=keys.get("stop", 1.0),
         )
-        session = Session(found, self._edits(view), lambda e: self._save(view, e))
+        session = Session(found, self._edits(view), partial(self._save, view))
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return Frame(
             view, main, record, self._record(reference), session, band, str(ours["band"]),
@@ -216,10 +220,9 @@ class Library:
     def _record(self, capture: Capture) -> dict[str, Any]:
         path = self.places.registration(capture.object, capture.layer)
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            return read_json(path)
+        except Refused:
             return {}
-        return record if isinstance(record, dict) else {}
 
     def _matches(self, view: SensorView) -> Matches:
         capture, sensor = view.capture, view.sensor.name
@@ -234,18 +237,19 @@ class Library:
         return edits.get(self._band_of(view, edits), FrameEdits())
 
     def _band_of(self, view: SensorView, edits: Mapping[str, FrameEdits]) -> str:
-        """Return the band by which edits.toml names a sensor: "" for the first, else as it has done so far."""
+        """Return the band by which edits.toml names a sensor: "" for the first, else as it has done so far, or by the band shown."""
         named = [band for band in edits if band in view.labels]
-        return named[0] if named else "" if view.is_first else view.labels[0]
+        return named[0] if named else "" if view.is_first else view.labels[len(view.labels) // 2]
 
-    def _save(self, view: SensorView, edits: FrameEdits) -> None:
-        """Write edits.toml; what stands in it of other cameras is read again first."""
+    def _save(self, view: SensorView, before: FrameEdits, after: FrameEdits) -> FrameEdits:
+        """Write a change into edits.toml; return what stands there of the camera then."""
         capture = view.capture
-        with self._lock:
-            before = read_edits(self.edits_path)
-            band = self._band_of(view, before.of(capture.object, capture.layer))
-            frame = f"{capture.layer}:{band}" if band else capture.layer
-            write_edits(self.edits_path, before.with_frame(capture.object, frame, edits))
+
+        def frame_of(edits: Edits) -> str:
+            band = self._band_of(view, edits.of(capture.object, capture.layer))
+            return f"{capture.layer}:{band}" if band else capture.layer
+
+        return change_edits(self.edits_path, capture.object, frame_of, before, after)
 
 
 def _told_bands(labels: list[str]) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.edits import FrameEdits, Pair
+from levkas.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.registration.given import Marked, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
@@ -91,12 +91,13 @@ class Session:
     found : Found
     edits : FrameEdits
     save : callable, optional
-        Called with the corrections after each change.
+        Writes a change, (before, after), on top of what others wrote meanwhile; returns what stands
+        there then. Where it raises, nothing was changed.
     """
 
     found: Found
     edits: FrameEdits = field(default_factory=FrameEdits)
-    save: Callable[[FrameEdits], None] | None = None
+    save: Callable[[FrameEdits, FrameEdits], FrameEdits] | None = None
     version: int = 0
     _undone: list[FrameEdits] = field(default_factory=list)
     _done: list[FrameEdits] = field(default_factory=list)
@@ -169,8 +170,9 @@ class Session:
             # A slider that is drawn along is one change, not one for each place it passed.
             without = [set_threshold(e, name, None) for e in (before, self.edits)]
             if without[0] == without[1]:
-                self._done.pop()
-                self._change(edits, before)
+                written = self._set(edits)
+                self._undone.clear()
+                self.take(written)
                 return
         self._change(edits)
 
@@ -191,31 +193,52 @@ class Session:
         self.found, self._view = found, None
         self.version += 1
 
+    def take(self, present: FrameEdits) -> None:
+        """Go on from what others made of the corrections; undo takes back what was done here alone."""
+        if present == self.edits:
+            return
+        for states in (self._done, self._undone):
+            states[:] = [merge(self.edits, state, present) for state in states]
+            while states and states[-1] == present:
+                states.pop()
+        self.edits, self._view = present, None
+        self.version += 1
+
     def _step(self, source: list[FrameEdits], into: list[FrameEdits]) -> None:
         if source:
-            into.append(self.edits)
-            self._set(source.pop())
+            before = self.edits
+            written = self._set(source[-1])
+            source.pop()
+            into.append(before)
+            self.take(written)
 
-    def _change(self, edits: FrameEdits, before: FrameEdits | None = None) -> None:
-        before = self.edits if before is None else before
-        if edits == before:
-            self._set(edits)
-            return
-        self._done.append(before)
-        self._undone.clear()
-        self._set(edits)
-
-    def _set(self, edits: FrameEdits) -> None:
+    def _change(self, edits: FrameEdits) -> None:
         if edits == self.edits:
             return
-        self.edits, self._view = edits, None
-        self.version += 1
+        before = self.edits
+        written = self._set(edits)
+        self._done.append(before)
+        self._undone.clear()
+        self.take(written)
+
+    def _set(self, edits: FrameEdits) -> FrameEdits:
+        """Save and take over; return what is saved, others' changes included."""
+        if edits == self.edits:
+            return edits
         if self.save is None:
-            return
-        with ThreadPoolExecutor(1) as beside:  # the disk is waited for while the fit is made
-            saving = beside.submit(self.save, edits)
-            self._view = look(self.found, edits)
-            saving.result()
+            view, written = None, edits
+        else:
+            with ThreadPoolExecutor(1) as beside:  # the disk is waited for while the fit is made
+                saving = beside.submit(self.save, self.edits, edits)
+                view = look(self.found, edits)
+                try:
+                    written = saving.result()
+                except EditsConflict as conflict:
+                    self.take(conflict.present)
+                    raise
+        self.edits, self._view = edits, view
+        self.version += 1
+        return written
 
 
 def look(found: Found, edits: FrameEdits) -> View:

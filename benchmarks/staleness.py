@@ -1,0 +1,289 @@
+"""Every change of a campaign of every kind, one at a time, and what `status` finds stale for it.
+
+    python benchmarks/staleness.py [FOLDER]
+
+Every file changed by one byte at the same size and time of modification; every key of campaign.toml; roles
+and exposures; files renamed; every module of the package. What should be stale is written down here by hand,
+apart from the code that decides it.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+import shutil
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from levkas.building import build, sources, status, summarise
+
+HERE = Path(__file__).resolve().parent
+make = runpy.run_path(str(HERE.parent / "tests/building/every_kind.py"))["make"]
+Change = Callable[[Path], None]
+
+CALIBRATED = ("filters", "filters@raking", "colour", "twin", "scan")
+OTHERS = ("xray", *CALIBRATED)
+LAYERS = ("photo", *OTHERS)
+PAGES = tuple(f"{name} camera" for name in ("filters", "colour", "twin", "scan"))
+END = ("one report", "catalogue")
+
+
+def stages(layer: str, first: str = "calibrate", name: str = "one") -> set[str]:
+    """Return the stages of a layer from one on."""
+    every = ["calibrate", "register", "resample"]
+    return {f"{name}/{layer} {stage}" for stage in every[every.index(first) :]}
+
+
+def of_frames(layer: str) -> set[str]:
+    """Return what hangs on the frames of a layer; the reference's lead all others."""
+    found = stages(layer) | {*END}
+    if layer == "photo":
+        found |= {s for other in OTHERS for s in stages(other, "register")}
+    if layer == "filters":
+        found |= {"one/filters@raking resample"}
+    return found
+
+
+def all_of(first: str, *layers: str) -> set[str]:
+    """Return the stages of several layers of both objects from one on, their pages and the catalogue."""
+    found = {s for layer in layers for s in stages(layer, first)}
+    return found | stages("photo", first, "two") | {"one report", "two report", "catalogue"}
+
+
+GRID = all_of("register", *LAYERS)
+CREDITS = all_of("calibrate", *LAYERS) - {s for s in all_of("register", *LAYERS) if "register" in s}
+
+
+def told(before: str, after: str) -> Change:
+    """Change campaign.toml."""
+
+    def change(folder: Path) -> None:
+        path = folder / "campaign.toml"
+        text = path.read_text()
+        assert before in text, before
+        path.write_text(text.replace(before, after, 1))
+
+    return change
+
+
+def table(name: str, before: str, after: str) -> Change:
+    """Change a table beside it."""
+
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        assert before in text
+        (folder / name).write_text(text.replace(before, after, 1))
+
+    return change
+
+
+def flipped(path: Path) -> Change:
+    """Change the last byte of a file, where size and time of modification do not tell."""
+
+    def change(folder: Path) -> None:
+        file, before = folder / path, (folder / path).stat()
+        data = bytearray(file.read_bytes())
+        data[-1] ^= 1
+        file.write_bytes(data)
+        os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+    return change
+
+
+def swapped(one: str, other: str) -> Change:
+    """Swap two files."""
+
+    def change(folder: Path) -> None:
+        data = (folder / one).read_bytes()
+        (folder / one).write_bytes((folder / other).read_bytes())
+        (folder / other).write_bytes(data)
+
+    return change
+
+
+def changes_of_files(folder: Path) -> Iterator[tuple[str, str, Change, set[str]]]:
+    """Yield kind, name, change and what should be stale, for every raw file of a campaign."""
+    for path in sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file()):
+        part = path.parts[0]
+        if part.startswith("database") or len(path.parts) < 2:
+            continue
+        layer = "filters@raking" if part == "raking" else part
+        stale = of_frames(layer)
+        if part == "photo" and path.stem == "two":
+            stale = stages("photo", name="two") | {"two report", "catalogue"}
+        if part == "filters" and path.stem.startswith("dark"):
+            stale = stale | of_frames("filters@raking")
+        yield "a byte of a file", str(path), flipped(path), stale
+
+
+def changes_of_keys() -> Iterator[tuple[str, str, Change, set[str]]]:
+    """Yield kind, name, change and what should be stale, for every key that can be said otherwise."""
+    key = "a key of campaign.toml"
+    raised = {s for s in all_of("calibrate", *CALIBRATED) if not s.startswith("two")}
+    seen = {
+        "campaign.title": (told('"Every kind"', '"All kinds"'), {*END, "two report", *PAGES}),
+        "campaign.creator": (told('"A. Maker"', '"B. Maker"'), CREDITS | {*PAGES}),
+        "campaign.date": (told("2019-08-29", "2019-08-30"), CREDITS | {*PAGES}),
+        "campaign.licence": (told("CC0-1.0", "CC-BY-4.0"), CREDITS | {*PAGES}),
+        "campaign.reference": (told('"G" }', '"R" }'), GRID),
+        "campaign.setup": (told('licence', 'setup = "normal"\nlicence'), {"catalogue"}),
+        "grid.rotate": (told("[targets]", "[grid]\nrotate = 90\n[targets]"), GRID),
+        "grid.mirror": (told("[targets]", "[grid]\nmirror = true\n[targets]"), GRID),
+        "grid.size": (told("[targets]", "[grid]\nsize = [100, 80]\n[targets]"), GRID),
+        "grid.region": (told("[targets]", "[grid]\nregion = [9, 9, 90, 90]\n[targets]"), GRID),
+        "cameras.colour.pattern": (
+            told('"RGGB"', '"BGGR"'), of_frames("colour") | {"colour camera"}),
+        "cameras.colour.reference_band": (
+            told('"RGGB"', '"RGGB"\nreference_band = "R"'), stages("colour", "register") | {*END}),
+        "cameras.colour.bits": (
+            told('colour.csv"\nbits = 12', 'colour.csv"\nbits = 13'),
+            of_frames("colour") | {"colour camera"}),
+        "cameras.colour.black": (
+            told('bits = 12\nblack = 60\n[cameras.twin]', 'bits = 12\nblack = 61\n[cameras.twin]'),
+            of_frames("colour") | {"colour camera"}),
+        "cameras.colour.saturation": (
+            told('bits = 12\nblack = 60\n[cameras.twin]',
+                 'saturation = 4000\nbits = 12\nblack = 60\n[cameras.twin]'),
+            of_frames("colour") | {"colour camera"}),
+        "cameras.colour.demosaic": (
+            told('"RGGB"', '"RGGB"\ndemosaic = "bilinear"'), of_frames("colour")),
+        "cameras.colour.white": (told('"RGGB"', '"RGGB"\nwhite = []'), of_frames("colour")),
+        "cameras.colour.dark": (told('"RGGB"', '"RGGB"\ndark = []'), of_frames("colour")),
+        "cameras.colour.registration": (
+            told("[registration]", "[cameras.colour.registration]\nstop = 2.0\n[registration]"),
+            stages("colour", "register") | {*END}),
+        "cameras.filters.exposures": (
+            told('"exposures.csv"', '"exposures.csv"\nexposures = "best"'),
+            of_frames("filters") | of_frames("filters@raking")),
+        "cameras.scan.denoise": (
+            told("wavelengths = [500, 600]", 'wavelengths = [500, 600]\ndenoise = "hysime"'),
+            of_frames("scan")),
+        "cameras.scan.wavelengths": (
+            told("wavelengths = [500, 600]", "wavelengths = [500, 610]"),
+            of_frames("scan") | {"scan camera"}),
+        "cameras.twin.sensors.bands": (
+            told('bands = ["F"]', 'bands = ["E"]'), of_frames("twin") | {"twin camera"}),
+        "targets.white.reflectance": (told('"white.csv"', "0.9"), raised),
+        "objects.one.title": (
+            told('"The first"', '"The foremost"'), {s for s in CREDITS if not s.startswith("two")}),
+        "objects.one.rights": (
+            told("size_mm", 'rights = "All"\nsize_mm'),
+            {s for s in CREDITS if not s.startswith("two")}),
+        "objects.one.medium": (told("size_mm", 'medium = "oil"\nsize_mm'), {*END}),
+        "objects.one.size_mm": (
+            told("[120, 100]", "[60, 50]"), {s for s in GRID if not s.startswith("two")}),
+        "setups.raking.title": (told('"Raking light"', '"Side light"'), {"catalogue"}),
+        "setups.raking.spectrum": (told('spectrum = "lamp.csv"\n', ""), {"catalogue"}),
+        "registration.order": (told("[registration]", "[registration]\nstop = 2.0"), GRID),
+        "registration.joint": (
+            told("[registration]", "[registration]\njoint = true"),
+            GRID | {s.replace("register", "measure") for s in GRID if "register" in s}),
+        "publication": (
+            told("[registration]", "[publication]\nversion = '2'\n[registration]"), {"catalogue"}),
+    }  # fmt: skip
+    for name, (change, stale) in seen.items():
+        yield key, name, change, stale
+    both = of_frames("filters") | of_frames("filters@raking")
+    yield (
+        "a table beside it",
+        "sensitivity",
+        table("colour.csv", "500,0,1", "500,0,2"),
+        of_frames("colour") | {"colour camera"},
+    )
+    yield "a table beside it", "white", table("white.csv", "0.97", "0.96"), raised
+    yield "a table beside it", "lamp", table("lamp.csv", "1.5", "1.6"), {"catalogue"}
+    yield (
+        "a table beside it",
+        "control points",
+        lambda f: (f / "one_xray.csv").write_text(
+            "reference_x,reference_y,target_x,target_y\n9,9,9,9\n"
+        ),
+        stages("xray", "register") | {*END},
+    )
+    edit = "[objects.one.cameras.xray]\nadded = [[20, 20, 21, 21]]\n"
+    yield (
+        "a table beside it",
+        "edits.toml",
+        lambda f: (f / "edits.toml").write_text("version = 1\n" + edit),
+        stages("xray", "register") | {*END},
+    )
+    for target in ("one", "dark", "white"):  # under both setups: the manifest has no folders
+        line = f"{target}_500nm.tif,0.1"
+        yield "an exposure in the manifest", line, table("exposures.csv", line, f"{line}5"), both
+    dark = told('dark = "dark"', 'dark = "white"')
+
+    def roles(folder: Path) -> None:
+        dark(folder)
+        told('names = "white"', 'names = "dark"')(folder)
+
+    # Raking light has no dark of its own to be the white: that capture is refused, and its light unknown.
+    refused = stages("filters@raking")
+    yield "roles swapped", "dark and white", roles, raised - refused | {"filters camera"}
+    pair = "scan/dark.raw", "scan/white.raw"
+    yield "roles swapped", "data of two cubes", swapped(*pair), of_frames("scan")
+
+    def renamed(folder: Path) -> None:
+        for path in sorted((folder / "twin").iterdir()):
+            path.rename(path.with_name("new_" + path.name))
+        told("twin/{target}", "twin/new_{target}")(folder)
+
+    yield "files renamed", "of one camera", renamed, of_frames("twin")
+
+
+def run(folder: Path) -> Counter[tuple[str, str]]:
+    """Make every change on a copy, and count what was found as it should be."""
+    campaign = make(folder / "campaign")
+    report = summarise(build(campaign))
+    assert report.ok, report.text
+    found: Counter[tuple[str, str]] = Counter()
+    for kind, name, change, stale in [*changes_of_files(campaign), *changes_of_keys()]:
+        copy = folder / "copy"
+        shutil.copytree(campaign, copy)
+        assert all(step.state == "fresh" for step in status(copy).stages)
+        list(build(copy))  # stamps of the copy
+        change(copy)
+        now = {step.label for step in status(copy).stages if step.state == "stale"}
+        # What captures tell of sensor and light, for a camera's page, is known only once they are built.
+        found[kind, "changes"] += 1
+        found[kind, "as they should"] += now == stale
+        if now != stale:
+            print(f"{name}: missed {sorted(stale - now)}, too many {sorted(now - stale)}")
+        shutil.rmtree(copy)
+    return found
+
+
+def run_modules(folder: Path) -> Counter[tuple[str, str]]:
+    """Change every module of a copy of the package, and compare whose code changes with who imports it."""
+    package = shutil.copytree(
+        sources.HERE, folder / "levkas", ignore=shutil.ignore_patterns("__pycache__", "built")
+    )
+    read = sources.Sources(package)
+    used = {stage: read.closure(stage) for stage in sources.ENTRIES}
+    contents = {stage: read.version(stage) for stage in sources.ENTRIES}
+    found: Counter[tuple[str, str]] = Counter()
+    for path in sorted(package.rglob("*.py")):
+        text = path.read_bytes()
+        path.write_bytes(text + b"\n")
+        now = {stage for stage in sources.ENTRIES if read.version(stage) != contents[stage]}
+        path.write_bytes(text)
+        found["a module of the package", "changes"] += 1
+        found["a module of the package", "as they should"] += now == {
+            stage for stage in used if path in used[stage]
+        }
+    return found
+
+
+if __name__ == "__main__":
+    given = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp())
+    shutil.rmtree(given / "campaign", ignore_errors=True)
+    shutil.rmtree(given / "copy", ignore_errors=True)
+    shutil.rmtree(given / "levkas", ignore_errors=True)
+    counted = run(given) + run_modules(given)
+    print(
+        "| what was changed | changes | exactly what depends on it was stale |\n| --- | --- | --- |"
+    )
+    for what in dict.fromkeys(kind for kind, _ in counted):
+        print(f"| {what} | {counted[what, 'changes']} | {counted[what, 'as they should']} |")

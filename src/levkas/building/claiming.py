@@ -1,0 +1,177 @@
+"""The folder that a build may write: a new one, or the database of this campaign, marked as such."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from levkas.campaign import CampaignInvalid
+from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
+from levkas.declaring.contradictions import no_place
+from levkas.ownership import MARK, made, require_outside, stands_in
+from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_json
+
+if TYPE_CHECKING:
+    from levkas.building.places import Places
+    from levkas.campaign import Campaign
+    from levkas.discovery import Capture
+
+OWNER = "campaign.json"
+"""Among what is kept: the folder of the campaign, relative, so that both may be moved together."""
+FIX = 'Give a new folder with -o, or write output = "database".'
+
+
+def claim(
+    campaign: Campaign, places: Places, captures: Iterable[Capture], objects: Iterable[str]
+) -> None:
+    """Take a folder for a campaign's database and mark it, or refuse; nothing is touched then.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    places : Places
+    captures : iterable of Capture
+        All that were found: their frames stand in folders that no build writes into.
+    objects : iterable of str
+        Names of all objects that the campaign has.
+
+    Raises
+    ------
+    CampaignInvalid
+        Where the folder holds, or lies among, what the campaign is made of.
+    WriteRefused
+        Where something stands there that no build wrote, or the disk refuses.
+    """
+    from levkas.files import make_folder, write_changed, write_text
+    from levkas.publishing.facts import NAME as IMPRINT
+
+    check_apart(campaign, places.output, captures)
+    require_outside(places.output, fix=FIX)
+    if problems := list(_strangers(campaign, places, set(objects))):
+        raise CampaignInvalid(*problems[:10])
+    for folder in (places.output, places.kept):
+        make_folder(folder)
+    owner = {"campaign": _relative(campaign.root, places.kept)}
+    write_changed(places.kept / OWNER, (json.dumps(owner, ensure_ascii=False) + "\n").encode())
+    if not (places.output / IMPRINT).is_file():
+        write_text(places.output / IMPRINT, MARK)
+
+
+def check_apart(campaign: Campaign, output: Path, captures: Iterable[Capture]) -> None:
+    """Refuse an output that holds the campaign or its frames, or lies among frames."""
+    sensors = [sensor for capture in captures for sensor in capture.sensors]
+    frames = (frame for s in sensors for frame in (*s.object, *s.dark, *s.white))
+    folders = {folder.resolve() for folder in {frame.path.parent for frame in frames}}
+    among = folders - {campaign.root, *campaign.root.parents}
+    why = no_place(output, campaign.root)
+    if not why and any(output in (folder, *folder.parents) for folder in folders):
+        why = "the database would be written over raw frames"
+    elif not why and any(folder in output.parents for folder in among):
+        why = "the database would be written among raw frames"
+    if why:
+        raise CampaignInvalid(
+            Problem(
+                "E_VALUE",
+                why,
+                str(campaign.path),
+                "campaign.output",
+                str(output),
+                "a folder of its own",
+                FIX,
+            )
+        )
+
+
+def _strangers(campaign: Campaign, places: Places, objects: set[str]) -> Iterator[Problem]:
+    """Yield what stands where the build would write, and is not of this campaign's builds."""
+    found = stands_in(places.output)
+    if found and not (found == "a folder" and _is_database(places)):
+        ours = made(places.output) if found == "a folder" else None
+        what = f"a {ours} by Levkas" if ours else "a folder that Levkas did not write"
+        found = what if found == "a folder" else found
+        yield _problem(places.output, found, "an empty folder, or a database that Levkas built")
+        return
+    kept = stands_in(places.kept)
+    if kept and not (kept == "a folder" and _is_kept(places.kept)):
+        yield _problem(places.kept, kept, "what an earlier build kept")
+        return
+    yield from _links(places.output)
+    yield from _links(places.kept)
+    if not found:
+        return
+    if (owner := _owner(places.kept)) is not None:
+        if owner != campaign.root and (owner / "campaign.toml").is_file():
+            yield _problem(places.output, f"the database of {owner}", f"that of {campaign.root}")
+    elif places.output != campaign.output:
+        try:
+            others = {entry.object for entry in read_catalogue(places.output)} - objects
+        except DatabaseRefused:
+            others = set()
+        if others:
+            here = ", ".join(sorted(objects))
+            yield _problem(places.output, f"objects {', '.join(sorted(others))}", f"only {here}")
+
+
+def _is_database(places: Places) -> bool:
+    if (ours := made(places.output)) is not None:
+        return ours == "database"
+    # What was built before there was a mark: its catalogue and imprint, and the records beside it.
+    return (
+        (places.output / "database.toml").is_file()
+        and _begins(places.output / "catalogue.csv", ",".join(COLUMNS) + "\n")
+        and (places.kept / "hashes.json").is_file()
+    )
+
+
+def _is_kept(folder: Path) -> bool:
+    return (folder / OWNER).is_file() or (folder / "hashes.json").is_file()
+
+
+def _begins(path: Path, text: str) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(text)) == text.encode()
+
+
+def _links(root: Path) -> Iterator[Problem]:
+    """Yield the links in a folder that lead out of it: a build would write through them."""
+    from levkas.database.containment import find_escapes
+    from levkas.database.manifest import list_files
+
+    if root.is_dir():
+        yield from find_escapes(root, list_files(root))
+
+
+def _owner(kept: Path) -> Path | None:
+    """Folder of the campaign that a database was built from last, where that is known.
+
+    Without a record, a database that stands beside a campaign.toml is taken for that campaign's.
+    """
+    try:
+        record = read_json(kept / OWNER)
+        return Path(os.path.normpath(kept / str(record["campaign"])))
+    except (Refused, ValueError, KeyError, TypeError):
+        return kept.parent if (kept.parent / "campaign.toml").is_file() else None
+
+
+def _relative(path: Path, start: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, start)).as_posix()
+    except ValueError:  # on Windows, from one drive to another
+        return path.as_posix()
+
+
+def _problem(path: Path, found: str, expected: str) -> Problem:
+    return Problem(
+        "E_UNWRITABLE",
+        "the database cannot be written to this folder",
+        file=str(path),
+        found=found,
+        expected=expected,
+        fix=FIX,
+    )

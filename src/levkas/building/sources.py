@@ -1,0 +1,307 @@
+"""The code that a stage rests on: all modules that what it runs imports, found by reading them.
+
+Imports in functions count, those for type checkers do not. Of a package that hands names on, only the
+module behind the name counts. In `SHARED` modules, which hold the beginnings of several stages, imports
+count of those functions only whose names the stage's functions mention.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import os
+import re
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from levkas.problems import Refused
+from levkas.readers.texts import read_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+HERE = Path(__file__).resolve().parents[1]
+ENTRIES = {
+    "calibrate": ("levkas.building.capture_stages:calibrate",),
+    "register": (
+        "levkas.building.capture_stages:calibrated",
+        "levkas.building.registration_stages:_measured",
+        "levkas.building.registration_stages:_publish",
+        "levkas.edits",
+    ),
+    "adjust": (
+        "levkas.building.registration_stages:_adjusted",
+        "levkas.building.registration_stages:_publish",
+    ),
+    "resample": (
+        "levkas.building.capture_stages:calibrated",
+        "levkas.building.capture_stages:resample",
+    ),
+    "report": ("levkas.building.pages", "levkas.building.provenance", "levkas.declaring.toml"),
+    "camera": ("levkas.building.camera_pages",),
+    "catalogue": ("levkas.building.cataloguing",),
+    "template": ("levkas.building.bench",),
+}
+"""Where each stage begins: a module, or functions of one."""
+SHARED = frozenset(
+    f"levkas.building.{name}" for name in ("capture_stages", "registration_stages", "reference")
+)
+RIM = frozenset(
+    "levkas.building." + name
+    for name in (
+        *("run", "objects", "joint_round", "rig_mates", "ledger", "fingerprints", "sources"),
+        *("standing", "steps", "withdrawing", "removal", "claiming", "turns"),
+    )
+) | {"levkas.campaign", "levkas.discovery", "levkas.ownership"}
+"""Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
+LIBRARIES = {
+    "cv2": "opencv-python-headless",
+    "imagecodecs": "imagecodecs",
+    "numba": "numba",
+    "numpy": "numpy",
+    "rawpy": "rawpy",
+    "scipy": "scipy",
+    "tifffile": "tifffile",
+}
+"""Whose version may be in the numbers: module → distribution."""
+_NAME = re.compile(r"[a-z_]+\.(py|csv|html)")
+
+
+@dataclass(frozen=True)
+class _Module:
+    """What a module mentions: levkas names to import, words in its functions, its other imports."""
+
+    imports: frozenset[tuple[str, str]]
+    by_function: dict[str, _Function]
+    libraries: frozenset[str]
+    files: frozenset[Path]
+
+
+@dataclass(frozen=True)
+class _Function:
+    imports: frozenset[tuple[str, str]]
+    words: frozenset[str]
+
+
+@dataclass
+class Sources:
+    """The modules of a package and what each imports.
+
+    Parameters
+    ----------
+    package : Path
+        Folder of the package ``levkas``, or of a copy of it.
+    """
+
+    package: Path = HERE
+    _read: dict[str, _Module] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def modules(self) -> dict[str, Path]:
+        """Every module by name; of a package its ``__init__.py``."""
+        found = {}
+        for path in sorted(self.package.rglob("*.py")):
+            parts = ("levkas", *path.relative_to(self.package).with_suffix("").parts)
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+        return found
+
+    def closure(self, stage: str) -> set[Path]:
+        """Return the files that a stage rests on, tables and page templates among them."""
+        return {self.modules[name] for name in self._reached(stage)} | {
+            file for name in self._reached(stage) for file in self._of(name).files
+        }
+
+    def version(self, stage: str) -> str:
+        """Hash the code of a stage and the versions of the libraries that it computes with."""
+        digest = hashlib.sha256()
+        for path in sorted(self.closure(stage)):
+            digest.update(path.relative_to(self.package).as_posix().encode() + path.read_bytes())
+        used = {library for name in self._reached(stage) for library in self._of(name).libraries}
+        digest.update(repr([(name, _version(name)) for name in sorted(used)]).encode())
+        return digest.hexdigest()[:16]
+
+    def _reached(self, stage: str) -> set[str]:
+        """Follow imports from where a stage begins; functions of shared modules by their names."""
+        begun = [entry.partition(":")[0] for entry in ENTRIES[stage]]
+        words = {entry.partition(":")[2] for entry in ENTRIES[stage]}
+        reached: set[str] = set()
+        followed: set[tuple[str, str]] = set()
+        waiting = [*begun]
+        while waiting:
+            name = waiting.pop()
+            if name in RIM and name not in begun:
+                continue
+            if name not in reached:
+                reached.add(name)
+                waiting += self._named(self._of(name).imports)
+            # A function that is mentioned mentions others: shared modules are looked through again.
+            for shared in [name] if name not in SHARED else sorted(reached & SHARED):
+                for title, function in self._of(shared).by_function.items():
+                    if (shared, title) in followed or (shared in SHARED and title not in words):
+                        continue
+                    followed.add((shared, title))
+                    waiting += self._named(function.imports)
+                    if shared in SHARED:
+                        words |= function.words
+                        waiting.append(shared)
+        return reached
+
+    def _named(self, imports: Iterable[tuple[str, str]]) -> list[str]:
+        """Return the modules behind imported names."""
+        return [name for module, attribute in imports for name in self._behind(module, attribute)]
+
+    def _behind(self, module: str, attribute: str) -> Iterator[str]:
+        if not attribute:
+            yield module
+        elif f"{module}.{attribute}" in self.modules:
+            yield f"{module}.{attribute}"
+        elif module in self.modules:
+            handed = _handed_on(self.modules[module], module) if self._is_package(module) else {}
+            if attribute in handed:
+                yield from self._behind(*handed[attribute])
+            else:
+                yield module
+
+    def _is_package(self, module: str) -> bool:
+        return self.modules[module].name == "__init__.py"
+
+    def _of(self, name: str) -> _Module:
+        if name not in self._read:
+            self._read[name] = self._parsed(self.modules[name])
+        return self._read[name]
+
+    def _parsed(self, path: Path) -> _Module:
+        tree = ast.parse(path.read_bytes())
+        functions: dict[str, list[ast.AST]] = {}
+        rest: list[ast.AST] = []
+        for node in tree.body:
+            for inner in node.body if isinstance(node, ast.ClassDef) else [node]:
+                if isinstance(inner, ast.FunctionDef):
+                    functions.setdefault(inner.name, []).append(inner)
+                elif not isinstance(inner, ast.If) or "TYPE_CHECKING" not in ast.dump(inner.test):
+                    rest.append(inner)
+        walked = {title: _walked(nodes) for title, nodes in functions.items()}
+        outside = _walked(rest)
+        every = [node for nodes in (outside, *walked.values()) for node in nodes]
+        texts = {n.value for n in every if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+        beside = {path.with_name(text) for text in texts if _NAME.fullmatch(text)}
+        packages = [self.modules[t].parent for t in texts & {*self.modules} if self._is_package(t)]
+        data = {p for folder in packages for p in folder.iterdir() if p.suffix not in ("", ".py")}
+        return _Module(
+            self._imports(outside),
+            {
+                title: _Function(self._imports(nodes), frozenset(_words(nodes)))
+                for title, nodes in walked.items()
+            },
+            frozenset(root for n in every for root in _roots(n) if root in LIBRARIES),
+            frozenset(file for file in beside | data if file.is_file()),
+        )
+
+    def _imports(self, nodes: Iterable[ast.AST]) -> frozenset[tuple[str, str]]:
+        """Return (module, name) of all imports from levkas, and modules that are named in a text."""
+        found: set[tuple[str, str]] = set()
+        for node in nodes:
+            if isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
+                found |= {(node.module or "", alias.name) for alias in node.names}
+            elif isinstance(node, ast.Import):
+                found |= {(alias.name, "") for alias in node.names if _is_ours(alias.name)}
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                named = node.value if _is_ours(node.value) else ""
+                if named in self.modules and not self._is_package(named):
+                    found.add((named, ""))
+        return frozenset(found)
+
+
+def _is_ours(name: str) -> bool:
+    return name.partition(".")[0] == "levkas"
+
+
+def _walked(nodes: Iterable[ast.AST]) -> list[ast.AST]:
+    return [node for one in nodes for node in ast.walk(one)]
+
+
+def _roots(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name.partition(".")[0] for alias in node.names]
+    return [(node.module or "").partition(".")[0]] if isinstance(node, ast.ImportFrom) else []
+
+
+def _words(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    for node in nodes:
+        if isinstance(node, ast.Attribute):
+            yield node.attr
+        elif isinstance(node, ast.Name):
+            yield node.id
+
+
+@cache
+def _handed_on(path: Path, package: str) -> dict[str, tuple[str, str]]:
+    """Return the names that a package hands on: by an import, or when asked for by its `_HOMES`."""
+    found: dict[str, tuple[str, str]] = {}
+    for node in ast.parse(path.read_bytes()).body:
+        if isinstance(node, ast.ImportFrom) and _is_ours(node.module or ""):
+            found |= {a.asname or a.name: (node.module or "", a.name) for a in node.names}
+        elif isinstance(node, ast.Assign) and [ast.unparse(t) for t in node.targets] == ["_HOMES"]:
+            homes = ast.literal_eval(node.value)
+            found |= {name: (f"{package}.{home}", name) for name, home in homes.items()}
+    return found
+
+
+@cache
+def _version(module: str) -> str:
+    try:
+        return version(LIBRARIES[module])
+    except PackageNotFoundError:  # another build of the same library: its version is not known
+        return ""
+
+
+# --- kept from one run to the next --------------------------------------------------------------
+
+_versions: dict[str, str] = {}
+
+
+def code_version(stage: str) -> str:
+    """Return the hash of a stage's code, found once a process."""
+    if stage not in _versions:
+        _versions[stage] = _sources().version(stage)
+    return _versions[stage]
+
+
+def remember(kept: Path) -> None:
+    """Take hashes from what an earlier run kept, where no file of the package was touched since."""
+    try:
+        record = read_json(kept)
+        if record["package"] == _stamp():
+            _versions.update({stage: record["stages"][stage] for stage in ENTRIES})
+    except (Refused, OSError, ValueError, KeyError, TypeError):
+        return
+
+
+def keep(kept: Path) -> None:
+    """Keep the hashes of all stages for a later run, unless they are kept already."""
+    from levkas.files import write_changed
+    from levkas.plain_json import to_json
+
+    stages = {stage: code_version(stage) for stage in ENTRIES}
+    write_changed(kept, to_json({"package": _stamp(), "stages": stages}).encode())
+
+
+@cache
+def _sources() -> Sources:
+    return Sources()
+
+
+@cache
+def _stamp() -> str:
+    """Hash names, sizes, times and inodes of the package's files, and the libraries' versions."""
+    digest = hashlib.sha256(repr([_version(module) for module in LIBRARIES]).encode())
+    for place, folders, names in os.walk(HERE):
+        folders[:] = sorted(set(folders) - {"__pycache__", "built"})
+        for name in sorted(names):
+            found = os.stat(f"{place}{os.sep}{name}")  # noqa: PTH116 -- hundreds, each time
+            told = (found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino)
+            digest.update(f"{place}/{name} {told}\n".encode())
+    return digest.hexdigest()

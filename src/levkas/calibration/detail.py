@@ -1,0 +1,176 @@
+"""Detail between the sensels of a mosaic: how far interpolated values are from a scene that was not sampled.
+
+Where a sensel differs from the mean of its two neighbours of the same phase, the scene has detail that
+interpolation between sensels cannot know. How much such disagreement means for a method is tried on the
+scene itself: of every period of the pattern one sensel a channel makes a smaller picture of which all
+channels are known; it is made a mosaic again, interpolated, and compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import cv2
+import numba
+import numpy as np
+from numba import types
+
+from levkas.calibration.signatures import readonly
+
+FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
+Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
+MOST = 300_000  # of these that are looked at
+QUANTILES = (0.0, 0.25, 0.5, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.98, 0.99, 0.995, 1.0)
+EDGE = 3  # periods of the smaller picture at its border, where stencils are others
+
+
+def disagreement(values: np.ndarray, variance: np.ndarray, period: tuple[int, int]) -> np.ndarray:
+    """Return the local disagreement of sensels with their neighbours, free of noise.
+
+    Parameters
+    ----------
+    values, variance : ndarray, (h, w), float32
+        Of a mosaic, and of its noise.
+    period : (rows, columns)
+        Of its pattern.
+
+    Returns
+    -------
+    squared : ndarray, (h, w), float32
+        Mean over a period to each side, and down and across, of (v − (v₋ + v₊)/2)² − u² − (u₋² + u₊²)/4
+        with neighbours a period away; at least 0.
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[:12, :12].astype("f4")
+    >>> float(disagreement(3 * x + y, 0 * x, (2, 2)).max())  # a plane has no detail
+    0.0
+    """
+    total, count = np.zeros(values.shape, np.float32), np.zeros(values.shape, np.float32)
+    for axis, step in enumerate(period):
+        if values.shape[axis] <= 2 * step:
+            continue
+        v, u = np.moveaxis(values, axis, 0), np.moveaxis(variance, axis, 0)
+        rough = v[step:-step] - (v[2 * step :] + v[: -2 * step]) / 2
+        noise = u[step:-step] + (u[2 * step :] + u[: -2 * step]) / 4
+        found = rough * rough - noise
+        found[~np.isfinite(found)] = 0
+        np.moveaxis(total, axis, 0)[step:-step] += found
+        np.moveaxis(count, axis, 0)[step:-step] += 1
+    size = (2 * period[1] + 1, 2 * period[0] + 1)
+    smooth = [cv2.blur(a, size, borderType=cv2.BORDER_REFLECT_101) for a in (total, count)]
+    return np.maximum(smooth[0] / np.maximum(smooth[1], 1e-6), 0.0)
+
+
+def interpolation_variance(
+    values: np.ndarray,
+    flags: np.ndarray,
+    variance: np.ndarray,
+    table: np.ndarray,
+    interpolate: Interpolate,
+) -> np.ndarray:
+    """Return the variance by which interpolated values miss the scene, beside their noise.
+
+    Parameters
+    ----------
+    values, flags, variance : ndarray, (h, w)
+        Of a mosaic.
+    table : ndarray, (rows, columns), int
+        Channel at each place of the pattern.
+    interpolate : callable
+        (values, flags, variance) of a mosaic → (h, w, c) of each.
+
+    Returns
+    -------
+    variance : ndarray, (h, w, c), float32
+        0 where the channel was measured.
+
+    Notes
+    -----
+    E² = g(d²) with d² from `disagreement` and g from the trial, channel by channel: the mean of
+    (interpolated − true)² less the noise of both in groups of like d², rising; in proportion beyond
+    the last. Where the picture is too small for a trial, E² = d².
+    """
+    rough = disagreement(values, variance, (table.shape[0], table.shape[1]))
+    curves = _trial(values, flags, variance, table, interpolate)
+    found = np.empty((*values.shape, len(curves)), np.float32)
+    _follow(np.ascontiguousarray(rough), np.ascontiguousarray(table, np.int64), curves, found)
+    return found
+
+
+@numba.njit(
+    [
+        types.void(
+            *(readonly(types.float32), readonly(types.int64), readonly(types.float64, 3)),
+            types.float32[:, :, ::1],
+        )
+    ],
+    parallel=True,
+    cache=True,
+)
+def _follow(rough, table, curves, found):  # type: ignore[no-untyped-def]
+    """Fill `found`, (h, w, c), with each channel's curve, (c, 2, groups), at `rough`; 0 where measured."""
+    height, width = rough.shape
+    channels, _, groups = curves.shape
+    for y in numba.prange(height):
+        for x in range(width):
+            d = np.float64(rough[y, x])
+            own = table[y % table.shape[0], x % table.shape[1]]
+            for k in range(channels):
+                at, mean = curves[k, 0], curves[k, 1]
+                if k == own:
+                    found[y, x, k] = 0.0
+                elif d >= at[groups - 1]:
+                    found[y, x, k] = mean[groups - 1] * d / max(at[groups - 1], 1e-30)
+                else:
+                    g = 0
+                    while g < groups - 1 and d > at[g]:
+                        g += 1
+                    low = max(g - 1, 0)
+                    span = at[g] - at[low]
+                    part = (d - at[low]) / span if span > 0.0 else 1.0
+                    found[y, x, k] = mean[low] + max(part, 0.0) * (mean[g] - mean[low])
+
+
+def _trial(
+    values: np.ndarray,
+    flags: np.ndarray,
+    variance: np.ndarray,
+    table: np.ndarray,
+    interpolate: Interpolate,
+) -> np.ndarray:
+    """Return d² and E² of groups for each channel, (c, 2, groups), from the smaller picture."""
+    rows, columns = table.shape
+    high, wide = (n // p for n, p in zip(values.shape, table.shape, strict=True))
+    channels = int(table.max()) + 1
+    if high < 2 * EDGE * rows + rows or wide < 2 * EDGE * columns + columns:
+        return np.stack([_curve(none, none) for none in np.empty((channels, 0))])
+    first = [tuple(np.argwhere(table == channel)[0]) for channel in range(channels)]
+    known = [
+        np.stack([a[y::rows, x::columns][:high, :wide] for y, x in first], -1)
+        for a in (values, flags, variance)
+    ]
+    which = table[np.arange(high)[:, None] % rows, np.arange(wide) % columns]
+    mosaic = [np.take_along_axis(a, which[..., None], 2)[..., 0] for a in known]
+    made, noted, spread = interpolate(*mosaic)
+    assert spread is not None
+    rough = disagreement(mosaic[0], mosaic[2], (rows, columns))
+    inner = np.s_[EDGE * rows : -EDGE * rows, EDGE * columns : -EDGE * columns]
+    miss = ((made - known[0]) ** 2 - spread - known[2])[inner]
+    sound = ((noted | known[1])[inner] == 0) & np.isfinite(miss)
+    used = [sound[..., k] & (which[inner] != k) for k in range(channels)]
+    return np.stack([_curve(rough[inner][u], miss[..., k][u]) for k, u in enumerate(used)])
+
+
+def _curve(rough: np.ndarray, miss: np.ndarray) -> np.ndarray:
+    """Return the means of both in groups by `rough`, (2, groups), that of `miss` never falling."""
+    if len(rough) < FEWEST:
+        return np.tile(np.linspace(0, 1, len(QUANTILES) - 1), (2, 1))
+    thin = np.s_[:: max(1, len(rough) // MOST)]
+    rough, miss = rough[thin].astype(np.float64), miss[thin].astype(np.float64)
+    order = np.argsort(rough, kind="stable")
+    edges = (np.array(QUANTILES) * len(order)).astype(int)
+    means = [(rough[order[a:b]].mean(), miss[order[a:b]].mean()) for a, b in pairwise(edges)]
+    at, mean = np.array(means).T
+    return np.stack([at, np.maximum.accumulate(np.maximum(mean, 0.0))])

@@ -1,0 +1,147 @@
+"""Registration records of a database, checked before any part of them is used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.database.containment import check_inside, check_plain_names
+from levkas.problems import Problem, Refused
+from levkas.readers.texts import read_json
+from levkas.registration.uncertainty import Sigma
+from levkas.transforms import from_dict
+
+KINDS: dict[str, tuple[type, ...]] = {
+    "object": (str,),
+    "camera": (str,),
+    "setup": (str,),
+    "method": (str,),
+    "reference": (dict, str),
+    "target": (dict, str),
+    "grid": (dict,),
+    "verdict": (dict,),
+    "bands": (dict,),
+    "errors": (dict,),
+}
+"""What the parts of a record are, where they are there."""
+WHOLE = ("object", "camera", "reference", "verdict")
+"""Parts of every record that a build writes."""
+MOST_PX = 1 << 20
+"""Sides of grids and frames; far more than any sensor or scan has."""
+WRONG = (ValueError, KeyError, TypeError, IndexError, AttributeError, ArithmeticError, MemoryError)
+"""What numpy and `levkas.transforms` raise on numbers that are not those of a transform."""
+
+
+class RecordRefused(Refused):
+    """A registration record is damaged, or was not written by a registration."""
+
+
+def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Read the record of one layer.
+
+    Parameters
+    ----------
+    path : Path
+    needed : tuple of str
+        Parts that must be there; all others may be absent.
+
+    Raises
+    ------
+    RecordRefused
+        Where it cannot be read, or a part of it is of another kind than a registration writes.
+    """
+    try:
+        record = read_json(path)
+    except Refused as refused:
+        raise RecordRefused(*refused.problems) from None
+    place = "the record"
+    try:
+        for place, part in _parts(record, needed):
+            _check(place, part)
+    except WRONG as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise RecordRefused(
+            Problem(
+                "E_VALUE",
+                f"{path.name} is no registration record: {reason}",
+                str(path),
+                field=place,
+                expected="a record as a build writes it",
+                fix="Copy the file anew, or build the database again.",
+            )
+        ) from error
+    return record
+
+
+def read_registrations(database: Path, name: str = "*") -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Yield (path, record) of every layer of a database, or of one object, in order.
+
+    Raises
+    ------
+    RecordRefused
+        Also where a part is missing that a build writes.
+    LinkRefused
+        Where a record is a link that leads out of the database.
+    """
+    for path in sorted(database.glob(f"objects/{name}/registration/*.json")):
+        check_inside(database, path)
+        yield path, read_registration(path, needed=WHOLE)
+
+
+def _parts(record: dict[str, Any], needed: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+    """Yield (place, part) of all that is checked; raises ValueError where one is of another kind."""
+    for key in needed:
+        if record.get(key) is None:
+            yield key, None
+    for key, kinds in KINDS.items():
+        part = record.get(key)
+        if part is not None:
+            yield key, part if isinstance(part, kinds) else None
+    for label, band in (record.get("bands") or {}).items():
+        yield f"bands: {label}", band if isinstance(band, dict) else None
+
+
+def _check(place: str, part: Any) -> None:
+    if part is None:
+        raise ValueError("a part is missing or of another kind")
+    if place in ("object", "camera", "setup"):
+        check_plain_names(part or "-")
+    elif place == "verdict":
+        decision, reasons = part.get("decision", ""), part.get("reasons", [])
+        if not isinstance(decision, str) or not isinstance(reasons, list):
+            raise TypeError("the verdict is no text")
+    elif place in ("reference", "target") and isinstance(part, dict):
+        for key in ("camera", "setup", "band"):
+            if not isinstance(part.get(key) or "", str):
+                raise TypeError(f"{key} is no text")
+        check_plain_names(part.get("camera") or "-", part.get("setup") or "-")
+        _check_size(part.get("size"))
+    elif place == "errors":
+        for one in part.get("check_points") or []:
+            float(one["error"] or 0), str(one["band"])
+    elif place == "grid" or place.startswith("bands: "):
+        _check_size(part.get("size"))
+        float(part.get("px_per_mm") or 0)
+        if "transform" in part or "kind" in part:
+            _check_transform(part.get("transform", part))
+        if part.get("sigma") is not None:
+            Sigma.from_dict(part["sigma"])(np.zeros((1, 2)))
+
+
+def _check_size(size: Any) -> None:
+    if size is not None and not (
+        len(size) == 2 and all(isfinite(n) and 0 < n <= MOST_PX for n in size)
+    ):
+        raise ValueError("a size is not two numbers of pixels")
+
+
+def _check_transform(told: dict[str, Any]) -> None:
+    """Map a point: an array of another form is found by that, wherever it stands."""
+    with np.errstate(all="ignore"):
+        mapped = from_dict(told)(np.array([[1.0, 2.0]]))
+    if np.shape(mapped) != (1, 2):
+        raise ValueError("a transform does not map points to points")

@@ -1,0 +1,76 @@
+"""What status says after a build in which layers were refused: what a build would do, and no more."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from levkas.building import build, status, summarise
+
+THIRD = """
+[cameras.uv]
+kind = "image"
+files = "uv/{target}.png"
+"""
+
+
+def states(report):
+    return {
+        (s.key.object, s.key.layer, s.key.stage): s.state
+        for s in report.stages
+        if s.state != "fresh"
+    }
+
+
+@pytest.fixture(scope="module")
+def refused(make_plates, tmp_path_factory):
+    """A campaign with another painting's picture, a broken file, and two reference images that are lost."""
+    folder = make_plates(
+        tmp_path_factory.mktemp("refused") / "campaign", ["five", "four", "one", "three", "two"]
+    )
+    with (folder / "campaign.toml").open("a") as file:
+        file.write(THIRD)
+    (folder / "uv").mkdir()
+    for name in ("one", "two"):
+        shutil.copy(folder / f"infrared/{name}.png", folder / f"uv/{name}.png")
+    shutil.copy(folder / "infrared/two.png", folder / "infrared/one.png")  # an impostor
+    two = np.full((200, 240, 2), 90, np.uint8)  # an image has 1 or 3 channels
+    (folder / "uv/two.png").write_bytes(cv2.imencode(".png", np.dstack([two, two]))[1].tobytes())
+    half = (folder / "infrared/three.png").read_bytes()
+    (folder / "infrared/three.png").write_bytes(half[: len(half) // 2])
+    half = (folder / "photo/four.png").read_bytes()
+    (folder / "photo/four.png").write_bytes(half[: len(half) // 2])
+    (folder / "photo/five.png").unlink()
+    return folder, summarise(build(folder))
+
+
+def test_status_after_a_build_says_the_refusals_and_nothing_is_stale(refused):
+    folder, built = refused
+    lost = {key for key, state in states(built).items() if state == "refused"}
+    assert {key[:2] for key in lost} == {
+        ("one", "infrared"), ("two", "uv"), ("three", "infrared"), ("four", "photo"),
+        ("four", "infrared"), ("five", "photo"), ("five", "infrared"),
+    }  # fmt: skip
+    report = status(folder)
+    assert states(report) == dict.fromkeys(lost, "refused")
+    assert set(report.problems) == set(built.problems)
+
+
+def test_a_second_build_does_what_status_says(refused, tmp_path):
+    folder = shutil.copytree(refused[0], tmp_path / "campaign")
+    said = states(status(folder))
+    did = states(summarise(build(folder)))
+    assert did.pop(("", "", "catalogue"), "done") == "done"  # looked at anew, to the same bytes
+    assert did == said
+    assert states(status(folder)) == said
+
+
+def test_a_file_that_was_mended_is_stale_and_its_neighbours_stay_refused(refused, tmp_path):
+    folder = shutil.copytree(refused[0], tmp_path / "campaign")
+    shutil.copy(folder / "infrared/two.png", folder / "infrared/three.png")
+    said = states(status(folder))
+    assert (
+        said["three", "infrared", "calibrate"] == said["three", "infrared", "resample"] == "stale"
+    )
+    assert {state for key, state in said.items() if key[0] in ("one", "two")} == {"refused"}

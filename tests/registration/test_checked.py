@@ -1,0 +1,213 @@
+"""What a verdict says of a map where nothing confirms it, of copies, of maps that do not come to rest."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from levkas.registration import BandImage, register
+from levkas.registration.checks import Checks
+from levkas.registration.given import Given
+from levkas.registration.silhouette import describe_mask, find_object
+from levkas.registration.uncertainty import NINE_OF_TEN
+from levkas.reporting.figures import draw_basis
+from levkas.transforms import Affine, Polynomial
+
+STILL = Affine.identity()
+
+
+def bent(size, amount):
+    """Reference px → target px: bent by `amount` px at the lower rim, as a warped panel is."""
+    x, y = np.meshgrid(np.linspace(0, size[0], 21), np.linspace(0, size[1], 21))
+    points = np.stack([x.ravel(), y.ravel()], 1)
+    down = points[:, 1] / size[1]
+    field = amount * np.stack([down**3 - 0.3 * down, -(down**2)], 1)
+    return Polynomial.fit(points, points + field, order=3)
+
+
+@pytest.fixture(scope="module")
+def half_blank(studio):
+    """An infrared picture that shows nothing in its lower half, registered; and the truth."""
+    painting, truth = studio.paint(51), bent(studio.size, 4.0)
+    reference = studio.photograph(painting, STILL, seed=1)
+    target = 1 - studio.photograph(painting, truth.inverse, seed=2)
+    blank = ndimage.gaussian_filter(target, 30)
+    blank += np.random.default_rng(3).normal(0, 0.004, target.shape)
+    rows = np.arange(target.shape[0])[:, None]
+    target = np.where(rows < target.shape[0] // 2, target, blank).astype(np.float32)
+    bands = BandImage.of("550 nm", reference, 550), BandImage.of("NIR", target, 900)
+    return register([bands[0]], [bands[1]], reference_band="550 nm"), truth
+
+
+def halves(size):
+    x, y = np.meshgrid(np.arange(12, size[0] - 12, 8.0), np.arange(12, size[1] - 12, 8.0))
+    points = np.stack([x.ravel(), y.ravel()], 1)
+    return points[points[:, 1] < size[1] * 0.4], points[points[:, 1] > size[1] * 0.6]
+
+
+def test_a_map_that_reaches_over_half_of_the_object_is_doubtful_and_names_the_place(
+    half_blank, studio
+):
+    found, _ = half_blank
+    assert found.verdict.decision == "warn"
+    numbers = found.verdict.numbers["NIR" if "NIR" in found.verdict.numbers else "sensor"]
+    assert 0.4 < numbers["checked"] < 0.75
+    x, y, width, height, share = numbers["borne_out"]["unchecked"][0]
+    # The lower half begins at 115; windows of 40 px confirm the map down to there.
+    assert 90 < y < 175 and y + height > 215 and width > 250 and 0.25 < share < 0.6
+    reason = next(r for r in found.verdict.reasons if "could be checked" in r)
+    assert f"{x:.0f}, {y:.0f}, {width:.0f}, {height:.0f}" in reason
+
+
+def test_sigma_grows_where_nothing_was_checked(half_blank, studio):
+    found, truth = half_blank
+    above, below = halves(studio.size)
+    # Errors of one map move together: one map tells the share badly.
+    for points, most, least in ((above, 0.15, 0.75), (below, 8.0, 0.85)):
+        error = np.linalg.norm(truth.inverse(found.transforms["NIR"](points)) - points, axis=1)
+        sigma = found.sigma["NIR"](points)
+        assert (error <= NINE_OF_TEN * sigma).mean() >= least
+        assert np.median(sigma) < most
+    assert np.median(found.sigma["NIR"](below)) > 5 * np.median(found.sigma["NIR"](above))
+
+
+# --- copies -----------------------------------------------------------------------------------
+
+SIZE = (300, 230)
+
+
+def icon(hand, bands=(450, 550, 650)):
+    """Return bands of a panel: outlines by one pattern, strokes, cracks and grain by a `hand`."""
+    pattern, rng = np.random.default_rng(5), np.random.default_rng(hand)
+    w, h = SIZE[0] + 40, SIZE[1] + 40
+    places = np.stack(np.mgrid[0:h, 0:w], -1).reshape(-1, 2)
+    patch = cKDTree(pattern.uniform(0, 1, (60, 2)) * (h, w)).query(places)[1].reshape(h, w)
+    distance = cKDTree(rng.uniform(0, 1, (300, 2)) * (h, w)).query(places, k=2)[0]
+    cracks = np.exp(-np.square((distance[:, 1] - distance[:, 0]).reshape(h, w) / 1.5))
+    grain = sum(ndimage.gaussian_filter(rng.normal(0, s, (h, w)), s) for s in (1.2, 2.0, 3.5))
+    made = []
+    for _ in bands:
+        colours = pattern.uniform(0.1, 0.7, 60)[patch]
+        made.append(
+            ndimage.gaussian_filter(colours * (1 + 0.15 * grain) * (1 - 0.35 * cracks), 0.7)
+        )
+    return made
+
+
+def seen(panel, wavelengths, shift, seed):
+    rng = np.random.default_rng(seed)
+    views = []
+    for image, nm in zip(panel, wavelengths, strict=True):
+        moved = ndimage.shift(image, shift, order=3, mode="nearest")[20:-20, 20:-20]
+        noisy = (moved + rng.normal(0, 0.004, moved.shape)).astype(np.float32)
+        views.append(BandImage.of(f"{nm}", noisy, nm))
+    return views
+
+
+@pytest.fixture(scope="module")
+def ours():
+    return seen(icon(1), (450, 550, 650), (0, 0), 1)
+
+
+@pytest.mark.parametrize("hand", [2, 3])
+def test_another_painting_by_the_same_pattern_in_the_same_place_is_refused(ours, hand):
+    found = register(ours, seen(icon(hand), (460, 540, 660), (1.3, -2.4), 2), reference_band="550")
+    assert found.verdict.decision == "refuse"
+    assert any("another painting by the same pattern" in reason for reason in found.verdict.reasons)
+
+
+def test_of_another_painting_in_light_that_the_reference_does_not_see_that_is_doubted(ours):
+    found = register(ours, seen(icon(2)[:1], (900,), (1.3, -2.4), 2), reference_band="550")
+    assert found.verdict.decision != "accept"
+    assert any("may be another painting" in reason for reason in found.verdict.reasons)
+
+
+def test_the_same_painting_is_accepted(ours):
+    found = register(ours, seen(icon(1), (460, 540, 660), (1.3, -2.4), 2), reference_band="550")
+    assert found.verdict.decision == "accept"
+    assert found.verdict.numbers["sensor"]["borne_out"]["strange"] < 0.05
+
+
+# --- what is recorded -------------------------------------------------------------------------
+
+
+def test_a_map_that_never_comes_to_rest_says_so(ours, monkeypatch):
+    target = seen(icon(1), (460, 540, 660), (1.3, -2.4), 2)
+    rested = register(ours, target, reference_band="550")
+    assert rested.model["sensors"][0]["settled"] is True
+    monkeypatch.setattr("levkas.registration.pyramid.STILL", 0.0)
+    found = register(ours, target, reference_band="550")
+    sensor = found.model["sensors"][0]
+    assert (sensor["rounds"], sensor["settled"]) == (8, False)
+    assert found.verdict.decision == "warn"
+    assert any("not come to rest in the last of 8 rounds" in r for r in found.verdict.reasons)
+
+
+def test_the_object_that_was_told_from_its_background_is_recorded(ours):
+    framed = [
+        BandImage.of(b.label, np.pad(b.values, 40, constant_values=0.02), b.wavelength)
+        for b in ours
+    ]
+    mask = register(framed, framed[:1], reference_band="550").model["mask"]
+    share = SIZE[0] * SIZE[1] / ((SIZE[0] + 80) * (SIZE[1] + 80))
+    assert mask["automatic"] and mask["share"] == pytest.approx(share, abs=0.06)
+    low, high = np.min(mask["outline"], 0), np.max(mask["outline"], 0)
+    np.testing.assert_allclose([*low, *high], [40, 40, 339, 269], atol=8)
+    whole = describe_mask(find_object(np.ones((60, 80))), (1, 2, 30, 40))
+    assert whole == {"automatic": False, "share": 1.0, "outline": [], "region": [1, 2, 30, 40]}
+
+
+def test_check_points_are_measured_in_the_band_in_which_they_were_placed(studio):
+    """Two bands 2 px apart by lateral colour: points placed in either are right in that one alone."""
+    painting = studio.paint(12)
+    maps = {
+        "450 nm": Affine(np.array([[1.0, 0, 5.0], [0, 1.0, 3.0]])),
+        "650 nm": Affine(np.array([[1.008, 0, 3.8], [0, 1.008, 2.1]])),
+    }
+    reference = BandImage.of("550 nm", studio.photograph(painting, STILL, seed=1), 550)
+    target = [
+        BandImage.of(label, studio.photograph(painting, truth.inverse, seed=3), float(label[:3]))
+        for label, truth in maps.items()
+    ]
+    points = np.array([[250.0, 190], [40, 180], [230, 30]])
+    checks = [np.hstack([points, truth(points)]) for truth in maps.values()]
+    placed = ("450 nm",) * 3 + ("650 nm",) * 3
+    hand = {"": Given(checks=np.concatenate(checks), placed=placed)}
+    found = register([reference], target, reference_band="550 nm", given=hand)
+    told = found.errors["check_points"]
+    assert [one["band"] for one in told] == list(placed)
+    assert max(one["error"] for one in told) < 0.15
+    assert found.matches.residual[found.matches.state == "check"].max() < 0.15
+    # In the sensor's first band all of them would be measured wrongly.
+    apart = np.linalg.norm(maps["650 nm"](points) - maps["450 nm"](points), axis=1)
+    assert apart.min() > 0.5
+
+
+def test_the_trace_is_of_the_windows_that_the_map_rests_on(half_blank):
+    found, _ = half_blank
+    trace = found.to_dict()["trace"]
+    (sensor,) = trace["sensors"]
+    assert (trace["kind"], sensor["source"], sensor["band"]) == ("windows", "NIR", "NIR")
+    windows, checks = sensor["windows"], Checks.from_dict(sensor["checks"])
+    held = np.array([v for v in windows["held_out"] if v is not None], float)
+    assert 0.8 < len(held) / sensor["count"] <= 1
+    shift = np.hypot(windows["shift_x"], windows["shift_y"])
+    assert 0 < np.median(shift) <= np.median(held) < 1
+    numbers = found.errors["sensors"][""]
+    assert int(checks.confirmed.sum()) == numbers["borne_out"]["agreeing"]
+    (figure,) = draw_basis(trace, (300, 230))
+    assert figure.svg.count("<circle") == len(checks.found)
+    assert f"{sensor['count']} windows" in figure.svg
+
+
+def test_windows_that_were_found_lie_where_they_were_whatever_map_is_judged():
+    before, after = (
+        Affine(np.array([[2.0, 0, 5], [0, 2, 7]])),
+        Affine(np.array([[2.0, 0, 11], [0, 2, 7]])),
+    )
+    places = np.array([[10.0, 10], [50, 10], [90, 10]])
+    seen = Checks(places, np.zeros((3, 2)), np.array([True, True, False]), 1.0, 40.0)
+    moved = seen.through(before, after)
+    np.testing.assert_allclose(moved.shift, [[-3.0, 0]] * 3)
+    assert seen.confirmed.tolist() == [True, True, False] and not moved.confirmed.any()
+    assert Checks.from_dict(seen.to_dict()).to_dict() == seen.to_dict()

@@ -1,0 +1,91 @@
+"""What the package imports is what it declares, and it imports where there is nothing of Unix."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+NOT_INSTALLED = {
+    "SimpleITK": "simpleitk", "ants": "antspyx", "itk": "itk-elastix", "mahotas": "mahotas",
+    "mitsuba": "mitsuba",
+}  # fmt: skip
+"""Import name → distribution of the extras that the tests' environment does not have."""
+UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
+
+
+def imported():
+    """Import names of the package's sources that are not of Python itself → one file that imports them."""
+    found = {}
+    for path in sorted((ROOT / "src" / "levkas").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and not node.level:
+                modules = [node.module]
+            for module in modules:
+                found.setdefault(module.partition(".")[0], path.name)
+    return {n: p for n, p in found.items() if n not in sys.stdlib_module_names and n != "levkas"}
+
+
+def distributions(name):
+    told = metadata.packages_distributions().get(name, [NOT_INSTALLED.get(name, name)])
+    return {canonicalize_name(one) for one in told}
+
+
+def declared(texts):
+    return {canonicalize_name(Requirement(text).name) for text in texts}
+
+
+def test_every_package_that_is_imported_is_declared():
+    extras = PROJECT["optional-dependencies"]
+    known = declared([*PROJECT["dependencies"], *extras["peers"], *extras["render"]])
+    missing = {name: path for name, path in imported().items() if not distributions(name) & known}
+    assert missing == {}
+
+
+def test_every_package_that_is_declared_is_imported():
+    extras = PROJECT["optional-dependencies"]
+    used = set().union(*map(distributions, imported()))
+    asked = declared([*PROJECT["dependencies"], *extras["peers"], *extras["render"]])
+    assert asked - used == set()
+
+
+def test_locks_name_what_is_declared_and_no_registry():
+    for lock, extras in {
+        "requirements.lock": ("test", "lint", "docs"),
+        "requirements-render.lock": ("render",),
+        "requirements-peers.lock": ("peers",),
+        "requirements-fuzz.lock": ("fuzz",),
+    }.items():
+        text = (ROOT / lock).read_text(encoding="utf-8")
+        pinned = {line.partition("==")[0] for line in text.splitlines() if "==" in line}
+        optional = PROJECT["optional-dependencies"]
+        wanted = [*PROJECT["dependencies"], *(one for name in extras for one in optional[name])]
+        assert declared(wanted) <= pinned, lock
+        assert "://" not in text and "--index-url" not in text, lock
+
+
+def test_every_module_imports_where_there_is_nothing_of_unix():
+    """As on Windows: a module that is not there is None in `sys.modules`."""
+    code = (
+        "import importlib, pkgutil, sys\n"
+        f"sys.modules.update(dict.fromkeys({UNIX!r}))\n"
+        "import levkas\n"
+        "failed = []\n"
+        "for module in pkgutil.walk_packages(levkas.__path__, 'levkas.', failed.append):\n"
+        "    try:\n"
+        "        importlib.import_module(module.name)\n"
+        "    except ImportError as error:\n"
+        "        failed.append(f'{module.name}: {error}')\n"
+        "print(len(sys.modules), *failed, sep='\\n')\n"
+        "sys.exit(bool(failed))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert int(run.stdout.split()[0]) > 400
