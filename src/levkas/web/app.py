@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import os
+import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_urlsafe
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from levkas.problems import Problem, Refused
 from levkas.web.guard import App, Guard, cookie_of
 
 if TYPE_CHECKING:
+    import uvicorn
+
     from levkas.workbench.library import Library
 
 TOKEN_BYTES = 32
@@ -46,13 +51,17 @@ class Address:
         return f"http://{HOST}:{self.port}/#{self.token}"
 
 
-def make_app(library: Library, *, port: int, token: str) -> App:
-    """Return the application for one campaign, behind its guard."""
+def make_app(
+    library: Library, *, port: int, token: str, entered: Callable[[], object] = lambda: None
+) -> App:
+    """Return the application for one campaign, behind its guard; `entered` as `routes` takes it."""
     from starlette.applications import Starlette
+    from starlette.exceptions import HTTPException
 
-    from levkas.web.routes import routes
+    from levkas.web.routes import refuse_http, routes
 
-    inner = Starlette(routes=routes(library, token=token, cookie=cookie_of(port)))
+    table = routes(library, token=token, cookie=cookie_of(port), entered=entered)
+    inner = Starlette(routes=table, exception_handlers={HTTPException: refuse_http})
     inner.router.redirect_slashes = False
     return Guard(inner, port=port, token=token)
 
@@ -62,6 +71,7 @@ def serve(
     *,
     output: Path | None = None,
     port: int = 0,
+    browse: bool = False,
     tell: Callable[[Address], None] = lambda address: None,
 ) -> None:
     """Serve the workbench of a campaign on 127.0.0.1 until it is interrupted.
@@ -73,6 +83,8 @@ def serve(
         The database, instead of the campaign's own.
     port : int
         0: any that is free.
+    browse : bool
+        Open the page in the browser.
     tell : callable
         Called with the address as soon as it listens.
 
@@ -98,19 +110,46 @@ def serve(
     threading.Thread(target=_warm_up, args=(library,), daemon=True).start()
     listening = _listen(port)
     address = Address(listening.getsockname()[1], token_urlsafe(TOKEN_BYTES))
-    app = make_app(library, port=address.port, token=address.token)
+    opening = OpeningPage(address)
+    app = make_app(library, port=address.port, token=address.token, entered=opening.remove)
     config = uvicorn.Config(
         app, log_level="warning", access_log=False, ws="none", lifespan="off",
         server_header=False, date_header=False, timeout_graceful_shutdown=1,
     )  # fmt: skip
+    server = uvicorn.Server(config)
     tell(address)
     sys.stdout.flush()
     try:
-        uvicorn.Server(config).run(sockets=[listening])
+        with _ending_alike(server):
+            if browse:
+                opening.show()
+            server.run(sockets=[listening])
     except KeyboardInterrupt:
         pass
     finally:
+        opening.remove()
         listening.close()
+
+
+@contextlib.contextmanager
+def _ending_alike(server: uvicorn.Server) -> Iterator[None]:
+    """Let the ends that a terminal or a system gives to a process be like Ctrl-C: what is open is closed.
+
+    uvicorn takes SIGINT and SIGTERM while it runs, SIGHUP not: an exception in the midst of its
+    loop would leave threads behind that keep the process alive.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers: dict[int, Any] = {signal.SIGTERM: signal.default_int_handler}
+    if hasattr(signal, "SIGHUP"):
+        handlers[signal.SIGHUP] = server.handle_exit
+    before = {one: signal.signal(one, handler) for one, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 def _check_campaign(folder: Path) -> None:
@@ -142,16 +181,38 @@ def _warm_up(library: Library) -> None:
                 return
 
 
-def open_browser(address: Address) -> None:
-    """Open the page; the token goes through a file of this user's, as all may read a command line."""
-    import tempfile
-    import webbrowser
+class OpeningPage:
+    """A page that leads a browser to the address, token included: all may read a command line.
 
-    from levkas.files import write_text
+    Only this user can read the file. It goes when the token has been handed in, and at the end in any case.
 
-    page = Path(tempfile.mkdtemp(prefix="levkas-")) / "open.html"
-    write_text(page, f'<meta http-equiv="refresh" content="0; url={address.url}">')
-    webbrowser.open(page.as_uri())
+    Parameters
+    ----------
+    address : Address
+    """
+
+    def __init__(self, address: Address) -> None:
+        self.address = address
+        self.path: Path | None = None
+
+    def show(self) -> None:
+        """Write the page and open it in the browser."""
+        import tempfile
+        import webbrowser
+
+        descriptor, name = tempfile.mkstemp(prefix="levkas-", suffix=".html")  # mode 0600
+        self.path = Path(name)
+        atexit.register(self.remove)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as page:
+            page.write(f'<meta http-equiv="refresh" content="0; url={self.address.url}">')
+        # A browser of the terminal holds the call until it ends; the server has to answer meanwhile.
+        threading.Thread(target=webbrowser.open, args=[self.path.as_uri()], daemon=True).start()
+
+    def remove(self) -> None:
+        """Take the page away; nothing happens where it is gone, or where Windows still reads it."""
+        if self.path is not None:
+            with contextlib.suppress(OSError):
+                self.path.unlink()
 
 
 def _listen(port: int) -> socket.socket:
