@@ -356,7 +356,7 @@ def _in_child(arguments, writer):
 def opened(database):
     """Open a database and read a spectrum of a layer, its flags and its sigma; as a command would say it."""
     import levkas
-    from levkas.problems import Refused
+    from levkas.core.problems import Refused
 
     status, said, error = 0, "", None
     try:

@@ -20,12 +20,12 @@ from levkas.building.whiteboard import read_spectrum
 from levkas.campaign import load_campaign
 from levkas.control_points.layers import is_table_of_frames, read_table_of_frames
 from levkas.control_points.reading import read_points
+from levkas.core.problems import Refused
 from levkas.edits import read_edits
 from levkas.finding.manifest import read_manifest
 from levkas.planning.lobes import read_lobe
 from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys
-from levkas.problems import Refused
 from levkas.radiometry.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
 from levkas.readers.exif import read_exif

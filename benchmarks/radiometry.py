@@ -19,7 +19,7 @@ from levkas.calibration.linearity import check_linearity
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import average
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.noise import Sensor, sample_values, snr_db
 from levkas.radiometry.blur import find_preblur

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.viewing import About, write_viewer

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from levkas.cube import Band
+from levkas.core.cube import Band
 from levkas.edits import Edits, FrameEdits, write_edits
 from levkas.registration.record import Matches
 from levkas.transforms import Affine

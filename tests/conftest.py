@@ -123,7 +123,7 @@ class Correctable:
         return "\n".join([head, *rows]) + "\n"
 
     def _write(self, folder, name, camera, picture):
-        from levkas.cube import Band, Cube
+        from levkas.core.cube import Band, Cube
         from levkas.database.layers import Layer, write_tiffs
 
         values = np.atleast_3d(picture).astype(np.float32)

@@ -16,7 +16,7 @@ from levkas.colour import (
     visible_coverage,
     xyz_weights,
 )
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
 from levkas.database.preview import encode_png
 from levkas.icc import srgb_profile
 from levkas.observer import tables

@@ -5,8 +5,8 @@ import pytest
 import tifffile
 
 from levkas.campaign import load_campaign
+from levkas.core.problems import Refused
 from levkas.discovery import find_captures
-from levkas.problems import Refused
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 

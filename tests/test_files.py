@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas import digests, disk, files, plain_json
-from levkas.disk import WriteRefused
+from levkas.core import digests, disk, files, json_safe
+from levkas.core.disk import WriteRefused
 
 OLD, NEW = b"old" * 1000, b"new" * 400_000
 
@@ -282,7 +282,7 @@ json_values = st.recursive(
 @settings(max_examples=60, deadline=None)
 @given(json_values)
 def test_json_is_read_as_it_was_written(value):
-    assert json.loads(plain_json.to_json(value)) == value
+    assert json.loads(json_safe.to_json(value)) == value
 
 
 def test_json_holds_no_nan_and_takes_numpy(tmp_path):

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.flags import MARKS, describe_marks
 from levkas.database.layers import Layer, write_tiffs
-from levkas.flags import MARKS, describe_marks
 from levkas.viewing.maps import CLEAR, flag_map
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "conventions.md"

@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 import levkas
 from levkas.cli import app
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.files import write_json
+from levkas.core.problems import Refused
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, list_files, write_manifest
 from levkas.database.store import write_index
-from levkas.files import write_json
-from levkas.problems import Refused
 from levkas.transforms import Affine
 
 MOST_S = 5.0

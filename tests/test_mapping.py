@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.files import write_json
+from levkas.core.files import write_json
 from levkas.mapping import (
     Frame,
     MappingRefused,
@@ -147,7 +147,7 @@ def test_what_is_no_frame_is_refused(text):
     ],
 )
 def test_frames_that_are_not_there_are_refused(database, name, source, match):
-    from levkas.problems import Refused
+    from levkas.core.problems import Refused
 
     with pytest.raises(Refused, match=match):
         map_points(database, name, np.zeros((1, 2)), source=source, target="grid")

@@ -33,7 +33,7 @@ def test_under_d65_it_is_the_picture_of_the_build():
     apart = xyz_weights_under(WAVES, "D65") / xyz_weights(WAVES)
     assert np.abs(apart[8:-6] - 1).max() < 2e-3
     from levkas.colour import find_rendering
-    from levkas.cube import Band
+    from levkas.core.cube import Band
 
     built = find_rendering([Band(f"{w:g} nm", w) for w in WAVES])(values)
     assert np.abs(relight(values, WAVES, "D65").astype(int) - built).max() <= 1

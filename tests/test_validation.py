@@ -8,13 +8,13 @@ from typer.testing import CliRunner
 
 from levkas import validation
 from levkas.cli import app
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.digests import hash_file
+from levkas.core.files import write_json
 from levkas.database.catalogue import DatabaseRefused, Entry, write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.store import write_index
-from levkas.digests import hash_file
-from levkas.files import write_json
 from levkas.validation import validate
 
 

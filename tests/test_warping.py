@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas import warping
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 from levkas.gridding import Grid
 from levkas.ledge import LedgeShift
 from levkas.pixelmap import LEDGE_SHARE, TOLERANCE_PX, _evaluate, lay

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
 from levkas.database.registrations import read_registrations
 from levkas.evaluation import (
@@ -19,7 +20,6 @@ from levkas.evaluation import (
     read_truth,
     summarise_errors,
 )
-from levkas.problems import Problem, Refused
 from levkas.readers.texts import read_json
 from levkas.transforms import from_dict
 
@@ -100,7 +100,7 @@ def assess(
     WriteRefused
         Where a file of somebody else's stands in the way of a map, or the disk refuses.
     """
-    from levkas.ownership import OwnFiles
+    from levkas.core.ownership import OwnFiles
 
     own = OwnFiles(maps, overwrite=overwrite) if maps else None
     output, beside = locate(Path(database))
@@ -280,8 +280,8 @@ def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float
         return None
     score, full = structural_similarity(base[0], ours[0], base[1] & ours[1])
     if maps is not None:
+        from levkas.core.files import make_folder, write_bytes
         from levkas.database.preview import encode_png
-        from levkas.files import make_folder, write_bytes
 
         make_folder(maps)
         layer = "_".join(

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from levkas.core.problems import Problem, Refused
 from levkas.declaring.contradictions import (
     find_contradictions,
     find_ineffective,
@@ -30,7 +31,6 @@ from levkas.declaring.tables import (
 )
 from levkas.declaring.toml import TomlRefused, read_toml
 from levkas.edits import FILE_NAME, Edits, read_edits
-from levkas.problems import Problem, Refused
 
 __all__ = [
     "Camera",

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from levkas import __version__
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 app = typer.Typer(
     name="levkas",
@@ -102,7 +102,7 @@ def _refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., Non
 
 
 def _memory_ran_out() -> Problem:
-    from levkas.machine import MEMORY, memory_bound
+    from levkas.core.machine import MEMORY, memory_bound
 
     bound = memory_bound()
     return Problem(
@@ -349,7 +349,7 @@ def chart(
 ) -> None:
     """Find colour charts and measure signal-to-noise, blur, colour, tone and white balance."""
     from levkas.building.charting import measure_charts
-    from levkas.ownership import require_free
+    from levkas.core.ownership import require_free
     from levkas.radiometry.charts import parse_corners
 
     if output is not None:
@@ -363,7 +363,7 @@ def chart(
         objects=objects or (),
     )
     if output is not None:
-        from levkas.files import write_text
+        from levkas.core.files import write_text
 
         write_text(output, report.page(subject.name))
     _report("chart", as_json, report.ok, report.problems, **report.to_dict())
@@ -388,8 +388,8 @@ def map_points(
     overwrite: Overwrite = False,
 ) -> None:
     """Map points between any two pixel frames of an object."""
+    from levkas.core.ownership import require_free
     from levkas.mapping import map_table
-    from levkas.ownership import require_free
     from levkas.readers.texts import read_stream, read_text
 
     if output is not None:
@@ -405,7 +405,7 @@ def map_points(
     if output is None:
         typer.echo(mapped, nl=False)
         return
-    from levkas.files import write_text
+    from levkas.core.files import write_text
 
     write_text(output, mapped)
 

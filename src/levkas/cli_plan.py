@@ -39,7 +39,7 @@ def light(
     as_json: Json = False,
 ) -> None:
     """Evenness, glare, relief and bright field of a lighting, and what each lever would change."""
-    from levkas.ownership import require_free
+    from levkas.core.ownership import require_free
     from levkas.planning.saying import light_record, light_text
 
     for path in filter(None, (report, render)):

@@ -31,7 +31,7 @@ def radiometry(
 
     Nothing is written but the page that --output asks for.
     """
-    from levkas.ownership import require_free
+    from levkas.core.ownership import require_free
     from levkas.sensors import examine_with_seed
 
     if output is not None:

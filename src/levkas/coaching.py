@@ -15,6 +15,7 @@ from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.coached_frames import Shot, files_at, gather_shots
+from levkas.core.problems import Problem, Refused
 from levkas.exposure import (
     Advice,
     Reading,
@@ -26,7 +27,6 @@ from levkas.exposure import (
 )
 from levkas.full_scales import FullScale, find_full_scale, not_known
 from levkas.noise import Sensor
-from levkas.problems import Problem, Refused
 from levkas.readers.frames import read_facts
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels

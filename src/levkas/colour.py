@@ -17,7 +17,7 @@ from levkas.observer import tables_by_nm
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.cube import Band, Cube
+    from levkas.core.cube import Band, Cube
 
 SRGB_TO_XYZ = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from levkas.ownership import stands_in
-from levkas.problems import Problem, Refused
+from levkas.core.ownership import stands_in
+from levkas.core.problems import Problem, Refused
 
 
 class DemonstrationRefused(Refused):

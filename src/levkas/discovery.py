@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from levkas.cube import find_band
+from levkas.core.cube import find_band
+from levkas.core.problems import Problem, Refused
 from levkas.declaring.contradictions import is_safe_name, meant
 from levkas.finding.captures import (
     Capture,
@@ -18,7 +19,6 @@ from levkas.finding.files import nearest
 from levkas.finding.patterns import natural
 from levkas.finding.sensors import frames_of_sensors
 from levkas.finding.survey import Survey, declared_targets, look, patterns_of
-from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.campaign import Campaign

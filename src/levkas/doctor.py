@@ -17,8 +17,8 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 from levkas import __version__
-from levkas.machine import Finding, find_disk, find_kernel_cache, find_memory, find_threads
-from levkas.problems import Problem
+from levkas.core.machine import Finding, find_disk, find_kernel_cache, find_memory, find_threads
+from levkas.core.problems import Problem
 
 OLDEST_PYTHON = (3, 11)
 OLDEST_LIBRAW = (0, 22, 1)

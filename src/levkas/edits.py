@@ -17,7 +17,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.discovery import Capture
@@ -249,7 +249,7 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
 
 def write_edits(path: Path, edits: Edits) -> None:
     """Write edits.toml: the same corrections give the same bytes, in whatever order they were made."""
-    from levkas.files import write_text
+    from levkas.core.files import write_text
 
     write_text(path, to_text(edits))
 
@@ -288,8 +288,8 @@ def change_edits(
     WriteRefused, Taken
         Where it cannot be written, or another process holds it.
     """
-    from levkas.files import together, write_text
-    from levkas.locks import locked
+    from levkas.core.files import together, write_text
+    from levkas.core.locks import locked
 
     with locked(path.with_name(f".{path.name}.lock")):
         for _ in range(MOST_TURNS):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.readers.frames import Facts, read_frame
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from math import ceil, cos, radians, sin
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.transforms import Affine
 
 QUARTERS: dict[float, tuple[float, float]] = {

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from levkas.cube import find_band
+from levkas.core.cube import find_band
+from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
 from levkas.database.registrations import RecordRefused, read_registration
-from levkas.problems import Problem, Refused
 from levkas.readers.facts import check_memory
 from levkas.transforms import Affine, Inverse, Transform, from_dict
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.core.machine import count_threads
 from levkas.ledge import LedgeShift
-from levkas.machine import count_threads
 
 if TYPE_CHECKING:
     from levkas.transforms import Transform

@@ -13,6 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from levkas.core.digests import hash_file
+from levkas.core.machine import count_threads
+from levkas.core.problems import Problem
 from levkas.database.agreement import stem_of
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.catalogue import DatabaseRefused, read_catalogue
@@ -32,9 +35,6 @@ from levkas.database.manifest import (
     plain,
     read_manifest,
 )
-from levkas.digests import hash_file
-from levkas.machine import count_threads
-from levkas.problems import Problem
 
 BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
 
@@ -112,7 +112,7 @@ def validate(
     database : path
         A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag.
     threads : int, optional
-        For hashing; default: `levkas.machine.count_threads`.
+        For hashing; default: `levkas.core.machine.count_threads`.
     draw : callable
         Consumes the steps; the command line draws them.
 

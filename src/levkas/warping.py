@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.cache_lines import empty
-from levkas.machine import count_threads, tile_rows
+from levkas.core.machine import count_threads, tile_rows
 from levkas.pixelmap import (
     COARSE,
     Lattice,
@@ -44,7 +44,7 @@ class Warped:
     ----------
     values : ndarray, (rows, width, bands), float32
     flags : ndarray, (rows, width, bands), uint8
-        Bit field of `levkas.cube.Flag`.
+        Bit field of `levkas.core.cube.Flag`.
     variance : ndarray, (rows, width, bands), float32, or None
     """
 

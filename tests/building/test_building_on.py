@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from levkas.building import build, status, summarise
 from levkas.cli import app
-from levkas.digests import hash_tree
+from levkas.core.digests import hash_tree
 from levkas.validation import validate
 
 

@@ -13,8 +13,8 @@ import levkas
 from levkas.building import build, status, summarise
 from levkas.building.charting import measure_charts
 from levkas.cli import app
-from levkas.digests import hash_file
-from levkas.problems import Refused
+from levkas.core.digests import hash_file
+from levkas.core.problems import Refused
 from levkas.radiometry.charts import CHARTS, reference_of
 
 CLASSIC = CHARTS["ColorChecker24"]

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from levkas.assessment import assess
 from levkas.building import build, status, summarise
 from levkas.cli import app
-from levkas.digests import hash_tree
-from levkas.disk import WriteRefused
-from levkas.problems import Refused
+from levkas.core.digests import hash_tree
+from levkas.core.disk import WriteRefused
+from levkas.core.problems import Refused
 from levkas.validation import validate
 
 

@@ -13,9 +13,9 @@ from levkas.building.developing import develop
 from levkas.building.ledger import Hashes
 from levkas.building.shelf import Shelf
 from levkas.campaign import load_campaign
-from levkas.cube import Flag
+from levkas.core.cube import Flag
+from levkas.core.problems import Refused
 from levkas.discovery import find_captures
-from levkas.problems import Refused
 
 GAIN, READ, BLACK = 0.25, 2.0, 64.0
 KEYS = """

@@ -14,9 +14,9 @@ from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign import CampaignInvalid, load_campaign
 from levkas.cli import app
-from levkas.cube import Flag
+from levkas.core.cube import Flag
+from levkas.core.problems import Refused
 from levkas.discovery import find_captures
-from levkas.problems import Refused
 
 KEYS = """
 [campaign]

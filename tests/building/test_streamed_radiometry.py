@@ -13,7 +13,7 @@ from levkas.building.native import Native
 from levkas.building.scan_opening import open_scan
 from levkas.building.shelf import Shelf
 from levkas.campaign import load_campaign
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
 from levkas.discovery import find_captures
 from levkas.radiometry import sharpness

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas import disk
 from levkas.building import build, line_templates, registering, scans, streaming, summarise
 from levkas.building.developing import develop
 from levkas.building.held_lines import HeldLines
@@ -16,10 +15,11 @@ from levkas.building.scans import Scan, is_streamed
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign import load_campaign
-from levkas.cube import Band, Cube, Flag
+from levkas.core import disk
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.digests import hash_tree
 from levkas.database.layers import Layer, write_layer
 from levkas.database.spooling import write_rows
-from levkas.digests import hash_tree
 from levkas.discovery import find_captures
 from levkas.simulation import simulate_campaign
 from levkas.transforms import Affine

@@ -9,7 +9,10 @@ import xarray
 import zarr
 
 import levkas
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.digests import hash_file, hash_tree
+from levkas.core.files import write_json
+from levkas.core.rounding import round_sigma
 from levkas.database.catalogue import (
     COLUMNS,
     DatabaseRefused,
@@ -19,9 +22,6 @@ from levkas.database.catalogue import (
 from levkas.database.credits import Credits
 from levkas.database.layers import Layer, centres_of, write_layer
 from levkas.database.spectral_tiff import read_stiff, write_stiff
-from levkas.digests import hash_file, hash_tree
-from levkas.files import write_json
-from levkas.rounding import round_sigma
 
 
 def cube_of(bands, *, seed=0, sigma=True, shape=(60, 80)):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 

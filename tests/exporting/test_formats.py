@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import levkas
 from levkas.cli import app
+from levkas.core.digests import hash_tree
 from levkas.database.spectral_tiff import read_tiff_pages
-from levkas.digests import hash_tree
 from levkas.exporting import export
 from levkas.exporting.hdf5 import USER_BLOCK, lookup3
 from levkas.exporting.layer import ExportLayer, ExportRefused

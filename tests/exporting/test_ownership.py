@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 from levkas.cli import app
 from levkas.control_points.points import ControlPoints
 from levkas.control_points.reading import write_points
-from levkas.digests import hash_tree
-from levkas.disk import WriteRefused
+from levkas.core.digests import hash_tree
+from levkas.core.disk import WriteRefused
+from levkas.core.ownership import MARK
+from levkas.core.problems import Refused
 from levkas.exporting.run import FORMS, export
-from levkas.ownership import MARK
-from levkas.problems import Refused
 
 
 def exported(database, form, folder, **options):

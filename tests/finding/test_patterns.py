@@ -4,10 +4,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from levkas.core.problems import Refused
 from levkas.finding.files import find
 from levkas.finding.matching import match_pieces
 from levkas.finding.patterns import Pattern, _compiled, _pieces, natural
-from levkas.problems import Refused
 
 
 def read(pattern, path, **known):

@@ -2,8 +2,8 @@ import bagit
 import pytest
 
 import levkas
-from levkas.digests import hash_tree
-from levkas.problems import Refused
+from levkas.core.digests import hash_tree
+from levkas.core.problems import Refused
 from levkas.publishing import run
 from levkas.validation import validate
 

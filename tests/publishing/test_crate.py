@@ -3,7 +3,7 @@ import warnings
 
 import pytest
 
-from levkas.plain_json import to_json
+from levkas.core.json_safe import to_json
 from levkas.publishing.crate import NAME
 from levkas.publishing.crate_rules import ask_validator, check_crate
 

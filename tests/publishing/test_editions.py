@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import levkas
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_tiffs
 from levkas.publishing.editions import credits_of, fit_size, map_of, shrink
 from levkas.validation import validate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from levkas.digests import hash_tree
+from levkas.core.digests import hash_tree
 from levkas.publishing.iiif import LOCAL, never_html
 from levkas.publishing.iiif_rules import check_iiif
 from levkas.publishing.tiles import cut_tiles, tile_names

@@ -9,10 +9,10 @@ import shutil
 import bagit
 import pytest
 
+from levkas.core.digests import hash_tree
+from levkas.core.problems import Refused
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.manifest import NAME, write_manifest
-from levkas.digests import hash_tree
-from levkas.problems import Refused
 from levkas.publishing import run
 from levkas.validation import validate
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import levkas
-from levkas.cube import Band, Cube, band_labels
+from levkas.core.cube import Band, Cube, band_labels
+from levkas.core.rounding import round_sigma
 from levkas.database.layers import Layer, write_layer, write_tiffs
 from levkas.exporting.envi import write_envi
 from levkas.exporting.layer import ExportLayer
-from levkas.rounding import round_sigma
 from levkas.validation import validate
 
 SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9), st.integers(1, 4))

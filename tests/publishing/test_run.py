@@ -2,10 +2,10 @@ import tomllib
 
 import pytest
 
+from levkas.core.digests import hash_tree
+from levkas.core.disk import WriteRefused
+from levkas.core.problems import Refused
 from levkas.database.manifest import NAME, write_manifest
-from levkas.digests import hash_tree
-from levkas.disk import WriteRefused
-from levkas.problems import Refused
 from levkas.publishing import run
 from levkas.publishing.facts import licence_of, read_facts
 from levkas.publishing.publication import PublishRefused

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
 from levkas.radiometry.charts import (
     CHARTS,
     ChartRefused,

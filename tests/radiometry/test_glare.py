@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 from levkas.radiometry.glare import Glare, find_glare, flag_glare, mark_glare
 from levkas.radiometry.places import choose_places
 from levkas.radiometry.ranges import scene_ranges, sensor_stops

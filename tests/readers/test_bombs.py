@@ -815,7 +815,7 @@ def readers():
 
 def tell(read, path):
     """Read one file; return what came of it as plain values."""
-    from levkas.problems import Refused
+    from levkas.core.problems import Refused
 
     started = time.perf_counter()
     try:

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.record import COLUMNS, Matches, Registration, RegistrationRefused, Verdict
 from levkas.transforms import Affine
 

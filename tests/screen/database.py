@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.files import write_json, write_text
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
-from levkas.files import write_json, write_text
 from levkas.transforms import Affine, Composed, Homography, Polynomial
 
 SIZE = (150, 130)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
+from levkas.core.digests import hash_tree
 from levkas.database.tiff_pages import open_pages
-from levkas.digests import hash_tree
 from levkas.viewing import spectra
 from levkas.viewing.pyramid import OVERLAP_PX, TILE_PX, cut, halve, write_pyramid
 from levkas.viewing.relighting import ILLUMINANTS, observer_under, relighting_matrix

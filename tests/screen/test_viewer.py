@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from levkas.cube import Flag
+from levkas.core.cube import Flag
+from levkas.core.flags import MARKS
 from levkas.database.tiff_pages import open_pages
-from levkas.flags import MARKS
 from levkas.mapping import find_map
 from levkas.viewing.pictures import shown_band
 

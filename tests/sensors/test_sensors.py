@@ -8,7 +8,7 @@ import tifffile
 from typer.testing import CliRunner
 
 from levkas.cli import app
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 from levkas.sensors import examine_with_seed
 from levkas.sensors.facts import describe_files, describe_frame
 from levkas.sensors.page import render_page

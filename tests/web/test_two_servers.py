@@ -8,8 +8,8 @@ import tomllib
 import pytest
 from starlette.testclient import TestClient
 
+from levkas.core.locks import Taken, locked
 from levkas.edits import FrameEdits, change_edits, read_edits
-from levkas.locks import Taken, locked
 from levkas.web.app import make_app
 from levkas.web.guard import cookie_of
 from levkas.workbench.answer import from_bytes

@@ -15,8 +15,8 @@ from levkas.building.native import GROUP, ROWS
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.cube import Cube
-from levkas.problems import Problem
+from levkas.core.cube import Cube
+from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.calibration.noise_fit import NoiseModel

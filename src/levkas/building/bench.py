@@ -13,7 +13,7 @@ from levkas.building.codes import check_codes, doubt_codes, spread, thin_rows
 from levkas.building.exposure_times import times_of
 from levkas.calibration.gaps import close_gaps
 from levkas.calibration.templates import CalibrationRefused, Template, average
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 
 if TYPE_CHECKING:

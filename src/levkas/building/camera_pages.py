@@ -13,7 +13,7 @@ from levkas.building.ledger import Key, Ledger
 from levkas.building.measuring import FEW_BANDS, SENSELS, levels_of
 from levkas.building.sources import code_version
 from levkas.building.steps import Step
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,7 +71,7 @@ class CameraPages:
             yield self._write(camera, key, prints, why, shelf)
 
     def _write(self, camera: str, key: Key, prints: dict[str, Any], why: str, shelf: Shelf) -> Step:
-        from levkas.files import make_folder, write_text
+        from levkas.core.files import make_folder, write_text
 
         page = self.places.output / "cameras" / camera / "report.html"
         try:
@@ -89,7 +89,7 @@ class CameraPages:
 
     def _describe(self, camera: str, folder: Path) -> list[Path]:
         from levkas.building.camera_files import describe_camera, write_sensitivity
-        from levkas.files import write_json
+        from levkas.core.files import write_json
 
         first = next(c for c in self.captures if c.camera == camera)
         path = folder / "camera.json"
@@ -101,7 +101,7 @@ class CameraPages:
     ) -> tuple[list[ChartMeasure], list[Problem], list[Path]]:
         from levkas.building.camera_files import write_chart
         from levkas.building.charting import develop_chart, measure_capture, problems_of
-        from levkas.disk import WriteRefused
+        from levkas.core.disk import WriteRefused
         from levkas.radiometry.charts import chart_of, reference_of
 
         made_files: list[Path] = []

@@ -122,8 +122,8 @@ class CaptureStages:
         from levkas.building.scan_opening import open_scan
         from levkas.building.scans import is_streamed
         from levkas.building.streaming import write_scan
-        from levkas.disk import require_space
-        from levkas.files import together
+        from levkas.core.disk import require_space
+        from levkas.core.files import together
 
         streamed = is_streamed(capture, self.campaign)
         if not streamed:
@@ -179,9 +179,9 @@ class CaptureStages:
         from levkas.building.native import least_bytes, read_sigma
         from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
         from levkas.building.scans import Scan
+        from levkas.core.disk import require_space
+        from levkas.core.files import make_folder
         from levkas.database.layers import Layer, write_layer
-        from levkas.disk import require_space
-        from levkas.files import make_folder
 
         grid, sampling, _ = self.frame.layout(native if capture is self.frame.capture else [])
         here = self.calibrated(capture, native)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.problems import Problem
 from levkas.database.containment import check_inside
-from levkas.problems import Problem
 from levkas.radiometry.charts import Chart, ChartRefused, chart_of
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.radiometry.measuring import ChartMeasure
 
 

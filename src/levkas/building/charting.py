@@ -12,8 +12,8 @@ import numpy as np
 
 from levkas.building.chart_cubes import Subject, is_database, read_cube_file, subjects_of
 from levkas.building.chart_report import ChartReport
-from levkas.cube import Cube
-from levkas.problems import Problem, Refused
+from levkas.core.cube import Cube
+from levkas.core.problems import Problem, Refused
 from levkas.radiometry.charts import Chart, ChartRefused, Reference, chart_of, reference_of
 from levkas.radiometry.measuring import ChartMeasure, Sighting, measure, sight
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign import CampaignInvalid
+from levkas.core.ownership import MARK, made, require_outside, stands_in
+from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
 from levkas.declaring.contradictions import no_place
-from levkas.ownership import MARK, made, require_outside, stands_in
-from levkas.problems import Problem, Refused
 from levkas.readers.texts import read_json
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def claim(
     WriteRefused
         Where something stands there that no build wrote, or the disk refuses.
     """
-    from levkas.files import make_folder, write_changed, write_text
+    from levkas.core.files import make_folder, write_changed, write_text
     from levkas.publishing.facts import NAME as IMPRINT
 
     check_apart(campaign, places.output, captures)

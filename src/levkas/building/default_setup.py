@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 from levkas.radiometry.glare import setup_gains
 
 if TYPE_CHECKING:

@@ -32,10 +32,10 @@ from levkas.building.native import Native
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.gaps import describe_gaps
 from levkas.calibration.templates import CalibrationRefused, Template, average
-from levkas.cube import Cube, Flag
-from levkas.problems import Problem, Refused
+from levkas.core.cube import Cube, Flag
+from levkas.core.problems import Problem, Refused
+from levkas.core.rounding import round_root
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
-from levkas.rounding import round_root
 
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf

@@ -12,7 +12,7 @@ from levkas.building.bench import Bench, exposure_of
 from levkas.building.exposure_times import doubt_scaling
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.calibration.exposures import Merged

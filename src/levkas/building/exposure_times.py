@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.digests import Stamp, stamp_of
-from levkas.problems import Problem
+from levkas.core.digests import Stamp, stamp_of
+from levkas.core.problems import Problem
 from levkas.readers.facts import Facts
 from levkas.readers.frames import read_facts
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from levkas.campaign import Campaign
+    from levkas.core.problems import Problem
     from levkas.discovery import Capture, FrameRef
-    from levkas.problems import Problem
 
 STAGES = ("calibrate", "register", "resample")
 CALIBRATION_KEYS = (

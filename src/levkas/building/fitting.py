@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import prod
 from typing import TYPE_CHECKING
 
-from levkas.machine import free_memory, memory_bound
-from levkas.problems import Problem, Refused
+from levkas.core.machine import free_memory, memory_bound
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from pathlib import Path

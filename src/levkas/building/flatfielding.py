@@ -11,9 +11,9 @@ from levkas.building.bench import Bench, placed
 from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.gaps import describe_gaps, gaps_of
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.cube import Cube, Flag
-from levkas.problems import Problem
-from levkas.rounding import round_root, round_values
+from levkas.core.cube import Cube, Flag
+from levkas.core.problems import Problem
+from levkas.core.rounding import round_root, round_values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

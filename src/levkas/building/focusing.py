@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.measuring import as_number
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.building.native import Native
-    from levkas.cube import Band, Cube
+    from levkas.core.cube import Band, Cube
 
 MOST_BANDS = 24
 """Bands of a camera whose focus is measured, evenly over all; neighbours are alike."""

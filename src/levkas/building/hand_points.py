@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.given import Given
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def declared_points(campaign: Campaign, capture: Capture, channel: str = "") -> 
 
 def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
     """Return what a registration's fingerprint says of the points."""
-    from levkas.digests import hash_file
+    from levkas.core.digests import hash_file
 
     path = points_file(campaign, capture)
     if path is None:

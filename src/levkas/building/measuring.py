@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
-    from levkas.cube import Band, Cube
+    from levkas.core.cube import Band, Cube
     from levkas.radiometry.light import LightField
 
 FEW_BANDS = 5
@@ -193,7 +193,7 @@ def flag_and_count(
     `other` are values and flags of the same pixels of the same camera under its default setup. Pixels are
     judged one by one: rows give what the whole layer gives, for the same `gains` of the setups.
     """
-    from levkas.cube import Flag
+    from levkas.core.cube import Flag
     from levkas.radiometry.glare import find_glare, flag_glare
 
     seen = int(np.count_nonzero(((cube.flags & Flag.OUTSIDE) == 0).all(-1)))

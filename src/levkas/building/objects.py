@@ -26,8 +26,8 @@ from levkas.building.withdrawing import (
     refused_step,
     withdraw,
 )
-from levkas.machine import give_back_memory, steady_libraries
-from levkas.problems import Problem, Refused
+from levkas.core.machine import give_back_memory, steady_libraries
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.building.native import Native

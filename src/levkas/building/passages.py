@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from levkas.building.scans import Scan
-    from levkas.cube import Cube
+    from levkas.core.cube import Cube
 
 
 class Passage:

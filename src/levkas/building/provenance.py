@@ -11,7 +11,7 @@ from levkas.building import fingerprints
 from levkas.building.exposure_times import Times, times_of
 from levkas.building.rig_mates import joint_keys
 from levkas.building.sources import LIBRARIES
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 from levkas.readers.frames import files_of
 
 if TYPE_CHECKING:

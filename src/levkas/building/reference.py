@@ -59,7 +59,7 @@ class ReferenceFrame:
         return self.captures[0]
 
     def band(self) -> str:
-        from levkas.cube import find_band
+        from levkas.core.cube import find_band
 
         bands = self.capture.bands
         wanted = self.campaign.reference.band

@@ -186,7 +186,7 @@ def write_registration(
 
     `matches` are by sensor, the first one's under "". Raises WriteRefused.
     """
-    from levkas.files import make_folder, remove, write_json, write_text
+    from levkas.core.files import make_folder, remove, write_json, write_text
 
     name, layer = capture.object, capture.layer
     path = places.registration(name, layer)

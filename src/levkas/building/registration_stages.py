@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.steps import Step
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -157,7 +157,7 @@ class RegistrationStages:
         started: float,
     ) -> Step:
         from levkas.building import registering
-        from levkas.files import together
+        from levkas.core.files import together
 
         record, problems = measured.record, measured.problems
         with together(partial(self.ledger.forget, key)):

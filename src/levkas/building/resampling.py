@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.cube import Cube, Flag
+from levkas.core.cube import Cube, Flag
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -88,7 +88,7 @@ def resample(
     `sigma_of` gives the sigma of a sensor, and gives it away. `mosaics` are the sensors that were
     demosaiced: neighbours of theirs share noise.
     """
-    from levkas.rounding import round_root, round_values
+    from levkas.core.rounding import round_root, round_values
     from levkas.transforms import Composed
     from levkas.warping import warp
 

@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,7 +88,7 @@ class RigMates:
 
     def keep(self, capture: Capture, measured: Measured) -> Path:
         """Write a capture's own registration; raises WriteRefused."""
-        from levkas.files import make_folder, write_bytes
+        from levkas.core.files import make_folder, write_bytes
 
         path = self.path(capture)
         make_folder(path.parent)

@@ -13,12 +13,12 @@ from levkas.building.held_lines import HeldLines
 from levkas.building.measuring import add_counts, flag_and_count, ranges_of
 from levkas.building.resampling import count_flags, grey_of
 from levkas.cache_lines import empty
-from levkas.cube import Band, Cube, Flag
-from levkas.files import spooling
-from levkas.machine import tile_rows
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.files import spooling
+from levkas.core.machine import tile_rows
+from levkas.core.problems import Problem, Refused
+from levkas.core.rounding import round_root, round_values
 from levkas.pixelmap import PixelMap, lay
-from levkas.problems import Problem, Refused
-from levkas.rounding import round_root, round_values
 from levkas.transforms import Affine, Composed
 from levkas.warping import Warped, source_rows, warp
 
@@ -56,9 +56,9 @@ def write_scan(
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
     from levkas.building.focusing import Middle
     from levkas.building.passages import Passage, Reducer
+    from levkas.core.files import make_folder
     from levkas.database.layers import Layer
     from levkas.database.spooling import SpooledTiffs
-    from levkas.files import make_folder
 
     sensor = capture.sensors[0].name
     base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")

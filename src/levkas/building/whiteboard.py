@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.readers.texts import TextRefused, read_text
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.campaign import Campaign
-    from levkas.cube import Band
+    from levkas.core.cube import Band
 
 VISIBLE = (400.0, 700.0)
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from levkas.calibration.patterns import as_pattern, split
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.cube import Flag
-from levkas.problems import Problem
+from levkas.core.cube import Flag
+from levkas.core.problems import Problem
 
 HOT = 10.0  # robust sigmas of the dark above the neighbours
 LEAST_HOT = 5.0  # counts: below it subtraction of the dark is as good

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.machine import tile_rows
-from levkas.problems import Problem
+from levkas.core.machine import tile_rows
+from levkas.core.problems import Problem
 
 CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
 MOST_KEPT = 0.45  # of the dimensions: beyond it noise has been taken for signal

@@ -19,7 +19,7 @@ from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_li
 from levkas.calibration.moving import find_moved_between
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
 USABLE = 0.98  # of saturation: beyond it the response bends

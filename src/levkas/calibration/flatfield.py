@@ -18,7 +18,7 @@ from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.noise_fit import WORKED_OUT, NoiseModel
 from levkas.calibration.templates import CalibrationRefused, Template, bands_alike, pick_bands
 from levkas.calibration.whites import check_white, reflectance_table
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from numba import types
 
 from levkas.calibration.noise_fit import HIDES, WORKED_OUT
 from levkas.calibration.signatures import readonly
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 PRIOR = 60.0  # a noise model weighs as much as this many degrees of freedom of a stack
 SATURATED, BLACK, DEFECT = (np.uint8(f.value) for f in (Flag.SATURATED, Flag.BLACK, Flag.DEFECT))

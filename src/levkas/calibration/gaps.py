@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 
 def close_gaps(template: Template) -> Template:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from levkas.calibration.flattening import of_mean
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 from levkas.double_lanes import (
     doubles,
     load_doubles,

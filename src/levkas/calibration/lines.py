@@ -13,8 +13,8 @@ from levkas.calibration.gaps import gaps_of
 from levkas.calibration.layout import as_marks
 from levkas.calibration.templates import Template
 from levkas.calibration.whites import check_white, reflectance_table
-from levkas.cube import Flag
-from levkas.rounding import SIGMA_DROP, VALUE_DROP
+from levkas.core.cube import Flag
+from levkas.core.rounding import SIGMA_DROP, VALUE_DROP
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,7 +10,7 @@ from levkas.calibration import stencils
 from levkas.calibration.detail import interpolation_variance
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 METHODS: dict[str, Callable[[stencils.Place, int], stencils.Taps]] = {
     "malvar": stencils.malvar,

@@ -17,7 +17,7 @@ from levkas.calibration.clipping import DarkLevel
 from levkas.calibration.curves import Levels
 from levkas.calibration.estimates import SLOPE_TO, DarkModel, Moved, estimate
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 DRAWS = 200
 LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise

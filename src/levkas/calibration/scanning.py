@@ -12,8 +12,8 @@ import numpy as np
 
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.templates import CalibrationRefused, Template, average
-from levkas.cube import Flag
-from levkas.problems import Problem
+from levkas.core.cube import Flag
+from levkas.core.problems import Problem
 
 LEAST_OVERLAP = 8  # samples
 LEAST_CORRELATION = 0.7

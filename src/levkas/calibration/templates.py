@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.layout import as_marks, as_rows
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

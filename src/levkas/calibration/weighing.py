@@ -7,7 +7,7 @@ import numpy as np
 from numba import types
 
 from levkas.calibration.signatures import readonly
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 NEAR = np.uint8(Flag.NEAR.value)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.registration import BandImage

@@ -12,7 +12,7 @@ def main() -> None:
     out = os.dup(1)
     os.dup2(2, 1)  # what a library prints must not stand in the answer
     from levkas.comparison.trial import Trial, run_trial
-    from levkas.problems import Refused
+    from levkas.core.problems import Refused
 
     try:
         row = run_trial(Trial(**json.load(sys.stdin)))

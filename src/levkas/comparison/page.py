@@ -22,7 +22,7 @@ OTHER_INK = "#777777"
 
 def write_page(comparison: Comparison, folder: Path) -> Path:
     """Write comparison.html and comparison.json into a folder; return the page."""
-    from levkas.files import write_json, write_text
+    from levkas.core.files import write_json, write_text
 
     write_json(folder / "comparison.json", comparison.to_dict())
     path = folder / "comparison.html"

@@ -17,10 +17,10 @@ import numpy as np
 from levkas.comparison.captures import ComparisonRefused
 from levkas.comparison.methods import COMPARED
 from levkas.comparison.trial import Trial
+from levkas.core.machine import count_threads
+from levkas.core.ownership import OwnFiles
+from levkas.core.problems import Problem
 from levkas.database.registrations import read_registration, read_registrations
-from levkas.machine import count_threads
-from levkas.ownership import OwnFiles
-from levkas.problems import Problem
 
 Checks = Mapping[tuple[str, str, str], np.ndarray]
 TIME_LIMIT_S = 600.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.comparison.methods import COMPARED
 from levkas.comparison.running import Row
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def compare(
     """
     from levkas.assessment import locate, read_check_points
     from levkas.comparison.running import TIME_LIMIT_S, chosen_methods, run_rows
-    from levkas.ownership import OwnFiles
+    from levkas.core.ownership import OwnFiles
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)

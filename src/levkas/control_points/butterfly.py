@@ -16,7 +16,7 @@ import numpy as np
 from levkas.control_points.conventions import from_origin, to_origin
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
 from levkas.control_points.text import decode, number, rows, unreadable, write_rows
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 REMARK = "Assumes moving image(s) resized and padded to match target image dimensions"
 

@@ -18,7 +18,7 @@ from levkas.control_points import (
 )
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
 from levkas.control_points.text import check_lines
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.readers.texts import LARGEST_TABLE
 
 

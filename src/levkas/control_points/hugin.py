@@ -13,7 +13,7 @@ import re
 
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
 from levkas.control_points.text import LONGEST_LINE, decode, number, number_text, unreadable
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 _WORD = re.compile(r'([a-zA-Z]+)("[^"]*"|[^\s"]+)')
 

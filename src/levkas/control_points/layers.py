@@ -13,7 +13,7 @@ from levkas.control_points.dialects import sniff
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
 from levkas.control_points.reading import read_points
 from levkas.control_points.text import decode, rows, write_rows
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.readers.texts import TextRefused, read_text
 
 #: (object, CAMERA or CAMERA@SETUP, band; empty for the camera's reference channel)

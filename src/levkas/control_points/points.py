@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 MOST_POINTS = 100_000
 LARGEST_COORDINATE = 1e7

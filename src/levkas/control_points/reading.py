@@ -8,7 +8,7 @@ from pathlib import Path
 
 from levkas.control_points.dialects import DIALECTS, format_points, parse_points, sniff
 from levkas.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.readers.texts import LARGEST_TABLE, TextRefused, check_file
 
 _SIDES = (("reference", "target"), ("fixed", "moving"))
@@ -74,8 +74,8 @@ def write_points(
     WriteRefused
         Where a file of that name stands already, unless `overwrite`, or the disk refuses.
     """
-    from levkas.files import write_bytes
-    from levkas.ownership import require_free
+    from levkas.core.files import write_bytes
+    from levkas.core.ownership import require_free
 
     contents = format_points(points, dialect)
     path = Path(path)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from math import isfinite
 
 from levkas.control_points.points import MOST_POINTS, PointsRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 LONGEST_LINE = 4096
 LONGEST_TEXT_LINE = 4 * LONGEST_LINE

@@ -7,10 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from levkas.core.digests import hash_file
+from levkas.core.problems import Problem
 from levkas.database.agreement import ALIKE
 from levkas.database.manifest import NAME, Listed, Manifest, is_partial, unfinished
-from levkas.digests import hash_file
-from levkas.problems import Problem
 
 
 def hash_or_reason(path: Path) -> str:

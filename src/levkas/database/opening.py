@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import xarray
 from xarray.core import indexing
 
-from levkas.cube import Band, band_labels
+from levkas.core.cube import Band, band_labels
+from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.pixels import TiffPixels, ZarrPixels, read_group
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS, layer_name
 from levkas.database.tiff_pages import TiffPages, open_pages
-from levkas.problems import Problem
 from levkas.readers.texts import parse_bounded
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ class LayerArray(xarray.DataArray):
 
     @property
     def flags(self) -> LayerArray:
-        """The flags of these pixels, uint8: bits of `levkas.cube.Flag`."""
+        """The flags of these pixels, uint8: bits of `levkas.core.cube.Flag`."""
         return self._beside.open("flags")
 
     @property

@@ -12,11 +12,11 @@ import numpy as np
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from levkas.cube import Band
+from levkas.core.cube import Band
+from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.containment import check_inside
 from levkas.database.tiff_pages import DAMAGE, TiffPages, open_pages
-from levkas.problems import Problem, Refused
 from levkas.readers.texts import LARGEST_TABLE, read_json
 
 MOST_SAMPLES = 1 << 26

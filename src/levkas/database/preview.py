@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.files import write_bytes
+from levkas.core.files import write_bytes
 from levkas.icc import srgb_profile
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.problems import Problem, Refused
 from levkas.readers.texts import read_json
 from levkas.registration.uncertainty import Sigma
 from levkas.transforms import from_dict

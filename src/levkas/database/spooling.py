@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from levkas.colour import counts_white, find_rendering
+from levkas.core.files import spooling, together
 from levkas.database.catalogue import Entry
 from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
 from levkas.database.planes import GROUP
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import encode_strips, strip_rows, write_encoded_pages
 from levkas.database.store import writing_layer
-from levkas.files import spooling, together
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from levkas.colour import Rendering
-    from levkas.cube import Band, Cube
+    from levkas.core.cube import Band, Cube
     from levkas.database.store import LayerWriter
 
 KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
@@ -244,7 +244,7 @@ def write_rows(
     white : float, optional
         Count shown as white; default: by what is brightest in the first rows that come.
     before : callable, optional
-        As of `levkas.files.together`.
+        As of `levkas.core.files.together`.
 
     Raises
     ------

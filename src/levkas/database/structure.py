@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from levkas.core.problems import Problem, Refused
 from levkas.database.agreement import check_agreement
 from levkas.database.holdings import TWINS, Holdings, base_of
 from levkas.database.manifest import is_partial, unfinished
@@ -16,7 +17,6 @@ from levkas.database.soundness import (
     check_tiff,
 )
 from levkas.database.twins import check_stores
-from levkas.problems import Problem, Refused
 from levkas.readers.texts import read_json
 
 

@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
+from levkas.core.problems import Problem
 from levkas.declaring.tables import CameraKeys, Range, Sensor
 from levkas.finding.patterns import Pattern
-from levkas.problems import Problem
 
 KEYS_OF_KINDS = {
     "pattern": ("mosaic", "bands"),

@@ -8,9 +8,9 @@ from collections.abc import Collection, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 
+from levkas.core.problems import Problem
 from levkas.declaring.cameras import check_camera, check_pattern, wrong
 from levkas.declaring.tables import ONLY_OF_THE_PAPER, THRESHOLDS, Document, RegistrationKeys
-from levkas.problems import Problem
 
 LONGEST_NAME = 80
 MOST_COMPARED = 20_000

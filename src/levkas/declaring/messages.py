@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from levkas.core.problems import Problem
 from levkas.declaring.contradictions import meant
 from levkas.declaring.tables import Document
-from levkas.problems import Problem
 
 MOST_PROBLEMS = 100
 """That one report lists; a file with more is not of the kind that was looked for."""

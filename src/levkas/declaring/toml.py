@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.readers.texts import TextRefused, read_text
 
 LARGEST_FILE = 1 << 20

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from levkas.core.files import replacing, write_text
 from levkas.exporting.layer import ExportLayer
-from levkas.files import replacing, write_text
 
 TYPES = {"values": ("<f4", 4), "sigma": ("<f4", 4), "flags": ("u1", 1)}
 """Of the file, and ENVI's number for it."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.files import replacing
+from levkas.core.files import replacing
 
 USER_BLOCK = 512
 """MATLAB's own header stands before the HDF5 file; addresses count from behind it."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from levkas.core.files import replacing
 from levkas.exporting.layer import ExportLayer
-from levkas.files import replacing
 
 MOST_BYTES = 4_000_000_000
 """Of a classic TIFF."""

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from levkas.cube import Band
+from levkas.core.cube import Band
+from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
-from levkas.problems import Problem, Refused
 
 KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
 

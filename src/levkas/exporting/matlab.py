@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from levkas.core.files import replacing
 from levkas.exporting.layer import ExportLayer
-from levkas.files import replacing
 
 MOST_BYTES = 2_000_000_000
 """Of a variable, in version 5."""

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.files import replacing
 from levkas.exporting.layer import ExportLayer
-from levkas.files import replacing
 
 MOST_BYTES = 4_000_000_000
 """Of a variable, in classic NetCDF."""

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from levkas.core.files import write_bytes, write_text
 from levkas.exporting.hdf5 import Variable, write_mat73
 from levkas.exporting.layer import ExportLayer
-from levkas.files import write_bytes, write_text
 
 QUALITY = 95
 LISTS = {"train": "train_list.txt", "validation": "valid_list.txt", "test": "test_list.txt"}

@@ -9,9 +9,9 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
+from levkas.core.files import replacing, write_text
 from levkas.database.spectral_tiff import encode_strip, strip_rows
 from levkas.exporting.layer import ExportLayer
-from levkas.files import replacing, write_text
 
 METADATA, NODATA = 42112, 42113
 """GDAL's own tags: items of XML a band, and the value that means nothing is there."""

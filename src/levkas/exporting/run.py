@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from levkas.core.problems import Problem
 from levkas.exporting.layer import ExportLayer, ExportRefused
-from levkas.problems import Problem
 
 FORMS = {
     "imagej": "levkas.exporting.imagej:write_imagej",
@@ -77,8 +77,8 @@ def export(
     WriteRefused
         Where such a file stands in the way, or the disk refuses.
     """
+    from levkas.core.ownership import OwnFiles
     from levkas.database.opening import Database
-    from levkas.ownership import OwnFiles
 
     root = Path(database).resolve()
     opened = Database(root)

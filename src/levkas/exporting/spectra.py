@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from levkas.core.files import write_text
 from levkas.exporting.layer import ExportLayer
-from levkas.files import write_text
 
 MOST_SPECTRA = 10_000
 """Of one layer: pixels are taken at even steps."""

@@ -8,11 +8,11 @@ from dataclasses import replace
 from math import nan
 from typing import TYPE_CHECKING
 
-from levkas.cube import Band, band_labels
+from levkas.core.cube import Band, band_labels
+from levkas.core.problems import Problem
 from levkas.finding.bands import count_problem, described
 from levkas.finding.captures import CaptureRefused, FrameRef
 from levkas.finding.patterns import natural
-from levkas.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.campaign import Camera

@@ -9,9 +9,9 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.cube import Band, band_labels
+from levkas.core.cube import Band, band_labels
+from levkas.core.problems import Problem
 from levkas.finding.captures import CaptureRefused, Rows
-from levkas.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.campaign import Camera

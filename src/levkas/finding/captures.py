@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from levkas.cube import Band
-from levkas.problems import Refused
+from levkas.core.cube import Band
+from levkas.core.problems import Refused
 
 Rows = tuple[tuple[str, ...], ...]
 

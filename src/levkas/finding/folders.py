@@ -8,8 +8,8 @@ import unicodedata
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from levkas.core.problems import Problem, Refused
 from levkas.finding.patterns import natural
-from levkas.problems import Problem, Refused
 
 PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 """Names that an interrupted writer leaves behind."""

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from levkas.core.problems import Problem
 from levkas.finding.captures import CaptureRefused
 from levkas.finding.files import Found
-from levkas.problems import Problem
 from levkas.readers.texts import TextRefused, read_text
 
 EXPECTED = "a CSV with the columns file and exposure_s, in UTF-8"

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 MOST_STEPS = 200_000
 """Of one name; only placeholders that stand twice with many readings of the first come near it."""

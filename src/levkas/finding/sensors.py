@@ -7,16 +7,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from levkas.core.problems import Problem, Refused
 from levkas.finding.band_files import band_key, bands_by_name, label_templates
 from levkas.finding.bands import bands_in_file, bands_of_mosaic, count_problem, relabel
 from levkas.finding.captures import CaptureRefused, FrameRef, Rows, SensorFrames
 from levkas.finding.files import Found, in_natural_order
 from levkas.finding.survey import patterns_of
-from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.campaign import Camera
-    from levkas.cube import Band
+    from levkas.core.cube import Band
     from levkas.declaring.tables import Sensor
     from levkas.finding.survey import Survey
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from levkas.core.problems import Problem, Refused
 from levkas.finding.captures import CaptureRefused
 from levkas.finding.files import Found, find
 from levkas.finding.folders import Folders
 from levkas.finding.manifest import read_manifest, with_exposures
 from levkas.finding.patterns import Pattern
-from levkas.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.campaign import Camera, Campaign

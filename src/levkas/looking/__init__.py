@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from levkas.core.problems import Problem
 from levkas.looking.refusals import LookRefused
-from levkas.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.looking.proposal import Proposal
@@ -65,7 +65,7 @@ def write_campaign(proposal: Proposal) -> Path:
     WriteRefused
         Where the disk refuses.
     """
-    from levkas.files import write_text
+    from levkas.core.files import write_text
 
     path = proposal.root / FILE
     if path.exists() or path.is_symlink():

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from levkas.cube import band_labels
+from levkas.core.cube import band_labels
+from levkas.core.problems import Problem, Refused
 from levkas.declaring.contradictions import find_contradictions, is_safe_name
 from levkas.finding.patterns import natural
 from levkas.looking.describing import describe_camera
@@ -22,7 +23,6 @@ from levkas.looking.samples import Samples
 from levkas.looking.spectra import find_warmth
 from levkas.looking.tables import find_white_table, with_sensitivity
 from levkas.looking.words import CHARTS, GENERIC
-from levkas.problems import Problem, Refused
 
 GREEN_NM = 550.0
 """Where eyes and lenses are at their best; the reference band of the paper."""

@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from levkas.core.problems import Refused
 from levkas.finding.folders import DEEPEST, Folders, walk
-from levkas.problems import Refused
 from levkas.readers.facts import Facts
 
 IMAGES = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", ".hdr"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 
 
 class LookRefused(Refused):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from levkas.core.problems import Refused
 from levkas.looking.pixels import Statistics, describe_pixels, is_same_scene
-from levkas.problems import Refused
 
 if TYPE_CHECKING:
     from levkas.looking.listing import Seen

@@ -12,8 +12,8 @@ from levkas.planning.refusals import asked, wrong
 from levkas.planning.surface import height_range
 
 if TYPE_CHECKING:
+    from levkas.core.problems import Problem
     from levkas.planning.setup import Camera, Lamp, Setup
-    from levkas.problems import Problem
 
 LAMP_BODY_MM = 60.0
 """Half the breadth of a lamp's body that a camera would see."""

@@ -10,8 +10,8 @@ import numpy as np
 from levkas.planning.refusals import asked
 
 if TYPE_CHECKING:
+    from levkas.core.problems import Problem
     from levkas.planning.tables import Bench
-    from levkas.problems import Problem
 
 LEAST_OBJECT_MM, MOST_OBJECT_MM = 80.0, 5000.0
 FARTHEST_MM = 20_000.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.files import write_text
+from levkas.core.files import write_text
 from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS, Judge
 from levkas.planning.diagrams import draw_bench
 from levkas.planning.dose import plan_dose

@@ -13,6 +13,7 @@ from levkas.planning.refusals import PlanRefused, wrong
 from levkas.planning.spectra import GRID, Spectrum, eye, integrate, read_spectrum
 
 if TYPE_CHECKING:
+    from levkas.core.problems import Problem
     from levkas.planning.tables import (
         Bench,
         CameraKeys,
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
         PlacedLamp,
         SetupKeys,
     )
-    from levkas.problems import Problem
 
 
 @dataclass(frozen=True, eq=False)

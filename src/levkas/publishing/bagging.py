@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas import __version__
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.publishing.publication import PublishRefused
 
 if TYPE_CHECKING:
-    from levkas.files import Folder
+    from levkas.core.files import Folder
     from levkas.publishing.facts import Facts
 
 DECLARATION = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
@@ -40,10 +40,10 @@ def write_bag(published: str | Path, target: str | Path, facts: Facts) -> Iterat
     WriteRefused
         Where the disk refuses.
     """
+    from levkas.core.digests import hash_file
+    from levkas.core.files import publishing
     from levkas.database.manifest import NAME as MANIFEST_NAME
     from levkas.database.manifest import list_files, read_manifest
-    from levkas.digests import hash_file
-    from levkas.files import publishing
 
     root, target = Path(published).resolve(), Path(target).resolve()
     check_target(root, target)
@@ -99,7 +99,7 @@ def _encoded(name: str) -> str:
 
 def check_target(root: Path, target: Path) -> None:
     """Refuse a folder that is no bag of ours, holds what is bagged, or lies in it."""
-    from levkas.ownership import require_ours
+    from levkas.core.ownership import require_ours
 
     fix = "Give another folder: --bag NEW."
     if target == root or root in target.parents or target in root.parents:

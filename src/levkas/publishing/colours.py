@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.colour import LEAST_COVERAGE, visible_coverage
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 from levkas.database.agreement import stem_of
 from levkas.database.preview import encode_png
 from levkas.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab

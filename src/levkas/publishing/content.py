@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.publishing.publication import PublishRefused
 
 if TYPE_CHECKING:

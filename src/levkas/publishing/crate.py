@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from levkas.plain_json import to_json
+from levkas.core.json_safe import to_json
 from levkas.publishing.actions import describe_steps, describe_tools
 from levkas.publishing.crate_rules import check_crate
 from levkas.publishing.describing import describe_dataset

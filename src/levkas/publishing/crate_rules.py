@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.readers.texts import parse_json
 
 NAME = "ro-crate-metadata.json"

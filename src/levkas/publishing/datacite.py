@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from levkas.plain_json import to_json
-from levkas.problems import Problem
+from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem
 from levkas.publishing.describing import describe_dataset
 from levkas.publishing.facts import DOI, ORCID, Facts, Person, fact_missing, missing_facts
 

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.cube import Cube
+from levkas.core.cube import Cube
+from levkas.core.digests import hash_file
+from levkas.core.json_safe import to_json
 from levkas.database.agreement import stem_of
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
 from levkas.database.registrations import read_registration
 from levkas.database.store import layer_name, write_index
-from levkas.digests import hash_file
-from levkas.plain_json import to_json
 from levkas.publishing.content import not_whole
 from levkas.publishing.publication import PublishRefused
 
@@ -114,9 +114,9 @@ def shrink(source: Path, size: tuple[int, int]) -> Cube:
     cube : Cube
         Values of 16 significant bits, as the build writes them.
     """
+    from levkas.core.rounding import round_root, round_values
     from levkas.database.opening import open_tiff
     from levkas.database.tiff_pages import open_pages
-    from levkas.rounding import round_root, round_values
     from levkas.warping import warp
 
     opened = open_tiff(source)

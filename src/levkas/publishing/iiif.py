@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem
 from levkas.database.agreement import stem_of
 from levkas.database.store import layer_name
-from levkas.plain_json import to_json
-from levkas.problems import Problem
 from levkas.publishing.describing import describe_dataset
 from levkas.publishing.iiif_rules import check_iiif
 from levkas.publishing.publication import PublishRefused

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.publishing.tiles import tile_names
 from levkas.readers.texts import read_json
 

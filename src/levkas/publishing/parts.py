@@ -1,7 +1,7 @@
 """The parts of a published folder, in the order in which they are written.
 
 A part is a function ``write(publication)`` that yields a few words before each thing it does. It
-writes below `Publication.folder` with `levkas.files`, reads the database that is published from
+writes below `Publication.folder` with `levkas.core.files`, reads the database that is published from
 there too (the first part has copied it), and takes no time, path or name of this machine into what it
 writes. A part that another one describes stands before it; ``crate`` describes all files and is last,
 and behind it only the manifest is written.

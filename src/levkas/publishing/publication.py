@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
+    from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
     from levkas.database.manifest import Manifest
-    from levkas.files import Folder
     from levkas.publishing.facts import Facts
 
 MEDIUM = "medium"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.flags import MARKS
+from levkas.core.flags import MARKS
 from levkas.publishing.citation import cite
 from levkas.publishing.describing import describe_dataset
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.publishing.crate_rules import NAME as CRATE
 from levkas.publishing.facts import NAME as FACTS
 from levkas.publishing.facts import Facts, facts_of, missing_facts, read_facts
@@ -208,8 +208,8 @@ def publish(
         Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
         publication still stands then.
     """
+    from levkas.core.files import publishing, sweep_beside
     from levkas.database.manifest import write_manifest
-    from levkas.files import publishing, sweep_beside
     from levkas.publishing.bagging import check_target, write_bag
 
     subject = find_subject(path)
@@ -330,8 +330,8 @@ def _run(publication: Publication) -> Iterator[PublishStep]:
 
 def _check_output(final: Path, subject: Subject) -> None:
     """Refuse a folder that is none of ours, and one that holds, or lies in, what is published."""
+    from levkas.core.ownership import require_ours, stands_in
     from levkas.database.catalogue import DatabaseRefused, read_catalogue
-    from levkas.ownership import require_ours, stands_in
 
     database = subject.database.resolve()
     if final == database or database in final.parents or final in database.parents:

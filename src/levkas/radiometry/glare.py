@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
-from levkas.cube import Flag
-from levkas.machine import count_threads
+from levkas.core.cube import Flag
+from levkas.core.machine import count_threads
 
 if TYPE_CHECKING:
     from collections.abc import Callable

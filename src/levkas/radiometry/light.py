@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 LONGEST = 48
 """Blocks along the longer side of a map."""

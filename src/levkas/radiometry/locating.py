@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.radiometry.charts import (
     Chart,
     ChartRefused,

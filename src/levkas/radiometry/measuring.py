@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
 from levkas.radiometry.charts import Chart, ChartRefused, Reference, place_patches, turned_corners
 from levkas.radiometry.patches import SATURATED, PatchTable, measure_patches, noise_planes
 

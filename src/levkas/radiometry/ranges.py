@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

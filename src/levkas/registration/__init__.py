@@ -87,7 +87,7 @@ def register(
     RegistrationRefused
         Where there is no answer at all, or an argument is wrong.
     """
-    from levkas.machine import steady_libraries
+    from levkas.core.machine import steady_libraries
     from levkas.registration.arguments import check_arguments
 
     check_arguments(reference, target, reference_band, method, METHODS, reject, stop, region)

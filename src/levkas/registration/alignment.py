@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.features import find_key_points
 from levkas.registration.images import BandImage, grey, stretch
 from levkas.registration.matching import match

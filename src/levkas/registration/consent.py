@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.given import HAND_PX
 from levkas.registration.ladder import Rung, climb
 from levkas.registration.ledges import averaged

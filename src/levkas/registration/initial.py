@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.machine import count_threads
+from levkas.core.machine import count_threads
 from levkas.registration.key_points import Detector, inverted, mirrored
 from levkas.registration.pairing import Pairs, pair, pair_widely, unique
 from levkas.registration.voting import REACH, vote

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.alignment import align_sensors, camera_grey
 from levkas.registration.arguments import check_thresholds
 from levkas.registration.features import KeyPoints, find_key_points

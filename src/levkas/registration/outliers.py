@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.arguments import check_thresholds
 from levkas.registration.downdating import (
     fit_rows,

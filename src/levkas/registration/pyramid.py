@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.belief import PARTLY, bear_out, sees_alike, weigh
 from levkas.registration.chromatic import Chromatic, fit_chromatic, still
 from levkas.registration.consent import (

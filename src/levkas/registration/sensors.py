@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.registration.given import Given
 from levkas.registration.guided import guide
 from levkas.registration.initial import start

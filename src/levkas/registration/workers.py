@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from levkas.machine import count_threads
+from levkas.core.machine import count_threads
 
 MOST_THREADS = 4
 WORTH_THREADS = 200_000

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from importlib.resources import files as resources
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 
 class ScreenMissing(Refused):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.calibration.photon_transfer import measure_sensor, without_full_scale
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.sensors.bounds import Bound, bound_sensor
 from levkas.sensors.facts import FrameFacts, describe_files, describe_frame
 from levkas.sensors.reports import Examination, SensorReport

@@ -36,7 +36,7 @@ def write_page(found: Examination, path: str | Path) -> Path:
     -------
     path : Path
     """
-    from levkas.files import write_text
+    from levkas.core.files import write_text
 
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

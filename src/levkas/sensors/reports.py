@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from levkas.calibration.drift import Drift
 from levkas.calibration.linearity import Linearity
 from levkas.calibration.photon_transfer import Interval, PhotonTransfer
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.sensors.bounds import Bound
 from levkas.sensors.facts import FrameFacts, describe_levels, facts_table
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.flags import MARKS
 from levkas.database.tiff_pages import open_pages
-from levkas.flags import MARKS
 from levkas.mapping import Frame, Records
 
 if TYPE_CHECKING:

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.cube import Band
+from levkas.core.cube import Band
+from levkas.core.flags import describe_marks
+from levkas.core.problems import Refused
 from levkas.database.registrations import read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import layer_name
 from levkas.database.tiff_pages import open_pages
 from levkas.declaring.toml import read_toml
-from levkas.flags import describe_marks
 from levkas.mapping import Frame
-from levkas.problems import Refused
 from levkas.readers.texts import parse_bounded, read_text
 from levkas.reporting.page import DECISIONS
 from levkas.viewing.lattice import write_lattices

@@ -15,7 +15,7 @@ from pathlib import Path
 from secrets import token_urlsafe
 from typing import TYPE_CHECKING, Any
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.web.guard import App, Guard, cookie_of
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import numpy as np
 
 from levkas.building.places import Places
 from levkas.campaign import load_campaign
+from levkas.core.problems import Problem, Refused
 from levkas.discovery import Capture, find_captures
 from levkas.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
-from levkas.problems import Problem, Refused
 from levkas.readers.texts import read_json
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import Frame

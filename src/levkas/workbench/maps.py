@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.workbench.pictures import Picture, place_on_lattice
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 
 @dataclass(frozen=True)

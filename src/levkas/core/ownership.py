@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from levkas.digests import hash_file
-from levkas.disk import WriteRefused
-from levkas.problems import Problem, Refused
+from levkas.core.digests import hash_file
+from levkas.core.disk import WriteRefused
+from levkas.core.problems import Problem, Refused
 from levkas.readers.texts import read_json, what_stands_at
 
 Kind = Literal["database", "publication", "bag"]
@@ -47,8 +47,8 @@ def stands_in(folder: Path) -> str:
 
     What a killed run of ours left in it counts for nothing, nor does what file browsers leave.
     """
+    from levkas.core.files import OURS
     from levkas.database.manifest import DROPPINGS
-    from levkas.files import OURS
 
     if not os.path.lexists(folder):
         return ""
@@ -146,7 +146,7 @@ class OwnFiles:
         WriteRefused
             Before a file is replaced that the record does not have, or that is not what it says.
         """
-        from levkas.files import before_writing
+        from levkas.core.files import before_writing
 
         touched: list[Path] = []
 
@@ -191,7 +191,7 @@ class OwnFiles:
         return Path(os.path.relpath(path, self.folder)).as_posix()
 
     def _save(self) -> None:
-        from levkas.files import write_json
+        from levkas.core.files import write_json
 
         write_json(self.folder / RECORD, {"files": dict(sorted(self._files.items()))})
 

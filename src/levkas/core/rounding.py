@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from levkas.machine import tile_rows
+from levkas.core.machine import tile_rows
 
 MANTISSA = 23
 VALUE_DROP = MANTISSA - 15

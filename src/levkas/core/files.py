@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.disk import WriteRefused, refusing, require_space
-from levkas.plain_json import to_json
-from levkas.problems import Problem
+from levkas.core.disk import WriteRefused, refusing, require_space
+from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
