@@ -17,12 +17,12 @@ from PIL import Image
 
 from levkas.building.channels import read_sensitivity
 from levkas.building.whiteboard import read_spectrum
-from levkas.campaign import load_campaign
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.manifest import read_manifest
+from levkas.campaign.edits import read_edits
 from levkas.control_points.layers import is_table_of_frames, read_table_of_frames
 from levkas.control_points.reading import read_points
 from levkas.core.problems import Refused
-from levkas.edits import read_edits
-from levkas.finding.manifest import read_manifest
 from levkas.planning.lobes import read_lobe
 from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys

@@ -23,8 +23,8 @@ import numpy as np
 import tifffile
 
 from levkas.building import build, summarise
+from levkas.campaign.guess import look
 from levkas.core.problems import Refused
-from levkas.looking import look
 from levkas.sensors import examine_with_seed
 from levkas.sensors.page import render_page
 

@@ -19,8 +19,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from levkas.campaign.edits import Edits, FrameEdits, write_edits
 from levkas.core.cube import Band
-from levkas.edits import Edits, FrameEdits, write_edits
 from levkas.registration.record import Matches
 from levkas.transforms import Affine
 from levkas.workbench.answer import describe, to_bytes

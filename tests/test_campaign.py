@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levkas.campaign import Campaign, CampaignInvalid, _validate, load_campaign
-from levkas.declaring.messages import TABLES
+from levkas.campaign.campaign import Campaign, CampaignInvalid, _validate, load_campaign
+from levkas.campaign.schema.error_messages import TABLES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "campaign.md"
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -222,7 +222,7 @@ def test_keys_of_the_papers_method_reach_only_cameras_that_use_it(tmp_path):
 def test_the_keys_of_the_papers_method_are_its_arguments():
     import inspect
 
-    from levkas.declaring.tables import ONLY_OF_THE_PAPER
+    from levkas.campaign.schema.tables import ONLY_OF_THE_PAPER
     from levkas.registration.features import DETECTORS
     from levkas.registration.matching import METHODS
     from levkas.registration.mirhashemi2019 import register_mirhashemi2019

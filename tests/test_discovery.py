@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.campaign import load_campaign
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
-from levkas.discovery import find_captures
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -531,7 +531,7 @@ def test_the_line_scan_has_580_bands_by_its_header(tmp_path, real_data):
 
 
 def test_a_manifest_tells_the_exposures_that_names_do_not(tmp_path):
-    from levkas.finding.manifest import read_manifest
+    from levkas.campaign.discovery.manifest import read_manifest
 
     for name in ("dark", "white", "icon1"):
         (tmp_path / "raw").mkdir(exist_ok=True)

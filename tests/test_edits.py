@@ -4,7 +4,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from levkas.edits import Edits, EditsInvalid, FrameEdits, read_edits, round_pair, write_edits
+from levkas.campaign.edits import (
+    Edits,
+    EditsInvalid,
+    FrameEdits,
+    read_edits,
+    round_pair,
+    write_edits,
+)
 
 PX = st.integers(-5000, 500_000).map(lambda n: n / 100)
 PAIR = st.tuples(PX, PX, PX, PX)

@@ -41,8 +41,8 @@ def run(*arguments, most_s=MOST_S):
 def imported(tmp_path_factory):
     """Import what the commands import, so that no test's time includes it."""
     import levkas.building
+    import levkas.campaign.guess.campaigns
     import levkas.coaching
-    import levkas.looking.campaigns
     import levkas.sensors  # noqa: F401
 
     frame = tmp_path_factory.mktemp("sound") / "frame.tif"
@@ -123,7 +123,7 @@ def test_five_hundred_objects_and_forty_cameras_are_read_soon(facts, tmp_path):
     )
     text = f'{HEAD}{cameras}[targets]\ndark = "dark"\nobjects = [{names}]\n{objects}'
     (tmp_path / "campaign.toml").write_text(text)
-    from levkas.campaign import CampaignInvalid, load_campaign
+    from levkas.campaign.campaign import CampaignInvalid, load_campaign
 
     before = time.process_time()
     if facts == "object":
@@ -150,7 +150,7 @@ EDITED = "version=1\n[objects.o.cameras.c]\n"
     ids=["keys", "short pairs", "texts", "pairs", "objects"],
 )  # fmt: skip
 def test_corrections_of_a_megabyte_are_refused_within_two_seconds(line, keys, size, tmp_path):
-    from levkas.edits import EditsInvalid, read_edits
+    from levkas.campaign.edits import EditsInvalid, read_edits
 
     path = tmp_path / "edits.toml"
     path.write_text(filled(line, size - 500, **keys))

@@ -10,8 +10,8 @@ __version__ = "0.1.0"
 _HOMES = {
     "build": "building",
     "status": "building",
-    "load_campaign": "campaign",
-    "find_captures": "discovery",
+    "load_campaign": "campaign.campaign",
+    "find_captures": "campaign.discovery.find_captures",
     "open": "database",
     "read_stiff": "database.spectral_tiff",
     "write_stiff": "database.spectral_tiff",

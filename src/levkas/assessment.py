@@ -130,7 +130,7 @@ def locate(path: Path) -> tuple[Path, Path]:
     if (path / "catalogue.csv").is_file():
         return path, path.parent
     if path.name == "campaign.toml" or (path / "campaign.toml").is_file():
-        from levkas.campaign import load_campaign
+        from levkas.campaign.campaign import load_campaign
 
         campaign = load_campaign(path)
         if (campaign.output / "catalogue.csv").is_file():

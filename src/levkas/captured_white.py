@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from levkas.calibration.templates import Template, average
+from levkas.campaign.full_scales import find_full_scale, not_known
 from levkas.core.problems import Problem, Refused
-from levkas.full_scales import find_full_scale, not_known
 from levkas.readers.frames import read_facts, read_frame
 from levkas.sensors.facts import frames_below
 

@@ -138,8 +138,8 @@ def look(
     as_json: Json = False,
 ) -> None:
     """Guess a commented campaign.toml from a folder of captures; show it before anything is written."""
-    from levkas.looking import look as look_at
-    from levkas.looking import write_campaign
+    from levkas.campaign.guess import look as look_at
+    from levkas.campaign.guess import write_campaign
 
     proposal = look_at(folder)
     if not as_json:

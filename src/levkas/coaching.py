@@ -14,6 +14,7 @@ from levkas.calibration.blocks import block_statistics
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
+from levkas.campaign.full_scales import FullScale, find_full_scale, not_known
 from levkas.coached_frames import Shot, files_at, gather_shots
 from levkas.core.problems import Problem, Refused
 from levkas.exposure import (
@@ -25,7 +26,6 @@ from levkas.exposure import (
     read_channel,
     snr_at,
 )
-from levkas.full_scales import FullScale, find_full_scale, not_known
 from levkas.noise import Sensor
 from levkas.readers.frames import read_facts
 

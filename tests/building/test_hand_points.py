@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from levkas.building.hand_points import declared_points, told_points
-from levkas.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.control_points import ControlPoints, PointsRefused, write_points
 
 KEYS = """

@@ -12,11 +12,11 @@ from levkas.building.ledger import Ledger
 from levkas.building.places import Places
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
-from levkas.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.cli import app
 from levkas.core.cube import Flag
 from levkas.core.problems import Refused
-from levkas.discovery import find_captures
 
 KEYS = """
 [campaign]

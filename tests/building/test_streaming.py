@@ -14,13 +14,13 @@ from levkas.building.scan_opening import open_scan
 from levkas.building.scans import Scan, is_streamed
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
-from levkas.campaign import load_campaign
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core import disk
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.digests import hash_tree
 from levkas.database.layers import Layer, write_layer
 from levkas.database.spooling import write_rows
-from levkas.discovery import find_captures
 from levkas.simulation import simulate_campaign
 from levkas.transforms import Affine
 from levkas.warping import warp

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levkas.declaring.toml import to_toml
-from levkas.declaring.values import _doi, _orcid
+from levkas.campaign.schema.toml import to_toml
+from levkas.campaign.schema.values import _doi, _orcid
 
 KEYS = st.text(min_size=1, max_size=8)
 PLAIN = (

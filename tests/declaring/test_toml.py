@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levkas.declaring.toml import LARGEST_FILE, TomlRefused, read_toml
+from levkas.campaign.schema.toml import LARGEST_FILE, TomlRefused, read_toml
 
 
 def refused(folder, text):

@@ -2,11 +2,11 @@ import os
 import unicodedata
 
 import pytest
+from levkas.campaign.campaign.discovery import folders as module
 
-from levkas.finding import folders as module
-from levkas.finding.files import find, nearest
-from levkas.finding.folders import Folders, FolderUnreadable
-from levkas.finding.patterns import Pattern
+from levkas.campaign.discovery.files import find, nearest
+from levkas.campaign.discovery.folders import Folders, FolderUnreadable
+from levkas.campaign.discovery.patterns import Pattern
 
 
 def touch(root, *names):

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from levkas.campaign.discovery.files import find
+from levkas.campaign.discovery.matching import match_pieces
+from levkas.campaign.discovery.patterns import Pattern, _compiled, _pieces, natural
 from levkas.core.problems import Refused
-from levkas.finding.files import find
-from levkas.finding.matching import match_pieces
-from levkas.finding.patterns import Pattern, _compiled, _pieces, natural
 
 
 def read(pattern, path, **known):

@@ -7,10 +7,10 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from levkas.campaign import load_campaign
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.campaign.guess import LookRefused, look, write_campaign
 from levkas.cli import app
-from levkas.discovery import find_captures
-from levkas.looking import LookRefused, look, write_campaign
 
 WAVES = (450, 550, 650)
 

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from levkas.looking import look
+from levkas.campaign.guess import look
 
 
 def test_a_cube_of_twenty_thousand_bands(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from levkas.building import status
-from levkas.looking import look, write_campaign
+from levkas.campaign.guess import look, write_campaign
 
 KINDS = {
     "objects": lambda n: f"panel{n}-b.tif",

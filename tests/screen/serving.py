@@ -3,7 +3,7 @@
 import threading
 import time
 
-from levkas.edits import FrameEdits, read_edits
+from levkas.campaign.edits import FrameEdits, read_edits
 from levkas.workbench.library import Library
 
 TOKEN = "t" * 43

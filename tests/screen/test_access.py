@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.edits import read_edits
+from levkas.campaign.edits import read_edits
 
 from .serving import READY, opened, told
 from .walking import faint, nameless, walk

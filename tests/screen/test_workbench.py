@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from levkas.edits import FrameEdits, read_edits
+from levkas.campaign.edits import FrameEdits, read_edits
 from levkas.workbench.library import id_of
 
 from .serving import READY, TOKEN, opened, told

@@ -8,8 +8,8 @@ import tomllib
 import pytest
 from starlette.testclient import TestClient
 
+from levkas.campaign.edits import FrameEdits, change_edits, read_edits
 from levkas.core.locks import Taken, locked
-from levkas.edits import FrameEdits, change_edits, read_edits
 from levkas.web.app import make_app
 from levkas.web.guard import cookie_of
 from levkas.workbench.answer import from_bytes
@@ -233,7 +233,7 @@ def test_an_editor_that_saves_while_a_change_is_made_keeps_what_it_saved(tmp_pat
 WRITER = """
 import sys
 from pathlib import Path
-from levkas.edits import FrameEdits, change_edits
+from levkas.campaign.edits import FrameEdits, change_edits
 known = FrameEdits()
 for number in range(40):
     pair = (float(sys.argv[2]), float(number), 1.0, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from levkas.edits import read_edits
+from levkas.campaign.edits import read_edits
 from levkas.registration.uncertainty import Sigma
 from levkas.transforms import Affine
 from levkas.workbench.correlation import find_partner

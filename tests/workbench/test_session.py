@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.edits import FrameEdits
+from levkas.campaign.edits import FrameEdits
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, from_bytes, to_bytes
 from levkas.workbench.operations import OPERATIONS, OperationRefused

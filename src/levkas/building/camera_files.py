@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
     from levkas.building.charting import Developed
     from levkas.building.places import Places
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
     from levkas.core.cube import Band
-    from levkas.discovery import Capture
     from levkas.radiometry.measuring import ChartMeasure
 
 PICTURES = ("levels", "shape", "step", "size")

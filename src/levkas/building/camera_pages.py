@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from levkas.building.places import Places
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
     from levkas.radiometry.measuring import ChartMeasure
 
 
@@ -37,7 +37,7 @@ class CameraPages:
     def __init__(
         self, campaign: Campaign, places: Places, ledger: Ledger, captures: list[Capture]
     ) -> None:
-        from levkas.discovery import find_charts
+        from levkas.campaign.discovery.find_captures import find_charts
 
         self.campaign, self.places, self.ledger = campaign, places, ledger
         self.captures = captures

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer
-    from levkas.discovery import Capture
     from levkas.gridding import Grid
 
 

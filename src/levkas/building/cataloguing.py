@@ -15,9 +15,9 @@ from levkas.building.places import Places
 from levkas.building.sources import code_version
 from levkas.building.steps import Step
 from levkas.building.withdrawing import CATALOGUE
-from levkas.campaign import Campaign
+from levkas.campaign.campaign import Campaign
+from levkas.campaign.discovery.find_captures import Capture
 from levkas.core.ownership import MARK
-from levkas.discovery import Capture
 
 _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
 
@@ -156,10 +156,10 @@ def _published(
     spectra: dict[str, str],
 ) -> list[Path]:
     """Write the files that speak of all layers; those that would say the same are left alone."""
+    from levkas.campaign.schema.toml import to_toml
     from levkas.core.files import write_changed
     from levkas.database.catalogue import write_catalogue
     from levkas.database.store import write_index
-    from levkas.declaring.toml import to_toml
 
     made = [write_catalogue(places.output, entries), places.output / IMPRINT]
     write_changed(made[-1], (MARK + to_toml(imprint)).encode())

@@ -20,8 +20,8 @@ from levkas.radiometry.measuring import ChartMeasure, Sighting, measure, sight
 if TYPE_CHECKING:
     from levkas.building.native import Native
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture, FrameRef, SensorFrames
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture, FrameRef, SensorFrames
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
@@ -134,8 +134,8 @@ def _of_campaign(
     from levkas.building.ledger import Hashes
     from levkas.building.places import Places
     from levkas.building.shelf import Shelf
-    from levkas.campaign import load_campaign
-    from levkas.discovery import find_charts
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.find_captures import find_charts
 
     campaign = load_campaign(path)
     kinds = {name: chart_of(kind) for name, kind in campaign.targets.charts.items()}

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.scanning import Seam
-    from levkas.campaign import Camera, Campaign
-    from levkas.discovery import Capture, FrameRef
+    from levkas.campaign.campaign import Camera, Campaign
+    from levkas.campaign.discovery.find_captures import Capture, FrameRef
 
 __all__ = [
     "Bench",

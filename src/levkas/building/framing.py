@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from levkas.campaign import GridKeys
+    from levkas.campaign.campaign import GridKeys
     from levkas.gridding import Grid
     from levkas.registration import BandImage
 

@@ -13,9 +13,9 @@ from levkas.registration.given import Given
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
     from levkas.control_points import ControlPoints
-    from levkas.discovery import Capture
 
 
 def points_file(campaign: Campaign, capture: Capture) -> Path | None:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from levkas.building.rig_mates import RigMates
     from levkas.building.shelf import Shelf
     from levkas.building.steps import Step
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
 
 
 @dataclass

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
 
     Grey = tuple[np.ndarray, np.ndarray]
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from levkas.building.ledger import Ledger
     from levkas.building.places import Places
     from levkas.building.steps import Step
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
 
 
 def report_of(

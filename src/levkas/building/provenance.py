@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.building.ledger import Key, Ledger
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
 
 FRAME = "frame "
 """Begins what a fingerprint says of the use of a file as a frame."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from levkas.building.ledger import Ledger
     from levkas.building.places import Places
-    from levkas.discovery import Capture
+    from levkas.campaign.discovery.find_captures import Capture
 
 
 def radiometry_rows(ledger: Ledger, captures: Sequence[Capture]) -> list[RadiometryRow]:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from levkas.building.native import Native
     from levkas.building.places import Places
     from levkas.building.scans import Scan
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
     from levkas.gridding import Grid
     from levkas.registration import BandImage, Registration
     from levkas.registration.levkas import Reference

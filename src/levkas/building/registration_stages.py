@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from levkas.building.reference import ReferenceFrame
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
 
 
 @dataclass

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from levkas.building.ledger import Ledger
     from levkas.building.measured import Measured
     from levkas.building.places import Places
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
 
 NOT_THERE = "not registered"
 #: On either side; more know no more of a lens, and every pair of captures is compared.

@@ -27,10 +27,10 @@ from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.shelf import Shelf
 from levkas.building.steps import BuildReport, Step, summarise
 from levkas.building.withdrawing import CATALOGUE, NoReference, put_away, put_away_stage
-from levkas.campaign import Campaign, CampaignInvalid, load_campaign
+from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
+from levkas.campaign.discovery.find_captures import Capture, Refusals, find_captures
+from levkas.campaign.edits import FILE_NAME, Edits, check_edits
 from levkas.core.problems import Problem, Refused
-from levkas.discovery import Capture, Refusals, find_captures
-from levkas.edits import FILE_NAME, Edits, check_edits
 
 CODE = "code.json"
 """Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
@@ -370,7 +370,7 @@ def _page(
 
 def _object_toml(campaign: Campaign, name: str) -> str:
     """Museum facts of an object."""
-    from levkas.declaring.toml import to_toml
+    from levkas.campaign.schema.toml import to_toml
 
     facts = campaign.objects.get(name)
     return to_toml({"name": name, **(facts.model_dump() if facts else {})})

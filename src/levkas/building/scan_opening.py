@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from levkas.building.bench import Bench
     from levkas.calibration.templates import Template
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
 
 
 def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:

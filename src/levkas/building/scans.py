@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from levkas.building.developing import Bench
     from levkas.calibration.denoising import Projecting, Subspace
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture
     from levkas.core.cube import Band
-    from levkas.discovery import Capture
     from levkas.readers.envi import EnviFile
 
 STREAMED_SAMPLES = 400_000_000

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from levkas.building.default_setup import DefaultLayer
     from levkas.building.places import Places
     from levkas.building.scans import Scan
+    from levkas.campaign.discovery.find_captures import Capture
     from levkas.database.credits import Credits
-    from levkas.discovery import Capture
     from levkas.transforms import Transform
 
 HELD_BYTES = 300_000_000

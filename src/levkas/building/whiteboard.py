@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
     from levkas.core.cube import Band
 
 VISIBLE = (400.0, 700.0)

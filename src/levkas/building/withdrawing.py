@@ -12,7 +12,7 @@ from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.building.places import Places
-    from levkas.discovery import Capture
+    from levkas.campaign.discovery.find_captures import Capture
 
 CATALOGUE = Key("", stage="catalogue")
 

@@ -209,7 +209,7 @@ def find_setup(path: str | Path) -> Path:
 def _validate(path: Path) -> Bench:
     from pydantic import ValidationError
 
-    from levkas.declaring.toml import TomlRefused, read_toml
+    from levkas.campaign.schema.toml import TomlRefused, read_toml
     from levkas.planning.tables import Bench
 
     try:
@@ -218,7 +218,7 @@ def _validate(path: Path) -> Bench:
     except TomlRefused as refused:
         raise PlanRefused(*refused.problems) from None
     except ValidationError as invalid:
-        from levkas.declaring.messages import explain
+        from levkas.campaign.schema.error_messages import explain
 
         problems = explain(record, invalid.errors(), Bench)
         fix = "docs/planning.md explains every key."

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from levkas.campaign.schema.toml import read_toml
 from levkas.core.problems import Problem
-from levkas.declaring.toml import read_toml
 
 NAME = "database.toml"
 DOI = "https://doi.org/"

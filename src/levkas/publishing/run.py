@@ -156,7 +156,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
     if path.name != "campaign.toml" and not (path / "campaign.toml").is_file():
         return Subject(path)
     from levkas.building import status
-    from levkas.campaign import load_campaign
+    from levkas.campaign.campaign import load_campaign
 
     campaign = load_campaign(path)
     stages = status(path).stages if fresh else ()
@@ -247,7 +247,7 @@ def facts_of_subject(subject: Subject) -> Facts:
     if subject.campaign is None:
         return facts
     from levkas.building.imprint import imprint_of
-    from levkas.campaign import load_campaign
+    from levkas.campaign.campaign import load_campaign
     from levkas.database.catalogue import DatabaseRefused, read_catalogue
 
     try:

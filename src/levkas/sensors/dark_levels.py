@@ -16,7 +16,7 @@ from levkas.calibration.templates import CalibrationRefused
 from levkas.sensors.gathered import Key, Sensor, reduce_stack
 
 if TYPE_CHECKING:
-    from levkas.discovery import FrameRef
+    from levkas.campaign.discovery.find_captures import FrameRef
 
 MOST_CLIPPED = 1_000_000  # pixels of a dark whose likelihood is asked for
 

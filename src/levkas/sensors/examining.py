@@ -59,8 +59,8 @@ def examine_campaign(
     path: Path, *, cameras: Sequence[str] | None, rng: np.random.Generator
 ) -> Iterator[SensorReport]:
     """Yield the report of each sensor of each camera."""
-    from levkas.campaign import load_campaign
-    from levkas.discovery import find_captures
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.find_captures import find_captures
 
     campaign = load_campaign(path)
     _check_names(cameras, list(campaign.cameras), campaign.path)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from levkas.calibration.curves import MOST_CODES, Levels, count_codes, find_levels
+from levkas.campaign.discovery.folders import Folders, too_deep, walk
 from levkas.core.problems import Problem, Refused
-from levkas.finding.folders import Folders, too_deep, walk
 from levkas.readers.frames import Facts, kind_of, read_facts, read_frame
 from levkas.readers.tiff import read_tiff_pages
 

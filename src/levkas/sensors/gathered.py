@@ -17,7 +17,7 @@ from levkas.calibration.photon_transfer import Dark
 from levkas.calibration.templates import Template
 
 if TYPE_CHECKING:
-    from levkas.discovery import FrameRef
+    from levkas.campaign.discovery.find_captures import FrameRef
 
 Key = tuple[str | None, float | None]
 """Band and exposure, s."""

@@ -19,7 +19,7 @@ from levkas.sensors.dark_levels import level_under
 from levkas.sensors.gathered import Sensor, by_exposure
 
 if TYPE_CHECKING:
-    from levkas.discovery import FrameRef, SensorFrames
+    from levkas.campaign.discovery.find_captures import FrameRef, SensorFrames
 
 CHANNEL = "all"
 THIN = 4

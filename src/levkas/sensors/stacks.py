@@ -26,8 +26,8 @@ from levkas.sensors.line_stacks import gather_lines
 from levkas.sensors.stand_ins import add_stand_ins
 
 if TYPE_CHECKING:
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture, FrameRef, SensorFrames
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.find_captures import Capture, FrameRef, SensorFrames
 
 MOST_BANDS = 5  # of a tunable filter: the sensor behind it is the same
 MOST_SCENES = 3

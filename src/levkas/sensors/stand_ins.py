@@ -17,7 +17,7 @@ from levkas.sensors.gathered import Key, Sensor, by_exposure
 
 if TYPE_CHECKING:
     from levkas.calibration.templates import Template
-    from levkas.discovery import FrameRef, SensorFrames
+    from levkas.campaign.discovery.find_captures import FrameRef, SensorFrames
 
 MOST_PAIRS = 5
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.campaign.schema.toml import read_toml
 from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
@@ -17,7 +18,6 @@ from levkas.database.registrations import read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import layer_name
 from levkas.database.tiff_pages import open_pages
-from levkas.declaring.toml import read_toml
 from levkas.mapping import Frame
 from levkas.readers.texts import parse_bounded, read_text
 from levkas.reporting.page import DECISIONS

@@ -16,9 +16,9 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
+from levkas.campaign.edits import EditsConflict
 from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
-from levkas.edits import EditsConflict
 from levkas.screen import read_built
 from levkas.web.pages import PAGE
 from levkas.web.rebuilding import Busy, Rebuild

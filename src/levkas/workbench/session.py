@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.edits import EditsConflict, FrameEdits, Pair, merge
+from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.registration.given import Marked, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
