@@ -84,7 +84,7 @@ def work(folder: Path, memory: float) -> None:
     from levkas.campaign.discovery.find_captures import find_captures
     from levkas.database.layers import Layer
     from levkas.database.spooling import write_rows
-    from levkas.transforms import Affine, Composed, Lens
+    from levkas.geometry.transforms import Affine, Composed, Lens
 
     limit = int(memory * 1e9)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))

@@ -21,8 +21,8 @@ import numpy as np
 
 from levkas.campaign.edits import Edits, FrameEdits, write_edits
 from levkas.core.cube import Band
+from levkas.geometry.transforms import Affine
 from levkas.registration.record import Matches
-from levkas.transforms import Affine
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.frame import Frame

@@ -72,7 +72,7 @@ class Correctable:
         """Write the campaign and its database; `texts` replaces reasons of the verdict."""
         import cv2
 
-        from levkas.transforms import Affine
+        from levkas.geometry.transforms import Affine
 
         (folder / "campaign.toml").parent.mkdir(parents=True, exist_ok=True)
         text = CORRECTABLE.replace("TITLE", json.dumps(title, ensure_ascii=False))

@@ -10,7 +10,7 @@ from levkas.evaluation import (
     structural_similarity,
     summarise_errors,
 )
-from levkas.transforms import Affine
+from levkas.geometry.transforms import Affine
 
 
 def textured(rng, shape=(64, 80)):

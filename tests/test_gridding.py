@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levkas.gridding import Grid, GridRefused
+from levkas.geometry.grid import Grid, GridRefused
 
 FRAME = (40, 30)
 CORNERS = np.array([[0.0, 0], [39, 0], [39, 29], [0, 29]])

@@ -22,7 +22,7 @@ from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, list_files, write_manifest
 from levkas.database.store import write_index
-from levkas.transforms import Affine
+from levkas.geometry.transforms import Affine
 
 MOST_S = 5.0
 """Of processor time, for all commands together."""

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.core.files import write_json
-from levkas.mapping import (
+from levkas.geometry.pixel_frames import (
     Frame,
     MappingRefused,
     find_map,
@@ -15,7 +15,7 @@ from levkas.mapping import (
     map_table,
     parse_frame,
 )
-from levkas.transforms import Affine, Composed, Homography, Polynomial
+from levkas.geometry.transforms import Affine, Composed, Homography, Polynomial
 
 GRID = Composed(Affine(np.array([[0.0, 1, 5], [-1, 0, 90]])), Affine.scaling(2.0))
 

@@ -5,9 +5,9 @@ import weakref
 import numpy as np
 import pytest
 
-from levkas import pixelmap
-from levkas.pixelmap import lay, lay_runs
-from levkas.transforms import Affine, Composed, Lens
+from levkas.geometry import pixel_maps
+from levkas.geometry.pixel_maps import lay, lay_runs
+from levkas.geometry.transforms import Affine, Composed, Lens
 
 SHAPE = (90, 130)
 
@@ -39,12 +39,12 @@ def test_bands_lie_where_they_lie_by_themselves(monkeypatch, threads, most_bytes
 def test_tables_of_single_bands_are_let_go_before_they_are_used(monkeypatch):
     made = []
 
-    def noted(*arguments, lay_band=pixelmap._lay_band):
+    def noted(*arguments, lay_band=pixel_maps._lay_band):
         lattice = lay_band(*arguments)
         made.append(weakref.ref(lattice.table))
         return lattice
 
-    monkeypatch.setattr(pixelmap, "_lay_band", noted)
+    monkeypatch.setattr(pixel_maps, "_lay_band", noted)
     for _ in lay_runs(MAPS, SHAPE, 0):
         assert made
         assert not any(table() is not None for table in made)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from levkas.spline import SplineShift
+from levkas.geometry.spline import SplineShift
 
 RNG = np.random.default_rng(5)
 SPLINE = SplineShift(np.array([12.0, 9.0]), 16.0, RNG.normal(0, 1.5, (7, 8, 2)))

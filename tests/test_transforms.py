@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.transforms import (
+from levkas.geometry.transforms import (
     Affine,
     Composed,
     Homography,
@@ -69,7 +69,7 @@ def test_a_polynomial_fit_is_exact_on_its_own_family(order, seed):
 
 
 def test_a_third_order_polynomial_is_well_conditioned_on_centred_coordinates():
-    from levkas.transforms import design_matrix, frame_of
+    from levkas.geometry.transforms import design_matrix, frame_of
 
     assert np.linalg.cond(design_matrix(GRID, 3, *frame_of(GRID))) < 100
 

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas import warping
 from levkas.core.cube import Flag
-from levkas.gridding import Grid
-from levkas.ledge import LedgeShift
-from levkas.pixelmap import LEDGE_SHARE, TOLERANCE_PX, _evaluate, lay
-from levkas.transforms import Affine, Composed, Inverse, Lens, Polynomial
-from levkas.warping import Warped, source_rows, warp
+from levkas.geometry import resample
+from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.grid import Grid
+from levkas.geometry.pixel_maps import LEDGE_SHARE, TOLERANCE_PX, _evaluate, lay
+from levkas.geometry.resample import Warped, source_rows, warp
+from levkas.geometry.transforms import Affine, Composed, Inverse, Lens, Polynomial
 
 SHAPE = (90, 130)
 SOURCE = (110, 150)
@@ -245,7 +245,7 @@ def test_maps_of_many_bands_are_laid_a_part_at_a_time(monkeypatch):
     many = np.random.default_rng(8).uniform(0, 1, (20, 30, 70)).astype(np.float32)
     maps = [shift(0.1, 0.2)] * 33 + [shift(0.01 * b, 0.3) for b in range(37)]
     at_once = warp(many, maps, (18, 28))
-    monkeypatch.setattr(warping, "MAP_BYTES", 0)
+    monkeypatch.setattr(resample, "MAP_BYTES", 0)
     in_parts = warp(many, maps, (18, 28))
     assert same(at_once, in_parts)
     for b in (0, 32, 33, 63, 64, 69):
@@ -439,7 +439,7 @@ def test_polynomials_as_registration_fits_them(cube):
 
 
 def test_importing_the_module_does_not_import_numba():
-    code = "import sys, levkas.warping; assert 'numba' not in sys.modules"
+    code = "import sys, levkas.geometry.resample; assert 'numba' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -20,8 +20,8 @@ from levkas.evaluation import (
     read_truth,
     summarise_errors,
 )
+from levkas.geometry.transforms import from_dict
 from levkas.readers.texts import read_json
-from levkas.transforms import from_dict
 
 if TYPE_CHECKING:
     from levkas.control_points.points import Size

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 SSIM_SIGMA = 1.5
 SSIM_WINDOW = 11
@@ -63,7 +63,7 @@ def position_errors(transform: Transform, reference: np.ndarray, target: np.ndar
 
     Examples
     --------
-    >>> from levkas.transforms import Affine
+    >>> from levkas.geometry.transforms import Affine
     >>> twice = Affine(np.array([[2.0, 0, 0], [0, 2, 0]]))
     >>> position_errors(twice, np.array([[1.0, 1]]), np.array([[2.0, 4]]))
     array([1.])

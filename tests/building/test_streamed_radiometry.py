@@ -16,9 +16,9 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
+from levkas.geometry.transforms import Affine
 from levkas.radiometry import sharpness
 from levkas.registration.images import BandImage
-from levkas.transforms import Affine
 
 CAMPAIGN = """
 [campaign]

@@ -21,9 +21,9 @@ from levkas.core.cube import Band, Cube, Flag
 from levkas.core.digests import hash_tree
 from levkas.database.layers import Layer, write_layer
 from levkas.database.spooling import write_rows
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine
 from levkas.simulation import simulate_campaign
-from levkas.transforms import Affine
-from levkas.warping import warp
 
 
 @pytest.fixture(scope="module")

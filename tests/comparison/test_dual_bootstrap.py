@@ -13,7 +13,7 @@ from levkas.comparison.growing import LADDERS
 from levkas.comparison.intensities import opencv_ecc
 from levkas.comparison.pairs import Pair
 from levkas.comparison.structures import find_structures
-from levkas.transforms import Affine
+from levkas.geometry.transforms import Affine
 
 SHAPE = (180, 230)
 CENTRE = np.array([(SHAPE[1] - 1) / 2, (SHAPE[0] - 1) / 2])
@@ -109,7 +109,7 @@ def test_a_blank_picture_is_not_aligned():
 
 @pytest.mark.parametrize("method", [opencv_sift_magsac, opencv_ecc])
 def test_a_planted_homography_is_found_by_the_peers(method):
-    from levkas.transforms import Homography
+    from levkas.geometry.transforms import Homography
 
     matrix = np.array([[1.01, -0.02, 4.0], [0.018, 0.99, -3.0], [2e-5, -1e-5, 1.0]])
     one = pair(Homography(matrix))

@@ -5,13 +5,13 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from levkas.geometry.transforms import Affine, Polynomial
 from levkas.registration import BandImage, register
 from levkas.registration.checks import Checks
 from levkas.registration.given import Given
 from levkas.registration.silhouette import describe_mask, find_object
 from levkas.registration.uncertainty import NINE_OF_TEN
 from levkas.reporting.figures import draw_basis
-from levkas.transforms import Affine, Polynomial
 
 STILL = Affine.identity()
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from levkas.core.problems import Problem
+from levkas.geometry.transforms import Affine
 from levkas.registration.record import COLUMNS, Matches, Registration, RegistrationRefused, Verdict
-from levkas.transforms import Affine
 
 
 def test_rows_are_as_the_contract_orders_them():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine
 from levkas.registration.outliers import clean, frame_corners
 from levkas.registration.record import Matches
 from levkas.reporting.figures import draw_trace
-from levkas.transforms import Affine
 
 
 def traced(wrong):

@@ -9,7 +9,7 @@ from levkas.core.cube import Band, Cube, Flag
 from levkas.core.files import write_json, write_text
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
-from levkas.transforms import Affine, Composed, Homography, Polynomial
+from levkas.geometry.transforms import Affine, Composed, Homography, Polynomial
 
 SIZE = (150, 130)
 """Of the grid: (width, height)."""

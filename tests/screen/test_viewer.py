@@ -10,7 +10,7 @@ from PIL import Image
 from levkas.core.cube import Flag
 from levkas.core.flags import MARKS
 from levkas.database.tiff_pages import open_pages
-from levkas.mapping import find_map
+from levkas.geometry.pixel_frames import find_map
 from levkas.viewing.pictures import shown_band
 
 from .database import CAMERAS

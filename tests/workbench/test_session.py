@@ -160,7 +160,7 @@ def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():
     trace = told["trace"]
     assert len(trace["largest"]) == 61 and trace["removed"][-1] == -1
     assert trace["largest"][0] > trace["largest"][-1]
-    from levkas.transforms import Polynomial
+    from levkas.geometry.transforms import Polynomial
 
     centre, spread = np.array(trace["centre"]), trace["spread"]
     last = Polynomial(trace["order"], centre, spread, np.array(trace["models"][-1]))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.measured import Measured
+from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
 from levkas.registration.assessment import ONLY, judge, terms_of
 from levkas.registration.basis import describe_basis
 from levkas.registration.checks import Checks
@@ -25,7 +26,6 @@ from levkas.registration.given import measure_checks, near
 from levkas.registration.models import solve_pairs
 from levkas.registration.rig import Adjusted, adjust
 from levkas.registration.uncertainty import Sigma, measure_sigma, with_colour
-from levkas.transforms import Affine, Composed, Transform, from_dict
 
 if TYPE_CHECKING:
     from levkas.registration.record import Matches

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer
-    from levkas.gridding import Grid
+    from levkas.geometry.grid import Grid
 
 
 @dataclass
@@ -270,7 +270,7 @@ class CaptureStages:
         from levkas.building.default_setup import gains_of_scan
         from levkas.building.streaming import Passing, resample_scan, white_of
         from levkas.database.spooling import write_rows
-        from levkas.transforms import Composed
+        from levkas.geometry.transforms import Composed
 
         transforms = transforms_of(self.places, self.name, capture)
         maps = [Composed(grid.transform, transforms[band.label]) for band in scan.bands]

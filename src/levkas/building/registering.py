@@ -11,8 +11,8 @@ import numpy as np
 
 from levkas import __version__
 from levkas.building.hand_points import declared_points, joined, placed_in, placed_pairs
+from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import Registration, RegistrationRefused, register
-from levkas.transforms import Affine, Composed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
-    from levkas.gridding import Grid
+    from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
     from levkas.registration.given import Given
     from levkas.registration.record import Matches

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.native import Native
-    from levkas.gridding import Grid
-    from levkas.transforms import Transform
+    from levkas.geometry.grid import Grid
+    from levkas.geometry.transforms import Transform
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
@@ -89,8 +89,8 @@ def resample(
     demosaiced: neighbours of theirs share noise.
     """
     from levkas.core.rounding import round_root, round_values
-    from levkas.transforms import Composed
-    from levkas.warping import warp
+    from levkas.geometry.resample import warp
+    from levkas.geometry.transforms import Composed
 
     shape = (grid.size[1], grid.size[0])
     parts = []
@@ -134,8 +134,8 @@ def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, in
     the grid: the mean of its squares over that of Σw²u².
     """
     from levkas.calibration.mosaic import interpolate, method_of
-    from levkas.transforms import Affine
-    from levkas.warping import warp
+    from levkas.geometry.resample import warp
+    from levkas.geometry.transforms import Affine
 
     noise = np.random.default_rng(0).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
     table, method = method_of(*mosaic)

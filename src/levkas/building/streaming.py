@@ -18,9 +18,9 @@ from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root, round_values
-from levkas.pixelmap import PixelMap, lay
-from levkas.transforms import Affine, Composed
-from levkas.warping import Warped, source_rows, warp
+from levkas.geometry.pixel_maps import PixelMap, lay
+from levkas.geometry.resample import Warped, source_rows, warp
+from levkas.geometry.transforms import Affine, Composed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from levkas.building.scans import Scan
     from levkas.campaign.discovery.find_captures import Capture
     from levkas.database.credits import Credits
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 HELD_BYTES = 300_000_000
 """Of calibrated lines and of grid rows, together; the next ones are read meanwhile."""

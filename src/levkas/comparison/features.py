@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.comparison.answer import Answer, NoAnswer
+from levkas.geometry.transforms import Homography
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.images import stretch
 from levkas.registration.matching import find_neighbours
-from levkas.transforms import Homography
 
 if TYPE_CHECKING:
     from levkas.comparison.pairs import Pair

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.transforms import invert
+from levkas.geometry.transforms import invert
 
 STEP_PX = 0.5
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.comparison.answer import Answer, NoAnswer
 from levkas.comparison.fields import Displacement
-from levkas.transforms import Composed, Homography
+from levkas.geometry.transforms import Composed, Homography
 
 if TYPE_CHECKING:
     from levkas.comparison.pairs import Pair

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.geometry.transforms import Affine
 from levkas.registration.images import area_average
 from levkas.registration.mirhashemi2019 import Camera, scale_only
-from levkas.transforms import Affine
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -50,7 +50,7 @@ class Pair:
 
         What the intensity-based peers are given; pixels without a value are the mean of the rest.
         """
-        from levkas.warping import warp
+        from levkas.geometry.resample import warp
 
         filled = np.where(self.target_valid, self.target, np.float32(np.nan))
         values = warp(filled.astype(np.float32), self.start, self.reference.shape).values

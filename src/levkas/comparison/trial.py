@@ -17,8 +17,8 @@ from levkas.comparison.captures import Capture, read_capture
 from levkas.comparison.fields import AnyMap
 from levkas.comparison.methods import COMPARED
 from levkas.comparison.pairs import pair_of, spread
+from levkas.geometry.transforms import Composed, from_dict
 from levkas.readers.texts import read_json
-from levkas.transforms import Composed, from_dict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -197,7 +197,7 @@ def _similarity(
     from levkas.building.places import Places
     from levkas.building.resampling import grey_of, read_grey
     from levkas.evaluation import structural_similarity
-    from levkas.warping import warp
+    from levkas.geometry.resample import warp
 
     grid = from_dict(record["grid"]["transform"])
     shape = tuple(record["grid"]["size"][::-1])

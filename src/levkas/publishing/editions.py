@@ -27,8 +27,8 @@ from levkas.publishing.publication import PublishRefused
 
 if TYPE_CHECKING:
     from levkas.database.credits import Credits
+    from levkas.geometry.transforms import Affine
     from levkas.publishing.publication import Publication
-    from levkas.transforms import Affine
 
 LONGEST, SHORTEST = 640, 480
 """Px of the longer and of the shorter side, at most."""
@@ -94,7 +94,7 @@ def fit_size(width: int, height: int) -> tuple[int, int]:
 
 def map_of(size: tuple[int, int], full: tuple[int, int]) -> Affine:
     """Return the map from pixels of a smaller grid to those of the full one, (width, height) each."""
-    from levkas.transforms import Affine
+    from levkas.geometry.transforms import Affine
 
     steps = [f / s for f, s in zip(full, size, strict=True)]
     return Affine(np.array([[steps[0], 0, (steps[0] - 1) / 2], [0, steps[1], (steps[1] - 1) / 2]]))
@@ -117,7 +117,7 @@ def shrink(source: Path, size: tuple[int, int]) -> Cube:
     from levkas.core.rounding import round_root, round_values
     from levkas.database.opening import open_tiff
     from levkas.database.tiff_pages import open_pages
-    from levkas.warping import warp
+    from levkas.geometry.resample import warp
 
     opened = open_tiff(source)
     pages = {
@@ -210,7 +210,7 @@ def credits_of(path: Path) -> Credits:
 
 def _write_records(publication: Publication, root: Path, name: str, size: tuple[int, int]) -> None:
     """Registration records whose grid is the smaller one; the matches are of native pixels and stay."""
-    from levkas.transforms import Affine, from_dict
+    from levkas.geometry.transforms import Affine, from_dict
 
     for path in sorted((publication.source / f"objects/{name}/registration").glob("*")):
         place = path.relative_to(publication.source).as_posix()

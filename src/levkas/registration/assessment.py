@@ -27,9 +27,9 @@ from levkas.registration.verdict import (
 )
 
 if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
     from levkas.registration.sensors import Sensor
     from levkas.registration.uncertainty import Sigma
-    from levkas.transforms import Transform
 
 #: Share of windows that are predicted better than windows that cannot match (19 of 20 of those).
 BELIEVED, DOUBTED = 0.5, 0.2

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem
+from levkas.geometry.transforms import Transform
 from levkas.registration.given import HAND_PX
 from levkas.registration.ladder import Rung, climb
 from levkas.registration.ledges import averaged
@@ -16,7 +17,6 @@ from levkas.registration.prediction import cell_px
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.refinement import Windows
 from levkas.registration.task import Task
-from levkas.transforms import Transform
 
 LEAST_WINDOWS = 12
 #: Windows are three cells wide: those two cells apart still share one.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from levkas.geometry.transforms import Transform
 from levkas.registration.models import Observations, fit_similarity
-from levkas.transforms import Transform
 
 #: Folds are blocks of every third row and column: nine of them.
 EVERY = 3

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.geometry.transforms import Affine
 from levkas.registration.agreement import LONG_SIDE_PX, WINDOW_PX, Agreement, compare
 from levkas.registration.checks import Checks
 from levkas.registration.evidence import (
@@ -22,10 +23,9 @@ from levkas.registration.evidence import (
     measure_windows,
 )
 from levkas.registration.record import Matches
-from levkas.transforms import Affine
 
 if TYPE_CHECKING:
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 BLOCK_PX = 80
 RIDGE = 1e-3

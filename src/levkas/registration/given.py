@@ -15,7 +15,7 @@ import numpy as np
 from levkas.registration.record import Matches
 
 if TYPE_CHECKING:
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 DECIMALS = 2
 NEAR_PX = 0.011

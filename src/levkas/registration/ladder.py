@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from levkas.geometry.transforms import Composed, Transform
 from levkas.registration.contest import STANDING, Contest, Fit, Part, Rival, deal
 from levkas.registration.ledges import ORDERS, Ledge, find_ledges, fit_behind
 from levkas.registration.models import (
@@ -24,7 +25,6 @@ from levkas.registration.models import (
     solve_pairs,
     temper,
 )
-from levkas.transforms import Composed, Transform
 
 ROUNDS = 5
 MOST_JUDGED = 2000

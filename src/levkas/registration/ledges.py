@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from levkas.ledge import LedgeShift
-from levkas.map_kernels import share_inside
+from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.pixel_maps_kernel import share_inside
+from levkas.geometry.transforms import Composed, Transform, design_matrix, frame_of
 from levkas.registration.models import Observations, fit_polynomial, solve_pairs
-from levkas.transforms import Composed, Transform, design_matrix, frame_of
 
 #: Orders of what a ledge is looked for beside: a cubic follows little of it, a quintic more of a lens.
 ORDERS = (3, 5)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.geometry.transforms import Transform
 from levkas.registration.record import Registration
-from levkas.transforms import Transform
 
 if TYPE_CHECKING:
     from levkas.registration.given import Given

@@ -12,8 +12,8 @@ import numpy as np
 from levkas.registration import RegistrationRefused, register
 
 if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
     from levkas.registration.images import BandImage
-    from levkas.transforms import Transform
 
 GRID = (25, 19)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem
+from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.belief import PARTLY, bear_out, sees_alike, weigh
 from levkas.registration.chromatic import Chromatic, fit_chromatic, still
 from levkas.registration.consent import (
@@ -27,7 +28,6 @@ from levkas.registration.prediction import cell_px
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.refinement import Windows
 from levkas.registration.task import Task
-from levkas.transforms import Affine, Composed, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.checks import Checks

@@ -12,9 +12,9 @@ from levkas.core.problems import Problem, Refused
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from levkas.geometry.transforms import Transform
     from levkas.registration.sightings import Sighting
     from levkas.registration.uncertainty import Sigma
-    from levkas.transforms import Transform
 
 COLUMNS = (
     "reference_x",

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.ledge import LedgeShift
+from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.transforms import Composed, Transform
 from levkas.registration.contest import Fit
 from levkas.registration.ladder import MOST_JUDGED, RUNGS, Rung, climb
 from levkas.registration.models import Observations, fit_projective
 from levkas.registration.shared_colour import share
-from levkas.transforms import Composed, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.chromatic import Chromatic

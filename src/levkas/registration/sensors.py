@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem
+from levkas.geometry.transforms import Composed, Transform
 from levkas.registration.given import Given
 from levkas.registration.guided import guide
 from levkas.registration.initial import start
@@ -16,7 +17,6 @@ from levkas.registration.pyramid import refine
 from levkas.registration.record import RegistrationRefused
 from levkas.registration.task import Task
 from levkas.registration.uncertainty import Sigma, measure_sigma
-from levkas.transforms import Composed, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.checks import Checks

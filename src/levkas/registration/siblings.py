@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.chromatic import LEAST_WINDOWS, Chromatic, fit_chromatic, still
 from levkas.registration.ladder import climb
 from levkas.registration.models import Observations
@@ -17,7 +18,6 @@ from levkas.registration.refinement import Predictor, Windows
 from levkas.registration.sensors import Sensor, ordered
 from levkas.registration.uncertainty import measure_sigma
 from levkas.registration.workers import each
-from levkas.transforms import Affine, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage

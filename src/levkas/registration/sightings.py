@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
 from levkas.registration.chromatic import Chromatic
 from levkas.registration.ladder import Terms
 from levkas.registration.models import Observations
-from levkas.transforms import Affine, Composed, Transform, from_dict
 
 if TYPE_CHECKING:
     from levkas.registration.sensors import Sensor

@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.core.flags import MARKS
 from levkas.database.tiff_pages import open_pages
-from levkas.mapping import Frame, Records
+from levkas.geometry.pixel_frames import Frame, Records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

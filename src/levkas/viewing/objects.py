@@ -18,7 +18,7 @@ from levkas.database.registrations import read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import layer_name
 from levkas.database.tiff_pages import open_pages
-from levkas.mapping import Frame
+from levkas.geometry.pixel_frames import Frame
 from levkas.readers.texts import parse_bounded, read_text
 from levkas.reporting.page import DECISIONS
 from levkas.viewing.lattice import write_lattices
@@ -88,7 +88,7 @@ def _told(item: Item, key: str) -> bool:
 def find_items(database: Path) -> list[Item]:
     """Return the objects of a database in order, each with its layers, the reference's first."""
     from levkas.database.catalogue import NAME, read_catalogue
-    from levkas.mapping import parse_frame
+    from levkas.geometry.pixel_frames import parse_frame
 
     found: dict[str, list[tuple[str, str]]] = {}
     if (database / NAME).is_file():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.transforms import Inverse, Transform, from_dict
+from levkas.geometry.transforms import Inverse, Transform, from_dict
 from levkas.workbench import maps
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
 from levkas.workbench.operations import refused
@@ -387,7 +387,7 @@ class Frame:
 
 def _shifted(forward: Transform, pair: np.ndarray, at: np.ndarray | None = None) -> Transform:
     """The map near a place (`at`, else the pair's own), shifted so that it leads through a pair."""
-    from levkas.transforms import Affine
+    from levkas.geometry.transforms import Affine
 
     slope = forward.jacobian((pair[:2] if at is None else at)[None])[0]
     return Affine(np.column_stack([slope, pair[2:] - slope @ pair[:2]]))

@@ -11,8 +11,8 @@ from levkas.core.problems import Problem, Refused
 from levkas.workbench.pictures import Picture, place_on_lattice
 
 if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
     from levkas.registration.record import Matches
-    from levkas.transforms import Transform
 
 LONGEST_PX = 480
 NODES = 48

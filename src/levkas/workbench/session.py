@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
+from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.registration.given import Marked, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
 from levkas.registration.record import Matches, RegistrationRefused
 from levkas.registration.replay import reject_of, replay
-from levkas.transforms import Affine, Inverse, Transform
 from levkas.workbench.operations import OPERATIONS, refused, set_threshold
 
 if TYPE_CHECKING:

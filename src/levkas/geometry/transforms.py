@@ -213,7 +213,7 @@ class Polynomial:
         return cls(order, np.asarray(centre, float), float(spread), solved)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        from levkas.map_kernels import polynomial
+        from levkas.geometry.pixel_maps_kernel import polynomial
 
         return np.asarray(
             polynomial(
@@ -233,7 +233,7 @@ class Polynomial:
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
         """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
-        from levkas.map_kernels import polynomial_slopes
+        from levkas.geometry.pixel_maps_kernel import polynomial_slopes
 
         return np.asarray(
             polynomial_slopes(
@@ -413,14 +413,14 @@ KINDS: dict[str, Any] = {
 
 
 def _ledge(record: dict[str, Any]) -> Transform:
-    from levkas.ledge import LedgeShift
+    from levkas.geometry.depth_step import LedgeShift
 
     lines, centre, shift = (np.array(record[k], float) for k in ("lines", "centre", "shift"))
     return LedgeShift(lines, record["width"], centre, record["spread"], shift)
 
 
 def _spline(record: dict[str, Any]) -> Transform:
-    from levkas.spline import SplineShift
+    from levkas.geometry.spline import SplineShift
 
     coefficients = np.array(record["coefficients"], float)
     return SplineShift(np.array(record["origin"], float), record["spacing"], coefficients)

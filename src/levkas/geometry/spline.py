@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.transforms import invert
+from levkas.geometry.transforms import invert
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class SplineShift:
     coefficients: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        from levkas.map_kernels import displace
+        from levkas.geometry.pixel_maps_kernel import displace
 
         points = np.ascontiguousarray(points, float)
         coefficients = np.ascontiguousarray(self.coefficients, float)
@@ -48,7 +48,7 @@ class SplineShift:
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
         """Return d(x′, y′)/d(x, y), (n, 2, 2)."""
-        from levkas.map_kernels import displace_slopes
+        from levkas.geometry.pixel_maps_kernel import displace_slopes
 
         points = np.ascontiguousarray(points, float)
         coefficients = np.ascontiguousarray(self.coefficients, float)

@@ -8,7 +8,7 @@ from math import ceil, cos, radians, sin
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-from levkas.transforms import Affine
+from levkas.geometry.transforms import Affine
 
 QUARTERS: dict[float, tuple[float, float]] = {
     0: (1.0, 0.0),

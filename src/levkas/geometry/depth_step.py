@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.transforms import invert
+from levkas.geometry.transforms import invert
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class LedgeShift:
     shift: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        from levkas.map_kernels import step_inside
+        from levkas.geometry.pixel_maps_kernel import step_inside
 
         points, lines, shift = (
             np.ascontiguousarray(a, float) for a in (points, self.lines, self.shift)

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.machine import count_threads
-from levkas.ledge import LedgeShift
+from levkas.geometry.depth_step import LedgeShift
 
 if TYPE_CHECKING:
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 TOLERANCE_PX = 1e-4
 LEDGE_SHARE = 1 / 400
@@ -120,7 +120,7 @@ def lay(transforms: Transform | Sequence[Transform], shape: tuple[int, int]) -> 
 
     Examples
     --------
-    >>> from levkas.transforms import Affine
+    >>> from levkas.geometry.transforms import Affine
     >>> lay(Affine.scaling(0.5), (800, 600)).lattices[0].table.shape
     (8, 19, 10)
     """
@@ -286,7 +286,7 @@ def lagrange(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarray:
     """Lay cubics along the segments of each row of nodes, through four places of each."""
-    from levkas.map_kernels import segments
+    from levkas.geometry.pixel_maps_kernel import segments
 
     (height, width), (rows, columns) = shape, nodes.shape[:2]
     count = ceil(width / segment)
@@ -301,7 +301,7 @@ def _evaluate(
     table: np.ndarray, shape: tuple[int, int], segment: int, x: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
     """Return what a band's table says at a raster of whole grid px, (rows x columns, 2)."""
-    from levkas.map_kernels import follow
+    from levkas.geometry.pixel_maps_kernel import follow
 
     rows = table.shape[0]
     first, weights = lagrange(y * ((rows - 1) / (shape[0] - 1)), rows)

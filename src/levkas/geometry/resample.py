@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.cache_lines import empty
 from levkas.core.machine import count_threads, tile_rows
-from levkas.pixelmap import (
+from levkas.geometry.pixel_maps import (
     COARSE,
     Lattice,
     PixelMap,
@@ -25,7 +25,7 @@ from levkas.pixelmap import (
 )
 
 if TYPE_CHECKING:
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
     Maps = Transform | Sequence[Transform] | PixelMap
 
@@ -75,7 +75,7 @@ def warp(
         Pixels that are not finite are taken as not there.
     transforms : Transform, sequence of Transform, or PixelMap
         Grid px → source px: one for all bands, or one each. Where the same maps are used again, for
-        tiles, `levkas.pixelmap.lay` them once.
+        tiles, `levkas.geometry.pixel_maps.lay` them once.
     shape : (height, width) of the grid
     flags : ndarray, uint8, and variance : ndarray, float32, optional
         As large as `source`. Variance in its unit squared.
@@ -121,7 +121,7 @@ def warp(
 
     Examples
     --------
-    >>> from levkas.transforms import Affine
+    >>> from levkas.geometry.transforms import Affine
     >>> ramp = np.arange(8, dtype=np.float32) + np.zeros((8, 1), np.float32)
     >>> half = Affine(np.array([[1.0, 0, 0.5], [0, 1, 0]]))
     >>> warp(ramp, half, (1, 8)).values[0]
@@ -201,7 +201,7 @@ def source_rows(
 
     Examples
     --------
-    >>> from levkas.transforms import Affine
+    >>> from levkas.geometry.transforms import Affine
     >>> source_rows(Affine.scaling(2.0), (500, 500), (100, 110), 1000)
     (195, 225)
     """
