@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.colour import (
+from levkas.colour.icc import srgb_profile
+from levkas.colour.observer import tables
+from levkas.colour.srgb import (
     SRGB_TO_XYZ,
     camera_matrix,
     encode_srgb,
@@ -18,8 +20,6 @@ from levkas.colour import (
 )
 from levkas.core.cube import Band, Cube
 from levkas.database.preview import encode_png
-from levkas.icc import srgb_profile
-from levkas.observer import tables
 
 OBSERVER = science.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
 D65 = science.SDS_ILLUMINANTS["D65"]

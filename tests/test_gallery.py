@@ -16,7 +16,7 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
 MODULES = {
     "levkas",
-    "levkas.gamut",
+    "levkas.colour.gamut",
     "levkas.noise",
     "levkas.planning",
     "levkas.radiometry",

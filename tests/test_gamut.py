@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levkas.colour import SRGB_TO_XYZ, encode_srgb
-from levkas.gamut import gamut_cells, lab_colours, lab_of, munsell_lab, xyz_to_lab
+from levkas.colour.gamut import gamut_cells, lab_colours, lab_of, munsell_lab, xyz_to_lab
+from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb
 from levkas.publishing.colours import _joined, draw_gamut
 
 

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from levkas.colour import SRGB_TO_XYZ, xyz_weights
-from levkas.relighting import (
+from levkas.colour.relighting import (
     adaptation,
     light_on_grid,
     relight,
     white_of,
     xyz_weights_under,
 )
+from levkas.colour.srgb import SRGB_TO_XYZ, xyz_weights
 
 WAVES = np.arange(400, 721, 10.0)
 
@@ -32,7 +32,7 @@ def test_under_d65_it_is_the_picture_of_the_build():
     values = rng.random((5, 7, len(WAVES)))
     apart = xyz_weights_under(WAVES, "D65") / xyz_weights(WAVES)
     assert np.abs(apart[8:-6] - 1).max() < 2e-3
-    from levkas.colour import find_rendering
+    from levkas.colour.srgb import find_rendering
     from levkas.core.cube import Band
 
     built = find_rendering([Band(f"{w:g} nm", w) for w in WAVES])(values)

@@ -137,7 +137,7 @@ def white_of(scan: Scan) -> float | None:
 
     It is found in the picture of the whole scan, whatever rows come first.
     """
-    from levkas.colour import counts_white, find_rendering
+    from levkas.colour.srgb import counts_white, find_rendering
 
     if scan.quantity == "reflectance":
         return None

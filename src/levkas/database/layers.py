@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.colour import preview
+from levkas.colour.srgb import preview
 from levkas.core.digests import hash_file
 from levkas.core.files import remove, together
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
@@ -95,7 +95,7 @@ def write_layer(
     verdict : str
         For the catalogue.
     sensitivity, encoded, white
-        For the picture, as in `levkas.colour.preview`.
+        For the picture, as in `levkas.colour.srgb.preview`.
     zarr : bool
         Whether the Zarr layer is written too.
     threads : int, optional

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from levkas.colour import counts_white, find_rendering
+from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.files import spooling, together
 from levkas.database.catalogue import Entry
 from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
@@ -29,7 +29,7 @@ from levkas.database.store import writing_layer
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from levkas.colour import Rendering
+    from levkas.colour.srgb import Rendering
     from levkas.core.cube import Band, Cube
     from levkas.database.store import LayerWriter
 

@@ -25,7 +25,7 @@ _HOMES = {
     "sample_surface": "surface",
     "specular": "facets",
     "colour_temperature": "spectra",
-    "illuminant": "illuminants",
+    "illuminant": "levkas.colour.illuminants",
     "GRID": "spectra",
 }
 __all__ = sorted(_HOMES)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.colour.illuminants import illuminant
 from levkas.core.files import write_text
 from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS, Judge
 from levkas.planning.diagrams import draw_bench
 from levkas.planning.dose import plan_dose
 from levkas.planning.exposing import plan_exposure
 from levkas.planning.framing import plan_framing
-from levkas.planning.illuminants import illuminant
 from levkas.planning.light import compare_lightings, eye_of, plan_light
 from levkas.planning.maps import (
     draw_evenness,

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.colour import LEAST_COVERAGE, visible_coverage
+from levkas.colour.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab
+from levkas.colour.srgb import LEAST_COVERAGE, visible_coverage
 from levkas.core.cube import Flag
 from levkas.database.agreement import stem_of
 from levkas.database.preview import encode_png
-from levkas.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
@@ -56,7 +56,7 @@ def draw_gamut(cells: np.ndarray, others: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     cells : ndarray, (n, 4)
-        As `levkas.gamut.gamut_cells` gives them.
+        As `levkas.colour.gamut.gamut_cells` gives them.
     others : ndarray, (m, 3)
         CIELAB.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.colour import observer_under_d65, visible_coverage, xyz_weights
+from levkas.colour.srgb import observer_under_d65, visible_coverage, xyz_weights
 
 if TYPE_CHECKING:
     from levkas.radiometry.charts import Chart, Reference

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.colour import encode_srgb, find_rendering
+from levkas.colour.srgb import encode_srgb, find_rendering
 from levkas.core.cube import Band
 from levkas.database.tiff_pages import open_pages
 from levkas.viewing.maps import (

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.colour import SRGB_TO_XYZ
-from levkas.observer import tables_by_nm
+from levkas.colour.observer import tables_by_nm
+from levkas.colour.srgb import SRGB_TO_XYZ
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Spectral cubes shown under any light: XYZ from reflectance and the light's spectrum, then sRGB.
 
 With S the light, X = Σ S x̄ R / Σ S ȳ over 1 nm (CIE 15), bands interpolated linearly as
-`levkas.colour` does under D65. Adapted, white looks white, as to an eye that is used to the light;
+`levkas.colour.srgb` does under D65. Adapted, white looks white, as to an eye that is used to the light;
 not adapted, it has the light's own colour beside a D65 display.
 """
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.colour import SRGB_TO_XYZ, Rendering
-from levkas.observer import tables_by_nm
+from levkas.colour.observer import tables_by_nm
+from levkas.colour.srgb import SRGB_TO_XYZ, Rendering
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.observer import tables_by_nm
+from levkas.colour.observer import tables_by_nm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.colour import SRGB_TO_XYZ, encode_srgb, xyz_weights
-from levkas.relighting import adaptation
+from levkas.colour.relighting import adaptation
+from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, xyz_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
