@@ -18,12 +18,12 @@ from levkas.calibration.flatfield import flat_field
 from levkas.calibration.linearity import check_linearity
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
+from levkas.calibration.noise_model import Sensor, sample_values, snr_db
 from levkas.calibration.templates import average
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine, from_dict
-from levkas.noise import Sensor, sample_values, snr_db
 from levkas.radiometry.blur import find_preblur
 from levkas.radiometry.glare import mark_glare
 

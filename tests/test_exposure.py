@@ -7,11 +7,11 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
+from levkas.calibration.noise_model import Sensor
 from levkas.cli import app
 from levkas.coaching import NoAdvice, coach
 from levkas.coaching_words import advice_text
 from levkas.exposure import advise, judge_iso, limiting, read_channel, safe_mean
-from levkas.noise import Sensor
 
 SENSOR = Sensor(dark=0.0, read=10.0, prnu=0.01, dsnu=0.0, gain=0.1, black=64.0)
 TILT = np.linspace(0.95, 1.05, 256) * np.ones((192, 1))

@@ -17,7 +17,7 @@ SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
 MODULES = {
     "levkas",
     "levkas.colour.gamut",
-    "levkas.noise",
+    "levkas.calibration.noise_model",
     "levkas.planning",
     "levkas.radiometry",
     "levkas.registration",

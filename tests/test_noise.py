@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.noise import (
+from levkas.calibration.noise_model import (
     Sensor,
     crossover_exposures,
     dynamic_range_db,

@@ -33,8 +33,8 @@ _HOMES = {
     "Lens": "geometry.transforms",
     "Composed": "geometry.transforms",
     "Inverse": "geometry.transforms",
-    "Sensor": "noise",
-    "noise_variance": "noise",
+    "Sensor": "calibration.noise_model",
+    "noise_variance": "calibration.noise_model",
     "structural_similarity": "evaluation",
     "position_errors": "evaluation",
 }

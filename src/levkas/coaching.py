@@ -12,6 +12,7 @@ import numpy as np
 
 from levkas.calibration.blocks import block_statistics
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
+from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.campaign.full_scales import FullScale, find_full_scale, not_known
@@ -26,7 +27,6 @@ from levkas.exposure import (
     read_channel,
     snr_at,
 )
-from levkas.noise import Sensor
 from levkas.readers.frames import read_facts
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels

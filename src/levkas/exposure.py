@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.noise import Sensor, snr_db
+from levkas.calibration.noise_model import Sensor, snr_db
 
 CHANCE = 1e-6
 DRIFT = 0.01

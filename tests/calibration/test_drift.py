@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from levkas.calibration.drift import Light, measure_drift
-from levkas.calibration.moving import find_moved
+from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import average
 

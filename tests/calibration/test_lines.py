@@ -5,7 +5,7 @@ import pytest
 
 from levkas.calibration.lines import LineField
 from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.scanning import average_lines
+from levkas.calibration.pushbroom import average_lines
 from levkas.core.cube import Flag
 
 ORDERS = {"bil": (0, 2, 1), "bip": (0, 1, 2), "bsq": (2, 0, 1)}

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.scanning import average_lines, join_strips
+from levkas.calibration.pushbroom import average_lines, join_strips
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.cube import Flag
 

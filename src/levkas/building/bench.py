@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.building.codes import check_codes, doubt_codes, spread, thin_rows
 from levkas.building.exposure_times import times_of
-from levkas.calibration.gaps import close_gaps
+from levkas.calibration.invalid_values import close_gaps
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame

@@ -9,7 +9,7 @@ import numpy as np
 
 from levkas.building.bench import Bench, placed
 from levkas.calibration.flatfield import Calibrated, flat_field
-from levkas.calibration.gaps import describe_gaps, gaps_of
+from levkas.calibration.invalid_values import describe_gaps, gaps_of
 from levkas.calibration.templates import CalibrationRefused, Template
 from levkas.core.cube import Cube, Flag
 from levkas.core.problems import Problem
@@ -138,7 +138,7 @@ def _moved(
     bench: Bench, shot: Template, dark: list[Template], noise: NoiseModel | None
 ) -> np.ndarray | None:
     """Return what moved between the object's shots; None where that cannot be told."""
-    from levkas.calibration.moving import find_moved
+    from levkas.calibration.motion import find_moved
 
     if shot.count < 2 or noise is None or noise.source != "temporal":
         return None

@@ -8,7 +8,7 @@ import numpy as np
 
 from levkas.building.native import UNRELIABLE
 from levkas.calibration.denoising import describe_removed
-from levkas.calibration.gaps import describe_lost, gaps_of, no_values
+from levkas.calibration.invalid_values import describe_lost, gaps_of, no_values
 from levkas.calibration.templates import CalibrationRefused
 from levkas.registration.images import BandImage
 

@@ -156,7 +156,7 @@ def replace_defects(
     The nearest ring of the same phase that holds three sound sensels or more is used; in a cube
     neighbours are those of the same band.
     """
-    from levkas.calibration.mending import mend
+    from levkas.calibration.defects_kernel import mend
 
     values, flags = np.array(values, np.float32), np.array(flags, np.uint8)
     variance = None if variance is None else np.array(variance, np.float32)

@@ -112,7 +112,7 @@ def interpolate(
 
     Arguments and results as in `demosaic`; `weights` as in `stencils.Place`.
     """
-    from levkas.calibration.weighing import weigh
+    from levkas.calibration.mosaic_kernel import weigh
 
     if values.ndim != 2 or any(n < p for n, p in zip(values.shape, table.shape, strict=True)):
         raise CalibrationRefused(

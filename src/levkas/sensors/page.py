@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.calibration.noise_model import Sensor, snr_db
 from levkas.calibration.photon_transfer import PhotonTransfer
-from levkas.noise import Sensor, snr_db
 from levkas.sensors.facts import describe_levels
 
 if TYPE_CHECKING:

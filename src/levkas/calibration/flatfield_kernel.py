@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from levkas.calibration.noise_fit import HIDES, WORKED_OUT
-from levkas.calibration.signatures import readonly
+from levkas.calibration.numba_types import readonly
 from levkas.core.cube import Flag
 
 PRIOR = 60.0  # a noise model weighs as much as this many degrees of freedom of a stack

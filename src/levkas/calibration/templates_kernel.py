@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numba import types
 
-from levkas.calibration.signatures import readonly
+from levkas.calibration.numba_types import readonly
 
 _BYTES, _REALS = types.uint8[:, ::1], types.float64[:, ::1]
 

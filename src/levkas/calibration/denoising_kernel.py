@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numba import types
 
-from levkas.calibration.signatures import readonly
+from levkas.calibration.numba_types import readonly
 
 TILE = 8  # bands whose sums stay in the first cache while the spectra pass by
 

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numba import types
 
-from levkas.calibration.signatures import readonly
+from levkas.calibration.numba_types import readonly
 
 _REAL, _BYTE = readonly(types.float32), readonly(types.uint8)
 _SUM, _SCALAR = types.float64[:, ::1], types.float64

@@ -14,7 +14,7 @@ from numba import types
 
 from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.signatures import readonly
+from levkas.calibration.numba_types import readonly
 from levkas.calibration.templates import Template
 
 BY_CHANCE = 1e-10  # of one pixel: a false one in a thousand frames of 10 megapixels

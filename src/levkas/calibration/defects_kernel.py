@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numba import types
 
-from levkas.calibration.signatures import readonly
+from levkas.calibration.numba_types import readonly
 from levkas.core.cube import Flag
 
 DEFECT, NEAR = np.uint8(Flag.DEFECT.value), np.uint8(Flag.NEAR.value)
