@@ -26,7 +26,7 @@ from levkas.core.problems import Refused
 from levkas.planning.lobes import read_lobe
 from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys
-from levkas.radiometry.charts import Chart, parse_reference
+from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
 from levkas.readers.exif import read_exif
 from levkas.readers.frames import read_facts, read_frame

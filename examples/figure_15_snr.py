@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter
 
-import levkas.radiometry as chart
+import levkas.quality.targets as chart
 from levkas.calibration.noise_model import Sensor
 
 KIND, PITCH, SENSOR = chart.CHARTS["ColorChecker24"], 60, Sensor()

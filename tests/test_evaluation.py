@@ -3,14 +3,14 @@ import json
 import numpy as np
 import pytest
 
-from levkas.evaluation import (
+from levkas.geometry.transforms import Affine
+from levkas.quality.evaluation.similarity import (
     TruthRefused,
     position_errors,
     read_truth,
     structural_similarity,
     summarise_errors,
 )
-from levkas.geometry.transforms import Affine
 
 
 def textured(rng, shape=(64, 80)):

@@ -19,7 +19,7 @@ MODULES = {
     "levkas.colour.gamut",
     "levkas.calibration.noise_model",
     "levkas.planning",
-    "levkas.radiometry",
+    "levkas.quality.targets",
     "levkas.registration",
     "levkas.reporting",
     "levkas.simulation",

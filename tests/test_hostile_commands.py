@@ -43,7 +43,7 @@ def imported(tmp_path_factory):
     import levkas.building
     import levkas.campaign.guess.campaigns
     import levkas.coaching
-    import levkas.sensors  # noqa: F401
+    import levkas.quality.emva1288  # noqa: F401
 
     frame = tmp_path_factory.mktemp("sound") / "frame.tif"
     tifffile.imwrite(frame, np.ones((20, 20), np.uint16))

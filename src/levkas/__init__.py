@@ -17,7 +17,7 @@ _HOMES = {
     "write_stiff": "database.spectral_tiff",
     "read_mtiff": "database.spectral_tiff",
     "map_points": "geometry.pixel_frames",
-    "assess": "assessment",
+    "assess": "quality.evaluation.layer_report",
     "register": "registration",
     "warp": "geometry.resample",
     "Grid": "geometry.grid",
@@ -35,8 +35,8 @@ _HOMES = {
     "Inverse": "geometry.transforms",
     "Sensor": "calibration.noise_model",
     "noise_variance": "calibration.noise_model",
-    "structural_similarity": "evaluation",
-    "position_errors": "evaluation",
+    "structural_similarity": "quality.evaluation.similarity",
+    "position_errors": "quality.evaluation.similarity",
 }
 __all__ = sorted([*_HOMES, "__version__"])
 

@@ -10,8 +10,8 @@ import numpy as np
 from levkas.calibration.templates import Template, average
 from levkas.campaign.full_scales import find_full_scale, not_known
 from levkas.core.problems import Problem, Refused
+from levkas.quality.emva1288.facts import frames_below
 from levkas.readers.frames import read_facts, read_frame
-from levkas.sensors.facts import frames_below
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
 CELLS = 24  # columns to which a white is thinned: light has no detail, dust and noise have

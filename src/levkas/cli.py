@@ -263,10 +263,10 @@ def evaluate(
 
     --compare sets Levkas beside the paper's method, the paper's opponents and today's peers.
     """
-    from levkas.assessment import assess, locate
+    from levkas.quality.evaluation.layer_report import assess, locate
 
     if compared:
-        from levkas.comparison import compare
+        from levkas.quality.comparison import compare
 
         table = compare(
             database, methods=methods or (), truth=truth, output=output, time_limit_s=time_limit_s,
@@ -283,7 +283,7 @@ def evaluate(
     )
     more, text = {}, report.text
     if loops:
-        from levkas.closure import close_database, tell
+        from levkas.quality.evaluation.loop_closure import close_database, tell
 
         more["loops"] = close_database(locate(database)[0])
         text = f"{text}\n\n{tell(more['loops'])}"
@@ -350,7 +350,7 @@ def chart(
     """Find colour charts and measure signal-to-noise, blur, colour, tone and white balance."""
     from levkas.building.charting import measure_charts
     from levkas.core.ownership import require_free
-    from levkas.radiometry.charts import parse_corners
+    from levkas.quality.targets.charts import parse_corners
 
     if output is not None:
         require_free(output, overwrite=overwrite)

@@ -32,14 +32,14 @@ def radiometry(
     Nothing is written but the page that --output asks for.
     """
     from levkas.core.ownership import require_free
-    from levkas.sensors import examine_with_seed
+    from levkas.quality.emva1288 import examine_with_seed
 
     if output is not None:
         require_free(output, overwrite=overwrite)
     found = examine_with_seed(path, cameras=cameras, seed=seed)
     written = None
     if output is not None:
-        from levkas.sensors.page import write_page
+        from levkas.quality.emva1288.page import write_page
 
         written = str(write_page(found, output))
     if not as_json:

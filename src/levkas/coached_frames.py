@@ -63,6 +63,6 @@ def files_at(path: Path) -> list[Path]:
     """Return a file, or the frames of a folder."""
     if not path.is_dir():
         return [path]
-    from levkas.sensors.facts import frames_below
+    from levkas.quality.emva1288.facts import frames_below
 
     return frames_below(path)

@@ -44,8 +44,8 @@ def demonstrate(
     DemonstrationRefused
         Where the folder holds something else.
     """
-    from levkas.assessment import assess
     from levkas.building import build, summarise
+    from levkas.quality.evaluation.layer_report import assess
     from levkas.simulation import simulate_campaign
 
     folder = Path(folder)

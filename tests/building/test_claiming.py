@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from levkas.assessment import assess
 from levkas.building import build, status, summarise
 from levkas.cli import app
 from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.problems import Refused
+from levkas.quality.evaluation.layer_report import assess
 from levkas.validation import validate
 
 

@@ -7,11 +7,11 @@ import pytest
 from typer.testing import CliRunner
 
 from levkas.cli import app
-from levkas.comparison import COMPARED, compare
-from levkas.comparison.captures import ComparisonRefused
-from levkas.comparison.methods import Method
-from levkas.comparison.running import Layer, Row, chosen_methods
-from levkas.comparison.table import Comparison
+from levkas.quality.comparison import COMPARED, compare
+from levkas.quality.comparison.captures import ComparisonRefused
+from levkas.quality.comparison.methods import Method
+from levkas.quality.comparison.running import Layer, Row, chosen_methods
+from levkas.quality.comparison.table import Comparison
 
 run = CliRunner().invoke
 

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from levkas.core.cube import Band, Cube, Flag
-from levkas.radiometry.charts import (
+from levkas.quality.image_quality.indicators import compare_colours, delta_e_2000, lab_of, rate
+from levkas.quality.targets.charts import (
     CHARTS,
     ChartRefused,
     chart_of,
@@ -12,10 +13,9 @@ from levkas.radiometry.charts import (
     place_patches,
     reference_of,
 )
-from levkas.radiometry.indicators import compare_colours, delta_e_2000, lab_of, rate
-from levkas.radiometry.locating import locate_chart
-from levkas.radiometry.measuring import measure, sight
-from levkas.radiometry.patches import measure_patches
+from levkas.quality.targets.locating import locate_chart
+from levkas.quality.targets.measuring import measure, sight
+from levkas.quality.targets.patches import measure_patches
 
 CLASSIC = CHARTS["ColorChecker24"]
 WAVELENGTHS = np.arange(420.0, 721, 30)

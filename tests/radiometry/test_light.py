@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from levkas.radiometry.light import LightRefused, light_field
+from levkas.quality.image_quality.light import LightRefused, light_field
 
 
 def hill(size=(96, 128), at=(60, 40), width=90.0):

@@ -8,7 +8,7 @@ from levkas.building.whiteboard import read_spectrum
 from levkas.core.problems import Refused
 from levkas.planning.lobes import read_lobe
 from levkas.planning.tables import LampKeys
-from levkas.radiometry.charts import Chart, parse_reference
+from levkas.quality.targets.charts import Chart, parse_reference
 
 CHART = Chart("two by two", 2, 2, (0, 1, 2, 3))
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from levkas.geometry.transforms import Affine
+from levkas.quality.evaluation.loops import View, close_loops, points_on
 from levkas.registration import BandImage
-from levkas.registration.loops import View, close_loops, points_on
 
 
 def shifted(scale, x, y):

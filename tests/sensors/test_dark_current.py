@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.sensors import examine_with_seed
+from levkas.quality.emva1288 import examine_with_seed
 
 GAIN, BLACK, READ, CURRENT, PRNU = 1.5, 40.0, 6.0, 50.0, 0.005
 """DN/e⁻, DN, e⁻, e⁻/s, share."""

@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 from levkas.calibration.noise_model import noise_variance
-from levkas.evaluation import read_truth
+from levkas.quality.evaluation.similarity import read_truth
 from levkas.simulation.campaigns import Session, Simulated, simulate_campaign
 from levkas.simulation.capture import WHITE_REFLECTANCE, look
 from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras

@@ -60,7 +60,7 @@ class Bench:
     @cached_property
     def step(self) -> float:
         """Counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16."""
-        from levkas.calibration.curves import find_step
+        from levkas.quality.emva1288.code_spacing import find_step
 
         few = 1 if self.facts.kind == "raw" else 2
         frames = [*spread(self.sensor.object, few), *spread(self.sensor.white, few)]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
     from levkas.core.cube import Band
-    from levkas.radiometry.measuring import ChartMeasure
+    from levkas.quality.targets.measuring import ChartMeasure
 
 PICTURES = ("levels", "shape", "step", "size")
 """Of a light field: its map, which the camera's page shows."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
-    from levkas.radiometry.measuring import ChartMeasure
+    from levkas.quality.targets.measuring import ChartMeasure
 
 
 class CameraPages:
@@ -102,7 +102,7 @@ class CameraPages:
         from levkas.building.camera_files import write_chart
         from levkas.building.charting import develop_chart, measure_capture, problems_of
         from levkas.core.disk import WriteRefused
-        from levkas.radiometry.charts import chart_of, reference_of
+        from levkas.quality.targets.charts import chart_of, reference_of
 
         made_files: list[Path] = []
         measures, problems = [], list(self.refusals.get(camera, ()))

@@ -13,7 +13,7 @@ import numpy as np
 from levkas.core.cube import Band, Cube
 from levkas.core.problems import Problem
 from levkas.database.containment import check_inside
-from levkas.radiometry.charts import Chart, ChartRefused, chart_of
+from levkas.quality.targets.charts import Chart, ChartRefused, chart_of
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.radiometry.measuring import ChartMeasure
+from levkas.quality.targets.measuring import ChartMeasure
 
 
 @dataclass(frozen=True)

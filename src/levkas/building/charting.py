@@ -14,8 +14,8 @@ from levkas.building.chart_cubes import Subject, is_database, read_cube_file, su
 from levkas.building.chart_report import ChartReport
 from levkas.core.cube import Cube
 from levkas.core.problems import Problem, Refused
-from levkas.radiometry.charts import Chart, ChartRefused, Reference, chart_of, reference_of
-from levkas.radiometry.measuring import ChartMeasure, Sighting, measure, sight
+from levkas.quality.targets.charts import Chart, ChartRefused, Reference, chart_of, reference_of
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure, sight
 
 if TYPE_CHECKING:
     from levkas.building.native import Native
@@ -175,7 +175,7 @@ def _of_campaign(
 
 
 def _reference(chart: Chart, path: str | Path | None) -> Reference | None:
-    from levkas.radiometry.charts import parse_reference
+    from levkas.quality.targets.charts import parse_reference
     from levkas.readers.texts import read_text
 
     if path is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.cube import Flag
-from levkas.radiometry.glare import setup_gains
+from levkas.quality.image_quality.glare import setup_gains
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

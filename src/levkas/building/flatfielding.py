@@ -198,7 +198,7 @@ def mark_glare_in(cube: Cube, *, squared: bool = False) -> Cube:
     With `squared` its sigma is the square of it.
     """
     if cube.quantity == "reflectance":
-        from levkas.radiometry.glare import mark_glare
+        from levkas.quality.image_quality.glare import mark_glare
 
         mark_glare(cube.values, cube.flags, cube.sigma, squared=squared)
     return cube

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.building.fingerprints import keys_of
-from levkas.radiometry.places import choose_places
+from levkas.quality.targets.places import choose_places
 from levkas.reporting.page import CloseUpRow, CloseUps, embed_png
 from levkas.reporting.radiometry import RadiometryRow, describe_layer
 

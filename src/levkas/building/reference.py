@@ -152,7 +152,7 @@ class ReferenceFrame:
         """SSIM against the reference layer, and its map as PNG text, for the report."""
         from levkas.building.resampling import read_grey, shrink_map
         from levkas.database.preview import encode_png
-        from levkas.evaluation import structural_similarity
+        from levkas.quality.evaluation.similarity import structural_similarity
 
         if capture is self.capture:
             self._grey = grey

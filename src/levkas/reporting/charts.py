@@ -14,7 +14,7 @@ from levkas.reporting.radiometry import channel_colours
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.radiometry.measuring import ChartMeasure, Sighting
+    from levkas.quality.targets.measuring import ChartMeasure, Sighting
 
 LONGEST = 640
 MOST_LINES = 33
@@ -77,7 +77,7 @@ def _blur_notes(measure: ChartMeasure) -> list[str]:
 
 def _sampled(seen: Sighting, measure: ChartMeasure) -> Figure:
     from levkas.database.preview import encode_png
-    from levkas.radiometry.locating import pictures_of
+    from levkas.quality.targets.locating import pictures_of
 
     shown = pictures_of(seen.cube.values)[-1][..., 0]
     step = max(1, -(-max(shown.shape) // LONGEST))

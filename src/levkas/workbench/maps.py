@@ -88,7 +88,7 @@ def draw_leave_one_out(matches: Matches, size: tuple[int, int]) -> Map:
 
 def draw_ssim(reference: Picture, target: Picture, forward: Transform) -> Map:
     """Draw the structural similarity of the reference and of the target brought into its frame."""
-    from levkas.evaluation import structural_similarity
+    from levkas.quality.evaluation.similarity import structural_similarity
 
     step = max(1.0, max(reference.size) / LONGEST_PX)
     across, down = _axes(reference.size, LONGEST_PX)
