@@ -23,7 +23,7 @@ from levkas.campaign.edits import read_edits
 from levkas.control_points.layers import is_table_of_frames, read_table_of_frames
 from levkas.control_points.reading import read_points
 from levkas.core.problems import Refused
-from levkas.planning.lobes import read_lobe
+from levkas.planning.luminous_intensity import read_lobe
 from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference

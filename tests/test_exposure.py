@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from levkas.calibration.noise_model import Sensor
 from levkas.cli import app
-from levkas.coaching import NoAdvice, coach
-from levkas.coaching_words import advice_text
-from levkas.exposure import advise, judge_iso, limiting, read_channel, safe_mean
+from levkas.planning.advice_text import advice_text
+from levkas.planning.exposure_advice import NoAdvice, coach
+from levkas.planning.exposure_levels import advise, judge_iso, limiting, read_channel, safe_mean
 
 SENSOR = Sensor(dark=0.0, read=10.0, prnu=0.01, dsnu=0.0, gain=0.1, black=64.0)
 TILT = np.linspace(0.95, 1.05, 256) * np.ones((192, 1))

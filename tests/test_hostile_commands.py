@@ -42,7 +42,7 @@ def imported(tmp_path_factory):
     """Import what the commands import, so that no test's time includes it."""
     import levkas.building
     import levkas.campaign.guess.campaigns
-    import levkas.coaching
+    import levkas.planning.exposure_advice
     import levkas.quality.emva1288  # noqa: F401
 
     frame = tmp_path_factory.mktemp("sound") / "frame.tif"

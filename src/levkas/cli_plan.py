@@ -40,7 +40,7 @@ def light(
 ) -> None:
     """Evenness, glare, relief and bright field of a lighting, and what each lever would change."""
     from levkas.core.ownership import require_free
-    from levkas.planning.saying import light_record, light_text
+    from levkas.planning.text_report import light_record, light_text
 
     for path in filter(None, (report, render)):
         require_free(path, overwrite=overwrite)
@@ -63,8 +63,8 @@ def light(
 def framing(setup: SetupPath, as_json: Json = False) -> None:
     """Field, working distance, sampling, depth of field and diffraction of every camera."""
     from levkas.planning.framing import plan_framing
-    from levkas.planning.saying import framing_text
     from levkas.planning.setup import load_setup
+    from levkas.planning.text_report import framing_text
 
     found = plan_framing(load_setup(setup))
     _report("plan framing", as_json, True, [], cameras=[f.to_dict() for f in found])
@@ -121,8 +121,8 @@ def exposure(
     record: dict[str, Any] = {}
     texts = []
     if frames:
-        from levkas.coaching import coach
-        from levkas.coaching_words import advice_text
+        from levkas.planning.advice_text import advice_text
+        from levkas.planning.exposure_advice import coach
 
         found = coach(
             frames,
@@ -137,7 +137,7 @@ def exposure(
         record["bands"] = [c.to_dict() for c in found]
         texts.append(advice_text(found))
     if setup is not None:
-        from levkas.planning.saying import exposure_record, exposure_text
+        from levkas.planning.text_report import exposure_record, exposure_text
 
         planned = exposure_record(setup, name)
         record.update(planned)
@@ -183,7 +183,7 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """How the lamps really hang, from a white that was captured under them."""
-    from levkas.hung_lamps import fit_white, hung_text
+    from levkas.planning.lamp_positions import fit_white, hung_text
 
     found = fit_white(
         setup,

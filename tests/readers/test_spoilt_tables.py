@@ -6,7 +6,7 @@ import pytest
 from levkas.building.channels import read_sensitivity
 from levkas.building.whiteboard import read_spectrum
 from levkas.core.problems import Refused
-from levkas.planning.lobes import read_lobe
+from levkas.planning.luminous_intensity import read_lobe
 from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
 

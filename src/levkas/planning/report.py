@@ -120,7 +120,7 @@ def _light_facts(setup: Setup, plan: LightPlan) -> dict[str, Any]:
     shared = [e for e in exposures if setup.cameras[e.camera].keys.exposure == "one"]
     uneven = max(shared, key=lambda e: e.evenness, default=None)
     if uneven is not None and len(uneven.channels) > 1:
-        from levkas.planning.regulating import regulating_filter
+        from levkas.planning.filter_design import regulating_filter
 
         found = regulating_filter(setup, uneven.camera, plan.lighting.name)
         facts["filter"] = draw_filter(found, uneven.camera)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.lobes import Lobe, read_lobe
+from levkas.planning.luminous_intensity import Lobe, read_lobe
 from levkas.planning.refusals import PlanRefused, wrong
 from levkas.planning.spectra import GRID, Spectrum, eye, integrate, read_spectrum
 
@@ -170,14 +170,14 @@ def load_setup(path: str | Path) -> Setup:
     PlanRefused
         With every problem: what is misspelt, out of range, contradicts itself, or cannot be meant.
     """
-    from levkas.planning.doubts import find_doubts
+    from levkas.planning.warnings import find_doubts
 
     path = find_setup(path)
     bench = _validate(path)
     problems: list[Problem] = list(find_doubts(bench, str(path)))
     setup = _resolve(path, bench, problems)
     if setup is not None:
-        from levkas.planning.contradictions import find_contradictions
+        from levkas.planning.checks import find_contradictions
 
         told = {p.field for p in problems}
         problems += [p for p in find_contradictions(setup) if p.field not in told]

@@ -16,9 +16,9 @@ from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template
 from levkas.campaign.full_scales import FullScale, find_full_scale, not_known
-from levkas.coached_frames import Shot, files_at, gather_shots
 from levkas.core.problems import Problem, Refused
-from levkas.exposure import (
+from levkas.planning.advice_frames import Shot, files_at, gather_shots
+from levkas.planning.exposure_levels import (
     Advice,
     Reading,
     advise,

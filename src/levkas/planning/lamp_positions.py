@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.captured_white import (
+from levkas.planning.framing import plan_framing
+from levkas.planning.irradiance import drop, illuminate
+from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
+from levkas.planning.measured_flat_field import (
     Box,
     average_whites,
     check_region,
     files_of,
     thin_white,
 )
-from levkas.planning.framing import plan_framing
-from levkas.planning.irradiance import drop, illuminate
-from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.refusals import PlanRefused, wrong
 from levkas.planning.setup import Setup, load_setup
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.exposure import Advice, limiting, safe_mean, snr_at
+from levkas.planning.exposure_levels import Advice, limiting, safe_mean, snr_at
 
 if TYPE_CHECKING:
-    from levkas.coaching import Coached
+    from levkas.planning.exposure_advice import Coached
 
 SHADES = " ▁▂▃▄▅▆▇█"
 
