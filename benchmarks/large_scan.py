@@ -83,7 +83,7 @@ def work(folder: Path, memory: float) -> None:
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_captures
     from levkas.database.layers import Layer
-    from levkas.database.spooling import write_rows
+    from levkas.database.streaming_writer import write_rows
     from levkas.geometry.transforms import Affine, Composed, Lens
 
     limit = int(memory * 1e9)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from levkas import validation
 from levkas.cli import app
 from levkas.core.cube import Band, Cube
 from levkas.core.digests import hash_file
 from levkas.core.files import write_json
+from levkas.database import validate
 from levkas.database.catalogue import DatabaseRefused, Entry, write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.store import write_index
-from levkas.validation import validate
+from levkas.database.validate import validate
 
 
 def cube_of(labels, seed):
@@ -262,7 +262,7 @@ def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkey
             asked.append(count)
             super().__init__(count)
 
-    monkeypatch.setattr(validation, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr(validate, "ThreadPoolExecutor", Pool)
     monkeypatch.setenv("LEVKAS_THREADS", "5")
     assert validate(database).ok and validate(database, threads=1).ok
     assert asked == [5, 1]

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 
 from levkas.building.developing import develop
 from levkas.building.ledger import Ledger
-from levkas.building.places import Places
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
@@ -17,6 +16,7 @@ from levkas.campaign.discovery.find_captures import find_captures
 from levkas.cli import app
 from levkas.core.cube import Flag
 from levkas.core.problems import Refused
+from levkas.database.layout import Places
 
 KEYS = """
 [campaign]

@@ -20,7 +20,7 @@ from levkas.core import disk
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.digests import hash_tree
 from levkas.database.layers import Layer, write_layer
-from levkas.database.spooling import write_rows
+from levkas.database.streaming_writer import write_rows
 from levkas.geometry.resample import warp
 from levkas.geometry.transforms import Affine
 from levkas.simulation import simulate_campaign

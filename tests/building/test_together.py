@@ -14,7 +14,7 @@ from levkas.building.ledger import Key, Ledger
 from levkas.building.turns import in_turn
 from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
-from levkas.validation import validate
+from levkas.database.validate import validate
 
 BUILD = """
 import sys, time

@@ -261,7 +261,7 @@ def test_a_spectrum_is_read_without_loading_what_only_writing_needs(tmp_path):
 
 
 def test_labels_are_read_as_zarr_reads_them_and_left_to_it_where_they_are_damaged(tmp_path):
-    from levkas.database.pixels import _decode_whole
+    from levkas.database.lazy_array import _decode_whole
 
     build(tmp_path / "db")
     group = tmp_path / "db" / "zarr" / "icon1.zarr" / "vis"

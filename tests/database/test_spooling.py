@@ -8,7 +8,7 @@ import pytest
 
 from levkas.core.files import spooling
 from levkas.database.spectral_tiff import encode_strip, strip_rows
-from levkas.database.spooling import PageSpool
+from levkas.database.streaming_writer import PageSpool
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import pytest
 import levkas
 from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
+from levkas.database.validate import validate
 from levkas.publishing import run
-from levkas.validation import validate
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import pytest
 import levkas
 from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_tiffs
+from levkas.database.validate import validate
 from levkas.publishing.editions import credits_of, fit_size, map_of, shrink
-from levkas.validation import validate
 
 
 @pytest.mark.parametrize(

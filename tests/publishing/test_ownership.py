@@ -13,8 +13,8 @@ from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.manifest import NAME, write_manifest
+from levkas.database.validate import validate
 from levkas.publishing import run
-from levkas.validation import validate
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.problems import Refused
 from levkas.database.manifest import NAME, write_manifest
+from levkas.database.validate import validate
 from levkas.publishing import run
 from levkas.publishing.facts import licence_of, read_facts
 from levkas.publishing.publication import PublishRefused
-from levkas.validation import validate
 
 
 def codes(refused):

@@ -5,8 +5,8 @@ from urllib.parse import unquote
 
 import pytest
 
+from levkas.database.validate import validate
 from levkas.screen import ScreenMissing, read_built
-from levkas.validation import validate
 
 
 def test_a_publication_has_a_viewer_that_says_licence_and_citation(database, publish):

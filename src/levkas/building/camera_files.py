@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.charting import Developed
-    from levkas.building.places import Places
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
     from levkas.core.cube import Band
+    from levkas.database.layout import Places
     from levkas.quality.targets.measuring import ChartMeasure
 
 PICTURES = ("levels", "shape", "step", "size")

@@ -18,10 +18,10 @@ from levkas.core.problems import Problem, Refused
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.building.places import Places
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
     from levkas.quality.targets.measuring import ChartMeasure
 
 

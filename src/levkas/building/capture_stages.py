@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from levkas.building.default_setup import DefaultLayer
     from levkas.building.ledger import Key, Ledger
     from levkas.building.native import Native, PackedSigma
-    from levkas.building.places import Places
     from levkas.building.reference import Grey
     from levkas.building.resampling import Mosaic
     from levkas.building.rig_mates import RigMates
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer
+    from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
 
 
@@ -269,7 +269,7 @@ class CaptureStages:
         """Resample and write a scan some rows at a time."""
         from levkas.building.default_setup import gains_of_scan
         from levkas.building.streaming import Passing, resample_scan, white_of
-        from levkas.database.spooling import write_rows
+        from levkas.database.streaming_writer import write_rows
         from levkas.geometry.transforms import Composed
 
         transforms = transforms_of(self.places, self.name, capture)

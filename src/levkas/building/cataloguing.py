@@ -11,13 +11,13 @@ from levkas.building.fingerprints import digest
 from levkas.building.imprint import NAME as IMPRINT
 from levkas.building.imprint import imprint_of, spectra_of
 from levkas.building.ledger import Key, Ledger
-from levkas.building.places import Places
 from levkas.building.sources import code_version
 from levkas.building.steps import Step
 from levkas.building.withdrawing import CATALOGUE
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.find_captures import Capture
 from levkas.core.ownership import MARK
+from levkas.database.layout import Places
 
 _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
 

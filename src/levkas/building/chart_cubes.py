@@ -150,7 +150,7 @@ def read_cube_file(path: Path) -> tuple[Cube, tuple[str, ...]]:
 
 
 def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
-    from levkas.database.opening import describe_pages
+    from levkas.database.reader import describe_pages
     from levkas.database.spectral_tiff import open_pages
     from levkas.readers.facts import check_expansion, check_memory
 

@@ -132,10 +132,10 @@ def _of_campaign(
 ) -> Iterator[tuple[Capture, Chart, Developed]]:
     """Develop every chart of a campaign; what cannot be is told in the report."""
     from levkas.building.ledger import Hashes
-    from levkas.building.places import Places
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_charts
+    from levkas.database.layout import Places
 
     campaign = load_campaign(path)
     kinds = {name: chart_of(kind) for name, kind in campaign.targets.charts.items()}

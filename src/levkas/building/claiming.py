@@ -16,9 +16,9 @@ from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
 from levkas.readers.texts import read_json
 
 if TYPE_CHECKING:
-    from levkas.building.places import Places
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
 
 OWNER = "campaign.json"
 """Among what is kept: the folder of the campaign, relative, so that both may be moved together."""

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
-    from levkas.building.places import Places
     from levkas.campaign.discovery.find_captures import Capture
     from levkas.database.credits import Credits
+    from levkas.database.layout import Places
 
 UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
 """Pixels that registration must not lean on; single defects were replaced well enough for it."""

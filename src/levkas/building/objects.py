@@ -31,11 +31,11 @@ from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.building.native import Native
-    from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
 
     Grey = tuple[np.ndarray, np.ndarray]
 

@@ -19,10 +19,10 @@ from levkas.reporting.page import (
 
 if TYPE_CHECKING:
     from levkas.building.ledger import Ledger
-    from levkas.building.places import Places
     from levkas.building.steps import Step
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
 
 
 def report_of(

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.ledger import Ledger
-    from levkas.building.places import Places
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
 
 
 def radiometry_rows(ledger: Ledger, captures: Sequence[Capture]) -> list[RadiometryRow]:

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from levkas.building.native import Native
-    from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage, Registration
     from levkas.registration.levkas import Reference

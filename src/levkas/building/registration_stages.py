@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from levkas.building.ledger import Key, Ledger
     from levkas.building.measured import Measured
     from levkas.building.native import Native
-    from levkas.building.places import Places
     from levkas.building.reference import ReferenceFrame
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
 
 
 @dataclass

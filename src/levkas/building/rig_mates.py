@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from levkas.building.ledger import Ledger
     from levkas.building.measured import Measured
-    from levkas.building.places import Places
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
 
 NOT_THERE = "not registered"
 #: On either side; more know no more of a lens, and every pair of captures is compared.

@@ -21,7 +21,6 @@ from levkas.building.imprint import setups_of, spectra_of
 from levkas.building.joint_round import JointRound
 from levkas.building.ledger import Key, Ledger
 from levkas.building.objects import ObjectBuild, Round
-from levkas.building.places import Places
 from levkas.building.removal import REMOVED, describe, no_longer_there, removal
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.shelf import Shelf
@@ -31,6 +30,7 @@ from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import Capture, Refusals, find_captures
 from levkas.campaign.edits import FILE_NAME, Edits, check_edits
 from levkas.core.problems import Problem, Refused
+from levkas.database.layout import Places
 
 CODE = "code.json"
 """Among what is kept: the hashes of each stage's code, so that it is not read at every start."""

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.default_setup import DefaultLayer
-    from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.campaign.discovery.find_captures import Capture
     from levkas.database.credits import Credits
+    from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform
 
 HELD_BYTES = 300_000_000
@@ -58,7 +58,7 @@ def write_scan(
     from levkas.building.passages import Passage, Reducer
     from levkas.core.files import make_folder
     from levkas.database.layers import Layer
-    from levkas.database.spooling import SpooledTiffs
+    from levkas.database.streaming_writer import SpooledTiffs
 
     sensor = capture.sensors[0].name
     base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")

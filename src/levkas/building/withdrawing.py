@@ -11,8 +11,8 @@ from levkas.building.steps import Step
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.building.places import Places
     from levkas.campaign.discovery.find_captures import Capture
+    from levkas.database.layout import Places
 
 CATALOGUE = Key("", stage="catalogue")
 

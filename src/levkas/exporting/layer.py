@@ -44,7 +44,7 @@ class ExportLayer:
     @classmethod
     def read(cls, database: Path, name: str, camera: str, setup: str) -> ExportLayer:
         """Open a layer; raises TiffRefused."""
-        from levkas.database.opening import open_tiff
+        from levkas.database.reader import open_tiff
 
         stem = "_".join(part for part in (name, camera, setup) if part)
         path = database / "objects" / name / f"{stem}.tif"

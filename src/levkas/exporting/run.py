@@ -78,7 +78,7 @@ def export(
         Where such a file stands in the way, or the disk refuses.
     """
     from levkas.core.ownership import OwnFiles
-    from levkas.database.opening import Database
+    from levkas.database.reader import Database
 
     root = Path(database).resolve()
     opened = Database(root)
@@ -127,7 +127,7 @@ def load_writer(form: str) -> Writer:
 def _check_names(
     root: Path, opened: object, objects: Sequence[str], cameras: Sequence[str]
 ) -> None:
-    from levkas.database.opening import Database
+    from levkas.database.reader import Database
 
     assert isinstance(opened, Database)
     there = {camera for name in opened for camera, _ in opened[name].layers}

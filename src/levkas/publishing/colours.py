@@ -13,7 +13,7 @@ import numpy as np
 from levkas.colour.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab
 from levkas.colour.srgb import LEAST_COVERAGE, visible_coverage
 from levkas.core.cube import Flag
-from levkas.database.agreement import stem_of
+from levkas.database.consistency import stem_of
 from levkas.database.preview import encode_png
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _view(
 
 def _shows_colour(publication: Publication, entry: Entry) -> bool:
     """Whether a layer is the reference camera's, in reflectance, and its bands cover the visible."""
-    from levkas.database.opening import open_tiff
+    from levkas.database.reader import open_tiff
 
     camera = publication.facts.reference.partition(":")[0]
     if entry.camera != camera or entry.setup or entry.quantity != "reflectance":
@@ -151,7 +151,7 @@ def _shows_colour(publication: Publication, entry: Entry) -> bool:
 
 
 def _cells_of(publication: Publication, entry: Entry) -> np.ndarray:
-    from levkas.database.opening import describe_pages
+    from levkas.database.reader import describe_pages
     from levkas.database.tiff_pages import open_pages
 
     path = publication.root / f"{stem_of(entry)}.tif"

@@ -18,8 +18,8 @@ import numpy as np
 from levkas.core.cube import Cube
 from levkas.core.digests import hash_file
 from levkas.core.json_safe import to_json
-from levkas.database.agreement import stem_of
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
+from levkas.database.consistency import stem_of
 from levkas.database.registrations import read_registration
 from levkas.database.store import layer_name, write_index
 from levkas.publishing.content import not_whole
@@ -115,7 +115,7 @@ def shrink(source: Path, size: tuple[int, int]) -> Cube:
         Values of 16 significant bits, as the build writes them.
     """
     from levkas.core.rounding import round_root, round_values
-    from levkas.database.opening import open_tiff
+    from levkas.database.reader import open_tiff
     from levkas.database.tiff_pages import open_pages
     from levkas.geometry.resample import warp
 
@@ -181,7 +181,7 @@ def _write_layer(publication: Publication, root: Path, entry: Entry) -> Entry:
 
 def centroids_of(path: Path) -> dict[str, float]:
     """Return the centroids that tag 65000 of a TIFF holds of channels without a centre wavelength, by label."""
-    from levkas.database.opening import describe_pages
+    from levkas.database.reader import describe_pages
     from levkas.database.spectral_tiff import WAVELENGTHS
     from levkas.database.tiff_pages import open_pages
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
-from levkas.database.agreement import stem_of
+from levkas.database.consistency import stem_of
 from levkas.database.store import layer_name
 from levkas.publishing.describing import describe_dataset
 from levkas.publishing.iiif_rules import check_iiif
@@ -167,7 +167,7 @@ def _layers(publication: Publication, name: str) -> list[Entry]:
 
 def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
     """The layer's picture, and what it shows."""
-    from levkas.database.opening import describe_pages
+    from levkas.database.reader import describe_pages
     from levkas.database.tiff_pages import open_pages
 
     pages = open_pages(publication.root / f"{stem_of(entry)}.tif")

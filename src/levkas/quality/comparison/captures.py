@@ -56,8 +56,8 @@ def read_capture(database: Path, name: str, camera: str, setup: str) -> Capture:
     ComparisonRefused
         Where the database has none: they are not kept for streamed scans.
     """
-    from levkas.building.places import Places
-    from levkas.database.opening import open_pixels
+    from levkas.database.layout import Places
+    from levkas.database.reader import open_pixels
 
     places = Places(database)
     first = places.native(name, camera, setup, "")

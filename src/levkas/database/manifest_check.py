@@ -9,7 +9,7 @@ from typing import Any
 
 from levkas.core.digests import hash_file
 from levkas.core.problems import Problem
-from levkas.database.agreement import ALIKE
+from levkas.database.consistency import ALIKE
 from levkas.database.manifest import NAME, Listed, Manifest, is_partial, unfinished
 
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from levkas.core.problems import Problem, Refused
-from levkas.database.agreement import check_agreement
-from levkas.database.holdings import TWINS, Holdings, base_of
-from levkas.database.manifest import is_partial, unfinished
-from levkas.database.soundness import (
+from levkas.database.consistency import check_agreement
+from levkas.database.file_inventory import TWINS, Holdings, base_of
+from levkas.database.integrity import (
     TiffFacts,
     check_array,
     check_file,
     check_tiff,
 )
+from levkas.database.manifest import is_partial, unfinished
 from levkas.database.twins import check_stores
 from levkas.readers.texts import read_json
 

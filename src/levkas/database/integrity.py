@@ -17,7 +17,7 @@ import numpy as np
 
 from levkas.campaign.schema.toml import read_toml
 from levkas.core.problems import Problem, Refused
-from levkas.database.pixels import check_description
+from levkas.database.lazy_array import check_description
 from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE
 from levkas.readers.facts import check_expansion, check_memory
 from levkas.readers.texts import parse_bounded, parse_json

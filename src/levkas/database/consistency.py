@@ -9,8 +9,8 @@ from pathlib import Path
 from levkas.core.digests import hash_file
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
-from levkas.database.holdings import Holdings, record_of, same_numbers
-from levkas.database.soundness import TiffFacts, damaged
+from levkas.database.file_inventory import Holdings, record_of, same_numbers
+from levkas.database.integrity import TiffFacts, damaged
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS
 from levkas.database.store import layer_name
 from levkas.database.twins import check_group

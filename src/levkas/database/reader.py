@@ -15,7 +15,7 @@ from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.database.pixels import TiffPixels, ZarrPixels, read_group
+from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS, layer_name
 from levkas.database.tiff_pages import TiffPages, open_pages

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.database.soundness import TiffFacts
+from levkas.database.integrity import TiffFacts
 from levkas.database.spectral_tiff import METADATA, decode_text
 from levkas.readers.texts import parse_bounded
 

@@ -16,16 +16,9 @@ from typing import Any
 from levkas.core.digests import hash_file
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
-from levkas.database.agreement import stem_of
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.catalogue import DatabaseRefused, read_catalogue
-from levkas.database.comparison import (
-    hash_or_reason,
-    problem_of,
-    still_told,
-    unlisted,
-    what_happened,
-)
+from levkas.database.consistency import stem_of
 from levkas.database.containment import find_escapes
 from levkas.database.manifest import (
     NAME,
@@ -34,6 +27,13 @@ from levkas.database.manifest import (
     list_files,
     plain,
     read_manifest,
+)
+from levkas.database.manifest_check import (
+    hash_or_reason,
+    problem_of,
+    still_told,
+    unlisted,
+    what_happened,
 )
 
 BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
@@ -255,7 +255,7 @@ def _by_structure(
     root: Path, manifest: Manifest | None, names: list[str], threads: int
 ) -> Iterator[Checked]:
     """Decode what there is, and use what a damaged manifest still says."""
-    from levkas.database.structure import check_structure
+    from levkas.database.layout_check import check_structure
 
     done, total, kept = 0, len(names), frozenset(names) - ({NAME} if manifest else frozenset())
     ours = False
