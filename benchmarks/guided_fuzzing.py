@@ -25,7 +25,7 @@ SECONDS, SEED, LONGEST = 20, 1, 1 << 16
 MODULES = (
     *(
         "levkas.readers",
-        "levkas.control_points",
+        "levkas.registration.control_points",
         "levkas.campaign.schema",
         "levkas.campaign.discovery",
     ),

@@ -20,8 +20,6 @@ from levkas.building.whiteboard import read_spectrum
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.edits import read_edits
-from levkas.control_points.layers import is_table_of_frames, read_table_of_frames
-from levkas.control_points.reading import read_points
 from levkas.core.problems import Refused
 from levkas.planning.luminous_intensity import read_lobe
 from levkas.planning.spectra import read_table
@@ -31,6 +29,8 @@ from levkas.readers.envi import open_envi
 from levkas.readers.exif import read_exif
 from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.texts import read_json, read_text
+from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
+from levkas.registration.control_points.reading import read_points
 
 SLOW_S = 2.0
 """Of the processor, not of the clock: on a busy machine a file may wait for as long as it likes."""

@@ -47,7 +47,7 @@ def convert(
     as_json: Json = False,
 ) -> None:
     """Read control points of one program and write them as another's, pixel origins and all."""
-    from levkas.control_points import losses, parse_size, read_points, write_points
+    from levkas.registration.control_points import losses, parse_size, read_points, write_points
 
     points = read_points(
         source,

@@ -7,7 +7,7 @@ import pytest
 
 from levkas.building.hand_points import declared_points, told_points
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
-from levkas.control_points import ControlPoints, PointsRefused, write_points
+from levkas.registration.control_points import ControlPoints, PointsRefused, write_points
 
 KEYS = """
 [campaign]

@@ -10,7 +10,7 @@ import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.control_points import (
+from levkas.registration.control_points import (
     DIALECTS,
     ControlPoints,
     PointsRefused,
@@ -21,7 +21,7 @@ from levkas.control_points import (
     sniff,
     write_points,
 )
-from levkas.control_points.layers import read_frames
+from levkas.registration.control_points.layers import read_frames
 
 SIZES = {"reference_size": (1392, 1040), "target_size": (3900, 2600)}
 coordinate = st.floats(-1e5, 1e5, allow_nan=False, width=64)

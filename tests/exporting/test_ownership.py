@@ -9,13 +9,13 @@ import pytest
 from typer.testing import CliRunner
 
 from levkas.cli import app
-from levkas.control_points.points import ControlPoints
-from levkas.control_points.reading import write_points
 from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.ownership import MARK
 from levkas.core.problems import Refused
 from levkas.exporting.run import FORMS, export
+from levkas.registration.control_points.points import ControlPoints
+from levkas.registration.control_points.reading import write_points
 
 
 def exported(database, form, folder, **options):

@@ -5,8 +5,8 @@ import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.corroboration import corroborate, predict
-from levkas.registration.voting import vote
+from levkas.registration.pose_clustering import vote
+from levkas.registration.verification import corroborate, predict
 
 STILL = Affine.identity()
 

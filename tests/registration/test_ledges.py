@@ -3,8 +3,8 @@ import pytest
 
 from levkas.geometry.depth_step import LedgeShift
 from levkas.geometry.transforms import Affine, Composed, Lens, from_dict
-from levkas.registration.ladder import climb
-from levkas.registration.ledges import averaged, find_ledge, find_ledges, fit_behind
+from levkas.registration.depth_steps import averaged, find_ledge, find_ledges, fit_behind
+from levkas.registration.model_selection import climb
 from levkas.registration.models import Observations, fit_polynomial, fit_projective
 
 CELL, NOISE = 16.0, 0.03

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.given import Given
+    from levkas.registration.manual_points import Given
     from levkas.registration.record import Matches
 
 FEWEST_PX = 16

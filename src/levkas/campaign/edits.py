@@ -21,7 +21,7 @@ from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.find_captures import Capture
-    from levkas.registration.given import Given
+    from levkas.registration.manual_points import Given
 
 FILE_NAME = "edits.toml"
 MOST_TURNS = 50
@@ -90,7 +90,7 @@ class FrameEdits:
         """Return the pairs as a registration takes them."""
         import numpy as np
 
-        from levkas.registration.given import Given
+        from levkas.registration.manual_points import Given
 
         def pairs(*rows: Pair) -> np.ndarray:
             return np.array(rows, float).reshape(-1, 4)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.registration.basis import describe_basis
-from levkas.registration.ladder import RUNGS
-from levkas.registration.pyramid import GOOD_PX
+from levkas.registration.coarse_to_fine import GOOD_PX
+from levkas.registration.model_selection import RUNGS
+from levkas.registration.observations import Sighting
 from levkas.registration.record import Matches, Registration, Verdict
-from levkas.registration.sightings import Sighting
 from levkas.registration.verdict import (
     COVERAGE,
     LOOK,

@@ -18,8 +18,8 @@ from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
 from levkas.registration.alignment import align_sensors, camera_grey
 from levkas.registration.arguments import check_thresholds
 from levkas.registration.features import KeyPoints, find_key_points
-from levkas.registration.given import Given, Marked
 from levkas.registration.images import BandImage, area_average, stretch
+from levkas.registration.manual_points import Given, Marked
 from levkas.registration.matching import RATIO, match
 from levkas.registration.outliers import Cleaned, clean
 from levkas.registration.record import Matches, Registration, RegistrationRefused, Verdict

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from levkas.geometry.transforms import Transform
-    from levkas.registration.sightings import Sighting
+    from levkas.registration.observations import Sighting
     from levkas.registration.uncertainty import Sigma
 
 COLUMNS = (

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from levkas.core.threads import in_threads
 from levkas.lanes import fma, look
-from levkas.registration.workers import in_threads
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform

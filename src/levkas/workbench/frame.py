@@ -332,7 +332,7 @@ class Frame:
 
     def export(self, dialect: str) -> tuple[list[tuple[str, bytes]], list[str]]:
         """Return the pairs as files of a dialect, with their names, and what it cannot hold."""
-        from levkas.control_points import DIALECTS, format_points, losses
+        from levkas.registration.control_points import DIALECTS, format_points, losses
 
         points = self._points(self.session.view.matches)
         data = format_points(points, dialect)
@@ -343,8 +343,8 @@ class Frame:
 
     def take(self, files: list[bytes], dialect: str | None) -> dict[str, Any]:
         """Add the pairs of a file: those that are there already stay as they are."""
-        from levkas.control_points import parse_points
-        from levkas.registration.given import near
+        from levkas.registration.control_points import parse_points
+        from levkas.registration.manual_points import near
 
         found = self.session.found
         points = parse_points(
@@ -362,7 +362,7 @@ class Frame:
         return {"imported": int(new.sum()), "known": int((~new).sum())}
 
     def _points(self, matches: Matches) -> Any:
-        from levkas.control_points import ControlPoints
+        from levkas.registration.control_points import ControlPoints
 
         found = self.session.found
         return ControlPoints(

@@ -24,7 +24,7 @@ from levkas.quality.evaluation.similarity import (
 from levkas.readers.texts import read_json
 
 if TYPE_CHECKING:
-    from levkas.control_points.points import Size
+    from levkas.registration.control_points.points import Size
 
     Checks = dict[tuple[str, str, str], np.ndarray]
 
@@ -85,7 +85,7 @@ def assess(
         beside the database.
     points : path, optional
         Check points: CSV with columns object, camera, band, reference_x, reference_y, x, y, or a
-        file of any program that `levkas.control_points` reads.
+        file of any program that `levkas.registration.control_points` reads.
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] that such a file is of; not needed where there is one layer.
     maps : path, optional
@@ -154,7 +154,7 @@ def read_check_points(path: Path, database: Path | None = None, frame: str | Non
     ----------
     path : Path
         A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of any
-        program that `levkas.control_points` knows.
+        program that `levkas.registration.control_points` knows.
     database : Path, optional
         Says which layers there are and how large their pictures; for a file of another program.
     frame : str, optional
@@ -164,8 +164,8 @@ def read_check_points(path: Path, database: Path | None = None, frame: str | Non
     ------
     EvaluationRefused
     """
-    from levkas.control_points import PointsRefused
-    from levkas.control_points.layers import read_frames, used_pairs
+    from levkas.registration.control_points import PointsRefused
+    from levkas.registration.control_points.layers import read_frames, used_pairs
 
     try:
         found = read_frames(path, frame, _sizes(database) if database else {})

@@ -140,8 +140,8 @@ def _on(view: View, places: np.ndarray) -> np.ndarray:
 
 def points_on(image: BandImage, shape: tuple[int, int] = GRID) -> np.ndarray:
     """Return points all over the object that an image shows, (n, 2): its background says nothing."""
+    from levkas.registration.foreground import find_object
     from levkas.registration.pictures import images_of
-    from levkas.registration.silhouette import find_object
 
     x, y = (np.linspace(0.02, 0.98, k) * (n - 1) for k, n in zip(shape, image.size, strict=True))
     points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.control_points.text import unreadable
+from levkas.registration.control_points.text import unreadable
 
 LARGEST_CONTENT = 64 << 20
 DEEPEST = 8

@@ -18,14 +18,14 @@ import numpy as np
 
 from levkas.geometry.depth_step import LedgeShift
 from levkas.geometry.transforms import Composed, Transform
-from levkas.registration.contest import Fit
-from levkas.registration.ladder import MOST_JUDGED, RUNGS, Rung, climb
+from levkas.registration.cross_validation import Fit
+from levkas.registration.model_selection import MOST_JUDGED, RUNGS, Rung, climb
 from levkas.registration.models import Observations, fit_projective
-from levkas.registration.shared_colour import share
+from levkas.registration.pooled_chromatic import share
 
 if TYPE_CHECKING:
     from levkas.registration.chromatic import Chromatic
-    from levkas.registration.sightings import Sighting
+    from levkas.registration.observations import Sighting
 
 ROUNDS = 2
 #: A homography that leaves more, reference px, joins what was not seen from one place.

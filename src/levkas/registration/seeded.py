@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.geometry.transforms import Affine, Homography, Transform
-from levkas.registration.given import LEAST_TO_START, Given
 from levkas.registration.initial import LONG_SIDE_PX, REACH_PX, Start, polish, rematch
+from levkas.registration.manual_points import LEAST_TO_START, Given
 
 if TYPE_CHECKING:
     from levkas.registration.key_points import KeyPictures

@@ -10,9 +10,16 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.belief import PARTLY, bear_out, sees_alike, weigh
 from levkas.registration.chromatic import Chromatic, fit_chromatic, still
-from levkas.registration.consent import (
+from levkas.registration.initial import Start, plausible
+from levkas.registration.local_shifts import Windows
+from levkas.registration.model_selection import Rung, climb
+from levkas.registration.models import Observations
+from levkas.registration.permutation_test import PARTLY, bear_out, sees_alike, weigh
+from levkas.registration.predictors import cell_px
+from levkas.registration.record import RegistrationRefused
+from levkas.registration.task import Task
+from levkas.registration.window_fusion import (
     LEAST_WINDOWS,
     combine,
     correction,
@@ -21,13 +28,6 @@ from levkas.registration.consent import (
     noted,
     usable,
 )
-from levkas.registration.initial import Start, plausible
-from levkas.registration.ladder import Rung, climb
-from levkas.registration.models import Observations
-from levkas.registration.prediction import cell_px
-from levkas.registration.record import RegistrationRefused
-from levkas.registration.refinement import Windows
-from levkas.registration.task import Task
 
 if TYPE_CHECKING:
     from levkas.registration.checks import Checks

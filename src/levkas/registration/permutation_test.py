@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.geometry.transforms import Transform
-from levkas.registration.consent import usable
-from levkas.registration.corroboration import corroborate, reduction
-from levkas.registration.prediction import LEAST_BANDS, compared
-from levkas.registration.refinement import Windows
+from levkas.registration.local_shifts import Windows
+from levkas.registration.predictors import LEAST_BANDS, compared
 from levkas.registration.sampling import highpass
 from levkas.registration.task import Task
+from levkas.registration.verification import corroborate, reduction
+from levkas.registration.window_fusion import usable
 
 if TYPE_CHECKING:
     from levkas.registration.checks import Checks

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.control_points import table
-from levkas.control_points.dialects import sniff
-from levkas.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.control_points.reading import read_points
-from levkas.control_points.text import decode, rows, write_rows
 from levkas.core.problems import Problem
 from levkas.readers.texts import TextRefused, read_text
+from levkas.registration.control_points import table
+from levkas.registration.control_points.dialects import sniff
+from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
+from levkas.registration.control_points.reading import read_points
+from levkas.registration.control_points.text import decode, rows, write_rows
 
 #: (object, CAMERA or CAMERA@SETUP, band; empty for the camera's reference channel)
 Frame = tuple[str, str, str]

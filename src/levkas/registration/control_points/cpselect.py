@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from levkas.control_points.conventions import from_origin, to_origin
-from levkas.control_points.matfile import read_variables
-from levkas.control_points.points import ControlPoints
-from levkas.control_points.text import unreadable
+from levkas.registration.control_points.conventions import from_origin, to_origin
+from levkas.registration.control_points.matfile import read_variables
+from levkas.registration.control_points.points import ControlPoints
+from levkas.registration.control_points.text import unreadable
 
 NAMES = (("fixedPoints", "movingPoints"), ("base_points", "input_points"))
 HEADER = b"MATLAB 5.0 MAT-file, written by Levkas"

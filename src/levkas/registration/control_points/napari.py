@@ -10,8 +10,15 @@ from __future__ import annotations
 
 import re
 
-from levkas.control_points.points import ControlPoints
-from levkas.control_points.text import decode, flag, number, rows, unreadable, write_rows
+from levkas.registration.control_points.points import ControlPoints
+from levkas.registration.control_points.text import (
+    decode,
+    flag,
+    number,
+    rows,
+    unreadable,
+    write_rows,
+)
 
 _HEADER = re.compile(rb"^(\xef\xbb\xbf)?\"?(index\"?,\"?)?axis-0\b")
 PROPERTIES = ("name", "weight", "enabled", "check")

@@ -9,8 +9,15 @@ Source: ``LandmarkTableModel`` of https://github.com/saalfeldlab/bigwarp (`save`
 
 from __future__ import annotations
 
-from levkas.control_points.points import ControlPoints
-from levkas.control_points.text import decode, flag, number, rows, unreadable, write_rows
+from levkas.registration.control_points.points import ControlPoints
+from levkas.registration.control_points.text import (
+    decode,
+    flag,
+    number,
+    rows,
+    unreadable,
+    write_rows,
+)
 
 COLUMNS = {6: (2, False), 7: (2, True), 8: (3, False), 9: (3, True)}
 

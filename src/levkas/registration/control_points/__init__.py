@@ -1,6 +1,6 @@
 """Control points that people set, read and written as their programs do."""
 
-from levkas.control_points.dialects import (
+from levkas.registration.control_points.dialects import (
     DIALECTS,
     Dialect,
     format_points,
@@ -8,8 +8,8 @@ from levkas.control_points.dialects import (
     parse_points,
     sniff,
 )
-from levkas.control_points.points import ControlPoints, PointsRefused, parse_size
-from levkas.control_points.reading import read_points, write_points
+from levkas.registration.control_points.points import ControlPoints, PointsRefused, parse_size
+from levkas.registration.control_points.reading import read_points, write_points
 
 __all__ = [
     "DIALECTS",

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.registration import refinement_kernels as kernels
-from levkas.registration.workers import in_threads
+from levkas.core.threads import in_threads
+from levkas.registration import local_shifts_kernel as kernels
 
 CELL_PX = 16
 RIDGE = 1e-4

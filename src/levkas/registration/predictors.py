@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from levkas.core.threads import each, in_threads
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.refinement import RIDGE, Predictor, Windows
+from levkas.registration.local_shifts import RIDGE, Predictor, Windows
 from levkas.registration.sampling import highpass, reduce, warp
-from levkas.registration.workers import each, in_threads
 
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
 LEAST_SHARE = 1e-6

@@ -7,8 +7,8 @@ import io
 from collections.abc import Iterable, Sequence
 from math import isfinite
 
-from levkas.control_points.points import MOST_POINTS, PointsRefused
 from levkas.core.problems import Problem
+from levkas.registration.control_points.points import MOST_POINTS, PointsRefused
 
 LONGEST_LINE = 4096
 LONGEST_TEXT_LINE = 4 * LONGEST_LINE

@@ -11,9 +11,15 @@ from __future__ import annotations
 
 import re
 
-from levkas.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.control_points.text import LONGEST_LINE, decode, number, number_text, unreadable
 from levkas.core.problems import Problem
+from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
+from levkas.registration.control_points.text import (
+    LONGEST_LINE,
+    decode,
+    number,
+    number_text,
+    unreadable,
+)
 
 _WORD = re.compile(r'([a-zA-Z]+)("[^"]*"|[^\s"]+)')
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.chromatic import LEAST_WINDOWS, Chromatic, fit_chromatic, still
-from levkas.registration.ladder import climb
+from levkas.registration.coarse_to_fine import LARGE_PX, frame_of, steps_of
+from levkas.registration.local_shifts import Predictor, Windows
+from levkas.registration.model_selection import climb
 from levkas.registration.models import Observations
-from levkas.registration.prediction import all_sampled, cell_px, compared, condense
-from levkas.registration.pyramid import LARGE_PX, frame_of, steps_of
-from levkas.registration.refinement import Predictor, Windows
+from levkas.registration.predictors import all_sampled, cell_px, compared, condense
 from levkas.registration.sensors import Sensor, ordered
 from levkas.registration.uncertainty import measure_sigma
-from levkas.registration.workers import each
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage

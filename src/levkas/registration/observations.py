@@ -16,7 +16,7 @@ import numpy as np
 
 from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
 from levkas.registration.chromatic import Chromatic
-from levkas.registration.ladder import Terms
+from levkas.registration.model_selection import Terms
 from levkas.registration.models import Observations
 
 if TYPE_CHECKING:

@@ -5,8 +5,15 @@ Only the four coordinates are asked for; columns may stand in any order and othe
 
 from __future__ import annotations
 
-from levkas.control_points.points import ControlPoints
-from levkas.control_points.text import decode, flag, number, rows, unreadable, write_rows
+from levkas.registration.control_points.points import ControlPoints
+from levkas.registration.control_points.text import (
+    decode,
+    flag,
+    number,
+    rows,
+    unreadable,
+    write_rows,
+)
 
 PLACES = ("reference_x", "reference_y", "x", "y")
 HEADER = ("name", *PLACES, "weight", "enabled", "check")

@@ -15,9 +15,16 @@ import re
 
 import numpy as np
 
-from levkas.control_points.conventions import from_origin, to_origin
-from levkas.control_points.points import ControlPoints
-from levkas.control_points.text import decode, flag, number, rows, unreadable, write_rows
+from levkas.registration.control_points.conventions import from_origin, to_origin
+from levkas.registration.control_points.points import ControlPoints
+from levkas.registration.control_points.text import (
+    decode,
+    flag,
+    number,
+    rows,
+    unreadable,
+    write_rows,
+)
 
 HEADER = ["mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual"]
 ORIGIN = "corner, y up"

@@ -9,13 +9,13 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Transform
-from levkas.registration.given import HAND_PX
-from levkas.registration.ladder import Rung, climb
-from levkas.registration.ledges import averaged
+from levkas.registration.depth_steps import averaged
+from levkas.registration.local_shifts import Windows
+from levkas.registration.manual_points import HAND_PX
+from levkas.registration.model_selection import Rung, climb
 from levkas.registration.models import Observations, solve_pairs
-from levkas.registration.prediction import cell_px
+from levkas.registration.predictors import cell_px
 from levkas.registration.record import RegistrationRefused
-from levkas.registration.refinement import Windows
 from levkas.registration.task import Task
 
 LEAST_WINDOWS = 12

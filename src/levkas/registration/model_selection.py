@@ -14,8 +14,8 @@ from functools import partial
 import numpy as np
 
 from levkas.geometry.transforms import Composed, Transform
-from levkas.registration.contest import STANDING, Contest, Fit, Part, Rival, deal
-from levkas.registration.ledges import ORDERS, Ledge, find_ledges, fit_behind
+from levkas.registration.cross_validation import STANDING, Contest, Fit, Part, Rival, deal
+from levkas.registration.depth_steps import ORDERS, Ledge, find_ledges, fit_behind
 from levkas.registration.models import (
     Observations,
     fit_polynomial,

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from levkas.control_points import (
+from levkas.core.problems import Problem
+from levkas.readers.texts import LARGEST_TABLE
+from levkas.registration.control_points import (
     bigwarp,
     butterfly,
     cpselect,
@@ -16,10 +18,8 @@ from levkas.control_points import (
     qgis,
     table,
 )
-from levkas.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.control_points.text import check_lines
-from levkas.core.problems import Problem
-from levkas.readers.texts import LARGEST_TABLE
+from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
+from levkas.registration.control_points.text import check_lines
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Dialect:
     suffixes : tuple of str
         End of the name of each file that is written: one, or one a picture, reference first.
     origin : str
-        A key of `levkas.control_points.conventions.ORIGINS`.
+        A key of `levkas.registration.control_points.conventions.ORIGINS`.
     keeps : frozenset of str
         What it holds beyond the places: names, weights, enabled, check, frames, sizes.
     module : module
