@@ -462,7 +462,7 @@ def warm_up(demo):
         told = {"folder": folder, "file": demo and demo / "database", "demo": demo}
         for command in DATABASES[:-2] if demo else ():
             CliRunner().invoke(app, [part.format(**told) for part in command])
-    import levkas.web.app  # noqa: F401
+    import levkas.workbench.server.app  # noqa: F401
 
 
 def main():

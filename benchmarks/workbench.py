@@ -175,7 +175,7 @@ def page(wrong: int) -> list[tuple[str, float]]:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from levkas.web.app import _listen, make_app
+    from levkas.workbench.server.app import _listen, make_app
 
     token = "t" * 43
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:

@@ -21,7 +21,7 @@ MODULES = {
     "levkas.planning",
     "levkas.quality.targets",
     "levkas.registration",
-    "levkas.reporting",
+    "levkas.pages",
     "levkas.simulation",
 }
 

@@ -2,7 +2,7 @@
 
 import re
 
-from levkas.reporting.plots import Line, plot
+from levkas.pages.plots import Line, plot
 
 
 def heights(svg):

@@ -10,7 +10,7 @@ import typer
 from levkas.cli import CampaignPath, _refusing, app
 
 if TYPE_CHECKING:
-    from levkas.web.app import Address
+    from levkas.workbench.server.app import Address
 
 
 @app.command("inspect")
@@ -32,7 +32,7 @@ def inspect(
 
     The page is served to this machine alone. From another one: ssh -L PORT:127.0.0.1:PORT.
     """
-    from levkas.web.app import serve
+    from levkas.workbench.server.app import serve
 
     def tell(address: Address) -> None:
         typer.echo(f"The workbench is at {address.url}")

@@ -41,7 +41,7 @@ def publish(
     as_json: Json = False,
 ) -> None:
     """Make a folder that anyone can open, preview and cite."""
-    from levkas.publishing import run
+    from levkas.publish import run
 
     if check:
         missing = run.check(subject)
@@ -79,7 +79,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write layers in the format of another program, values as they are."""
-    from levkas.exporting import run
+    from levkas.export import run
 
     chosen = {"objects": objects or (), "cameras": cameras or ()}
     made = run.export(database, form, output=output, overwrite=overwrite, **chosen)

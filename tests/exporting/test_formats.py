@@ -15,10 +15,10 @@ import levkas
 from levkas.cli import app
 from levkas.core.digests import hash_tree
 from levkas.database.spectral_tiff import read_tiff_pages
-from levkas.exporting import export
-from levkas.exporting.hdf5 import USER_BLOCK, lookup3
-from levkas.exporting.layer import ExportLayer, ExportRefused
-from levkas.exporting.run import FORMS
+from levkas.export import export
+from levkas.export.hdf5 import USER_BLOCK, lookup3
+from levkas.export.layer import ExportLayer, ExportRefused
+from levkas.export.run import FORMS
 
 WAVES = (420.0, 500.5, 610.0, 700.0)
 
@@ -144,7 +144,7 @@ def test_spectra_as_csv_give_the_same_floats_again(database, tmp_path):
 
 
 def test_a_large_layer_is_sampled_evenly(database, tmp_path, monkeypatch):
-    from levkas.exporting import spectra
+    from levkas.export import spectra
 
     monkeypatch.setattr(spectra, "MOST_SPECTRA", 50)
     exported(database, "csv-spectra", tmp_path)
@@ -200,7 +200,7 @@ def test_an_export_into_the_database_is_refused(database):
 def test_a_layer_too_large_for_a_format_is_refused_before_it_is_read(
     database, tmp_path, monkeypatch
 ):
-    from levkas.exporting import matlab
+    from levkas.export import matlab
 
     monkeypatch.setattr(matlab, "MOST_BYTES", 100)
     with pytest.raises(ExportRefused) as refused:
@@ -211,8 +211,8 @@ def test_a_layer_too_large_for_a_format_is_refused_before_it_is_read(
 
 
 def test_hostile_band_labels_do_not_break_a_header(database):
-    from levkas.exporting.envi import spell_header
-    from levkas.exporting.qgis import spell_metadata
+    from levkas.export.envi import spell_header
+    from levkas.export.qgis import spell_metadata
 
     layer = ExportLayer.read(database, "icon1", "rgb", "")
     bands = tuple(levkas.Band(t) for t in ("R}\nbands = 9", "<b>&\x07", 'G,"'))

@@ -87,7 +87,7 @@ def database(_database: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def publish() -> Callable[..., Path]:
     """Return a function that publishes and gives the folder."""
-    from levkas.publishing import run
+    from levkas.publish import run
 
     def make(database: Path, **options: object) -> Path:
         return run.summarise(run.publish(database, **options)).output

@@ -5,7 +5,7 @@ import levkas
 from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.database.validate import validate
-from levkas.publishing import run
+from levkas.publish import run
 
 
 @pytest.fixture

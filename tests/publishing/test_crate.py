@@ -4,8 +4,8 @@ import warnings
 import pytest
 
 from levkas.core.json_safe import to_json
-from levkas.publishing.crate import NAME
-from levkas.publishing.crate_rules import ask_validator, check_crate
+from levkas.publish.crate import NAME
+from levkas.publish.crate_rules import ask_validator, check_crate
 
 STEPS = {
     "object": "icon1",

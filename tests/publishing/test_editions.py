@@ -5,7 +5,7 @@ import levkas
 from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.validate import validate
-from levkas.publishing.editions import credits_of, fit_size, map_of, shrink
+from levkas.publish.editions import credits_of, fit_size, map_of, shrink
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_flags_of_what_a_pixel_was_made_from_go_with_it(tmp_path):
 
 
 def test_blocks_of_bands_give_the_bytes_of_all_at_once(tmp_path, monkeypatch):
-    from levkas.publishing import editions
+    from levkas.publish import editions
 
     path = written(tmp_path, np.random.default_rng(1).random((120, 90, 5)))
     whole = shrink(path, (45, 60))
@@ -77,7 +77,7 @@ def test_blocks_of_bands_give_the_bytes_of_all_at_once(tmp_path, monkeypatch):
 
 
 def test_the_medium_edition_is_a_database_of_its_own(database, publish, monkeypatch):
-    from levkas.publishing import editions
+    from levkas.publish import editions
 
     monkeypatch.setattr(editions, "LONGEST", 80)
     monkeypatch.setattr(editions, "SHORTEST", 60)

@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 
 from levkas.core.digests import hash_tree
-from levkas.publishing.iiif import LOCAL, never_html
-from levkas.publishing.iiif_rules import check_iiif
-from levkas.publishing.tiles import cut_tiles, tile_names
+from levkas.publish.iiif import LOCAL, never_html
+from levkas.publish.iiif_rules import check_iiif
+from levkas.publish.tiles import cut_tiles, tile_names
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from levkas.core.problems import Refused
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.validate import validate
-from levkas.publishing import run
+from levkas.publish import run
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from levkas.core.disk import WriteRefused
 from levkas.core.problems import Refused
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.validate import validate
-from levkas.publishing import run
-from levkas.publishing.facts import licence_of, read_facts
-from levkas.publishing.publication import PublishRefused
+from levkas.publish import run
+from levkas.publish.facts import licence_of, read_facts
+from levkas.publish.publication import PublishRefused
 
 
 def codes(refused):

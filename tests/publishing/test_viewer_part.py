@@ -6,7 +6,7 @@ from urllib.parse import unquote
 import pytest
 
 from levkas.database.validate import validate
-from levkas.screen import ScreenMissing, read_built
+from levkas.pages.screen import ScreenMissing, read_built
 
 
 def test_a_publication_has_a_viewer_that_says_licence_and_citation(database, publish):
@@ -46,8 +46,8 @@ def test_every_page_leads_to_what_stands_beside_it_and_the_medium_edition_has_pa
 
 
 def test_without_built_pages_the_viewer_is_left_out_and_that_is_said(database, monkeypatch):
-    from levkas.publishing import run
-    from levkas.viewing import run as viewing
+    from levkas.publish import run
+    from levkas.viewer import run as viewing
 
     def missing(name):
         raise ScreenMissing(*NOT_BUILT)

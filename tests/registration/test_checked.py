@@ -6,12 +6,12 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from levkas.geometry.transforms import Affine, Polynomial
+from levkas.pages.figures import draw_basis
 from levkas.registration import BandImage, register
 from levkas.registration.checks import Checks
 from levkas.registration.foreground import describe_mask, find_object
 from levkas.registration.manual_points import Given
 from levkas.registration.uncertainty import NINE_OF_TEN
-from levkas.reporting.figures import draw_basis
 
 STILL = Affine.identity()
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine
+from levkas.pages.figures import draw_trace
 from levkas.registration.outliers import clean, frame_corners
 from levkas.registration.record import Matches
-from levkas.reporting.figures import draw_trace
 
 
 def traced(wrong):

@@ -125,7 +125,7 @@ class _Quiet(SimpleHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def inspected():
     """Serve campaigns; needs the built page."""
-    from levkas.screen import ScreenMissing, read_built
+    from levkas.pages.screen import ScreenMissing, read_built
 
     try:
         read_built("workbench.js")
@@ -159,8 +159,8 @@ def bench(served, browser):
 @pytest.fixture(scope="session")
 def add_viewer():
     """Return a function that writes the viewer into a database's folder."""
-    from levkas.screen import ScreenMissing, read_built
-    from levkas.viewing import About, write_viewer
+    from levkas.pages.screen import ScreenMissing, read_built
+    from levkas.viewer import About, write_viewer
 
     try:
         read_built("viewer.js")

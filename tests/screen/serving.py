@@ -16,7 +16,7 @@ class Served:
     def __init__(self, folder):
         import uvicorn
 
-        from levkas.web.app import _listen, make_app
+        from levkas.workbench.server.app import _listen, make_app
 
         self.folder, self.library = folder, Library(folder)
         self.listening = _listen(0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from levkas.screen import ScreenMissing, read_built
+from levkas.pages.screen import ScreenMissing, read_built
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -92,7 +92,7 @@ def test_two_builds_give_the_same_bytes(hook, tmp_path, monkeypatch):
 def test_built_files_are_ignored_by_git():
     if not (ROOT / ".git").exists():
         pytest.skip("not a checkout")
-    path = "src/levkas/screen/built/viewer.js"
+    path = "src/levkas/pages/screen/built/viewer.js"
     done = subprocess.run(["git", "check-ignore", "-q", path], cwd=ROOT, check=False)
     assert done.returncode == 0
 

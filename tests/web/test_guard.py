@@ -11,10 +11,10 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
-from levkas.web.app import make_app
-from levkas.web.guard import LARGEST_IMPORT, OPEN, SAFE, Guard, cookie_of, largest_of
 from levkas.workbench.answer import from_bytes
 from levkas.workbench.library import Library, id_of
+from levkas.workbench.server.app import make_app
+from levkas.workbench.server.guard import LARGEST_IMPORT, OPEN, SAFE, Guard, cookie_of, largest_of
 
 PORT, TOKEN = 4711, "k" * 43
 OWN = f"http://127.0.0.1:{PORT}"

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from levkas.screen import ScreenMissing, read_built
+from levkas.pages.screen import ScreenMissing, read_built
 
 COMMAND = [sys.executable, "-c", "from levkas.cli import main; main()", "inspect"]
 

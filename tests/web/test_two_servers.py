@@ -10,10 +10,10 @@ from starlette.testclient import TestClient
 
 from levkas.campaign.edits import FrameEdits, change_edits, read_edits
 from levkas.core.locks import Taken, locked
-from levkas.web.app import make_app
-from levkas.web.guard import cookie_of
 from levkas.workbench.answer import from_bytes
 from levkas.workbench.library import Library, id_of
+from levkas.workbench.server.app import make_app
+from levkas.workbench.server.guard import cookie_of
 
 TOKEN = "k" * 43
 XRAY = f"/api/cameras/{id_of('icon', 'xray')}"

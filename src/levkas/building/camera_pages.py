@@ -126,9 +126,9 @@ class CameraPages:
     def _page(
         self, camera: str, measures: Sequence[ChartMeasure], problems: Sequence[Problem]
     ) -> str:
-        from levkas.reporting.camera import CameraReport, light_row, render_camera, sensor_row
-        from levkas.reporting.charts import describe_chart
-        from levkas.reporting.radiometry import draw_light
+        from levkas.pages.camera import CameraReport, light_row, render_camera, sensor_row
+        from levkas.pages.charts import describe_chart
+        from levkas.pages.radiometry import draw_light
 
         sensors, lights, figures, notes = [], [], [], []
         for setup, learnt in self._learnt(camera).items():

@@ -35,8 +35,8 @@ class ChartReport:
     def page(self, title: str) -> str:
         """Return a report page as HTML."""
         from levkas import __version__
-        from levkas.reporting.camera import CameraReport, render_camera
-        from levkas.reporting.charts import describe_chart
+        from levkas.pages.camera import CameraReport, render_camera
+        from levkas.pages.charts import describe_chart
 
         return render_camera(
             CameraReport(

@@ -8,7 +8,7 @@ from levkas import __version__
 from levkas.building.fingerprints import keys_of, written
 from levkas.building.radiometry_pages import close_ups, radiometry_rows
 from levkas.database.registrations import read_registration
-from levkas.reporting.page import (
+from levkas.pages.page import (
     Figure,
     LayerReport,
     ObjectReport,

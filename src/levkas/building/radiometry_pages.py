@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.building.fingerprints import keys_of
+from levkas.pages.page import CloseUpRow, CloseUps, embed_png
+from levkas.pages.radiometry import RadiometryRow, describe_layer
 from levkas.quality.targets.places import choose_places
-from levkas.reporting.page import CloseUpRow, CloseUps, embed_png
-from levkas.reporting.radiometry import RadiometryRow, describe_layer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -93,8 +93,8 @@ class RegistrationStages:
     ) -> tuple[Measured, list[list[str]]]:
         from levkas.building import registering
         from levkas.building.measured import Measured
+        from levkas.pages.figures import draw_trace
         from levkas.registration import RegistrationRefused
-        from levkas.reporting.figures import draw_trace
 
         here = self.calibrated(capture, native)
         options = dict(self.campaign.registration_of(capture.camera))
@@ -181,7 +181,7 @@ class RegistrationStages:
 
 def _drawn(record: dict[str, Any]) -> list[list[str]]:
     """Return the figures, SVG and caption each, of what a map rests on; none where the record does not say."""
-    from levkas.reporting.figures import draw_basis
+    from levkas.pages.figures import draw_basis
 
     figures = draw_basis(record["trace"], record["reference"]["size"])
     return [[figure.svg, figure.caption] for figure in figures]

@@ -6,8 +6,8 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from levkas.pages.plots import Line, plot
 from levkas.quality.comparison.methods import COMPARED
-from levkas.reporting.plots import Line, plot
 
 if TYPE_CHECKING:
     from levkas.quality.comparison.table import Comparison
