@@ -8,8 +8,7 @@ import pytest
 from packaging.requirements import Requirement
 from typer.testing import CliRunner
 
-from levkas import doctor
-from levkas.cli import app
+from levkas.cli import app, doctor
 
 PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 

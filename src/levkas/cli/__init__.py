@@ -122,7 +122,7 @@ def _drawn(steps: Iterable[Any], quiet: bool) -> list[Any]:
             if not quiet and step.finished:
                 typer.echo(step.line, err=True)
         return done
-    from levkas.terminal import draw
+    from levkas.cli.progress_bar import draw
 
     return draw(steps)
 
@@ -443,7 +443,7 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Simulate a small campaign, build it, compare it with the truth, say where to look."""
-    from levkas.demonstration import demonstrate
+    from levkas.cli.demo import demonstrate
 
     report = demonstrate(folder, seed=seed, draw=lambda steps: _drawn(steps, as_json))
     _report("demo", as_json, report.ok, report.problems, results=report.results)
@@ -461,7 +461,7 @@ def doctor(
     as_json: Json = False,
 ) -> None:
     """Say what this machine has and lacks: versions, libraries, memory, disk, threads."""
-    from levkas.doctor import examine
+    from levkas.cli.doctor import examine
 
     report = examine(folder)
     _report("doctor", as_json, report.ok, list(report.problems), **report.to_dict())
@@ -470,9 +470,9 @@ def doctor(
     raise typer.Exit(0 if report.ok else 1)
 
 
-from levkas import cli_inspect, cli_publish, cli_radiometry  # noqa: E402, F401  (they add their commands)
-from levkas.cli_plan import plan_app  # noqa: E402  (it takes its options and reports from here)
-from levkas.cli_points import points_app  # noqa: E402
+from levkas.cli import inspect, publish, radiometry  # noqa: E402, F401  (they add their commands)
+from levkas.cli.plan import plan_app  # noqa: E402  (it takes its options and reports from here)
+from levkas.cli.points import points_app  # noqa: E402
 
 app.add_typer(plan_app, name="plan")
 app.add_typer(points_app, name="points")
