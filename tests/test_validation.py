@@ -10,7 +10,6 @@ from levkas.cli import app
 from levkas.core.cube import Band, Cube
 from levkas.core.digests import hash_file
 from levkas.core.files import write_json
-from levkas.database import validate
 from levkas.database.catalogue import DatabaseRefused, Entry, write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, write_manifest

@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.disk import refusing
-from levkas.problems import Problem, Refused
+from levkas.core.disk import refusing
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
