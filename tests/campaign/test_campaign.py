@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from levkas.campaign.campaign import Campaign, CampaignInvalid, _validate, load_campaign
 from levkas.campaign.schema.error_messages import TABLES
 
-DOCS = Path(__file__).resolve().parents[1] / "docs" / "campaign.md"
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "campaign.md"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = """
 [campaign]
 reference = { camera = "vis", band = "550 nm" }

@@ -8,7 +8,7 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def touch(folder, *names, pages=None, samples=None):

@@ -10,7 +10,7 @@ from levkas.core.flags import MARKS, describe_marks
 from levkas.database.layers import Layer, write_tiffs
 from levkas.viewer.maps import CLEAR, flag_map
 
-DOCS = Path(__file__).resolve().parents[1] / "docs" / "conventions.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "conventions.md"
 
 
 def test_every_flag_has_a_word_a_meaning_and_a_colour_of_its_own():

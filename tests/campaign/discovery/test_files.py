@@ -2,7 +2,7 @@ import os
 import unicodedata
 
 import pytest
-from levkas.campaign.campaign.discovery import folders as module
+from levkas.campaign.discovery import folders as module
 
 from levkas.campaign.discovery.files import find, nearest
 from levkas.campaign.discovery.folders import Folders, FolderUnreadable

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from levkas.cli import app, doctor
 
-PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
+PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 
 
 @pytest.fixture(scope="module")
