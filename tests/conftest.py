@@ -87,7 +87,7 @@ class Correctable:
         """Write the campaign and its database; `texts` replaces reasons of the verdict."""
         import cv2
 
-        from levkas.transforms import Affine
+        from levkas.geometry.transforms import Affine
 
         (folder / "campaign.toml").parent.mkdir(parents=True, exist_ok=True)
         text = CORRECTABLE.replace("TITLE", json.dumps(title, ensure_ascii=False))
@@ -138,7 +138,7 @@ class Correctable:
         return "\n".join([head, *rows]) + "\n"
 
     def _write(self, folder, name, camera, picture):
-        from levkas.cube import Band, Cube
+        from levkas.core.cube import Band, Cube
         from levkas.database.layers import Layer, write_tiffs
 
         values = np.atleast_3d(picture).astype(np.float32)

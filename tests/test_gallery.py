@@ -16,12 +16,12 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
 MODULES = {
     "levkas",
-    "levkas.gamut",
-    "levkas.noise",
+    "levkas.colour.gamut",
+    "levkas.calibration.noise_model",
     "levkas.planning",
-    "levkas.radiometry",
+    "levkas.quality.targets",
     "levkas.registration",
-    "levkas.reporting",
+    "levkas.pages",
     "levkas.simulation",
 }
 

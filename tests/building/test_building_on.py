@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from levkas.building import build, status, summarise
 from levkas.cli import app
-from levkas.digests import hash_tree
-from levkas.validation import validate
+from levkas.core.digests import hash_tree
+from levkas.database.validate import validate
 
 
 @pytest.fixture(scope="module")

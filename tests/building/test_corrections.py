@@ -8,8 +8,8 @@ import pytest
 
 from levkas import map_points
 from levkas.building import build, status, summarise
-from levkas.digests import hash_tree
-from levkas.edits import Edits, EditsInvalid, FrameEdits, round_pair, write_edits
+from levkas.campaign.edits import Edits, EditsInvalid, FrameEdits, round_pair, write_edits
+from levkas.core.digests import hash_tree
 
 CORNERS = np.array([[80.0, 70.0], [220.0, 60.0], [225.0, 190.0], [90.0, 200.0]])
 

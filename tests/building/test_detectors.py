@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from levkas.building import build, summarise
+from levkas.geometry.transforms import from_dict
 from levkas.registration.features import available_detectors
-from levkas.transforms import from_dict
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "campaign.md"
 (ROW,) = (

@@ -35,17 +35,17 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas import files
 from levkas.building import build, objects, registering, summarise
+from levkas.core import files
+from levkas.core.digests import hash_tree
+from levkas.core.json_safe import to_json
+from levkas.core.ownership import MARK
+from levkas.core.problems import Refused
 from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-from levkas.digests import hash_tree
-from levkas.ownership import MARK
-from levkas.plain_json import to_json
-from levkas.problems import Refused
-from levkas.validation import validate
+from levkas.database.validate import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")

@@ -12,9 +12,9 @@ from levkas.building import build, status
 from levkas.building.adjusting import adjusted
 from levkas.building.measured import Measured
 from levkas.building.rig_mates import NEIGHBOURS, RigMates
-from levkas.campaign import CampaignInvalid, load_campaign
-from levkas.discovery import Capture
-from levkas.transforms import Affine
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.discovery.find_captures import Capture
+from levkas.geometry.transforms import Affine
 
 NAMES = ("one", "two", "three")
 

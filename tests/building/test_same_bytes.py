@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from levkas.building import build, summarise
-from levkas.digests import hash_tree
-from levkas.machine import count_threads, tile_rows
+from levkas.core.digests import hash_tree
+from levkas.core.machine import count_threads, tile_rows
 
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks/same_bytes.py"
 

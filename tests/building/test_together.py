@@ -12,9 +12,9 @@ import pytest
 from levkas.building import build, status, summarise
 from levkas.building.ledger import Key, Ledger
 from levkas.building.turns import in_turn
-from levkas.digests import hash_tree
-from levkas.files import PARTIAL
-from levkas.validation import validate
+from levkas.core.digests import hash_tree
+from levkas.core.files import PARTIAL
+from levkas.database.validate import validate
 
 BUILD = """
 import sys, time

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.patterns import as_pattern, channel_names, channel_table, merge, split
 from levkas.calibration.templates import CalibrationRefused
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 NINE = (("B1", "B2", "B3"), ("B4", "B5", "B6"), ("B7", "B8", "P"))
 UNEVEN = (("A", "B", "A"), ("C", "A", "D"))

@@ -800,8 +800,8 @@ def json_that_is_a_pipe(folder):
 
 
 def readers():
-    from levkas.declaring.toml import read_toml
-    from levkas.finding.manifest import read_manifest
+    from levkas.campaign.discovery.manifest import read_manifest
+    from levkas.campaign.schema.toml import read_toml
     from levkas.readers.frames import read_facts, read_frame
     from levkas.readers.texts import read_json
 
@@ -820,7 +820,7 @@ def processor_time():
 
 def tell(read, path):
     """Read one file; return what came of it as plain values."""
-    from levkas.problems import Refused
+    from levkas.core.problems import Refused
 
     started = processor_time()
     try:

@@ -5,13 +5,13 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from levkas.geometry.transforms import Affine, Polynomial
+from levkas.pages.figures import draw_basis
 from levkas.registration import BandImage, register
 from levkas.registration.checks import Checks
-from levkas.registration.given import Given
-from levkas.registration.silhouette import describe_mask, find_object
+from levkas.registration.foreground import describe_mask, find_object
+from levkas.registration.manual_points import Given
 from levkas.registration.uncertainty import NINE_OF_TEN
-from levkas.reporting.figures import draw_basis
-from levkas.transforms import Affine, Polynomial
 
 STILL = Affine.identity()
 
@@ -135,7 +135,7 @@ def test_a_map_that_never_comes_to_rest_says_so(ours, monkeypatch):
     target = seen(icon(1), (460, 540, 660), (1.3, -2.4), 2)
     rested = register(ours, target, reference_band="550")
     assert rested.model["sensors"][0]["settled"] is True
-    monkeypatch.setattr("levkas.registration.pyramid.STILL", 0.0)
+    monkeypatch.setattr("levkas.registration.coarse_to_fine.STILL", 0.0)
     found = register(ours, target, reference_band="550")
     sensor = found.model["sensors"][0]
     assert (sensor["rounds"], sensor["settled"]) == (8, False)

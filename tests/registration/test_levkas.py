@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from levkas.geometry.transforms import Composed, Homography, Lens
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.transforms import Composed, Homography, Lens
 
 SIZE = (200, 260)
 

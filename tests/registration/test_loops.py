@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from levkas.geometry.transforms import Affine
+from levkas.quality.evaluation.loops import View, close_loops, points_on
 from levkas.registration import BandImage
-from levkas.registration.loops import View, close_loops, points_on
-from levkas.transforms import Affine
 
 
 def shifted(scale, x, y):

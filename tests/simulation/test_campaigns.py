@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.evaluation import read_truth
-from levkas.noise import noise_variance
+from levkas.calibration.noise_model import noise_variance
+from levkas.quality.evaluation.similarity import read_truth
 from levkas.simulation.campaigns import Session, Simulated, simulate_campaign
 from levkas.simulation.capture import WHITE_REFLECTANCE, look
 from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.problems import Problem
 from levkas.database.containment import check_inside
-from levkas.problems import Problem
-from levkas.radiometry.charts import Chart, ChartRefused, chart_of
+from levkas.quality.targets.charts import Chart, ChartRefused, chart_of
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
@@ -150,7 +150,7 @@ def read_cube_file(path: Path) -> tuple[Cube, tuple[str, ...]]:
 
 
 def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
-    from levkas.database.opening import describe_pages
+    from levkas.database.reader import describe_pages
     from levkas.database.spectral_tiff import open_pages
     from levkas.readers.facts import check_expansion, check_memory
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.observer import tables
-from levkas.planning.illuminants import illuminant, planck
+from levkas.colour.illuminants import illuminant, planck
+from levkas.colour.observer import tables
 from levkas.planning.refusals import PlanRefused, asked, wrong
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 LARGEST_TABLE = 16 << 20
 """Bytes of a CSV or a JSON record."""
