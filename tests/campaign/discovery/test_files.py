@@ -2,8 +2,8 @@ import os
 import unicodedata
 
 import pytest
-from levkas.campaign.discovery import folders as module
 
+from levkas.campaign.discovery import folders as module
 from levkas.campaign.discovery.files import find, nearest
 from levkas.campaign.discovery.folders import Folders, FolderUnreadable
 from levkas.campaign.discovery.patterns import Pattern

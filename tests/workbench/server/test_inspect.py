@@ -34,7 +34,9 @@ def ask(address, path, *, cookie="", body=None):
     data = None
     if body is not None:
         headers["Content-Type"], data = "application/json", json.dumps(body).encode()
-    return urllib.request.urlopen(urllib.request.Request(address + path, data, headers), timeout=600)
+    return urllib.request.urlopen(
+        urllib.request.Request(address + path, data, headers), timeout=600
+    )
 
 
 def test_it_says_its_address_serves_this_machine_alone_and_ends_cleanly(campaign):
