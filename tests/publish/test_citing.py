@@ -10,7 +10,7 @@ from levkas.publish.datacite import check_datacite, describe_datacite
 from levkas.publish.facts import Facts, Person, facts_of
 from levkas.publish.readme import plain
 from levkas.publish.run import check
-from levkas.publish.splits import SHARES, split_objects
+from levkas.database.splits import SHARES, split_objects
 
 WHOLE = Facts(
     "campaign.toml",
