@@ -13,7 +13,7 @@ from levkas.building.adjusting import adjusted
 from levkas.building.measured import Measured
 from levkas.building.rig_mates import NEIGHBOURS, RigMates
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
-from levkas.campaign.discovery.find_captures import Capture
+from levkas.campaign.discovery.captures import Capture
 from levkas.geometry.transforms import Affine
 
 NAMES = ("one", "two", "three")

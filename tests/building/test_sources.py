@@ -19,7 +19,6 @@ COMMANDS = (
     *("assessment", "captured_white", "closure", "demonstration", "doctor", "exposure"),
     *(
         "flags",
-        "full_scales",
         "gamut",
         "hung_lamps",
         "noise",
