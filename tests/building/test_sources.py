@@ -51,7 +51,7 @@ def test_no_stage_rests_on_what_only_decides_what_is_done(closures):
         "quality/evaluation/similarity": {"resample"},
         "campaign/edits": {"register"},
         "pages/report.html": {"register", "report", "camera"},
-        "readers/libraw": {"calibrate", "register", "resample", "report", "camera"},
+        "readers/raw": {"calibrate", "register", "resample", "report", "camera"},
         "workbench/server/routes": set(),
         "cli/__init__": set(),
     }.items(),
@@ -60,6 +60,7 @@ def test_a_module_belongs_to_the_stages_that_import_it(closures, module, stages)
     assert {stage for stage in STAGES if module in closures[stage]} == stages
 
 
+@pytest.mark.slow
 def test_a_changed_module_changes_the_code_of_exactly_the_stages_that_rest_on_it(tmp_path):
     package = shutil.copytree(
         PACKAGE, tmp_path / "levkas", ignore=shutil.ignore_patterns("__pycache__", "built")
@@ -93,6 +94,7 @@ def test_an_import_for_type_checkers_is_none_and_one_in_a_function_is_one(tmp_pa
     assert found == {"calibration/sensor_context.py", "lazy/home.py"}
 
 
+@pytest.mark.slow
 def test_what_a_build_loads_is_known(tmp_path, make_every_kind, closures):
     """Modules that a build of every kind of camera really imports, against those that were read."""
     folder = make_every_kind(tmp_path / "campaign", ("one",))

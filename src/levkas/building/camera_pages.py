@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from levkas.building.charts import Developed
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Band
     from levkas.database.layout import Places
     from levkas.quality.targets.measuring import ChartMeasure

@@ -13,7 +13,7 @@ from levkas.building.progress import Step
 from levkas.building.removal import CATALOGUE
 from levkas.building.sources import code_version
 from levkas.campaign.campaign import Campaign
-from levkas.campaign.discovery.find_captures import Capture
+from levkas.campaign.discovery.captures import Capture
 from levkas.core.ownership import IMPRINT, MARK
 from levkas.database.layout import Places
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from levkas.building.native_cubes import Native
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.catalogue import Entry
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
@@ -178,7 +178,7 @@ def _of_campaign(
 
 def _reference(chart: Chart, path: str | Path | None) -> Reference | None:
     from levkas.quality.targets.charts import parse_reference
-    from levkas.readers.texts import read_text
+    from levkas.readers.text import read_text
 
     if path is None:
         return reference_of(chart)
@@ -409,7 +409,7 @@ def subjects_of(
 
 def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
     """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
-    from levkas.readers.texts import read_json
+    from levkas.readers.text import read_json
 
     for record in sorted(database.glob("charts/*/*.json")):
         check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))

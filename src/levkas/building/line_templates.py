@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.sensor_context import SensorContext
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
     from levkas.readers.envi import EnviFile
 
 TRIPLES = 64

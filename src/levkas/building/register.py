@@ -16,6 +16,7 @@ from levkas.building.control_points import declared_points, joined, placed_in, p
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import Registration, RegistrationRefused, register
+from levkas.registration.manual_points import Given
 from levkas.registration.observations import Sighting
 from levkas.registration.record import Matches
 
@@ -25,11 +26,12 @@ if TYPE_CHECKING:
     from levkas.building.native_cubes import Native
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
     from levkas.registration.manual_points import Given
+    from levkas.registration.record import Matches
 
 FEWEST_PX = 16
 """A band smaller than this has nothing to register by."""
@@ -83,7 +85,7 @@ def corrections_of(
     given, options = {}, {}
     for band, edits in campaign.edits.of(capture.object, capture.layer).items():
         sensor, placed = placed_in(capture, band, channel)
-        given[sensor] = placed_pairs(edits.given(), placed)
+        given[sensor] = placed_pairs(Given(**edits.pairs()), placed)
         for key in ("reject", "stop"):
             if getattr(edits, key) is not None:
                 options[key] = getattr(edits, key)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from levkas.building.build_records import BuildRecords, Key
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, Refusals
+    from levkas.campaign.discovery.captures import Capture, Refusals
     from levkas.core.problems import Problem
     from levkas.database.layout import Places
 

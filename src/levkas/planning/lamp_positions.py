@@ -132,7 +132,7 @@ def fit_white(
     black, saturation : float, optional
         Counts; default as the file or its campaign declare them, black else 0.
     bits : int, optional
-        Of the converter; default as `levkas.campaign.full_scales.find_full_scale` finds the full scale.
+        Of the converter; default as `levkas.planning.full_scale.find_full_scale` finds the full scale.
     bent : bool
         Whether the board is bent as the object is.
 

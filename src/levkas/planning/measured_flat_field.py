@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from levkas.calibration.templates import Template, average
-from levkas.campaign.full_scales import find_full_scale, not_known
 from levkas.core.problems import Problem, Refused
+from levkas.planning.full_scale import find_full_scale, not_known
 from levkas.quality.emva1288.facts import frames_below
 from levkas.readers.frames import read_facts, read_frame
 

@@ -23,7 +23,7 @@ PARTS = {
     "medium": "levkas.publish.editions:write_medium",
     "colour": "levkas.publish.colours:write_gamut",
     "iiif": "levkas.publish.iiif:write_iiif",
-    "splits": "levkas.publish.splits:write_splits",
+    "splits": "levkas.database.splits:write_splits",
     "citation": "levkas.publish.citation:write_citation",
     "datacite": "levkas.publish.datacite:write_datacite",
     "viewer": "levkas.viewer.run:write_part",
