@@ -292,6 +292,7 @@ def test_a_band_of_a_scan_without_a_finite_value_is_refused(tmp_path):
         assert "panel.hdr" in refused.value.problems[0].file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", ["", 'scan = "mirror"\n'], ids=["push-broom", "mirror"])
 def test_hysime_of_a_streamed_scan_is_that_of_the_whole_cube(tmp_path, monkeypatch, more):
     rng, at = np.random.default_rng(3), np.linspace(0, 1, 60)

@@ -64,12 +64,14 @@ def check_whole(folder, output, alone):
     assert validate(output).ok
 
 
+@pytest.mark.slow
 def test_two_processes_at_once_make_what_one_makes(plates, tmp_path):
     folder, alone = plates
     start_together(folder, tmp_path / "database", (), ())
     check_whole(folder, tmp_path / "database", alone)
 
 
+@pytest.mark.slow
 def test_two_processes_with_an_object_each_lose_no_row_of_the_catalogue(plates, tmp_path):
     folder, alone = plates
     start_together(folder, tmp_path / "database", ("one",), ("two",))
@@ -94,6 +96,7 @@ def test_two_threads_at_once_make_what_one_makes(plates, tmp_path):
     check_whole(folder, tmp_path / "database", alone)
 
 
+@pytest.mark.slow
 def test_two_builds_step_by_step_in_turn_make_what_one_makes(plates, tmp_path):
     folder, alone = plates
     output = tmp_path / "database"

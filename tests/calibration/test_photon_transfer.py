@@ -96,6 +96,7 @@ def test_a_known_sensor_comes_back(sensor, curved):
     assert found.black.value == pytest.approx(sensor.black + sensor.gain * sensor.dark, abs=0.05)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_and_are_narrow(plain):
     for name, truth in (("gain", 0.09), ("prnu", 0.019), ("full_well", 4031 / 0.09 - 32)):
         found = getattr(plain, name)

@@ -20,7 +20,7 @@ from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 
 def develop_bands(bench: Bench, notes: list[str]) -> Cube:

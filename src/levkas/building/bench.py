@@ -19,7 +19,7 @@ from levkas.readers.frames import Facts, read_facts, read_frame
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import Camera, Campaign
-    from levkas.campaign.discovery.find_captures import FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 GLIMPSE_LINES = 64
 

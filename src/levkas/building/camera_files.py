@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from levkas.building.charting import Developed
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Band
     from levkas.database.layout import Places
     from levkas.quality.targets.measuring import ChartMeasure

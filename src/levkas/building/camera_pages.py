@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.quality.targets.measuring import ChartMeasure
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer

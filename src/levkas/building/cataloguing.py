@@ -15,7 +15,7 @@ from levkas.building.sources import code_version
 from levkas.building.steps import Step
 from levkas.building.withdrawing import CATALOGUE
 from levkas.campaign.campaign import Campaign
-from levkas.campaign.discovery.find_captures import Capture
+from levkas.campaign.discovery.captures import Capture
 from levkas.core.ownership import MARK
 from levkas.database.layout import Places
 

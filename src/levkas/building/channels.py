@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.cube import find_band
-from levkas.readers.texts import read_text
+from levkas.readers.text import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -80,7 +80,7 @@ def subjects_of(
 
 def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
     """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
-    from levkas.readers.texts import read_json
+    from levkas.readers.text import read_json
 
     for record in sorted(database.glob("charts/*/*.json")):
         check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from levkas.building.native import Native
     from levkas.building.shelf import Shelf
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
@@ -176,7 +176,7 @@ def _of_campaign(
 
 def _reference(chart: Chart, path: str | Path | None) -> Reference | None:
     from levkas.quality.targets.charts import parse_reference
-    from levkas.readers.texts import read_text
+    from levkas.readers.text import read_text
 
     if path is None:
         return reference_of(chart)

@@ -13,11 +13,11 @@ from levkas.campaign.schema.cross_checks import no_place
 from levkas.core.ownership import MARK, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 OWNER = "campaign.json"

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.pushbroom import Seam
     from levkas.campaign.campaign import Camera, Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef
+    from levkas.campaign.discovery.captures import Capture, FrameRef
 
 __all__ = [
     "Bench",

@@ -17,7 +17,7 @@ from levkas.core.problems import Problem
 if TYPE_CHECKING:
     from levkas.calibration.exposures import Merged
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def average_shots(bench: Bench, frames: Sequence[FrameRef]) -> list[Template]:
     """Average the object's shots, exposure by exposure."""
     times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
     if len(times) > 1 and bench.camera.exposures == "one":
-        from levkas.campaign.discovery.find_captures import CaptureRefused
+        from levkas.campaign.discovery.captures import CaptureRefused
 
         raise CaptureRefused(
             Problem(

@@ -17,7 +17,7 @@ from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
     from levkas.building.bench import Bench
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 Times = float | tuple[float, ...] | None
 """Of a frame, s: one, one a band where a header lists several, or not known."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef
+    from levkas.campaign.discovery.captures import Capture, FrameRef
     from levkas.core.problems import Problem
 
 STAGES = ("calibrate", "register", "resample")

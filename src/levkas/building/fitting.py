@@ -11,7 +11,7 @@ from levkas.core.problems import Problem, Refused
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
 
 CUBE_BYTES = 9
 """Of a calibrated value with its flags and its sigma; what is needed beside them comes on top."""

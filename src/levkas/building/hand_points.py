@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.registration.control_points import ControlPoints
 
 

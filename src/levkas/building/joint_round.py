@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
     from levkas.building.steps import Step
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from levkas.building.bench import Bench
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
     from levkas.readers.envi import EnviFile
 
 TRIPLES = 64

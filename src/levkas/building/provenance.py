@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from levkas.building.ledger import Key, Ledger
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
 
 FRAME = "frame "
 """Begins what a fingerprint says of the use of a file as a frame."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.ledger import Ledger
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from levkas.building.native import Native
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage, Registration

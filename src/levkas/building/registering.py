@@ -13,6 +13,7 @@ from levkas import __version__
 from levkas.building.hand_points import declared_points, joined, placed_in, placed_pairs
 from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import Registration, RegistrationRefused, register
+from levkas.registration.manual_points import Given
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,11 +22,10 @@ if TYPE_CHECKING:
     from levkas.building.native import Native
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.manual_points import Given
     from levkas.registration.record import Matches
 
 FEWEST_PX = 16
@@ -80,7 +80,7 @@ def corrections_of(
     given, options = {}, {}
     for band, edits in campaign.edits.of(capture.object, capture.layer).items():
         sensor, placed = placed_in(capture, band, channel)
-        given[sensor] = placed_pairs(edits.given(), placed)
+        given[sensor] = placed_pairs(Given(**edits.pairs()), placed)
         for key in ("reject", "stop"):
             if getattr(edits, key) is not None:
                 options[key] = getattr(edits, key)

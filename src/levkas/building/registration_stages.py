@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 

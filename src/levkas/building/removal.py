@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from levkas.building.ledger import Ledger
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, Refusals
+    from levkas.campaign.discovery.captures import Capture, Refusals
 
 REMOVED = Key("", stage="removed")
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from levkas.building.ledger import Ledger
     from levkas.building.measured import Measured
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 NOT_THERE = "not registered"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from levkas.building.bench import Bench
     from levkas.calibration.templates import Template
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
 
 
 def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:

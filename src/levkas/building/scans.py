@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from levkas.calibration.denoising import Projecting, Subspace
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Band
     from levkas.readers.envi import EnviFile
 

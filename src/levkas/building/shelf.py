@@ -12,7 +12,7 @@ import numpy as np
 from levkas.building.ledger import Hashes
 from levkas.building.sources import code_version
 from levkas.calibration.templates import Template
-from levkas.campaign.discovery.find_captures import FrameRef
+from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, replacing
 
 

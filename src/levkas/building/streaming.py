@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from levkas.building.default_setup import DefaultLayer
     from levkas.building.scans import Scan
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform

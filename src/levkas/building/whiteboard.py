@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-from levkas.readers.texts import TextRefused, read_text
+from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from levkas.building.steps import Step
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 CATALOGUE = Key("", stage="catalogue")

@@ -17,7 +17,7 @@ from typing import Literal
 from levkas.core.digests import hash_file
 from levkas.core.disk import WriteRefused
 from levkas.core.problems import Problem, Refused
-from levkas.readers.texts import read_json, what_stands_at
+from levkas.readers.text import read_json, what_stands_at
 
 Kind = Literal["database", "publication", "bag"]
 

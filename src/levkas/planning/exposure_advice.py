@@ -16,7 +16,6 @@ from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
 from levkas.calibration.templates import Template, average
-from levkas.campaign.full_scales import FullScale, find_full_scale, not_known
 from levkas.core.problems import Problem, Refused
 from levkas.planning.exposure_levels import (
     Advice,
@@ -28,6 +27,7 @@ from levkas.planning.exposure_levels import (
     safe_mean,
     snr_at,
 )
+from levkas.planning.full_scale import FullScale, find_full_scale, not_known
 from levkas.readers.frames import Facts, read_facts, read_frame
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.templates import Template, average
-from levkas.campaign.full_scales import find_full_scale, not_known
 from levkas.core.problems import Problem, Refused
 from levkas.planning.framing import plan_framing
+from levkas.planning.full_scale import find_full_scale, not_known
 from levkas.planning.irradiance import drop, illuminate
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.loading import load_setup
@@ -131,7 +131,7 @@ def fit_white(
     black, saturation : float, optional
         Counts; default as the file or its campaign declare them, black else 0.
     bits : int, optional
-        Of the converter; default as `levkas.campaign.full_scales.find_full_scale` finds the full scale.
+        Of the converter; default as `levkas.planning.full_scale.find_full_scale` finds the full scale.
     bent : bool
         Whether the board is bent as the object is.
 

@@ -209,7 +209,7 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
     import csv
     import io
 
-    from levkas.readers.texts import TextRefused, read_text
+    from levkas.readers.text import TextRefused, read_text
 
     rows: list[list[float]] = []
     labels: list[str] = []

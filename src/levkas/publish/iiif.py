@@ -19,7 +19,7 @@ from levkas.publish.describing import describe_dataset
 from levkas.publish.iiif_rules import check_iiif
 from levkas.publish.publication import PublishRefused
 from levkas.publish.tiles import address, cut_tiles, thumbnail_size
-from levkas.readers.texts import parse_json
+from levkas.readers.text import parse_json
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry

@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from levkas.core.problems import Problem
 from levkas.publish.tiles import tile_names
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 
 def check_iiif(folder: str | Path, base: str) -> list[Problem]:

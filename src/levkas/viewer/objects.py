@@ -20,7 +20,7 @@ from levkas.database.store import layer_name
 from levkas.database.tiff_pages import open_pages
 from levkas.geometry.pixel_frames import Frame
 from levkas.pages.page import DECISIONS
-from levkas.readers.texts import parse_bounded, read_text
+from levkas.readers.text import parse_bounded, read_text
 from levkas.viewer.lattice import write_lattices
 from levkas.viewer.pages import address, worst
 from levkas.viewer.pictures import Source, pictures_of

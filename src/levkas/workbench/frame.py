@@ -19,7 +19,7 @@ from levkas.workbench.pictures import Picture, encode, tinted, warped_tile
 from levkas.workbench.session import look
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.registration.record import Matches
     from levkas.workbench.sensor_view import SensorView
     from levkas.workbench.session import Session, View

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.campaign.campaign import load_campaign
-from levkas.campaign.discovery.find_captures import Capture, find_captures
+from levkas.campaign.discovery.captures import Capture
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import Frame
 from levkas.workbench.pictures import Picture, read_picture

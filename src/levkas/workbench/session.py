@@ -15,7 +15,7 @@ import numpy as np
 
 from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.geometry.transforms import Affine, Inverse, Transform
-from levkas.registration.manual_points import Marked, measure_checks
+from levkas.registration.manual_points import Given, Marked, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
 from levkas.registration.record import Matches, RegistrationRefused
@@ -243,7 +243,7 @@ class Session:
 
 def look(found: Found, edits: FrameEdits) -> View:
     """Replay the removal of outliers on what was found and corrected."""
-    given = edits.given()
+    given = Given(**edits.pairs())
     marked = given.mark(found.matches.reference, found.matches.target)
     kept = np.concatenate([found.matches.kept, np.ones(len(marked.reason), bool)])
     kept = kept[: len(marked.reason)]

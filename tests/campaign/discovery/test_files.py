@@ -3,9 +3,8 @@ import unicodedata
 
 import pytest
 
-from levkas.campaign.discovery import folders as module
-from levkas.campaign.discovery.files import find, nearest
-from levkas.campaign.discovery.folders import Folders, FolderUnreadable
+from levkas.campaign.discovery import file_index as module
+from levkas.campaign.discovery.file_index import Folders, FolderUnreadable, find, nearest
 from levkas.campaign.discovery.patterns import Pattern
 
 

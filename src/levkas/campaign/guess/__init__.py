@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.campaign.guess.refusals import LookRefused
+from levkas.campaign.guess.proposal import LookRefused
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:

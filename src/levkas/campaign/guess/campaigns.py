@@ -9,17 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from levkas.campaign.discovery.patterns import natural
-from levkas.campaign.guess.describing import describe_camera
-from levkas.campaign.guess.grouping import Group, group_cameras
+from levkas.campaign.guess.appearance import find_warmth, tell_roles
+from levkas.campaign.guess.describe import describe_camera, find_white_table, with_sensitivity
+from levkas.campaign.guess.groups import Group, group_cameras
 from levkas.campaign.guess.listing import Listing
-from levkas.campaign.guess.naming import name_targets
-from levkas.campaign.guess.proposal import CameraGuess, Proposal, Said, to_toml
-from levkas.campaign.guess.refusals import LookRefused
-from levkas.campaign.guess.roles import tell_roles
-from levkas.campaign.guess.samples import Samples
-from levkas.campaign.guess.spectra import find_warmth
-from levkas.campaign.guess.tables import find_white_table, with_sensitivity
-from levkas.campaign.guess.words import CHARTS, GENERIC
+from levkas.campaign.guess.names import CHARTS, GENERIC, name_targets
+from levkas.campaign.guess.pixels import Samples
+from levkas.campaign.guess.proposal import CameraGuess, LookRefused, Proposal, Said, to_toml
 from levkas.campaign.schema.cross_checks import find_contradictions, is_safe_name
 from levkas.core.cube import band_labels
 from levkas.core.problems import Problem, Refused

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from levkas.campaign.discovery.folders import DEEPEST, Folders, walk
+from levkas.campaign.discovery.file_index import DEEPEST, Folders, walk
 from levkas.core.problems import Refused
 from levkas.readers.facts import Facts
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from levkas.core.problems import Refused
+
 WIDTH = 100
 COLUMN = 53
 """Where comments begin, beside keys that leave them the place."""
@@ -229,3 +231,7 @@ def _filled(parts: Sequence[str]) -> Iterator[str]:
         line = f"{line} {part}" if line else part
     if line:
         yield line
+
+
+class LookRefused(Refused):
+    """A folder holds nothing that a campaign could be made of, or already has one."""

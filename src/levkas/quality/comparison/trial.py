@@ -18,7 +18,7 @@ from levkas.quality.comparison.captures import Capture, read_capture
 from levkas.quality.comparison.fields import AnyMap
 from levkas.quality.comparison.methods import COMPARED
 from levkas.quality.comparison.pairs import pair_of, spread
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -16,7 +16,7 @@ from levkas.quality.emva1288.gathered import Key, Sensor, reduce_stack
 from levkas.quality.emva1288.photon_transfer import Dark, model_darks
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 MOST_CLIPPED = 1_000_000  # pixels of a dark whose likelihood is asked for
 

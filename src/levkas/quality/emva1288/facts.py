@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from levkas.campaign.discovery.folders import Folders, too_deep, walk
+from levkas.campaign.discovery.file_index import Folders, too_deep, walk
 from levkas.core.problems import Problem, Refused
 from levkas.quality.emva1288.code_spacing import MOST_CODES, Levels, count_codes, find_levels
 from levkas.readers.frames import Facts, kind_of, read_facts, read_frame

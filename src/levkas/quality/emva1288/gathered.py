@@ -17,7 +17,7 @@ from levkas.quality.emva1288.drift import Drift
 from levkas.quality.emva1288.photon_transfer import Dark
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 Key = tuple[str | None, float | None]
 """Band and exposure, s."""

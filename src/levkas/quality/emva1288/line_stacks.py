@@ -19,7 +19,7 @@ from levkas.quality.emva1288.gathered import Sensor, by_exposure
 from levkas.quality.emva1288.photon_transfer import Dark, model_darks
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 CHANNEL = "all"
 THIN = 4

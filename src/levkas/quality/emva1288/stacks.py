@@ -27,7 +27,7 @@ from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
 
 MOST_BANDS = 5  # of a tunable filter: the sensor behind it is the same
 MOST_SCENES = 3

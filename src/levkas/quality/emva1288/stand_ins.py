@@ -17,7 +17,7 @@ from levkas.quality.emva1288.photon_transfer import Dark
 
 if TYPE_CHECKING:
     from levkas.calibration.templates import Template
-    from levkas.campaign.discovery.find_captures import FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 MOST_PAIRS = 5
 

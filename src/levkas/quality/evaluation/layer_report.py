@@ -21,7 +21,7 @@ from levkas.quality.evaluation.similarity import (
     read_truth,
     summarise_errors,
 )
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from levkas.registration.control_points.points import Size

@@ -3,7 +3,7 @@
 LibRaw reads some hundred undocumented formats in C: a damaged or hostile file must be able to end
 or fill only this process. It imports nothing of the package.
 
-    python libraw.py PATH facts|mosaic
+    python libraw_worker.py PATH facts|mosaic
 
 writes 4 bytes with the length of a JSON object, the object, and, for ``mosaic``, the pixels.
 """

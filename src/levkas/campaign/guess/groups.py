@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from levkas.campaign.discovery.patterns import SECONDS, natural
-from levkas.campaign.guess.targets import TARGET, Named, signature
-from levkas.campaign.guess.words import (
+from levkas.campaign.guess.names import (
     BANDS,
     GENERIC,
     IMAGES,
@@ -16,8 +15,11 @@ from levkas.campaign.guess.words import (
     MILD,
     PREFIXES,
     SENSORS,
+    TARGET,
+    Named,
     Token,
     role_in,
+    signature,
     tokens_of,
 )
 

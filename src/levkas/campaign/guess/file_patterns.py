@@ -10,8 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from levkas.campaign.discovery.patterns import natural
-from levkas.campaign.guess.grouping import Frame
-from levkas.campaign.guess.words import BANDS, SENSORS, Token
+from levkas.campaign.guess.groups import Frame
+from levkas.campaign.guess.names import BANDS, SENSORS, Token
 
 FEWEST_BANDS = 3
 RANGE_NM = (300.0, 2600.0)
