@@ -37,7 +37,7 @@ MODULES = (
     ),
     *(
         "levkas.planning.spectra",
-        "levkas.planning.luminous_intensity",
+        "levkas.planning.irradiance",
         "levkas.quality.targets.charts",
     ),
     *("tifffile.tifffile", "exifread", "tomllib._parser", "json.decoder"),
