@@ -5,9 +5,9 @@ import pytest
 
 from levkas.calibration.blocks import Blocks, block_statistics
 from levkas.calibration.clipping import fit_clipped_dark, is_clipped
+from levkas.calibration.code_spacing import count_codes, find_levels
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
-from levkas.quality.emva1288.code_spacing import count_codes, find_levels
 from levkas.quality.emva1288.drift import Light, measure_drift
 from levkas.quality.emva1288.photon_transfer import Dark, measure_sensor
 from levkas.simulation.sensing import expose, fixed_pattern, key
