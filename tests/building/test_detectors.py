@@ -14,6 +14,8 @@ from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.geometry.transforms import from_dict
 from levkas.registration.features import DETECTORS, available_detectors
 
+pytestmark = pytest.mark.slow
+
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "campaign.md"
 (ROW,) = (
     line for line in DOCS.read_text(encoding="utf-8").splitlines() if "| `detector` |" in line

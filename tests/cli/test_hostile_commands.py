@@ -300,6 +300,7 @@ objects = ["icon"]
 """
 
 
+@pytest.mark.slow
 def test_small_files_of_twenty_thousand_pixels_square_end_in_a_refusal(tmp_path):
     """Each decodes to 400 or 800 MB: nine of them had a build killed by the system."""
     asked = []

@@ -14,6 +14,7 @@ def test_lab_of_greys_is_their_lightness():
     assert lab == pytest.approx(np.array([[50.0, 0, 0]] * 2), abs=0.02)
 
 
+@pytest.mark.slow
 def test_colour_science_gives_the_same_lab():
     import colour
 

@@ -8,6 +8,8 @@ from levkas.campaign.edits import read_edits
 from .serving import READY, opened, told
 from .walking import faint, nameless, walk
 
+pytestmark = pytest.mark.slow
+
 
 def check_walk(page):
     """Tab leads to every stop once, there and back, each in view, with a ring and a name."""

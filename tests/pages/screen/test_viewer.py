@@ -18,7 +18,7 @@ from .database import CAMERAS
 SETTLED = (
     "() => window.levkasViewer?.stage.viewer.world.getItemCount() > 0 && levkasViewer.stage.settled"
 )
-FLIGHTS = ["file", "http"]
+FLIGHTS = ["file", pytest.param("http", marks=pytest.mark.slow)]
 
 
 def open_object(browser, url, **options):
@@ -235,6 +235,7 @@ def test_a_page_opened_by_a_link_to_a_comparison_shows_it(browser, address, view
     assert shown_colour(page, 100, 60).max() < 40
 
 
+@pytest.mark.slow
 def test_webgl_draws_the_same_picture_and_the_same_difference(browser, address, viewer):
     url = address("http").replace("index.html", "index.html?drawer=webgl")
     page = open_object(browser, f"{url}#a=vis/colour&b=rgb/colour")

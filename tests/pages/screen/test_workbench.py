@@ -168,6 +168,7 @@ def test_the_view_stays_in_its_place_while_panes_change_their_size(bench):
     assert np.allclose(centre, pair[:2], atol=1)
 
 
+@pytest.mark.slow
 def test_a_person_faster_than_the_pictures_stays_where_they_went(bench):
     """A mode whose pictures come late does not take back where a key led meanwhile."""
     page, _ = bench
@@ -193,6 +194,7 @@ def test_a_person_faster_than_the_pictures_stays_where_they_went(bench):
     assert page.evaluate("levkasWorkbench.stage.left.isFitted")
 
 
+@pytest.mark.slow
 def test_a_page_that_nobody_touches_draws_nothing(bench):
     page, _ = bench
     page.evaluate("levkasWorkbench.stage.left.look(190, 140, 5)")
@@ -246,6 +248,7 @@ def test_a_place_is_measured_and_kept_as_check_point(bench):
     assert "check point is off by" in page.locator("#sum").inner_text()
 
 
+@pytest.mark.slow
 def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
     turned_plates, inspected, browser, tmp_path
 ):
@@ -276,6 +279,7 @@ def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
     assert {s.state for s in report.stages if s.key.layer == "xray"} == {"fresh"} and report.ok
 
 
+@pytest.mark.slow
 def test_curtain_flicker_difference_checker_and_red_cyan_show_both_pictures(bench):
     page, _ = bench
     pictures = {}
@@ -414,6 +418,7 @@ def test_without_the_token_the_page_says_what_to_do(correctable, inspected, brow
     page.wait_for_function(READY)
 
 
+@pytest.mark.slow
 def test_hostile_titles_and_names_are_only_text(correctable, inspected, browser, tmp_path):
     for number, words in enumerate(HOSTILE[:: 1 if len(HOSTILE) < 3 else 17]):
         folder = correctable.make(tmp_path / str(number), title=words, texts={"reason": words})
@@ -429,6 +434,7 @@ def test_hostile_titles_and_names_are_only_text(correctable, inspected, browser,
     )
 
 
+@pytest.mark.slow
 def test_hostile_file_names_are_only_text(correctable, inspected, browser, tmp_path):
     assert len(HOSTILE) + len(NAMES) >= 60
     folder = correctable.make(tmp_path / "campaign", names=NAMES)
@@ -449,6 +455,7 @@ def test_hostile_file_names_are_only_text(correctable, inspected, browser, tmp_p
     assert [name for name, _ in read_edits(folder / "edits.toml").frames] == [NAMES[::8][-1]]
 
 
+@pytest.mark.slow
 def test_a_page_that_rebinds_its_name_reads_nothing(
     correctable, inspected, chromium, tmp_path, serve
 ):
