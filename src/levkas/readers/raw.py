@@ -212,10 +212,10 @@ def _check_parts(path: Path) -> None:
             raise
         return
     with tiff:
-        pages = list(islice(tiff.pages, MOST_DIRECTORIES))
+        pages: list[Any] = list(islice(tiff.pages, MOST_DIRECTORIES))
         for page in pages:  # directories within directories follow as they are found
             if page.subifds and len(pages) < MOST_DIRECTORIES:
-                pages += islice(page.pages, MOST_DIRECTORIES - len(pages))
+                pages += islice(page.pages or (), MOST_DIRECTORIES - len(pages))
         if not any(DNG_VERSION in page.tags for page in pages):
             return
         for page in pages:
