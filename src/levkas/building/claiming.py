@@ -47,7 +47,7 @@ def claim(
         Where something stands there that no build wrote, or the disk refuses.
     """
     from levkas.core.files import make_folder, write_changed, write_text
-    from levkas.publish.facts import NAME as IMPRINT
+    from levkas.publish.metadata import NAME as IMPRINT
 
     check_apart(campaign, places.output, captures)
     require_outside(places.output, fix=FIX)
