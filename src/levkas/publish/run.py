@@ -249,7 +249,7 @@ def facts_of_subject(subject: Subject) -> Facts:
     facts = read_facts(subject.database)
     if subject.campaign is None:
         return facts
-    from levkas.building.imprint import imprint_of
+    from levkas.building.catalogue import imprint_of
     from levkas.campaign.campaign import load_campaign
     from levkas.database.catalogue import DatabaseRefused, read_catalogue
 

@@ -18,7 +18,7 @@ from .database import CAMERAS
 SETTLED = (
     "() => window.levkasViewer?.stage.viewer.world.getItemCount() > 0 && levkasViewer.stage.settled"
 )
-FLIGHTS = ["file", "http"]
+FLIGHTS = ["file", pytest.param("http", marks=pytest.mark.slow)]
 
 
 def open_object(browser, url, **options):

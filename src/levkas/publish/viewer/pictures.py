@@ -285,7 +285,7 @@ def registration_map(
 
 def similarity_map(tiff: Path, reference: Path) -> tuple[np.ndarray, Legend] | None:
     """Return the SSIM of a layer against the reference camera's, or None where it says nothing."""
-    from levkas.building.resampling import read_grey
+    from levkas.database.grey import read_grey
     from levkas.quality.evaluation.similarity import structural_similarity
 
     sizes = [int(np.prod(open_pages(path).shape)) * 4 for path in (tiff, reference)]

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from levkas.core.cube import Cube, Flag
+from levkas.quality.image_quality.glare import setup_gains
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from levkas.building.native import Native
+    from levkas.building.native_cubes import Native
+    from levkas.building.scans import Scan
+    from levkas.database.tiff_pages import TiffPages
     from levkas.geometry.grid import Grid
     from levkas.geometry.transforms import Transform
 
@@ -32,47 +36,12 @@ class Mosaic(NamedTuple):
     channels: Sequence[str]
 
 
-def grey_of(values: np.ndarray, flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the registered bands, (h, w), and the pixels that every band saw."""
-    from levkas.building.grey_kernels import mean_of_seen
-
-    seen: tuple[np.ndarray, np.ndarray] = mean_of_seen(values, flags, np.uint8(Flag.OUTSIDE))
-    return seen
-
-
-def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return `grey_of` of a published layer."""
-    from levkas.database.spectral_tiff import read_tiff_pages
-
-    values = read_tiff_pages(path)
-    return grey_of(values, read_tiff_pages(path.with_name(path.stem + ".flags.tif")))
-
-
 def shrink_map(full: np.ndarray) -> np.ndarray:
     """Return an SSIM map as bytes, 0 to 255 for 0 to 1, at most `LONGEST_MAP` px long."""
     step = max(1, -(-max(full.shape) // LONGEST_MAP))
     height, width = (n // step * step for n in full.shape)
     blocks = np.nan_to_num(full[:height, :width]).reshape(height // step, step, width // step, step)
     return np.asarray(np.round(255 * np.clip(blocks.mean((1, 3)), 0, 1)), np.uint8)
-
-
-def count_flags(flags: np.ndarray) -> np.ndarray:
-    """Return how often each of the 256 codes occurs."""
-    counts = np.zeros(256, np.int64)
-    for row in flags:  # bincount turns what it counts into 64-bit numbers
-        counts += np.bincount(row.reshape(-1), minlength=256)
-    return counts
-
-
-def describe_flags(counts: np.ndarray) -> dict[str, float]:
-    """Return the share of pixels and bands under each flag, by its name, from `count_flags`."""
-    codes = np.arange(256)
-    total = max(int(counts.sum()), 1)
-    return {
-        flag.name.lower(): float(counts[(codes & flag.value) != 0].sum() / total)
-        for flag in Flag
-        if flag.name
-    }
 
 
 def resample(
@@ -163,3 +132,89 @@ def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, in
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+
+
+COMPARED = 20_000
+"""Pixels of a scan's pictures from which the ratio of two setups is taken, evenly over the layer."""
+UNKNOWN = Flag.OUTSIDE | Flag.SATURATED
+
+
+@dataclass(frozen=True)
+class DefaultLayer:
+    """A published layer on the same grid, read some rows at a time.
+
+    Parameters
+    ----------
+    values, flags : TiffPages
+    """
+
+    values: TiffPages
+    flags: TiffPages
+
+    @classmethod
+    def open(cls, values: Path, flags: Path, shape: tuple[int, int, int]) -> DefaultLayer | None:
+        """Open a layer's files; None where there is none of that (height, width, bands)."""
+        from levkas.database.tiff_pages import open_pages
+
+        if not (values.is_file() and flags.is_file()):
+            return None
+        layer = cls(open_pages(values), open_pages(flags))
+        return layer if layer.values.shape == layer.flags.shape == shape else None
+
+    def rows(self, start: int = 0, stop: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return values and flags of some rows, (rows, width, bands)."""
+        return self.values.read(start, stop), self.flags.read(start, stop)
+
+
+def gains_of_scan(layer: DefaultLayer, scan: Scan, maps: Sequence[Transform]) -> np.ndarray:
+    """Return `setup_gains` of a scan before its rows are resampled: of its pictures.
+
+    A pixel of the pictures is compared with the mean of as many grid pixels as it covers.
+
+    Parameters
+    ----------
+    maps : sequence of Transform
+        Grid px → native px, one a band.
+    """
+    height, width, _ = layer.values.shape
+    side = _side(maps[0], (height, width), scan.factor)
+    tall, wide = height // side, width // side
+    step = max(1, int(np.sqrt(tall * wide / COMPARED)))
+    across, down = np.arange(0, wide, step), np.arange(0, tall, step)
+    paint, known = _means(layer, down, across, side)
+    x, y = np.meshgrid(*(n * side + (side - 1) / 2 for n in (across, down)))
+    places = np.stack([x.ravel(), y.ravel()], 1)
+    values, flags = np.zeros(paint.shape, np.float32), np.full(paint.shape, Flag.OUTSIDE, np.uint8)
+    for band, (one, image) in enumerate(zip(maps, scan.images(), strict=True)):
+        # NaN, where a place is not known, is beyond any edge.
+        spots = np.rint(np.nan_to_num((one(places) + 0.5) / scan.factor - 0.5, nan=-9)).astype(int)
+        inside = ((spots >= 0) & (spots < image.values.shape[::-1])).all(1)
+        column, row = spots[inside].T
+        mask = inside.reshape(paint.shape[:2])
+        values[mask, band] = image.values[row, column]
+        flags[mask, band] = np.where(image.valid[row, column], 0, Flag.OUTSIDE)
+    return setup_gains(values, flags, paint, known)
+
+
+def _side(one: Transform, shape: tuple[int, int], factor: int) -> int:
+    """Return how many grid pixels a pixel of the pictures is wide, in the grid's middle."""
+    x, y = shape[1] / 2, shape[0] / 2
+    a, b, c = one(np.array([[x, y], [x + 1, y], [x, y + 1]]))
+    pixels = float(np.sqrt(np.linalg.norm(b - a) * np.linalg.norm(c - a)))
+    most = min(shape)
+    return int(np.clip(round(factor / pixels), 1, most)) if pixels > 0 else 1
+
+
+def _means(
+    layer: DefaultLayer, down: np.ndarray, across: np.ndarray, side: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of blocks of `side` x `side` px, and flags; one is not known where a pixel is not."""
+    values, flags = [], []
+    wide = (int(across[-1]) + 1) * side
+    for row in down:
+        part, marks = layer.rows(row * side, (row + 1) * side)
+        shape = (side, wide // side, side, part.shape[2])
+        lost = ((marks[:, :wide] & UNKNOWN) != 0).reshape(shape).any((0, 2))
+        values.append(np.nan_to_num(part[:, :wide]).reshape(shape).mean((0, 2))[across])
+        flags.append(np.where(lost, np.uint8(Flag.OUTSIDE), np.uint8(0))[across])
+    return np.stack(values), np.stack(flags)

@@ -140,7 +140,7 @@ def _is_settled(stamp: Sequence[int], now: int) -> bool:
     return now - max(times) > (COARSE_TICK_NS if coarse else TICK_NS)
 
 
-class Ledger:
+class BuildRecords:
     """Fingerprints and products of finished stages, one small file a stage.
 
     A record is read once: what this build was told, or has noted itself, stays true for it, whatever

@@ -5,23 +5,25 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from glob import escape
+from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.chart_cubes import Subject, is_database, read_cube_file, subjects_of
-from levkas.building.chart_report import ChartReport
-from levkas.core.cube import Cube
+from levkas.core.cube import Band, Cube
 from levkas.core.problems import Problem, Refused
+from levkas.database.containment import check_inside
 from levkas.quality.targets.charts import Chart, ChartRefused, Reference, chart_of, reference_of
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure, sight
 
 if TYPE_CHECKING:
-    from levkas.building.native import Native
-    from levkas.building.shelf import Shelf
+    from levkas.building.native_cubes import Native
+    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
+    from levkas.database.catalogue import Entry
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
@@ -131,8 +133,8 @@ def _of_campaign(
     path: Path, cameras: Sequence[str], report: ChartReport
 ) -> Iterator[tuple[Capture, Chart, Developed]]:
     """Develop every chart of a campaign; what cannot be is told in the report."""
-    from levkas.building.ledger import Hashes
-    from levkas.building.shelf import Shelf
+    from levkas.building.build_records import Hashes
+    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_charts
     from levkas.database.layout import Places
@@ -161,7 +163,7 @@ def _of_campaign(
             )
         )
     kept = Places(campaign.output).kept
-    shelf = Shelf(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
+    shelf = TemplateCache(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
     captures, refusals = find_charts(campaign)
     report.problems.extend(p for r in refusals.values() for p in r.problems)
     for capture in captures:
@@ -201,10 +203,10 @@ class Developed:
     """Shots that the values are the mean of, in the band of fewest."""
 
 
-def develop_chart(capture: Capture, campaign: Campaign, shelf: Shelf) -> Developed:
+def develop_chart(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Developed:
     """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
-    from levkas.building.camera_files import joined_sigma
-    from levkas.building.developing import develop
+    from levkas.building.calibrate import develop
+    from levkas.building.camera_pages import joined_sigma
 
     mosaics = frozenset(s.name for s in capture.sensors if s.pattern is not None)
     parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
@@ -278,3 +280,221 @@ def measure_capture(
         more = {"shots": shots, "steps": made.steps.get(sensor), "count": made.count}
         seen.append(sight(sensor, cube, chart, reference, corners=corners, near=first, **more))  # type: ignore[arg-type]
     return measure(name, chart, seen, reference, mosaics=made.mosaics, uniformity=uniformity)
+
+
+@dataclass(frozen=True)
+class ChartReport:
+    """All charts of a run: what was measured, and what was refused."""
+
+    measures: list[ChartMeasure] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether a chart was measured, and none refused."""
+        return bool(self.measures) and not self.problems
+
+    @property
+    def text(self) -> str:
+        """What a person wants to know."""
+        return "\n".join(line for m in self.measures for line in _lines(m))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields of `chart --json`."""
+        return {"charts": [m.to_dict() for m in self.measures]}
+
+    def page(self, title: str) -> str:
+        """Return a report page as HTML."""
+        from levkas import __version__
+        from levkas.pages.camera import CameraReport, render_camera
+        from levkas.pages.charts import describe_chart
+
+        return render_camera(
+            CameraReport(
+                title=title,
+                subtitle="Charts: signal, noise and colour",
+                charts=[describe_chart(m) for m in self.measures],
+                problems=[{"code": p.code, "text": str(p)} for p in self.problems],
+                footer=f"Levkas {__version__}. Places are in native pixels.",
+            )
+        )
+
+
+def _lines(measure: ChartMeasure) -> list[str]:
+    greys = list(measure.chart.greys)
+    white, black = (measure.snr_db[g] for g in (greys[0], greys[-1]))
+    agreement = min(s.located.agreement for s in measure.sightings)
+    lines = [
+        f"{measure.name}: {measure.chart.name} found, rank correlation {agreement:.3f}",
+        f"  SNR of the white patch {_span(white)}, of the black one {_span(black)} (dB of Eq. 1)",
+    ]
+    blurred = [
+        b.label for b, p in zip(measure.bands, measure.preblurs, strict=True) if p and p.found
+    ]
+    if blurred:
+        lines.append(
+            f"  noise of neighbours is alike in {', '.join(blurred)} (a camera that blurs, or demosaicing): SNR corrected"
+        )
+    lines += [
+        f"  {row.name}: {row.value:.2f} {row.unit} (FADGI {row.fadgi}, ISO 19264-1 {row.iso}; indicators only)"
+        for row in measure.rows
+    ]
+    return lines + [f"  note: {note}" for note in measure.notes]
+
+
+def _span(values: np.ndarray) -> str:
+    good = values[np.isfinite(values)]
+    return f"{good.min():.1f} to {good.max():.1f}" if good.size else "not known"
+
+
+NOTE = "one cube: the noise is the spread in each patch, its texture included"
+
+
+class Subject(NamedTuple):
+    """Where a chart may be: a name for people, the chart, cubes sensor by sensor, whether it must be there."""
+
+    name: str
+    chart: Chart
+    files: dict[str, Path]
+    certain: bool
+
+
+def is_database(path: Path) -> bool:
+    """Whether a folder is a published database, not a campaign."""
+    return (path / "catalogue.csv").is_file() and not (path / "campaign.toml").is_file()
+
+
+def subjects_of(
+    database: Path, kind: str, *, cameras: Sequence[str] = (), objects: Sequence[str] = ()
+) -> Iterator[Subject]:
+    """Yield the charts that a database keeps in charts/, and the layers of objects that are asked for.
+
+    Parameters
+    ----------
+    database : path
+    kind : str
+        Chart that is looked for in layers; charts/ says its own.
+    cameras : sequence of str
+        Only these.
+    objects : sequence of str
+        Their layers are looked at; where charts/ is empty and none is named, those of all.
+
+    Raises
+    ------
+    ChartRefused
+        E_VALUE where there is no such camera or object.
+    DatabaseRefused
+        Where the catalogue cannot be read.
+    """
+    from levkas.database.catalogue import read_catalogue
+
+    entries = read_catalogue(database)
+    kept = list(_kept(database))
+    known = {e.camera for e in entries} | {camera for camera, _ in kept}
+    _check(database, "--camera", cameras, known)
+    _check(database, "--object", objects, {e.object for e in entries})
+    for camera, subject in kept:
+        if not objects and (not cameras or camera in cameras):
+            yield subject
+    if kept and not objects:
+        return
+    for entry in entries:
+        if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
+            continue
+        layer = "_".join(part for part in (entry.object, entry.camera, entry.setup) if part)
+        file = database / "objects" / entry.object / f"{layer}.tif"
+        check_inside(database, file, file.with_name(f"{layer}.flags.tif"))
+        yield Subject(_name(entry), chart_of(kind), {"": file}, bool(objects))
+
+
+def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
+    """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
+    from levkas.readers.text import read_json
+
+    for record in sorted(database.glob("charts/*/*.json")):
+        check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))
+        told = read_json(record)
+        files = {
+            path.stem[len(record.stem) :].lstrip("_"): path
+            for path in sorted(record.parent.glob(f"{record.stem}*.tif"))
+            if "." not in path.stem
+        }
+        if isinstance(told, dict) and "chart" in told and files:
+            camera = record.stem[len(record.parent.name) + 1 :]
+            name = f"{record.parent.name}/{camera}"
+            yield camera, Subject(name, chart_of(str(told["chart"])), files, True)
+
+
+def _name(entry: Entry) -> str:
+    setup = f"@{entry.setup}" if entry.setup else ""
+    return f"{entry.object}/{entry.camera}{setup}"
+
+
+def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) -> None:
+    if unknown := [name for name in wanted if name not in known]:
+        raise ChartRefused(
+            Problem(
+                "E_VALUE",
+                "the database has no such camera"
+                if "camera" in option
+                else "there is no such object",
+                str(database),
+                option,
+                ", ".join(unknown),
+                ", ".join(sorted(known)),
+            )
+        )
+
+
+def read_cube_file(path: Path) -> tuple[Cube, tuple[str, ...]]:
+    """Read a calibrated cube from a TIFF of this package, or an ENVI file; flags where they stand beside it."""
+    if path.suffix.lower() in (".tif", ".tiff"):
+        values, bands = _read_tiff(path)
+    else:
+        from levkas.readers.frames import read_facts, read_frame
+
+        values, bands = read_frame(path), _named(read_facts(path).wavelengths)
+    values = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], np.float32)
+    if len(bands) != values.shape[2]:
+        bands = _named([np.nan] * values.shape[2])
+    beside = path.with_name(path.stem + ".flags.tif")
+    flags = np.zeros(values.shape, np.uint8)
+    if beside.is_file():
+        from levkas.database.spectral_tiff import open_pages
+
+        pages = open_pages(beside)
+        if pages.shape != values.shape:
+            raise ChartRefused(
+                Problem(
+                    "E_SIZE",
+                    "the flags are not of the cube's size",
+                    str(beside),
+                    found=" x ".join(map(str, pages.shape)),
+                    expected=" x ".join(map(str, values.shape)),
+                    fix="Put the flags there that belong to the cube, or take them away.",
+                )
+            )
+        flags = pages.read()
+    return Cube(values, flags, None, bands, "reflectance"), (NOTE,)
+
+
+def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
+    from levkas.database.reader import describe_pages
+    from levkas.database.spectral_tiff import open_pages
+    from levkas.readers.facts import check_expansion, check_memory
+
+    pages = open_pages(path)
+    samples, itemsize = prod(pages.shape), pages.dtype.itemsize
+    check_expansion(path, samples, itemsize, path.stat().st_size)
+    check_memory(path, samples, itemsize)
+    bands = describe_pages(pages).bands
+    if any(not b.wavelength >= 200 for b in bands) and all(b.label.endswith(" nm") for b in bands):
+        bands = _named([np.nan] * len(bands))  # 0, 1, 2 …: numbers of channels
+    return pages.read(), bands
+
+
+def _named(wavelengths: Any) -> tuple[Band, ...]:
+    known = [float(w) for w in (wavelengths if wavelengths is not None else [])]
+    return tuple(
+        Band(f"{w:g} nm" if np.isfinite(w) else f"channel {i + 1}", w) for i, w in enumerate(known)
+    )

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas import __version__
 from levkas.building.fingerprints import keys_of, written
-from levkas.building.radiometry_pages import close_ups, radiometry_rows
 from levkas.database.registrations import read_registration
 from levkas.pages.page import (
+    CloseUpRow,
+    CloseUps,
     Figure,
     LayerReport,
     ObjectReport,
     describe_flags,
     describe_model,
+    embed_png,
     render_report,
 )
+from levkas.pages.radiometry import RadiometryRow, describe_layer
+from levkas.quality.targets.places import choose_places
 
 if TYPE_CHECKING:
-    from levkas.building.ledger import Ledger
-    from levkas.building.steps import Step
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from levkas.building.build_records import BuildRecords
+    from levkas.building.progress import Step
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
@@ -28,7 +37,7 @@ if TYPE_CHECKING:
 def report_of(
     campaign: Campaign,
     places: Places,
-    ledger: Ledger,
+    ledger: BuildRecords,
     name: str,
     captures: list[Capture],
     steps: list[Step],
@@ -68,7 +77,7 @@ def report_of(
 
 
 def _layer(
-    campaign: Campaign, places: Places, ledger: Ledger, capture: Capture
+    campaign: Campaign, places: Places, ledger: BuildRecords, capture: Capture
 ) -> LayerReport | None:
     path = places.registration(capture.object, capture.layer)
     keys = keys_of(capture)
@@ -168,3 +177,51 @@ def _sampling(places: Places, captures: list[Capture]) -> str:
 
     step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
     return f"{1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5):.3f}"
+
+
+def radiometry_rows(ledger: BuildRecords, captures: Sequence[Capture]) -> list[RadiometryRow]:
+    """Return the rows of the layers that were built."""
+    rows = []
+    for capture in captures:
+        keys = keys_of(capture)
+        row = describe_layer(
+            capture.layer, ledger.told(keys["calibrate"]), ledger.told(keys["resample"])
+        )
+        if row is not None:
+            rows.append(row)
+    return rows
+
+
+def close_ups(places: Places, captures: Sequence[Capture]) -> list[CloseUps]:
+    """Return close-ups of every camera that has several setups, as the paper's Figure 4."""
+    groups = []
+    for camera in dict.fromkeys(c.camera for c in captures):
+        mine = [c for c in captures if c.camera == camera]
+        paths = [places.layer(c.object, c.camera, c.setup, kind=".png") for c in mine]
+        shown = [(c, _read(path)) for c, path in zip(mine, paths, strict=True) if path.is_file()]
+        if len(shown) < 2 or len({picture.shape for _, picture in shown}) > 1:
+            continue
+        side, corners = choose_places([picture for _, picture in shown])
+        rows = tuple(
+            CloseUpRow(
+                c.setup or "default setup",
+                tuple(_cut(picture, x, y, side) for x, y in corners),
+            )
+            for c, picture in shown
+        )
+        names = tuple(f"({x + side // 2}, {y + side // 2})" for x, y in corners)
+        groups.append(CloseUps(camera, names, rows))
+    return groups
+
+
+def _read(path: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB"))
+
+
+def _cut(picture: np.ndarray, x: int, y: int, side: int) -> str:
+    from levkas.database.preview import encode_png
+
+    return embed_png(encode_png(np.ascontiguousarray(picture[y : y + side, x : x + side])))

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.building.ledger import Hashes
+from levkas.building.build_records import Hashes
 from levkas.building.sources import code_version
 from levkas.calibration.templates import Template
 from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.files import make_folder, replacing
 
 
-class Shelf:
+class TemplateCache:
     """Templates by the content of their frames.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.measured import Measured
+from levkas.building.register import Measured
 from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
 from levkas.registration.assessment import ONLY, judge, terms_of
 from levkas.registration.basis import describe_basis
@@ -25,6 +25,8 @@ from levkas.registration.evidence import GRID as SHAPE_GRID
 from levkas.registration.joint import Adjusted, adjust
 from levkas.registration.manual_points import measure_checks, near
 from levkas.registration.models import solve_pairs
+from levkas.registration.observations import Sighting
+from levkas.registration.record import Matches
 from levkas.registration.uncertainty import Sigma, measure_sigma, with_colour
 
 if TYPE_CHECKING:

@@ -4,28 +4,33 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import replace
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas import __version__
-from levkas.building.hand_points import declared_points, joined, placed_in, placed_pairs
+from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.manual_points import Given
+from levkas.registration.observations import Sighting
+from levkas.registration.record import Matches
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from levkas.building.native import Native
+    from levkas.building.native_cubes import Native
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
+    from levkas.registration.manual_points import Given
     from levkas.registration.record import Matches
 
 FEWEST_PX = 16
@@ -200,3 +205,89 @@ def write_registration(
         if place.is_file():
             remove(place)
     return [path, *tables]
+
+
+_COLUMNS = tuple(column.name for column in fields(Matches))
+_WORDS = ("state", "reason")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A capture registered by itself.
+
+    Parameters
+    ----------
+    record : dict
+        Of registration/CAMERA.json.
+    matches : dict of sensor to Matches
+        As tables are written of them: the first sensor's under "".
+    sightings : tuple of Sighting
+        Empty where it was refused.
+    problems : tuple of Problem
+        Why it was refused.
+    """
+
+    record: dict[str, Any]
+    matches: dict[str, Matches] = field(default_factory=dict)
+    sightings: tuple[Sighting, ...] = ()
+    problems: tuple[Problem, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        record: dict[str, Any],
+        registration: Registration | None,
+        problems: tuple[Problem, ...],
+    ) -> Measured:
+        """Return what is worth keeping of a registration; None where there was none at all."""
+        if registration is None:
+            return cls(record, problems=problems)
+        matches = {"": registration.matches, **registration.others}
+        sightings = () if problems else registration.sightings
+        return cls(record, matches, sightings, problems)
+
+    def to_bytes(self) -> bytes:
+        """Return all of it as one file of arrays."""
+        arrays: dict[str, np.ndarray] = {}
+        for k, pairs in enumerate(self.matches.values()):
+            for column in _COLUMNS:
+                values = getattr(pairs, column)
+                arrays[f"matches {k} {column}"] = (
+                    values.astype(str) if column in _WORDS else np.asarray(values)
+                )
+        for k, sighting in enumerate(self.sightings):
+            arrays |= {f"sighting {k} {n}": a for n, a in sighting.to_arrays().items()}
+        told = {
+            "record": self.record,
+            "sensors": list(self.matches),
+            "sightings": len(self.sightings),
+            "problems": [problem.to_dict() for problem in self.problems],
+        }
+        arrays["told"] = np.array(json.dumps(told))
+        packed = io.BytesIO()
+        np.savez_compressed(packed, allow_pickle=False, **arrays)
+        return packed.getvalue()
+
+    @classmethod
+    def read(cls, path: Path) -> Measured:
+        """Read what `to_bytes` gave; raises OSError, KeyError or ValueError on anything else."""
+        with np.load(path, allow_pickle=False) as packed:
+            arrays = dict(packed)
+        told = json.loads(str(arrays["told"]))
+        matches = {
+            sensor: _matches(_under(arrays, f"matches {k} "))
+            for k, sensor in enumerate(told["sensors"])
+        }
+        sightings = tuple(
+            Sighting.from_arrays(_under(arrays, f"sighting {k} ")) for k in range(told["sightings"])
+        )
+        problems = tuple(Problem(**problem) for problem in told["problems"])
+        return cls(told["record"], matches, sightings, problems)
+
+
+def _under(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    return {k.removeprefix(name): a for k, a in arrays.items() if k.startswith(name)}
+
+
+def _matches(columns: Mapping[str, np.ndarray]) -> Matches:
+    return Matches(*(columns[c].astype(object) if c in _WORDS else columns[c] for c in _COLUMNS))

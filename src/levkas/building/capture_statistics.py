@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.cube import Flag
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from levkas.building.native_cubes import Native
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
     from levkas.core.cube import Band, Cube
@@ -134,9 +137,9 @@ def _planes(
     white: Template, darks: Sequence[Template], pattern: Any, labels: Sequence[str]
 ) -> list[tuple[str, np.ndarray, np.ndarray, tuple[int, int]]]:
     """(label, counts above dark, saturated, period) of every channel; of a mosaic its first phase."""
-    from levkas.building.codes import spread
     from levkas.calibration.darks import level_under
     from levkas.calibration.patterns import channel_names, channel_table
+    from levkas.calibration.sensor_context import spread
 
     under = level_under(white, list(darks))
     if white.mean.ndim == 3:
@@ -210,6 +213,25 @@ def add_counts(total: dict[str, int], more: Mapping[str, int]) -> None:
         total[name] = total.get(name, 0) + count
 
 
+def count_flags(flags: np.ndarray) -> np.ndarray:
+    """Return how often each of the 256 codes occurs."""
+    counts = np.zeros(256, np.int64)
+    for row in flags:  # bincount turns what it counts into 64-bit numbers
+        counts += np.bincount(row.reshape(-1), minlength=256)
+    return counts
+
+
+def describe_flags(counts: np.ndarray) -> dict[str, float]:
+    """Return the share of pixels and bands under each flag, by its name, from `count_flags`."""
+    codes = np.arange(256)
+    total = max(int(counts.sum()), 1)
+    return {
+        flag.name.lower(): float(counts[(codes & flag.value) != 0].sum() / total)
+        for flag in Flag
+        if flag.name
+    }
+
+
 def ranges_of(
     values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None, bands: Sequence[Band]
 ) -> list[dict[str, Any]]:
@@ -225,3 +247,68 @@ def as_number(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.5g}") if isfinite(value) else None
     return value
+
+
+MOST_BANDS = 24
+"""Bands of a camera whose focus is measured, evenly over all; neighbours are alike."""
+LOST = Flag.GLARE | Flag.SATURATED | Flag.OUTSIDE
+
+
+def focus_of(native: Native) -> list[dict[str, Any]]:
+    """Return the blur of the sharpest edges, band by band, before anything is resampled."""
+    return [
+        one
+        for cube in native.cubes.values()
+        for one in _focus_of(cube.values, cube.flags, cube.labels, step_of(len(cube.bands)))
+    ]
+
+
+def step_of(bands: int) -> int:
+    """Return of how many bands one is measured."""
+    return max(1, -(-bands // MOST_BANDS))
+
+
+class Middle:
+    """The middle of a scan, of the bands whose focus is measured, taken from its lines as they pass.
+
+    Parameters
+    ----------
+    shape : (lines, samples, bands)
+    bands : sequence of Band
+    """
+
+    def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band]) -> None:
+        from levkas.quality.image_quality.sharpness import middle_of
+
+        self._rows, self._columns = middle_of(shape[:2])
+        self._step = step_of(len(bands))
+        self._labels = [band.label for band in bands][:: self._step]
+        size = (self._rows.stop - self._rows.start, self._columns.stop - self._columns.start)
+        self._values = np.empty((*size, len(self._labels)), np.float32)
+        self._flags = np.empty(self._values.shape, np.uint8)
+        self._line = 0
+
+    def add(self, cube: Cube) -> None:
+        """Take the next lines."""
+        first, self._line = self._line, self._line + len(cube.values)
+        low, high = max(first, self._rows.start), min(self._line, self._rows.stop)
+        if low >= high:
+            return
+        part = np.s_[low - first : high - first, self._columns, :: self._step]
+        here = slice(low - self._rows.start, high - self._rows.start)
+        self._values[here], self._flags[here] = cube.values[part], cube.flags[part]
+
+    def focus(self) -> list[dict[str, Any]]:
+        """Return what `focus_of` gives of the whole scan."""
+        return _focus_of(self._values, self._flags, self._labels, 1)
+
+
+def _focus_of(
+    values: np.ndarray, flags: np.ndarray, labels: Sequence[str], step: int
+) -> list[dict[str, Any]]:
+    from levkas.quality.image_quality.sharpness import band_sharpness
+
+    found = band_sharpness(values, labels, step=step, left_out=(flags & LOST) != 0)
+    return [
+        {"band": one.band, "blur_px": as_number(one.blur_px), "edges": one.edges} for one in found
+    ]

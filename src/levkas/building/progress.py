@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from levkas.building.ledger import Key
+    from levkas.building.build_records import Key
     from levkas.core.problems import Problem
 
 FINISHED = ("fresh", "done", "refused", "failed", "stale")

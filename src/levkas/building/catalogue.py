@@ -7,28 +7,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.building import fingerprints
+from levkas.building.build_records import BuildRecords, Key
 from levkas.building.fingerprints import digest
-from levkas.building.imprint import NAME as IMPRINT
-from levkas.building.imprint import imprint_of, spectra_of
-from levkas.building.ledger import Key, Ledger
+from levkas.building.progress import Step
+from levkas.building.removal import CATALOGUE
 from levkas.building.sources import code_version
-from levkas.building.steps import Step
-from levkas.building.withdrawing import CATALOGUE
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.captures import Capture
-from levkas.core.ownership import MARK
+from levkas.core.ownership import IMPRINT, MARK
 from levkas.database.layout import Places
 
-_OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
-
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
+
+_OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
 
 
 def write_catalogue_of(
     campaign: Campaign,
     places: Places,
-    ledger: Ledger,
+    ledger: BuildRecords,
     captures: list[Capture],
     names: list[str],
     *,
@@ -40,7 +41,7 @@ def write_catalogue_of(
     longer has where it is kept. A build that runs beside this one ends before or
     after: the last to end has seen all.
     """
-    from levkas.building.turns import in_turn
+    from levkas.building.claiming import in_turn
     from levkas.database.manifest import NAME as MANIFEST
     from levkas.database.manifest import write_manifest
 
@@ -66,7 +67,11 @@ def write_catalogue_of(
 
 
 def prints_of_catalogue(
-    campaign: Campaign, places: Places, ledger: Ledger, captures: list[Capture], names: list[str]
+    campaign: Campaign,
+    places: Places,
+    ledger: BuildRecords,
+    captures: list[Capture],
+    names: list[str],
 ) -> dict[str, Any]:
     """Return what the files that speak of all layers hang on."""
     entries = _entries(places, ledger, captures, names, whole=True)
@@ -76,7 +81,7 @@ def prints_of_catalogue(
     return _prints(entries, products, imprint, spectra, by_others(places, ledger))
 
 
-def by_others(places: Places, ledger: Ledger) -> dict[str, str]:
+def by_others(places: Places, ledger: BuildRecords) -> dict[str, str]:
     """Return name → SHA-256 of the files in the database that there is no record of having made.
 
     Catalogue, indices and what else is written from all layers is ours by its name.
@@ -122,7 +127,7 @@ def _prints(
 
 
 def _entries(
-    places: Places, ledger: Ledger, captures: list[Capture], names: list[str], *, whole: bool
+    places: Places, ledger: BuildRecords, captures: list[Capture], names: list[str], *, whole: bool
 ) -> list[Entry]:
     """One row a layer that stands in the database."""
     from levkas.database.catalogue import DatabaseRefused, entry_of, read_catalogue
@@ -171,3 +176,87 @@ def _published(
         if store.is_dir() and any(path.is_dir() for path in store.iterdir()):
             made.append(write_index(store))
     return made
+
+
+DEFAULT = "default"
+SPARE = "main"
+"""Name of the default lighting where another one is called ``default``."""
+
+
+def imprint_of(campaign: Campaign, entries: Iterable[Entry]) -> dict[str, Any]:
+    """Return what database.toml says, of what is in the database.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    entries : iterable of Entry
+        Rows of the catalogue.
+    """
+    entries = list(entries)
+    described = campaign.campaign
+    cameras = {e.camera for e in entries}
+    return {
+        "title": described.title,
+        "creator": described.creator,
+        "date": described.date,
+        "licence": described.licence,
+        "reference": described.reference.model_dump(exclude_none=True),
+        "setup": default_setup(campaign),
+        "publication": campaign.publication.model_dump(exclude_none=True),
+        "cameras": {
+            name: _camera(keys.model_dump(exclude_none=True))
+            for name, keys in campaign.cameras.items()
+            if name in cameras
+        },
+        "setups": {
+            name: {"title": keys.title, "description": keys.description, "cameras": here}
+            for name, keys in setups_of(campaign).items()
+            if (here := _under(campaign, entries, name))
+        },
+    }
+
+
+def default_setup(campaign: Campaign) -> str:
+    """Return the name under which the default lighting is described."""
+    named = campaign.setups.get(DEFAULT)
+    return campaign.campaign.setup or (SPARE if named and named.cameras else DEFAULT)
+
+
+def setups_of(campaign: Campaign) -> dict[str, Any]:
+    """Return the tables of all lightings by name, the default one first."""
+    from levkas.campaign.schema.tables import Setup
+
+    first = default_setup(campaign)
+    return {first: campaign.setups.get(first, Setup()), **campaign.setups}
+
+
+def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, str]:
+    """Return the spectrum of each lighting that declares one, as setups/SETUP/spd.csv has it.
+
+    Only numbers that were read are written again, nm and relative power: whatever else a file
+    holds stays where it is.
+
+    Raises
+    ------
+    SpectrumRefused
+        Where the file is no table of two columns.
+    """
+    from levkas.building.spectra import read_table
+
+    declared = {name: keys.spectrum for name, keys in setups_of(campaign).items()}
+    tables = {n: read_table(campaign.root / path) for n in setups if (path := declared[n])}
+    return {
+        name: "wavelength,power\n" + "".join(f"{w:.9g},{v:.9g}\n" for w, v in table)
+        for name, table in tables.items()
+    }
+
+
+def _camera(keys: dict[str, Any]) -> dict[str, Any]:
+    told = ("kind", "bits", "black", "saturation", "scan", "denoise", "demosaic")
+    return {key: keys[key] for key in told if key in keys}
+
+
+def _under(campaign: Campaign, entries: list[Entry], name: str) -> list[str]:
+    """Cameras that have layers under a lighting."""
+    setup = "" if name == default_setup(campaign) else name
+    return sorted({e.camera for e in entries if e.setup == setup})

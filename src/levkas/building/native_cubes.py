@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.cube import Band, Cube, Flag
-from levkas.core.machine import count_threads
+from levkas.core.cube import UNRELIABLE, Band, Cube
+from levkas.core.machine import count_threads, free_memory, memory_bound
+from levkas.core.problems import Problem, Refused
 from levkas.registration.images import BandImage
 
 if TYPE_CHECKING:
@@ -21,8 +23,6 @@ if TYPE_CHECKING:
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
 
-UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
-"""Pixels that registration must not lean on; single defects were replaced well enough for it."""
 GROUP, ROWS = 8, 16
 """Bands that are gathered in one passage over some rows, in which they lie innermost."""
 PACKED_ROWS = 64
@@ -206,3 +206,81 @@ def _read(capture: Capture, places: Places, sensor: str, kind: str) -> np.ndarra
 
     path = places.native(capture.object, capture.camera, capture.setup, sensor, kind=f"{kind}.tif")
     return read_tiff_pages(path) if path.is_file() else None
+
+
+CUBE_BYTES = 9
+"""Of a calibrated value with its flags and its sigma; what is needed beside them comes on top."""
+
+
+class TooLarge(Refused):
+    """A capture that does not fit in memory."""
+
+
+def require_memory(capture: Capture, kind: str) -> None:
+    """Refuse with ``E_MEMORY`` a capture whose calibrated values alone are more than what is free.
+
+    Parameters
+    ----------
+    capture : Capture
+    kind : str
+        Of its camera.
+
+    Raises
+    ------
+    TooLarge
+    """
+    free = memory_bound()
+    needed = CUBE_BYTES * count_values(capture, kind)
+    if free is None or needed <= free:
+        return
+    raise TooLarge(
+        Problem(
+            "E_MEMORY",
+            f"{capture.object}/{capture.layer} does not fit in memory",
+            file=str(capture.sensors[0].object[0].path),
+            field=f"cameras.{capture.camera}",
+            found=f"{free / 1e9:.1f} GB free",
+            expected=f"at least {needed / 1e9:.1f} GB",
+            fix="Build on a machine with more memory, or cut or bin the frames. Only a line scan in one "
+            "ENVI file, of another camera than the reference, is built line by line.",
+        )
+    )
+
+
+def ran_out(capture: Capture, error: MemoryError) -> TooLarge:
+    """Return the refusal of a capture whose stage ended for want of memory."""
+    free = free_memory()
+    return TooLarge(
+        Problem(
+            "E_MEMORY",
+            f"{capture.object}/{capture.layer}: memory ran out: {error or 'no more was given'}",
+            file=str(capture.sensors[0].object[0].path),
+            field=f"cameras.{capture.camera}",
+            found=None if free is None else f"{free / 1e9:.1f} GB free",
+            fix="Close other programs, or build on a machine with more memory; then build again: what "
+            "is done is kept.",
+        )
+    )
+
+
+def count_values(capture: Capture, kind: str) -> int:
+    """Return how many values, all bands, the largest sensor of a capture has; of a scan, all strips."""
+    counts = [0]
+    for sensor in capture.sensors:
+        sizes = [_samples_in(frame.path) for frame in sensor.object]
+        if kind == "cube":
+            counts.append(sum(sizes))
+        elif kind == "bands":
+            counts.append(max(sizes, default=0) * len(sensor.bands))
+        else:
+            counts.append(max(sizes, default=0))
+    return max(counts)
+
+
+def _samples_in(path: Path) -> int:
+    from levkas.readers.frames import read_facts
+
+    try:
+        return prod(int(n) for n in read_facts(path).shape)
+    except Refused:  # all that is wrong with the frames is told together, when they are read
+        return 0
