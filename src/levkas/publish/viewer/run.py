@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.pages.screen import ScreenMissing, read_built
-from levkas.viewer.about import About, about_of
-from levkas.viewer.objects import (
+from levkas.publish.viewer.objects import (
     UP,
     card_of,
     find_items,
@@ -18,19 +17,19 @@ from levkas.viewer.objects import (
     write_object,
     write_thumbnail,
 )
-from levkas.viewer.pages import address, render_object, render_sheet
+from levkas.publish.viewer.pages import About, about_of, address, render_object, render_sheet
 
 if TYPE_CHECKING:
     from levkas.publish.publication import Publication
-    from levkas.viewer.objects import Item
-    from levkas.viewer.pyramid import Write
+    from levkas.publish.viewer.objects import Item
+    from levkas.publish.viewer.pyramid import Write
 
 
 SCRIPTS = ("sheet.js", "sheet.css", "viewer.js", "viewer.css")
 
 
 def write_part(publication: Publication) -> Iterator[str]:
-    """Write the viewer of a publication, as a part of it (`levkas.publish.parts`).
+    """Write the viewer of a publication, as a part of it (`levkas.publish.run`).
 
     Where this installation carries no built pages the publication goes without, and says so.
     """
@@ -97,7 +96,7 @@ def write_viewer(
     built = {name: read_built(name) for name in SCRIPTS}
     for name, data in built.items():
         write(f"viewer/{name}", data)
-    write("viewer/icon.svg", resources("levkas.viewer").joinpath("icon.svg").read_bytes())
+    write("viewer/icon.svg", resources("levkas.publish.viewer").joinpath("icon.svg").read_bytes())
     items = find_items(database)
     cards = []
     for place, item in enumerate(items):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from levkas.viewer.about import About
-from levkas.viewer.run import write_viewer
+from levkas.publish.viewer.pages import About
+from levkas.publish.viewer.run import write_viewer
 
 __all__ = ["About", "write_viewer"]

@@ -19,7 +19,7 @@ import numpy as np
 from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
-    from levkas.viewer.pyramid import Write
+    from levkas.publish.viewer.pyramid import Write
 
 EDGE_PX = 64
 LARGE_PX = 4_000_000

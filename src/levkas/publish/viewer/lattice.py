@@ -16,7 +16,7 @@ import numpy as np
 from levkas.geometry.pixel_frames import Frame, MappingRefused, Pixels, Records
 
 if TYPE_CHECKING:
-    from levkas.viewer.pyramid import Write
+    from levkas.publish.viewer.pyramid import Write
 
 STEPS_PX = (64, 32, 16, 8, 4)
 WANTED_PX = 0.01

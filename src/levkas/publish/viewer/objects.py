@@ -20,15 +20,15 @@ from levkas.database.store import layer_name
 from levkas.database.tiff_pages import open_pages
 from levkas.geometry.pixel_frames import Frame
 from levkas.pages.page import DECISIONS
+from levkas.publish.viewer.lattice import write_lattices
+from levkas.publish.viewer.pages import address, worst
+from levkas.publish.viewer.pictures import Source, pictures_of
+from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
+from levkas.publish.viewer.spectra import write_spectra
 from levkas.readers.text import parse_bounded, read_text
-from levkas.viewer.lattice import write_lattices
-from levkas.viewer.pages import address, worst
-from levkas.viewer.pictures import Source, pictures_of
-from levkas.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
-from levkas.viewer.spectra import write_spectra
 
 if TYPE_CHECKING:
-    from levkas.viewer.pyramid import Write
+    from levkas.publish.viewer.pyramid import Write
 
 THUMBNAIL_PX = {"card": 400, "layer": 96}
 FACTS = {

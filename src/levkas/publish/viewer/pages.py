@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from importlib.resources import files as resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 from levkas import __version__
 from levkas.pages.page import DECISIONS
-
-if TYPE_CHECKING:
-    from levkas.viewer.about import About
 
 POLICY = (
     "default-src 'none'; script-src 'self' file:; style-src 'self' file:; "
@@ -99,9 +97,58 @@ def _render(template: str, **facts: Any) -> str:
     import jinja2
 
     def read(name: str) -> str:
-        return resources("levkas.viewer").joinpath(name).read_text(encoding="utf-8")
+        return resources("levkas.publish.viewer").joinpath(name).read_text(encoding="utf-8")
 
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     return environment.get_template(template).render(policy=POLICY, version=__version__, **facts)
+
+
+@dataclass(frozen=True)
+class About:
+    """Facts of a database; what is not known is empty. Addresses are http or https, or empty."""
+
+    title: str = ""
+    creator: str = ""
+    licence: str = ""
+    licence_url: str = ""
+    citation: str = ""
+    description: str = ""
+    version: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a page needs."""
+        return asdict(self)
+
+
+def about_of(facts: Any) -> About:
+    """Return what pages say, from the facts of a publication (`levkas.publish.metadata.Facts`)."""
+    licence = facts.licence
+    return About(
+        title=facts.title or "Spectral image database",
+        creator="; ".join(person.name for person in facts.creators),
+        licence=licence.name if licence else "",
+        licence_url=_address(licence.url) if licence else "",
+        citation=cite(facts),
+        description=facts.description,
+        version=facts.version,
+    )
+
+
+def cite(facts: Any) -> str:
+    """Say how to cite a database: makers (year). Title. Version. Publisher. DOI or address."""
+    makers = "; ".join(person.inverted for person in facts.creators)
+    year = facts.published[:4]
+    parts = [
+        f"{makers} ({year})" if makers and year else makers or year,
+        facts.title,
+        f"Version {facts.version}" if facts.version else "",
+        facts.publisher,
+        f"https://doi.org/{facts.doi}" if facts.doi else facts.url,
+    ]
+    return ". ".join(part.rstrip(".") for part in parts if part) + "."
+
+
+def _address(text: str) -> str:
+    return text if text.startswith(("https://", "http://")) else ""
