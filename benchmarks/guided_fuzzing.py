@@ -32,8 +32,8 @@ MODULES = (
     *(
         "levkas.campaign.campaign",
         "levkas.campaign.edits",
-        "levkas.building.channels",
-        "levkas.building.whiteboard",
+        "levkas.building.spectra",
+        "levkas.building.spectra",
     ),
     *(
         "levkas.planning.spectra",
