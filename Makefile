@@ -5,21 +5,48 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 export PYTHONUTF8 := 1
 
-.PHONY: demo test lint bench docs reference lock frontend peers compare fuzz clean
+# Test processes. Two need about 4 GB of memory; on a larger machine: make test WORKERS=8
+WORKERS ?= 2
+PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -rs
+
+.PHONY: env demo test test-slow test-all lint format hooks bench docs reference lock frontend peers compare fuzz clean
+
+env: $(READY)
+	@echo "The environment is $(VENV). Next: make demo | test | lint | docs; CONTRIBUTING.md says more."
 
 demo: $(READY)
 	$(BIN)/levkas demo demo
 
-test: $(READY)
-	@.ci/chromium
+# The tests to run before every commit; what was skipped, and why, stands at the end.
+test: pages
+	$(PYTEST) -m "not slow"
+
+# Faults at every step of a build, fuzzing, same bytes on any number of threads, long browser walks.
+test-slow: pages
+	$(PYTEST) -m slow --durations=25
+
+test-all: pages
+	$(PYTEST) --durations=50
+
+# Brings the pages up to date; the browser tests are skipped where that cannot be done here.
+.PHONY: pages
+pages: $(READY)
 	-@$(BIN)/python hatch_build.py
-	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	@if grep -q '^\[tool.importlinter\]' pyproject.toml; then echo $(BIN)/lint-imports; $(BIN)/lint-imports; fi
 	$(BIN)/python hatch_build.py check
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# Runs the quick part of `make lint` before every commit.
+hooks: $(READY)
+	$(BIN)/pre-commit install
 
 bench: $(READY)
 	$(BIN)/python benchmarks/run.py

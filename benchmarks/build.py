@@ -12,8 +12,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from levkas.assessment import assess
 from levkas.building import build
+from levkas.quality.evaluation.layer_report import assess
 from levkas.simulation import simulate_campaign
 
 

@@ -23,7 +23,7 @@ from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import fit_noise
 from levkas.calibration.templates import Template, average
-from levkas.machine import steady_libraries
+from levkas.core.machine import steady_libraries
 from levkas.readers.frames import read_frame
 
 SATURATION = 4095

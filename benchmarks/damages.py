@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.files import write_json, write_text
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import write_manifest
 from levkas.database.store import write_index
-from levkas.files import write_json, write_text
-from levkas.validation import validate
+from levkas.database.validate import validate
 
 KINDS = ("bit", "block", "cut", "swap", "missing", "extra")
 BLOCK = 512

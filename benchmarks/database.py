@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas import database as levkas_database
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.planes import planes_of

@@ -356,7 +356,7 @@ def _in_child(arguments, writer):
 def opened(database):
     """Open a database and read a spectrum of a layer, its flags and its sigma; as a command would say it."""
     import levkas
-    from levkas.problems import Refused
+    from levkas.core.problems import Refused
 
     status, said, error = 0, "", None
     try:
@@ -462,7 +462,7 @@ def warm_up(demo):
         told = {"folder": folder, "file": demo and demo / "database", "demo": demo}
         for command in DATABASES[:-2] if demo else ():
             CliRunner().invoke(app, [part.format(**told) for part in command])
-    import levkas.web.app  # noqa: F401
+    import levkas.workbench.server.app  # noqa: F401
 
 
 def main():

@@ -80,11 +80,11 @@ def work(folder: Path, memory: float) -> None:
     from levkas.building.scan_opening import open_scan
     from levkas.building.shelf import Shelf
     from levkas.building.streaming import resample_scan
-    from levkas.campaign import load_campaign
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.find_captures import find_captures
     from levkas.database.layers import Layer
-    from levkas.database.spooling import write_rows
-    from levkas.discovery import find_captures
-    from levkas.transforms import Affine, Composed, Lens
+    from levkas.database.streaming_writer import write_rows
+    from levkas.geometry.transforms import Affine, Composed, Lens
 
     limit = int(memory * 1e9)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))

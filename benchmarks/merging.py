@@ -22,7 +22,7 @@ import numpy as np
 import tifffile
 
 from levkas.building import build
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 BLACK, GAIN, FULL = 50.0, 0.5, 4095
 WHITE = 12_000.0  # counts a second of R = 1

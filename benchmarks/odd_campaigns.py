@@ -23,10 +23,10 @@ import numpy as np
 import tifffile
 
 from levkas.building import build, summarise
-from levkas.looking import look
-from levkas.problems import Refused
-from levkas.sensors import examine_with_seed
-from levkas.sensors.page import render_page
+from levkas.campaign.guess import look
+from levkas.core.problems import Refused
+from levkas.quality.emva1288 import examine_with_seed
+from levkas.quality.emva1288.page import render_page
 
 KINDS = ("mosaic", "bands", "cube", "cube", "mirror", "image", "sensors")
 SIZES = (*[(64, 60)] * 4, (33, 47), (16, 16), (8, 8), (128, 7), (1, 40), (40, 1), (2, 3), (1, 1))

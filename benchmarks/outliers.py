@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from levkas.geometry.transforms import Affine, Polynomial
 from levkas.registration.outliers import clean
-from levkas.transforms import Affine, Polynomial
 
 SIZE = (1392, 1040)
 REJECT, STOP = 108.0, 1.0

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from levkas.transforms import Affine, Composed, Homography, Lens
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens
 
 SURFACE = (2200, 1650)
 SEEN_SHARE = 0.55

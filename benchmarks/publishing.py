@@ -15,8 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from levkas.publishing.bagging import write_bag
-from levkas.publishing.run import facts_of_subject, find_subject, publish
+from levkas.publish.bagging import write_bag
+from levkas.publish.run import facts_of_subject, find_subject, publish
 
 FOLDERS = {"medium": "medium", "colour": "colour", "iiif": "iiif", "viewer": "viewer"}
 """Part → the folder that it fills."""

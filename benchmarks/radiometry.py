@@ -18,14 +18,14 @@ from levkas.calibration.flatfield import flat_field
 from levkas.calibration.linearity import check_linearity
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
+from levkas.calibration.noise_model import Sensor, sample_values, snr_db
 from levkas.calibration.templates import average
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
-from levkas.noise import Sensor, sample_values, snr_db
-from levkas.radiometry.blur import find_preblur
-from levkas.radiometry.glare import mark_glare
-from levkas.transforms import Affine, from_dict
-from levkas.warping import warp
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine, from_dict
+from levkas.quality.image_quality.glare import mark_glare
+from levkas.quality.image_quality.noise_correlation import find_preblur
 
 GAIN, READ, BLACK, FULL, PRNU = 0.1, 2.0, 64.0, 4095, 0.019
 

@@ -17,9 +17,9 @@ import numpy as np
 
 import levkas
 from levkas.building import build
+from levkas.quality.evaluation.loops import View, close_loops, points_on
 from levkas.readers.frames import read_frame
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.loops import View, close_loops, points_on
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("LEVKAS_REAL_DATA", ROOT.parent / "shared" / "data"))

@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from levkas.building import build
-from levkas.evaluation import position_errors, read_truth
+from levkas.geometry.transforms import from_dict
+from levkas.quality.evaluation.similarity import position_errors, read_truth
 from levkas.simulation import simulate_campaign
-from levkas.transforms import from_dict
 
 
 def measure(database: Path, truth: Path) -> dict[str, dict]:

@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 from levkas.building import build
-from levkas.comparison.captures import read_capture
+from levkas.quality.comparison.captures import read_capture
 from levkas.registration import RegistrationRefused, register
 from levkas.simulation import campaigns
 

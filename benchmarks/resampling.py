@@ -20,10 +20,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from levkas.gridding import Grid
-from levkas.pixelmap import lay
-from levkas.transforms import Composed, Polynomial
-from levkas.warping import Warped, warp
+from levkas.geometry.grid import Grid
+from levkas.geometry.pixel_maps import lay
+from levkas.geometry.resample import Warped, warp
+from levkas.geometry.transforms import Composed, Polynomial
 
 CHROMATIC_PX = (0.4, 1.0)
 """How far the outermost bands are apart at the left and right edge of the frame."""

@@ -20,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from levkas.digests import hash_tree
+from levkas.core.digests import hash_tree
 from levkas.simulation import simulate_campaign
 
 BUILD = """

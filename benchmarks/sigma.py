@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.evaluation import read_truth
+from levkas.geometry.transforms import from_dict
+from levkas.quality.evaluation.similarity import read_truth
 from levkas.registration.uncertainty import NINE_OF_TEN, Sigma
-from levkas.transforms import from_dict
 
 
 def held(record: dict, truth) -> list[tuple[float, float, float]]:

@@ -18,8 +18,8 @@ from levkas.building.resampling import Mosaic, shared_noise
 from levkas.building.run import build
 from levkas.calibration.patterns import channel_table
 from levkas.database.spectral_tiff import read_tiff_pages
-from levkas.transforms import Affine
-from levkas.warping import warp
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine
 
 GAIN, READ, BLACK, PRNU, CURRENT = 0.25, 2.0, 64.0, 0.012, 40.0
 """Counts an electron; counts; counts; share; electrons a second."""

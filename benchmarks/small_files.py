@@ -7,8 +7,8 @@ import imagecodecs
 import numpy as np
 import tifffile
 
-from levkas.control_points.dialects import DIALECTS, format_points
-from levkas.control_points.points import ControlPoints
+from levkas.registration.control_points.dialects import DIALECTS, format_points
+from levkas.registration.control_points.points import ControlPoints
 
 CAMPAIGN = b"""[campaign]
 title = "Two paintings"

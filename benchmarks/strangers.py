@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import levkas
-from levkas.comparison.captures import read_capture
+from levkas.quality.comparison.captures import read_capture
 from levkas.readers.frames import read_frame
 from levkas.registration import BandImage, RegistrationRefused, register
 

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from pairs import Studio, frame, shoot, view
 
+from levkas.geometry.transforms import Composed, Polynomial
 from levkas.registration import BandImage, RegistrationRefused, register
 from levkas.registration.uncertainty import NINE_OF_TEN
-from levkas.transforms import Composed, Polynomial
 
 SIZE = (400, 300)
 BEND_PX = 6.0

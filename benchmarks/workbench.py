@@ -19,10 +19,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from levkas.cube import Band
-from levkas.edits import Edits, FrameEdits, write_edits
+from levkas.campaign.edits import Edits, FrameEdits, write_edits
+from levkas.core.cube import Band
+from levkas.geometry.transforms import Affine
 from levkas.registration.record import Matches
-from levkas.transforms import Affine
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.frame import Frame
@@ -175,7 +175,7 @@ def page(wrong: int) -> list[tuple[str, float]]:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from levkas.web.app import _listen, make_app
+    from levkas.workbench.server.app import _listen, make_app
 
     token = "t" * 43
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:

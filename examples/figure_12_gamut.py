@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import levkas
-from levkas.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab
+from levkas.colour.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab
 
 CAMERA = "lctf-vis"
 SPANS = ((0, 105), (-80, 100), (-80, 120))  # L, a, b

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter
 
-import levkas.radiometry as chart
-from levkas.noise import Sensor
+import levkas.quality.targets as chart
+from levkas.calibration.noise_model import Sensor
 
 KIND, PITCH, SENSOR = chart.CHARTS["ColorChecker24"], 60, Sensor()
 AREAS = chart.place_patches((KIND.corners + 0.5) * PITCH, KIND, (6 * PITCH, 4 * PITCH))

@@ -9,7 +9,13 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from levkas.noise import Sensor, crossover_exposures, sample_values, snr_ceiling_db, snr_db
+from levkas.calibration.noise_model import (
+    Sensor,
+    crossover_exposures,
+    sample_values,
+    snr_ceiling_db,
+    snr_db,
+)
 
 PIXELS = 640 * 480
 REGIMES = {"dark and read-out": "#e8e8ee", "shot noise": "#f6eeda", "PRNU": "#e6f0e6"}

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,20 @@ def two_paintings() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no foreign campaign: {folder} is not there; set LEVKAS_CAMPAIGNS")
     return folder
+
+
+@pytest.fixture(scope="session")
+def chromium_path() -> str:
+    """Program of a Chromium or Chrome, `$LEVKAS_CHROMIUM` or one on the path."""
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+    asked = os.environ.get("LEVKAS_CHROMIUM")
+    found = asked or next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip(
+            "no Chromium: install one (`apt-get install chromium`, `brew install --cask chromium`) "
+            "or set LEVKAS_CHROMIUM"
+        )
+    return found
 
 
 CORRECTABLE = """
@@ -72,7 +87,7 @@ class Correctable:
         """Write the campaign and its database; `texts` replaces reasons of the verdict."""
         import cv2
 
-        from levkas.transforms import Affine
+        from levkas.geometry.transforms import Affine
 
         (folder / "campaign.toml").parent.mkdir(parents=True, exist_ok=True)
         text = CORRECTABLE.replace("TITLE", json.dumps(title, ensure_ascii=False))
@@ -123,7 +138,7 @@ class Correctable:
         return "\n".join([head, *rows]) + "\n"
 
     def _write(self, folder, name, camera, picture):
-        from levkas.cube import Band, Cube
+        from levkas.core.cube import Band, Cube
         from levkas.database.layers import Layer, write_tiffs
 
         values = np.atleast_3d(picture).astype(np.float32)

@@ -9,6 +9,8 @@ import pytest
 import levkas
 from levkas.building import build, summarise
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
@@ -85,7 +87,7 @@ def test_a_line_scan_becomes_reflectance(real_data, tmp_path):
     ("method", "mean", "worst"), [("levkas", 0.06, 0.4), ("mirhashemi2019", 0.2, 1.0)]
 )
 def test_a_campaign_made_by_other_hands_is_registered(two_paintings, tmp_path, method, mean, worst):
-    from levkas.assessment import assess
+    from levkas.quality.evaluation.layer_report import assess
 
     text = (EXAMPLES / "two-paintings/campaign.toml").read_text(encoding="utf-8")
     text = text.replace("../../../shared/campaigns/two-paintings", two_paintings.as_posix())

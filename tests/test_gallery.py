@@ -16,12 +16,12 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
 MODULES = {
     "levkas",
-    "levkas.gamut",
-    "levkas.noise",
+    "levkas.colour.gamut",
+    "levkas.calibration.noise_model",
     "levkas.planning",
-    "levkas.radiometry",
+    "levkas.quality.targets",
     "levkas.registration",
-    "levkas.reporting",
+    "levkas.pages",
     "levkas.simulation",
 }
 
@@ -81,6 +81,7 @@ def test_sampled_noise_lies_on_its_closed_form(script, tmp_path):
     assert (np.diff(sampled) > 0).all() and sampled[0] < 6.6 and sampled[-1] > 17
 
 
+@pytest.mark.slow
 def test_the_grid_turns_the_icon_upright_and_leaves_the_table_out(script, tmp_path):
     figure = script("figure_8_grid").main(tmp_path / "8.png")
     assert decoded(tmp_path / "8.png").std() > 5

@@ -10,8 +10,8 @@ import tifffile
 
 import levkas
 from levkas.building import build, status, summarise
-from levkas.digests import hash_tree, stamp_of
-from levkas.problems import Refused
+from levkas.core.digests import hash_tree, stamp_of
+from levkas.core.problems import Refused
 
 KEYS = """
 [campaign]

@@ -7,7 +7,7 @@ import levkas
 from levkas.building import build, status, summarise
 from levkas.database.spectral_tiff import read_stiff
 from levkas.database.tiff_pages import open_pages
-from levkas.publishing.editions import centroids_of
+from levkas.publish.editions import centroids_of
 
 CENTRES = {"R": 610.0, "G": 540.0, "B": 460.0}
 

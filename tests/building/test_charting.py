@@ -13,9 +13,9 @@ import levkas
 from levkas.building import build, status, summarise
 from levkas.building.charting import measure_charts
 from levkas.cli import app
-from levkas.digests import hash_file
-from levkas.problems import Refused
-from levkas.radiometry.charts import CHARTS, reference_of
+from levkas.core.digests import hash_file
+from levkas.core.problems import Refused
+from levkas.quality.targets.charts import CHARTS, reference_of
 
 CLASSIC = CHARTS["ColorChecker24"]
 NM = np.arange(420, 721, 60)

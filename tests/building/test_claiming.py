@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from levkas.assessment import assess
 from levkas.building import build, status, summarise
 from levkas.cli import app
-from levkas.digests import hash_tree
-from levkas.disk import WriteRefused
-from levkas.problems import Refused
-from levkas.validation import validate
+from levkas.core.digests import hash_tree
+from levkas.core.disk import WriteRefused
+from levkas.core.problems import Refused
+from levkas.database.validate import validate
+from levkas.quality.evaluation.layer_report import assess
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 
 from levkas import map_points
 from levkas.building import build, status, summarise
-from levkas.digests import hash_tree
-from levkas.edits import Edits, EditsInvalid, FrameEdits, round_pair, write_edits
+from levkas.campaign.edits import Edits, EditsInvalid, FrameEdits, round_pair, write_edits
+from levkas.core.digests import hash_tree
 
 CORNERS = np.array([[80.0, 70.0], [220.0, 60.0], [225.0, 190.0], [90.0, 200.0]])
 
@@ -68,6 +68,7 @@ def test_only_what_is_named_is_stale_and_status_says_why(corrected):
     assert all(state == "fresh" for state, _ in others)
 
 
+@pytest.mark.slow
 def test_corrections_are_replayed_to_the_same_bytes(corrected, turned_plates, tmp_path):
     folder, _, _ = corrected
     fresh = turned_plates.make(tmp_path / "elsewhere")

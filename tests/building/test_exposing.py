@@ -12,10 +12,10 @@ import tifffile
 from levkas.building.developing import develop
 from levkas.building.ledger import Hashes
 from levkas.building.shelf import Shelf
-from levkas.campaign import load_campaign
-from levkas.cube import Flag
-from levkas.discovery import find_captures
-from levkas.problems import Refused
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.cube import Flag
+from levkas.core.problems import Refused
 
 GAIN, READ, BLACK = 0.25, 2.0, 64.0
 KEYS = """

@@ -35,20 +35,22 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas import files
 from levkas.building import build, objects, registering, summarise
+from levkas.core import files
+from levkas.core.digests import hash_tree
+from levkas.core.json_safe import to_json
+from levkas.core.ownership import MARK
+from levkas.core.problems import Refused
 from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-from levkas.digests import hash_tree
-from levkas.ownership import MARK
-from levkas.plain_json import to_json
-from levkas.problems import Refused
-from levkas.validation import validate
+from levkas.database.validate import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
+QUICK = (("new", "full"), ("new", "kill"), ("over", "failing"))
+"""Those that the fast tests hold."""
 POINTS = 7
 """Of every scene and kind in an ordinary run; benchmarks/faults.py takes all."""
 SIZE = (110, 96)
@@ -225,6 +227,7 @@ def without(campaign, lost, root):
     return hash_tree(scene.output)
 
 
+@pytest.mark.slow
 def test_what_stood_there_before_leaves_no_trace(scenes, tmp_path):
     assert scenes["over"].after == scenes["new"].after
     afresh = Scene("afresh", scenes["withdrawn"].campaign, tmp_path / "w" / "db", tmp_path / "none")
@@ -393,8 +396,14 @@ def spread(count, points):
     return sorted({int(n) for n in np.linspace(1, count, points)})
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        pytest.param(name, kind, marks=[pytest.mark.slow] * ((name, kind) not in QUICK))
+        for name in SCENES
+        for kind in KINDS
+    ],
+)
 def test_after_a_fault_all_is_whole_and_a_second_build_gives_the_same_bytes(scenes, name, kind):
     scene = scenes[name]
     shift = KINDS.index(kind)  # other points for every kind
@@ -497,6 +506,7 @@ def strike_for_real(scene, at):
     return Outcome(("exit", status), torn, tuple(mend(scene)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "share"), [("new", 0.3), ("over", 0.7)])
 def test_real_kills(scenes, name, share):
     outcome = strike_for_real(scenes[name], int(share * len(scenes[name].steps)))
@@ -531,6 +541,7 @@ def write_carelessly(patch):
                 patch.setattr(module, function.__name__, function)
 
 
+@pytest.mark.slow
 def test_a_careless_writer_is_found_out(scenes):
     seen = Counter()
     for name in ("new", "over"):

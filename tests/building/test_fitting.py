@@ -3,9 +3,11 @@
 import pytest
 
 from levkas.building import build, fitting
-from levkas.campaign import load_campaign
-from levkas.discovery import find_captures
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.simulation import simulate_campaign
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

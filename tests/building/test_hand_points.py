@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from levkas.building.hand_points import declared_points, told_points
-from levkas.campaign import CampaignInvalid, load_campaign
-from levkas.control_points import ControlPoints, PointsRefused, write_points
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.registration.control_points import ControlPoints, PointsRefused, write_points
 
 KEYS = """
 [campaign]
@@ -111,7 +111,7 @@ def test_a_build_measures_check_points_and_starts_from_seeds_to_what_was_planted
     import cv2
 
     from levkas.building import build
-    from levkas.readers.texts import read_json
+    from levkas.readers.text import read_json
 
     rng = np.random.default_rng(3)
     big = np.full((300, 360), 90, np.float32)
@@ -137,7 +137,7 @@ def test_a_build_measures_check_points_and_starts_from_seeds_to_what_was_planted
     assert max(errors[:4]) < 0.1 and errors[4] == pytest.approx(5.0, abs=0.1)
     assert "5 check points" in (folder / "report.html").read_text()
 
-    from levkas.assessment import assess
+    from levkas.quality.evaluation.layer_report import assess
 
     result = assess(tmp_path, points=tmp_path / "icon1.points", frame="icon1/xray").results[-1]
     told = {one["of"]: one for one in result["check_points"]}

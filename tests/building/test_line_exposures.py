@@ -7,9 +7,9 @@ from levkas.building.developing import develop
 from levkas.building.ledger import Hashes
 from levkas.building.scan_opening import open_scan
 from levkas.building.shelf import Shelf
-from levkas.campaign import load_campaign
-from levkas.discovery import find_captures
-from levkas.problems import Refused
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.problems import Refused
 
 GAIN, READ, BLACK, CURRENT = 0.5, 2.0, 100.0, 4000.0
 LIGHT = 150_000.0  # counts a second of the white

@@ -12,8 +12,8 @@ from levkas.building import build, scans, status, summarise
 from levkas.building.ledger import Hashes
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import average
-from levkas.digests import hash_file, hash_tree, stamp_of
-from levkas.discovery import FrameRef
+from levkas.campaign.discovery.captures import FrameRef
+from levkas.core.digests import hash_file, hash_tree, stamp_of
 from levkas.readers.envi import read_envi
 
 

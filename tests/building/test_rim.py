@@ -9,14 +9,14 @@ from typer.testing import CliRunner
 
 from levkas.building.developing import develop
 from levkas.building.ledger import Ledger
-from levkas.building.places import Places
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
-from levkas.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.cli import app
-from levkas.cube import Flag
-from levkas.discovery import find_captures
-from levkas.problems import Refused
+from levkas.core.cube import Flag
+from levkas.core.problems import Refused
+from levkas.database.layout import Places
 
 KEYS = """
 [campaign]

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from levkas.building import build, summarise
-from levkas.digests import hash_tree
-from levkas.machine import count_threads, tile_rows
+from levkas.core.digests import hash_tree
+from levkas.core.machine import count_threads, tile_rows
 
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks/same_bytes.py"
 
@@ -31,10 +31,10 @@ def plate(make_plates, tmp_path_factory):
 @pytest.mark.parametrize(
     "name",
     [
-        "1 threads, 64 rows",
-        "2 threads, whole rows",
+        pytest.param("1 threads, 64 rows", marks=pytest.mark.slow),
+        pytest.param("2 threads, whole rows", marks=pytest.mark.slow),
         "3 threads, 97 rows",
-        "Turkish, Kathmandu, 400 days on",
+        pytest.param("Turkish, Kathmandu, 400 days on", marks=pytest.mark.slow),
     ],
 )
 def test_the_bytes_are_the_same(name, plate, other_ways, tmp_path):

@@ -19,7 +19,6 @@ COMMANDS = (
     *("assessment", "captured_white", "closure", "demonstration", "doctor", "exposure"),
     *(
         "flags",
-        "full_scales",
         "gamut",
         "hung_lamps",
         "noise",
@@ -93,6 +92,7 @@ def test_a_module_belongs_to_the_stages_that_import_it(closures, module, stages)
     assert {stage for stage in STAGES if module in closures[stage]} == stages
 
 
+@pytest.mark.slow
 def test_a_changed_module_changes_the_code_of_exactly_the_stages_that_rest_on_it(tmp_path):
     package = shutil.copytree(
         PACKAGE, tmp_path / "levkas", ignore=shutil.ignore_patterns("__pycache__", "built")
@@ -126,6 +126,7 @@ def test_an_import_for_type_checkers_is_none_and_one_in_a_function_is_one(tmp_pa
     assert found == {"building/bench.py", "lazy/home.py"}
 
 
+@pytest.mark.slow
 def test_what_a_build_loads_is_known(tmp_path, make_every_kind, closures):
     """Modules that a build of every kind of camera really imports, against those that were read."""
     folder = make_every_kind(tmp_path / "campaign", ("one",))

@@ -12,13 +12,13 @@ from levkas.building.measuring import flag_and_count
 from levkas.building.native import Native
 from levkas.building.scan_opening import open_scan
 from levkas.building.shelf import Shelf
-from levkas.campaign import load_campaign
-from levkas.cube import Band, Cube, Flag
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
-from levkas.discovery import find_captures
-from levkas.radiometry import sharpness
+from levkas.geometry.transforms import Affine
+from levkas.quality.image_quality import sharpness
 from levkas.registration.images import BandImage
-from levkas.transforms import Affine
 
 CAMPAIGN = """
 [campaign]

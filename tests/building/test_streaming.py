@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas import disk
 from levkas.building import build, line_templates, registering, scans, streaming, summarise
 from levkas.building.developing import develop
 from levkas.building.held_lines import HeldLines
@@ -15,15 +14,16 @@ from levkas.building.scan_opening import open_scan
 from levkas.building.scans import Scan, is_streamed
 from levkas.building.shelf import Shelf
 from levkas.calibration.templates import CalibrationRefused
-from levkas.campaign import load_campaign
-from levkas.cube import Band, Cube, Flag
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core import disk
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.digests import hash_tree
 from levkas.database.layers import Layer, write_layer
-from levkas.database.spooling import write_rows
-from levkas.digests import hash_tree
-from levkas.discovery import find_captures
+from levkas.database.streaming_writer import write_rows
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine
 from levkas.simulation import simulate_campaign
-from levkas.transforms import Affine
-from levkas.warping import warp
 
 
 @pytest.fixture(scope="module")
@@ -292,6 +292,7 @@ def test_a_band_of_a_scan_without_a_finite_value_is_refused(tmp_path):
         assert "panel.hdr" in refused.value.problems[0].file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", ["", 'scan = "mirror"\n'], ids=["push-broom", "mirror"])
 def test_hysime_of_a_streamed_scan_is_that_of_the_whole_cube(tmp_path, monkeypatch, more):
     rng, at = np.random.default_rng(3), np.linspace(0, 1, 60)

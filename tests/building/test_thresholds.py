@@ -3,7 +3,7 @@
 import pytest
 
 from levkas.building import build, status, summarise
-from levkas.campaign import load_campaign
+from levkas.campaign.campaign import load_campaign
 
 NO_EFFECT = 'has no effect under the default method; it belongs to method = "mirhashemi2019"'
 

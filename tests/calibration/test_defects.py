@@ -6,7 +6,7 @@ import tifffile
 
 from levkas.calibration.defects import find_defects, replace_defects
 from levkas.calibration.templates import CalibrationRefused, average
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 
 def planted(shape, places, values, level, rng):

@@ -7,8 +7,8 @@ import pytest
 from levkas.building.resampling import Mosaic, shared_noise
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.patterns import channel_table
-from levkas.transforms import Affine
-from levkas.warping import warp
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine
 
 SHAPE = (300, 360)
 BAYER, NINE = (["R", "G"], ["G", "B"]), (["a", "b", "c"], ["d", "e", "f"], ["g", "h", "i"])

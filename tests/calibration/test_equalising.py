@@ -8,7 +8,7 @@ from levkas.calibration.equalising import equalise_phases, phase_gains
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.templates import CalibrationRefused, average
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 SEES = np.array([[0.6, 1.0], [0.02, 0.55]])
 

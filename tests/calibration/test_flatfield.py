@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import CalibrationRefused, Template, average
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 
 def flat(value, *, shape=(4, 6), exposure_s=None):

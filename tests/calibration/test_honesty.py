@@ -43,8 +43,8 @@ def test_sigma_says_how_far_the_truth_is(calibrated):
 
 @pytest.mark.parametrize("shift", [(0.5, 0.5), (0.25, 0.7)])
 def test_sigma_still_says_it_after_resampling(calibrated, shift):
-    from levkas.transforms import Affine
-    from levkas.warping import warp
+    from levkas.geometry.resample import warp
+    from levkas.geometry.transforms import Affine
 
     values, sigma, _ = calibrated
     move = Affine(np.array([[1.0, 0, shift[0]], [0, 1.0, shift[1]]]))

@@ -5,8 +5,8 @@ import pytest
 
 from levkas.calibration.lines import LineField
 from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.scanning import average_lines
-from levkas.cube import Flag
+from levkas.calibration.pushbroom import average_lines
+from levkas.core.cube import Flag
 
 ORDERS = {"bil": (0, 2, 1), "bip": (0, 1, 2), "bsq": (2, 0, 1)}
 SHAPES = [(4, 1, 1), (5, 3, 2), (7, 70, 5), (3, 65, 16), (2, 128, 33), (9, 200, 17)]

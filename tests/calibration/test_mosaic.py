@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.patterns import as_pattern, channel_names, channel_table, merge, split
 from levkas.calibration.templates import CalibrationRefused
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 NINE = (("B1", "B2", "B3"), ("B4", "B5", "B6"), ("B7", "B8", "P"))
 UNEVEN = (("A", "B", "A"), ("C", "A", "D"))
@@ -38,6 +38,7 @@ def test_constants_are_exact_even_in_the_smallest_frame(pattern):
     np.testing.assert_allclose(made, 7, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", BAYER)
 @pytest.mark.parametrize("method", ["malvar", "bilinear"])
 def test_bayer_values_are_those_of_colour_demosaicing_away_from_borders(pattern, method):

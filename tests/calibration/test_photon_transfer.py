@@ -5,11 +5,11 @@ import pytest
 
 from levkas.calibration.blocks import Blocks, block_statistics
 from levkas.calibration.clipping import fit_clipped_dark, is_clipped
-from levkas.calibration.curves import count_codes, find_levels
-from levkas.calibration.drift import Light, measure_drift
-from levkas.calibration.photon_transfer import Dark, measure_sensor
+from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
-from levkas.noise import Sensor
+from levkas.quality.emva1288.code_spacing import count_codes, find_levels
+from levkas.quality.emva1288.drift import Light, measure_drift
+from levkas.quality.emva1288.photon_transfer import Dark, measure_sensor
 from levkas.simulation.sensing import expose, fixed_pattern, key
 
 SIZE = (320, 448)
@@ -96,6 +96,7 @@ def test_a_known_sensor_comes_back(sensor, curved):
     assert found.black.value == pytest.approx(sensor.black + sensor.gain * sensor.dark, abs=0.05)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_and_are_narrow(plain):
     for name, truth in (("gain", 0.09), ("prnu", 0.019), ("full_well", 4031 / 0.09 - 32)):
         found = getattr(plain, name)

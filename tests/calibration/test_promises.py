@@ -11,7 +11,7 @@ from levkas.calibration.exposures import merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
-from levkas.calibration.scanning import average_lines, join_strips
+from levkas.calibration.pushbroom import average_lines, join_strips
 from levkas.calibration.templates import Template, average
 
 NOISE = NoiseModel(0.1, 4.0)

@@ -7,7 +7,7 @@ from levkas.calibration.defects import find_defects, replace_defects
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import fit_noise
-from levkas.calibration.scanning import average_lines
+from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.templates import average
 
 NINE = [[f"B{3 * y + x + 1}" for x in range(3)] for y in range(3)]

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.scanning import average_lines, join_strips
+from levkas.calibration.pushbroom import average_lines, join_strips
 from levkas.calibration.templates import CalibrationRefused
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 
 def scene(height=120, width=150):

@@ -2,8 +2,8 @@ import subprocess
 
 import pytest
 
+from levkas.core.digests import hash_file
 from levkas.database.manifest import NAME, list_files, read_manifest, write_manifest
-from levkas.digests import hash_file
 
 
 @pytest.fixture

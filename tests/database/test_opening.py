@@ -9,7 +9,10 @@ import xarray
 import zarr
 
 import levkas
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.digests import hash_file, hash_tree
+from levkas.core.files import write_json
+from levkas.core.rounding import round_sigma
 from levkas.database.catalogue import (
     COLUMNS,
     DatabaseRefused,
@@ -19,9 +22,6 @@ from levkas.database.catalogue import (
 from levkas.database.credits import Credits
 from levkas.database.layers import Layer, centres_of, write_layer
 from levkas.database.spectral_tiff import read_stiff, write_stiff
-from levkas.digests import hash_file, hash_tree
-from levkas.files import write_json
-from levkas.rounding import round_sigma
 
 
 def cube_of(bands, *, seed=0, sigma=True, shape=(60, 80)):
@@ -261,7 +261,7 @@ def test_a_spectrum_is_read_without_loading_what_only_writing_needs(tmp_path):
 
 
 def test_labels_are_read_as_zarr_reads_them_and_left_to_it_where_they_are_damaged(tmp_path):
-    from levkas.database.pixels import _decode_whole
+    from levkas.database.lazy_array import _decode_whole
 
     build(tmp_path / "db")
     group = tmp_path / "db" / "zarr" / "icon1.zarr" / "vis"

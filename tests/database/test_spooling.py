@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from levkas.core.files import spooling
 from levkas.database.spectral_tiff import encode_strip, strip_rows
-from levkas.database.spooling import PageSpool
-from levkas.files import spooling
+from levkas.database.streaming_writer import PageSpool
 
 
 @pytest.fixture

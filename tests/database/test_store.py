@@ -6,12 +6,12 @@ import xarray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas import files
-from levkas.cube import Band, Cube, Flag
+from levkas.core import files
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.digests import hash_tree
+from levkas.core.disk import WriteRefused
 from levkas.database import store
 from levkas.database.store import chunks_of, write_index, write_layer_store, writing_layer
-from levkas.digests import hash_tree
-from levkas.disk import WriteRefused
 
 
 def cube_of(height=70, width=90, bands=5, *, seed=0, sigma=True):

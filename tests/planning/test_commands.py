@@ -116,7 +116,7 @@ def test_a_plan_needs_neither_scipy_nor_colour_science(rewritten):
     import sys
 
     code = (
-        f"import sys; from levkas.planning.saying import light_record;"
+        f"import sys; from levkas.planning.text_report import light_record;"
         f"light_record({str(rewritten())!r}, optimised=True);"
         "print([m for m in ('scipy', 'colour', 'numba', 'mitsuba') if m in sys.modules])"
     )

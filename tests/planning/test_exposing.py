@@ -13,7 +13,7 @@ from levkas.planning.exposing import (
     illuminance_from_exposure,
     irradiance_spectrum,
 )
-from levkas.planning.regulating import regulating_filter, solve_filter
+from levkas.planning.filter_design import regulating_filter, solve_filter
 from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate
 
 

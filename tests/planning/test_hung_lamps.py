@@ -89,8 +89,8 @@ def test_what_is_printed_can_be_put_into_the_setup_file(captured, rewritten):
 
 
 def test_a_camera_tells_which_part_of_the_board_a_region_shows(bench, captured):
-    from levkas.hung_lamps import fit_white
     from levkas.planning import plan_framing
+    from levkas.planning.lamp_positions import fit_white
 
     field = next(f.field_mm for f in plan_framing(bench) if f.camera == "d80")
     shifts = np.zeros((2, 7))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from levkas.noise import Sensor, noise_variance
+from levkas.calibration.noise_model import Sensor, noise_variance
 from levkas.planning import fit_lamps
 from levkas.planning.irradiance import illuminate
 from levkas.planning.lamp_fit import moved_lighting

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from levkas.planning.criteria import Arrangement, Judge
-from levkas.planning.facets import facet_lobe, fresnel, lobe_reach_deg, specular, transmitted
 from levkas.planning.glare import glare, rough_texture
 from levkas.planning.irradiance import drop, illuminate
 from levkas.planning.light import bright_fields, compare_lightings, plan_light
-from levkas.planning.lobes import Lobe, lobe_exponent
+from levkas.planning.luminous_intensity import Lobe, lobe_exponent
+from levkas.planning.microfacet import facet_lobe, fresnel, lobe_reach_deg, specular, transmitted
 from levkas.planning.surface import sample_surface, tilt_deg
 from levkas.planning.tables import Bend, ObjectKeys, Room, Sheets, Varnish
 from levkas.planning.texture import first_order_gain, hidden_share, shading_contrast

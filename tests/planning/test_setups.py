@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from levkas.colour.illuminants import illuminant, planck
 from levkas.planning import PlanRefused, load_setup, plan_framing
 from levkas.planning.framing import depth_of_field, diffraction_mtf, field_mm, magnification
-from levkas.planning.illuminants import illuminant, planck
 from levkas.planning.spectra import GRID, colour_temperature
 
 FIRST = "angle_deg = 70, azimuth_deg = 0, distance_mm = 2100"

@@ -4,7 +4,7 @@ import spectral.io.envi as spy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 from levkas.readers.envi import DATA_TYPES, open_envi
 from levkas.readers.facts import UnreadableCapture
 from levkas.readers.frames import read_facts, read_frame

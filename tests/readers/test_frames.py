@@ -7,7 +7,7 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 from levkas.readers.frames import UnreadableCapture, kind_of, read_facts, read_frame
 
 RNG = np.random.default_rng(1)

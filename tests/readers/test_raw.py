@@ -7,7 +7,7 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 from levkas.readers import raw
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 

@@ -5,10 +5,10 @@ import pytest
 
 from levkas.building.channels import read_sensitivity
 from levkas.building.whiteboard import read_spectrum
-from levkas.planning.lobes import read_lobe
+from levkas.core.problems import Refused
+from levkas.planning.luminous_intensity import read_lobe
 from levkas.planning.tables import LampKeys
-from levkas.problems import Refused
-from levkas.radiometry.charts import Chart, parse_reference
+from levkas.quality.targets.charts import Chart, parse_reference
 
 CHART = Chart("two by two", 2, 2, (0, 1, 2, 3))
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
 from levkas.registration.alignment import align_sensors, camera_grey
-from levkas.transforms import Affine
 
 TURN = Affine(np.array([[1.0, -0.004, 3.4], [0.004, 1.0, -2.2]]))
 

@@ -5,13 +5,13 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from levkas.geometry.transforms import Affine, Polynomial
+from levkas.pages.figures import draw_basis
 from levkas.registration import BandImage, register
 from levkas.registration.checks import Checks
-from levkas.registration.given import Given
-from levkas.registration.silhouette import describe_mask, find_object
+from levkas.registration.foreground import describe_mask, find_object
+from levkas.registration.manual_points import Given
 from levkas.registration.uncertainty import NINE_OF_TEN
-from levkas.reporting.figures import draw_basis
-from levkas.transforms import Affine, Polynomial
 
 STILL = Affine.identity()
 
@@ -109,6 +109,7 @@ def ours():
     return seen(icon(1), (450, 550, 650), (0, 0), 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hand", [2, 3])
 def test_another_painting_by_the_same_pattern_in_the_same_place_is_refused(ours, hand):
     found = register(ours, seen(icon(hand), (460, 540, 660), (1.3, -2.4), 2), reference_band="550")
@@ -116,6 +117,7 @@ def test_another_painting_by_the_same_pattern_in_the_same_place_is_refused(ours,
     assert any("another painting by the same pattern" in reason for reason in found.verdict.reasons)
 
 
+@pytest.mark.slow
 def test_of_another_painting_in_light_that_the_reference_does_not_see_that_is_doubted(ours):
     found = register(ours, seen(icon(2)[:1], (900,), (1.3, -2.4), 2), reference_band="550")
     assert found.verdict.decision != "accept"
@@ -131,11 +133,12 @@ def test_the_same_painting_is_accepted(ours):
 # --- what is recorded -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_map_that_never_comes_to_rest_says_so(ours, monkeypatch):
     target = seen(icon(1), (460, 540, 660), (1.3, -2.4), 2)
     rested = register(ours, target, reference_band="550")
     assert rested.model["sensors"][0]["settled"] is True
-    monkeypatch.setattr("levkas.registration.pyramid.STILL", 0.0)
+    monkeypatch.setattr("levkas.registration.coarse_to_fine.STILL", 0.0)
     found = register(ours, target, reference_band="550")
     sensor = found.model["sensors"][0]
     assert (sensor["rounds"], sensor["settled"]) == (8, False)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from levkas.registration.consent import knowledge
-from levkas.registration.refinement import Windows
+from levkas.registration.local_shifts import Windows
+from levkas.registration.window_fusion import knowledge
 
 CELL, SIGMA = 16.0, 0.05
 

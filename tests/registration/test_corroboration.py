@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.corroboration import corroborate, predict
-from levkas.registration.voting import vote
-from levkas.transforms import Affine
+from levkas.registration.pose_clustering import vote
+from levkas.registration.verification import corroborate, predict
 
 STILL = Affine.identity()
 
@@ -87,8 +87,8 @@ def test_a_band_without_a_finite_value_is_refused_by_name(front):
 
 
 def test_a_map_that_folds_is_no_start(front):
+    from levkas.geometry.transforms import Polynomial
     from levkas.registration.initial import plausible
-    from levkas.transforms import Polynomial
 
     x = np.linspace(0, 299, 15)
     points = np.stack(np.meshgrid(x, x), -1).reshape(-1, 2)

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy import ndimage, spatial
 
+from levkas.geometry.spline import SplineShift
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens, from_dict
 from levkas.registration.chromatic import fit_chromatic, still
 from levkas.registration.initial import start
 from levkas.registration.key_points import Detector, KeyPictures, inverted, mirrored
-from levkas.registration.ladder import RUNGS, climb
+from levkas.registration.local_shifts import Predictor, Windows
+from levkas.registration.model_selection import RUNGS, climb
 from levkas.registration.models import Observations, fit_polynomial, fit_similarity, temper
-from levkas.registration.prediction import condense, rooted
-from levkas.registration.refinement import Predictor, Windows
+from levkas.registration.predictors import condense, rooted
 from levkas.registration.sampling import highpass, reduce, warp
-from levkas.spline import SplineShift
-from levkas.transforms import Affine, Composed, Homography, Lens, from_dict
 
 RNG = np.random.default_rng
 

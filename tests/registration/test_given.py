@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine, Homography
 from levkas.registration import BandImage, register
-from levkas.registration.given import Given, near
-from levkas.registration.guided import start_from
+from levkas.registration.manual_points import Given, near
 from levkas.registration.outliers import clean
 from levkas.registration.record import RegistrationRefused
-from levkas.transforms import Affine, Homography
+from levkas.registration.seeded import start_from
 
 SIZE = (800, 600)
 

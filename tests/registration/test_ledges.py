@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from levkas.ledge import LedgeShift
-from levkas.registration.ladder import climb
-from levkas.registration.ledges import averaged, find_ledge, find_ledges, fit_behind
+from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.transforms import Affine, Composed, Lens, from_dict
+from levkas.registration.depth_steps import averaged, find_ledge, find_ledges, fit_behind
+from levkas.registration.model_selection import climb
 from levkas.registration.models import Observations, fit_polynomial, fit_projective
-from levkas.transforms import Affine, Composed, Lens, from_dict
 
 CELL, NOISE = 16.0, 0.03
 VIEW = Affine(np.array([[1.2, 0.01, 8.0], [-0.02, 1.21, 5.0]]))

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens, from_dict
 from levkas.registration import BandImage, RegistrationRefused, register
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.record import COLUMNS
-from levkas.transforms import Affine, Composed, Homography, Lens, from_dict
 
 STILL = Affine.identity()
 SIZE = (300, 230)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from levkas.geometry.transforms import Affine, Polynomial, frame_of
 from levkas.registration.outliers import clean, cut, remove_outliers
 from levkas.registration.record import RegistrationRefused
-from levkas.transforms import Affine, Polynomial, frame_of
 
 SIZE = (1392, 1040)
 STILL = Affine.identity()

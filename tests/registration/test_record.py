@@ -6,9 +6,9 @@ import pickle
 import numpy as np
 import pytest
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
+from levkas.geometry.transforms import Affine
 from levkas.registration.record import COLUMNS, Matches, Registration, RegistrationRefused, Verdict
-from levkas.transforms import Affine
 
 
 def test_rows_are_as_the_contract_orders_them():

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens
 from levkas.registration.chromatic import Chromatic
-from levkas.registration.ladder import Terms, climb
+from levkas.registration.joint import adjust
+from levkas.registration.model_selection import Terms, climb
 from levkas.registration.models import Observations
-from levkas.registration.rig import adjust
-from levkas.registration.shared_colour import share
-from levkas.registration.sightings import Sighting
-from levkas.transforms import Affine, Composed, Homography, Lens
+from levkas.registration.observations import Sighting
+from levkas.registration.pooled_chromatic import share
 
 SIZE = np.array([420.0, 320.0])
 CELL = 12.0
@@ -72,6 +72,7 @@ def missed(base, number):
     return float(np.linalg.norm(miss, axis=1).mean())
 
 
+@pytest.mark.slow
 def test_mates_bring_noisy_captures_nearer_to_the_truth():
     captures = [sighting(k) for k in range(4)]
     before = after = 0.0

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, register
 from levkas.registration.chromatic import Chromatic, still
 from levkas.registration.uncertainty import NINE_OF_TEN, Sigma, measure_sigma
-from levkas.transforms import Affine
 
 
 def test_a_record_gives_back_the_same_sigma():

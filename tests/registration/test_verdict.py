@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial
 from levkas.registration.agreement import compare
 from levkas.registration.checks import Checks
 from levkas.registration.evidence import (
@@ -14,7 +15,6 @@ from levkas.registration.evidence import (
 )
 from levkas.registration.record import Matches
 from levkas.registration.verdict import RULES, judge, measure
-from levkas.transforms import Affine, Composed, Inverse, Polynomial
 
 STILL = Affine.identity()
 SIZE = (300, 230)

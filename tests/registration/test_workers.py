@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from levkas.registration.workers import WORTH_THREADS, each, in_threads
+from levkas.core.threads import WORTH_THREADS, each, in_threads
 
 
 @pytest.fixture(params=["1", "3"])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.evaluation import read_truth
-from levkas.noise import noise_variance
+from levkas.calibration.noise_model import noise_variance
+from levkas.quality.evaluation.similarity import read_truth
 from levkas.simulation.campaigns import Session, Simulated, simulate_campaign
 from levkas.simulation.capture import WHITE_REFLECTANCE, look
 from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras
@@ -73,6 +73,7 @@ def test_the_truth_has_the_layout_that_evaluate_reads(tiny):
     )
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_of_any_subset(tiny, tmp_path):
     folder, _ = tiny
     simulate(tmp_path / "one", cameras=["v10"])
@@ -116,6 +117,7 @@ def test_flat_fielding_recovers_the_reflectance_within_its_noise():
     assert 0.94 < (np.abs(score) < 1.96).mean() < 0.96
 
 
+@pytest.mark.slow
 def test_the_hard_preset_turns_the_scanner_on_its_side(tmp_path):
     hard = replace(
         PRESETS["hard"], scale=0.08, thin=True, fineness=1.0, charts=False, supersampling=2

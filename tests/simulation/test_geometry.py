@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 from levkas.simulation.optics import Chromatic, View, base_to_panel, panel_to_base, turn
 from levkas.simulation.panel import Panel
 from levkas.simulation.truth import BandGeometry, CameraGeometry, Truth

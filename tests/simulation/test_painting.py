@@ -79,6 +79,7 @@ def test_every_sample_of_the_icon_is_wholly_covered(icon):
     assert used.sum() >= 16
 
 
+@pytest.mark.slow
 def test_the_icon_is_the_same_at_any_fineness(icon):
     fine = paint_icon(PANEL, 4.0, np.random.default_rng(4)).reduced(2)
     shape = tuple(
@@ -131,6 +132,7 @@ def test_lamps_at_70_degrees_darken_varnish_by_an_eighth_and_tame_gold():
     assert high.varnish.max() > 3 * low.varnish.max()
 
 
+@pytest.mark.slow
 def test_a_chart_before_a_camera_shows_its_patches():
     camera = camera_models()["lctf-vis"].scaled(0.2)
     view, panel, chart = camera.view(), chart_panel(), paint_chart(2.0)

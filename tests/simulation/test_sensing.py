@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from levkas.noise import Sensor, noise_variance
+from levkas.calibration.noise_model import Sensor, noise_variance
 from levkas.simulation.sensing import FixedPattern, expose, fixed_pattern, key
 
 SHAPE = (400, 500)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from levkas.building.registering import corrections_of
-from levkas.campaign import load_campaign
-from levkas.edits import read_edits
-from levkas.transforms import Affine
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.edits import read_edits
+from levkas.geometry.transforms import Affine
 from levkas.workbench.library import Library, id_of
 
 SHIFT = np.array([7.0, -4.0])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.edits import FrameEdits
+from levkas.campaign.edits import FrameEdits
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, from_bytes, to_bytes
 from levkas.workbench.operations import OPERATIONS, OperationRefused
@@ -160,7 +160,7 @@ def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():
     trace = told["trace"]
     assert len(trace["largest"]) == 61 and trace["removed"][-1] == -1
     assert trace["largest"][0] > trace["largest"][-1]
-    from levkas.transforms import Polynomial
+    from levkas.geometry.transforms import Polynomial
 
     centre, spread = np.array(trace["centre"]), trace["spread"]
     last = Polynomial(trace["order"], centre, spread, np.array(trace["models"][-1]))

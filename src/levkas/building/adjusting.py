@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.measured import Measured
+from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
 from levkas.registration.assessment import ONLY, judge, terms_of
 from levkas.registration.basis import describe_basis
 from levkas.registration.checks import Checks
@@ -21,15 +22,14 @@ from levkas.registration.evidence import (
     measure_windows,
 )
 from levkas.registration.evidence import GRID as SHAPE_GRID
-from levkas.registration.given import measure_checks, near
+from levkas.registration.joint import Adjusted, adjust
+from levkas.registration.manual_points import measure_checks, near
 from levkas.registration.models import solve_pairs
-from levkas.registration.rig import Adjusted, adjust
 from levkas.registration.uncertainty import Sigma, measure_sigma, with_colour
-from levkas.transforms import Affine, Composed, Transform, from_dict
 
 if TYPE_CHECKING:
+    from levkas.registration.observations import Sighting
     from levkas.registration.record import Matches
-    from levkas.registration.sightings import Sighting
 
 GRID = (25, 19)
 #: A map is never known better than this, whatever its windows say, when what moves it is judged.

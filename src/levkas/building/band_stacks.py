@@ -15,12 +15,12 @@ from levkas.building.native import GROUP, ROWS
 from levkas.building.whiteboard import white_reflectance
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.cube import Cube
-from levkas.problems import Problem
+from levkas.core.cube import Cube
+from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.discovery import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 
 def develop_bands(bench: Bench, notes: list[str]) -> Cube:

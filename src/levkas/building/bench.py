@@ -11,15 +11,15 @@ import numpy as np
 
 from levkas.building.codes import check_codes, doubt_codes, spread, thin_rows
 from levkas.building.exposure_times import times_of
-from levkas.calibration.gaps import close_gaps
+from levkas.calibration.invalid_values import close_gaps
 from levkas.calibration.templates import CalibrationRefused, Template, average
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Camera, Campaign
-    from levkas.discovery import FrameRef, SensorFrames
+    from levkas.campaign.campaign import Camera, Campaign
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 GLIMPSE_LINES = 64
 
@@ -60,7 +60,7 @@ class Bench:
     @cached_property
     def step(self) -> float:
         """Counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16."""
-        from levkas.calibration.curves import find_step
+        from levkas.quality.emva1288.code_spacing import find_step
 
         few = 1 if self.facts.kind == "raw" else 2
         frames = [*spread(self.sensor.object, few), *spread(self.sensor.white, few)]

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.charting import Developed
-    from levkas.building.places import Places
-    from levkas.campaign import Campaign
-    from levkas.cube import Band
-    from levkas.discovery import Capture
-    from levkas.radiometry.measuring import ChartMeasure
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.core.cube import Band
+    from levkas.database.layout import Places
+    from levkas.quality.targets.measuring import ChartMeasure
 
 PICTURES = ("levels", "shape", "step", "size")
 """Of a light field: its map, which the camera's page shows."""
@@ -31,7 +31,7 @@ def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> lis
         Where the declared table cannot be read, or the disk refuses.
     """
     from levkas.building.channels import read_sensitivity
-    from levkas.files import write_text
+    from levkas.core.files import write_text
 
     declared = campaign.cameras[capture.camera].sensitivity
     if not declared:
@@ -75,9 +75,9 @@ def write_chart(
 ) -> list[Path]:
     """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
     from levkas.building.channels import broad_centroids
+    from levkas.core.files import write_json
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer, write_tiffs
-    from levkas.files import write_json
 
     chart, described = capture.object, campaign.campaign
     folder = places.output / "charts" / chart

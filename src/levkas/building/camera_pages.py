@@ -13,16 +13,16 @@ from levkas.building.ledger import Key, Ledger
 from levkas.building.measuring import FEW_BANDS, SENSELS, levels_of
 from levkas.building.sources import code_version
 from levkas.building.steps import Step
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.building.places import Places
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
-    from levkas.radiometry.measuring import ChartMeasure
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
+    from levkas.quality.targets.measuring import ChartMeasure
 
 
 class CameraPages:
@@ -37,7 +37,7 @@ class CameraPages:
     def __init__(
         self, campaign: Campaign, places: Places, ledger: Ledger, captures: list[Capture]
     ) -> None:
-        from levkas.discovery import find_charts
+        from levkas.campaign.discovery.find_captures import find_charts
 
         self.campaign, self.places, self.ledger = campaign, places, ledger
         self.captures = captures
@@ -71,7 +71,7 @@ class CameraPages:
             yield self._write(camera, key, prints, why, shelf)
 
     def _write(self, camera: str, key: Key, prints: dict[str, Any], why: str, shelf: Shelf) -> Step:
-        from levkas.files import make_folder, write_text
+        from levkas.core.files import make_folder, write_text
 
         page = self.places.output / "cameras" / camera / "report.html"
         try:
@@ -89,7 +89,7 @@ class CameraPages:
 
     def _describe(self, camera: str, folder: Path) -> list[Path]:
         from levkas.building.camera_files import describe_camera, write_sensitivity
-        from levkas.files import write_json
+        from levkas.core.files import write_json
 
         first = next(c for c in self.captures if c.camera == camera)
         path = folder / "camera.json"
@@ -101,8 +101,8 @@ class CameraPages:
     ) -> tuple[list[ChartMeasure], list[Problem], list[Path]]:
         from levkas.building.camera_files import write_chart
         from levkas.building.charting import develop_chart, measure_capture, problems_of
-        from levkas.disk import WriteRefused
-        from levkas.radiometry.charts import chart_of, reference_of
+        from levkas.core.disk import WriteRefused
+        from levkas.quality.targets.charts import chart_of, reference_of
 
         made_files: list[Path] = []
         measures, problems = [], list(self.refusals.get(camera, ()))
@@ -126,9 +126,9 @@ class CameraPages:
     def _page(
         self, camera: str, measures: Sequence[ChartMeasure], problems: Sequence[Problem]
     ) -> str:
-        from levkas.reporting.camera import CameraReport, light_row, render_camera, sensor_row
-        from levkas.reporting.charts import describe_chart
-        from levkas.reporting.radiometry import draw_light
+        from levkas.pages.camera import CameraReport, light_row, render_camera, sensor_row
+        from levkas.pages.charts import describe_chart
+        from levkas.pages.radiometry import draw_light
 
         sensors, lights, figures, notes = [], [], [], []
         for setup, learnt in self._learnt(camera).items():

@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from levkas.building.default_setup import DefaultLayer
     from levkas.building.ledger import Key, Ledger
     from levkas.building.native import Native, PackedSigma
-    from levkas.building.places import Places
     from levkas.building.reference import Grey
     from levkas.building.resampling import Mosaic
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer
-    from levkas.discovery import Capture
-    from levkas.gridding import Grid
+    from levkas.database.layout import Places
+    from levkas.geometry.grid import Grid
 
 
 @dataclass
@@ -122,8 +122,8 @@ class CaptureStages:
         from levkas.building.scan_opening import open_scan
         from levkas.building.scans import is_streamed
         from levkas.building.streaming import write_scan
-        from levkas.disk import require_space
-        from levkas.files import together
+        from levkas.core.disk import require_space
+        from levkas.core.files import together
 
         streamed = is_streamed(capture, self.campaign)
         if not streamed:
@@ -179,9 +179,9 @@ class CaptureStages:
         from levkas.building.native import least_bytes, read_sigma
         from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
         from levkas.building.scans import Scan
+        from levkas.core.disk import require_space
+        from levkas.core.files import make_folder
         from levkas.database.layers import Layer, write_layer
-        from levkas.disk import require_space
-        from levkas.files import make_folder
 
         grid, sampling, _ = self.frame.layout(native if capture is self.frame.capture else [])
         here = self.calibrated(capture, native)
@@ -269,8 +269,8 @@ class CaptureStages:
         """Resample and write a scan some rows at a time."""
         from levkas.building.default_setup import gains_of_scan
         from levkas.building.streaming import Passing, resample_scan, white_of
-        from levkas.database.spooling import write_rows
-        from levkas.transforms import Composed
+        from levkas.database.streaming_writer import write_rows
+        from levkas.geometry.transforms import Composed
 
         transforms = transforms_of(self.places, self.name, capture)
         maps = [Composed(grid.transform, transforms[band.label]) for band in scan.bands]

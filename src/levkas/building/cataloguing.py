@@ -11,13 +11,13 @@ from levkas.building.fingerprints import digest
 from levkas.building.imprint import NAME as IMPRINT
 from levkas.building.imprint import imprint_of, spectra_of
 from levkas.building.ledger import Key, Ledger
-from levkas.building.places import Places
 from levkas.building.sources import code_version
 from levkas.building.steps import Step
 from levkas.building.withdrawing import CATALOGUE
-from levkas.campaign import Campaign
-from levkas.discovery import Capture
-from levkas.ownership import MARK
+from levkas.campaign.campaign import Campaign
+from levkas.campaign.discovery.captures import Capture
+from levkas.core.ownership import MARK
+from levkas.database.layout import Places
 
 _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
 
@@ -156,10 +156,10 @@ def _published(
     spectra: dict[str, str],
 ) -> list[Path]:
     """Write the files that speak of all layers; those that would say the same are left alone."""
+    from levkas.campaign.schema.toml import to_toml
+    from levkas.core.files import write_changed
     from levkas.database.catalogue import write_catalogue
     from levkas.database.store import write_index
-    from levkas.declaring.toml import to_toml
-    from levkas.files import write_changed
 
     made = [write_catalogue(places.output, entries), places.output / IMPRINT]
     write_changed(made[-1], (MARK + to_toml(imprint)).encode())

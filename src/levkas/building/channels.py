@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.cube import find_band
-from levkas.readers.texts import read_text
+from levkas.core.cube import find_band
+from levkas.readers.text import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from levkas.campaign import Campaign
-    from levkas.cube import Band
+    from levkas.campaign.campaign import Campaign
+    from levkas.core.cube import Band
 
 
 def reference_channel(
@@ -85,7 +85,7 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
         Where it cannot be read, a wavelength stands twice, or it has not as many columns as there
         are channels.
     """
-    from levkas.problems import Problem, Refused
+    from levkas.core.problems import Problem, Refused
 
     rows: list[list[float]] = []
     head: list[str] = []

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.cube import Band, Cube
+from levkas.core.cube import Band, Cube
+from levkas.core.problems import Problem
 from levkas.database.containment import check_inside
-from levkas.problems import Problem
-from levkas.radiometry.charts import Chart, ChartRefused, chart_of
+from levkas.quality.targets.charts import Chart, ChartRefused, chart_of
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
@@ -80,7 +80,7 @@ def subjects_of(
 
 def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
     """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
-    from levkas.readers.texts import read_json
+    from levkas.readers.text import read_json
 
     for record in sorted(database.glob("charts/*/*.json")):
         check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))
@@ -150,7 +150,7 @@ def read_cube_file(path: Path) -> tuple[Cube, tuple[str, ...]]:
 
 
 def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
-    from levkas.database.opening import describe_pages
+    from levkas.database.reader import describe_pages
     from levkas.database.spectral_tiff import open_pages
     from levkas.readers.facts import check_expansion, check_memory
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from levkas.problems import Problem
-from levkas.radiometry.measuring import ChartMeasure
+from levkas.core.problems import Problem
+from levkas.quality.targets.measuring import ChartMeasure
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class ChartReport:
     def page(self, title: str) -> str:
         """Return a report page as HTML."""
         from levkas import __version__
-        from levkas.reporting.camera import CameraReport, render_camera
-        from levkas.reporting.charts import describe_chart
+        from levkas.pages.camera import CameraReport, render_camera
+        from levkas.pages.charts import describe_chart
 
         return render_camera(
             CameraReport(

@@ -12,16 +12,16 @@ import numpy as np
 
 from levkas.building.chart_cubes import Subject, is_database, read_cube_file, subjects_of
 from levkas.building.chart_report import ChartReport
-from levkas.cube import Cube
-from levkas.problems import Problem, Refused
-from levkas.radiometry.charts import Chart, ChartRefused, Reference, chart_of, reference_of
-from levkas.radiometry.measuring import ChartMeasure, Sighting, measure, sight
+from levkas.core.cube import Cube
+from levkas.core.problems import Problem, Refused
+from levkas.quality.targets.charts import Chart, ChartRefused, Reference, chart_of, reference_of
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure, sight
 
 if TYPE_CHECKING:
     from levkas.building.native import Native
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture, FrameRef, SensorFrames
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
@@ -132,10 +132,10 @@ def _of_campaign(
 ) -> Iterator[tuple[Capture, Chart, Developed]]:
     """Develop every chart of a campaign; what cannot be is told in the report."""
     from levkas.building.ledger import Hashes
-    from levkas.building.places import Places
     from levkas.building.shelf import Shelf
-    from levkas.campaign import load_campaign
-    from levkas.discovery import find_charts
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.find_captures import find_charts
+    from levkas.database.layout import Places
 
     campaign = load_campaign(path)
     kinds = {name: chart_of(kind) for name, kind in campaign.targets.charts.items()}
@@ -175,8 +175,8 @@ def _of_campaign(
 
 
 def _reference(chart: Chart, path: str | Path | None) -> Reference | None:
-    from levkas.radiometry.charts import parse_reference
-    from levkas.readers.texts import read_text
+    from levkas.quality.targets.charts import parse_reference
+    from levkas.readers.text import read_text
 
     if path is None:
         return reference_of(chart)

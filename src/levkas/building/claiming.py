@@ -8,17 +8,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.campaign import CampaignInvalid
+from levkas.campaign.campaign import CampaignInvalid
+from levkas.campaign.schema.cross_checks import no_place
+from levkas.core.ownership import MARK, made, require_outside, stands_in
+from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
-from levkas.declaring.contradictions import no_place
-from levkas.ownership import MARK, made, require_outside, stands_in
-from levkas.problems import Problem, Refused
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
-    from levkas.building.places import Places
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
 OWNER = "campaign.json"
 """Among what is kept: the folder of the campaign, relative, so that both may be moved together."""
@@ -46,8 +46,8 @@ def claim(
     WriteRefused
         Where something stands there that no build wrote, or the disk refuses.
     """
-    from levkas.files import make_folder, write_changed, write_text
-    from levkas.publishing.facts import NAME as IMPRINT
+    from levkas.core.files import make_folder, write_changed, write_text
+    from levkas.publish.facts import NAME as IMPRINT
 
     check_apart(campaign, places.output, captures)
     require_outside(places.output, fix=FIX)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 SAMPLE = 1 << 20
 LEAST_LEVELS = 16

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.cube import Flag
-from levkas.radiometry.glare import setup_gains
+from levkas.core.cube import Flag
+from levkas.quality.image_quality.glare import setup_gains
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from levkas.building.scans import Scan
     from levkas.database.tiff_pages import TiffPages
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 COMPARED = 20_000
 """Pixels of a scan's pictures from which the ratio of two setups is taken, evenly over the layer."""

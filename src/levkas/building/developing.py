@@ -30,19 +30,19 @@ from levkas.building.flatfielding import (
 from levkas.building.line_templates import best_white, noise_behind_mirror, thinned
 from levkas.building.native import Native
 from levkas.building.whiteboard import white_reflectance
-from levkas.calibration.gaps import describe_gaps
+from levkas.calibration.invalid_values import describe_gaps
 from levkas.calibration.templates import CalibrationRefused, Template, average
-from levkas.cube import Cube, Flag
-from levkas.problems import Problem, Refused
+from levkas.core.cube import Cube, Flag
+from levkas.core.problems import Problem, Refused
+from levkas.core.rounding import round_root
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
-from levkas.rounding import round_root
 
 if TYPE_CHECKING:
     from levkas.building.shelf import Shelf
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.calibration.scanning import Seam
-    from levkas.campaign import Camera, Campaign
-    from levkas.discovery import Capture, FrameRef
+    from levkas.calibration.pushbroom import Seam
+    from levkas.campaign.campaign import Camera, Campaign
+    from levkas.campaign.discovery.captures import Capture, FrameRef
 
 __all__ = [
     "Bench",
@@ -166,7 +166,7 @@ def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | No
 def develop_cube(bench: Bench, notes: list[str]) -> Cube:
     """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
     from levkas.building.measuring import note_light
-    from levkas.calibration.scanning import average_lines, join_strips
+    from levkas.calibration.pushbroom import average_lines, join_strips
     from levkas.calibration.whites import thinning
 
     sensor, mirror = bench.sensor, bench.camera.scan == "mirror"

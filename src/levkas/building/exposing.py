@@ -12,12 +12,12 @@ from levkas.building.bench import Bench, exposure_of
 from levkas.building.exposure_times import doubt_scaling
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.calibration.exposures import Merged
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.discovery import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def average_shots(bench: Bench, frames: Sequence[FrameRef]) -> list[Template]:
     """Average the object's shots, exposure by exposure."""
     times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
     if len(times) > 1 and bench.camera.exposures == "one":
-        from levkas.discovery import CaptureRefused
+        from levkas.campaign.discovery.captures import CaptureRefused
 
         raise CaptureRefused(
             Problem(

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.digests import Stamp, stamp_of
-from levkas.problems import Problem
+from levkas.core.digests import Stamp, stamp_of
+from levkas.core.problems import Problem
 from levkas.readers.facts import Facts
 from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
     from levkas.building.bench import Bench
-    from levkas.discovery import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 Times = float | tuple[float, ...] | None
 """Of a frame, s: one, one a band where a header lists several, or not known."""

@@ -17,9 +17,9 @@ from levkas.building.sources import code_version
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture, FrameRef
-    from levkas.problems import Problem
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture, FrameRef
+    from levkas.core.problems import Problem
 
 STAGES = ("calibrate", "register", "resample")
 CALIBRATION_KEYS = (
@@ -177,7 +177,7 @@ def of_report(campaign: Campaign, name: str, layers: dict[str, str]) -> dict[str
 
 def _grid(campaign: Campaign) -> dict[str, Any]:
     """The published frame; without a table [grid] what it is then."""
-    from levkas.declaring.tables import GridKeys
+    from levkas.campaign.schema.tables import GridKeys
 
     return {f"grid.{key}": value for key, value in campaign.grid or GridKeys()}
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from math import prod
 from typing import TYPE_CHECKING
 
-from levkas.machine import free_memory, memory_bound
-from levkas.problems import Problem, Refused
+from levkas.core.machine import free_memory, memory_bound
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.discovery import Capture
+    from levkas.campaign.discovery.captures import Capture
 
 CUBE_BYTES = 9
 """Of a calibrated value with its flags and its sigma; what is needed beside them comes on top."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from levkas.building.bench import Bench, placed
 from levkas.calibration.flatfield import Calibrated, flat_field
-from levkas.calibration.gaps import describe_gaps, gaps_of
+from levkas.calibration.invalid_values import describe_gaps, gaps_of
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.cube import Cube, Flag
-from levkas.problems import Problem
-from levkas.rounding import round_root, round_values
+from levkas.core.cube import Cube, Flag
+from levkas.core.problems import Problem
+from levkas.core.rounding import round_root, round_values
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -138,7 +138,7 @@ def _moved(
     bench: Bench, shot: Template, dark: list[Template], noise: NoiseModel | None
 ) -> np.ndarray | None:
     """Return what moved between the object's shots; None where that cannot be told."""
-    from levkas.calibration.moving import find_moved
+    from levkas.calibration.motion import find_moved
 
     if shot.count < 2 or noise is None or noise.source != "temporal":
         return None
@@ -198,7 +198,7 @@ def mark_glare_in(cube: Cube, *, squared: bool = False) -> Cube:
     With `squared` its sigma is the square of it.
     """
     if cube.quantity == "reflectance":
-        from levkas.radiometry.glare import mark_glare
+        from levkas.quality.image_quality.glare import mark_glare
 
         mark_glare(cube.values, cube.flags, cube.sigma, squared=squared)
     return cube

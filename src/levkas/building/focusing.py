@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.measuring import as_number
-from levkas.cube import Flag
+from levkas.core.cube import Flag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.building.native import Native
-    from levkas.cube import Band, Cube
+    from levkas.core.cube import Band, Cube
 
 MOST_BANDS = 24
 """Bands of a camera whose focus is measured, evenly over all; neighbours are alike."""
@@ -44,7 +44,7 @@ class Middle:
     """
 
     def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band]) -> None:
-        from levkas.radiometry.sharpness import middle_of
+        from levkas.quality.image_quality.sharpness import middle_of
 
         self._rows, self._columns = middle_of(shape[:2])
         self._step = step_of(len(bands))
@@ -72,7 +72,7 @@ class Middle:
 def _focus_of(
     values: np.ndarray, flags: np.ndarray, labels: Sequence[str], step: int
 ) -> list[dict[str, Any]]:
-    from levkas.radiometry.sharpness import band_sharpness
+    from levkas.quality.image_quality.sharpness import band_sharpness
 
     found = band_sharpness(values, labels, step=step, left_out=(flags & LOST) != 0)
     return [

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from levkas.campaign import GridKeys
-    from levkas.gridding import Grid
+    from levkas.campaign.campaign import GridKeys
+    from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
 
 SMALLEST_SHARE = 0.05
@@ -92,7 +92,7 @@ def frame_object(
     region : (x, y, width, height), reference px, or None
         The declared region, turned back; None where none is declared.
     """
-    from levkas.gridding import Grid
+    from levkas.geometry.grid import Grid
 
     width, height = image.size
     mirror, rotate = (keys.mirror, keys.rotate) if keys else (False, 0.0)

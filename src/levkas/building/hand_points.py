@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem
-from levkas.registration.given import Given
+from levkas.core.problems import Problem
+from levkas.registration.manual_points import Given
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.campaign import Campaign
-    from levkas.control_points import ControlPoints
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.registration.control_points import ControlPoints
 
 
 def points_file(campaign: Campaign, capture: Capture) -> Path | None:
@@ -73,7 +73,7 @@ def declared_points(campaign: Campaign, capture: Capture, channel: str = "") -> 
     found: dict[str, Given] = {}
     for band, points in _of_capture(campaign, capture, path).items():
         if band and band not in labels:
-            from levkas.control_points import PointsRefused
+            from levkas.registration.control_points import PointsRefused
 
             raise PointsRefused(
                 Problem(
@@ -92,7 +92,7 @@ def declared_points(campaign: Campaign, capture: Capture, channel: str = "") -> 
 
 def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
     """Return what a registration's fingerprint says of the points."""
-    from levkas.digests import hash_file
+    from levkas.core.digests import hash_file
 
     path = points_file(campaign, capture)
     if path is None:
@@ -121,9 +121,9 @@ def joined(one: Given, other: Given) -> Given:
 
 
 def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, ControlPoints]:
-    from levkas.control_points import PointsRefused
-    from levkas.control_points.layers import is_table_of_frames, read_table_of_frames
-    from levkas.control_points.reading import read_points
+    from levkas.registration.control_points import PointsRefused
+    from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
+    from levkas.registration.control_points.reading import read_points
 
     if is_table_of_frames(path):
         rows = read_table_of_frames(path)

@@ -8,7 +8,7 @@ from levkas.building.scans import rows_of
 
 if TYPE_CHECKING:
     from levkas.building.scans import Scan
-    from levkas.cube import Cube
+    from levkas.core.cube import Cube
 
 
 class HeldLines:

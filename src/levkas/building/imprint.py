@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
 
 NAME = "database.toml"
@@ -57,7 +57,7 @@ def default_setup(campaign: Campaign) -> str:
 
 def setups_of(campaign: Campaign) -> dict[str, Any]:
     """Return the tables of all lightings by name, the default one first."""
-    from levkas.declaring.tables import Setup
+    from levkas.campaign.schema.tables import Setup
 
     first = default_setup(campaign)
     return {first: campaign.setups.get(first, Setup()), **campaign.setups}

@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from levkas.building.ledger import Key, Ledger
-    from levkas.building.places import Places
     from levkas.building.rig_mates import RigMates
     from levkas.building.shelf import Shelf
     from levkas.building.steps import Step
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
 
 @dataclass

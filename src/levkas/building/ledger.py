@@ -13,9 +13,8 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.database.containment import stays_inside
-from levkas.digests import hash_file, stamp_of
-from levkas.files import (
+from levkas.core.digests import hash_file, stamp_of
+from levkas.core.files import (
     make_folder,
     move_files,
     remove,
@@ -23,9 +22,10 @@ from levkas.files import (
     write_changed,
     write_json,
 )
-from levkas.plain_json import to_json
-from levkas.problems import Problem, Refused
-from levkas.readers.texts import read_text
+from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem, Refused
+from levkas.database.containment import stays_inside
+from levkas.readers.text import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

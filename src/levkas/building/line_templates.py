@@ -10,14 +10,14 @@ import numpy as np
 from levkas.building.exposure_times import Times, by_exposure, timed, times_of
 from levkas.calibration.exposures import best_exposure
 from levkas.calibration.templates import CalibrationRefused, Template, average
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from levkas.building.bench import Bench
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.discovery import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
     from levkas.readers.envi import EnviFile
 
 TRIPLES = 64

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
+from levkas.registration.observations import Sighting
 from levkas.registration.record import Matches
-from levkas.registration.sightings import Sighting
 
 if TYPE_CHECKING:
     from pathlib import Path

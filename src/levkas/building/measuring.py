@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
-    from levkas.cube import Band, Cube
-    from levkas.radiometry.light import LightField
+    from levkas.core.cube import Band, Cube
+    from levkas.quality.image_quality.light import LightField
 
 FEW_BANDS = 5
 """Bands of a line scan or photograph whose light is looked at."""
@@ -36,7 +36,7 @@ def note_noise(
     saturation: float | None,
 ) -> None:
     """Note gain, noise in the dark and range of a sensor in `told`."""
-    from levkas.radiometry.ranges import sensor_stops
+    from levkas.quality.image_quality.dynamic_range import sensor_stops
 
     if noise is None or saturation is None:
         return
@@ -85,7 +85,7 @@ def note_sensels(
 ) -> None:
     """Note noise and signal-to-noise of a mosaic's sensels in `told`, channel by channel."""
     from levkas.calibration.patterns import channel_table
-    from levkas.radiometry.ranges import sensel_noise
+    from levkas.quality.image_quality.dynamic_range import sensel_noise
 
     if variance is None:
         return
@@ -114,7 +114,7 @@ def note_light(
     counts a second: how many bits the corners keep cannot be told. Of a cube that is only
     every so-many-th pixel a side, these are the `period`.
     """
-    from levkas.radiometry.light import LightRefused, light_field
+    from levkas.quality.image_quality.light import LightRefused, light_field
 
     if white is None:
         return
@@ -193,8 +193,8 @@ def flag_and_count(
     `other` are values and flags of the same pixels of the same camera under its default setup. Pixels are
     judged one by one: rows give what the whole layer gives, for the same `gains` of the setups.
     """
-    from levkas.cube import Flag
-    from levkas.radiometry.glare import find_glare, flag_glare
+    from levkas.core.cube import Flag
+    from levkas.quality.image_quality.glare import find_glare, flag_glare
 
     seen = int(np.count_nonzero(((cube.flags & Flag.OUTSIDE) == 0).all(-1)))
     if cube.quantity != "reflectance":
@@ -214,7 +214,7 @@ def ranges_of(
     values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None, bands: Sequence[Band]
 ) -> list[dict[str, Any]]:
     """Return range, noise and signal-to-noise of every band of a layer."""
-    from levkas.radiometry.ranges import scene_ranges
+    from levkas.quality.image_quality.dynamic_range import scene_ranges
 
     found = scene_ranges(values, flags, sigma, [band.label for band in bands])
     return [{name: as_number(value) for name, value in one._asdict().items()} for one in found]

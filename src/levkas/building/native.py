@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.cube import Band, Cube, Flag
-from levkas.machine import count_threads
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.machine import count_threads
 from levkas.registration.images import BandImage
 
 if TYPE_CHECKING:
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
-    from levkas.building.places import Places
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.credits import Credits
-    from levkas.discovery import Capture
+    from levkas.database.layout import Places
 
 UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
 """Pixels that registration must not lean on; single defects were replaced well enough for it."""
@@ -165,8 +165,8 @@ def write_native(
     centroids: Mapping[str, float],
 ) -> list[Path]:
     """Write the cubes, their flags and, where known, their sigma; return the files."""
+    from levkas.core.files import make_folder
     from levkas.database.layers import Layer, write_tiffs
-    from levkas.files import make_folder
 
     made = []
     layer = Layer(

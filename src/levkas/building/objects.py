@@ -26,16 +26,16 @@ from levkas.building.withdrawing import (
     refused_step,
     withdraw,
 )
-from levkas.machine import give_back_memory, steady_libraries
-from levkas.problems import Problem, Refused
+from levkas.core.machine import give_back_memory, steady_libraries
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.building.native import Native
-    from levkas.building.places import Places
     from levkas.building.scans import Scan
     from levkas.building.shelf import Shelf
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
     Grey = tuple[np.ndarray, np.ndarray]
 

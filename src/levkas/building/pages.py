@@ -8,7 +8,7 @@ from levkas import __version__
 from levkas.building.fingerprints import keys_of, written
 from levkas.building.radiometry_pages import close_ups, radiometry_rows
 from levkas.database.registrations import read_registration
-from levkas.reporting.page import (
+from levkas.pages.page import (
     Figure,
     LayerReport,
     ObjectReport,
@@ -19,10 +19,10 @@ from levkas.reporting.page import (
 
 if TYPE_CHECKING:
     from levkas.building.ledger import Ledger
-    from levkas.building.places import Places
     from levkas.building.steps import Step
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
 
 def report_of(
@@ -135,7 +135,7 @@ def _band_rows(record: dict[str, Any]) -> list[list[str]]:
     """Where the middle of the reference lies in each band, against the camera's reference channel."""
     import numpy as np
 
-    from levkas.transforms import from_dict
+    from levkas.geometry.transforms import from_dict
 
     bands = record.get("bands", {})
     channel = record.get("target", {}).get("band")
@@ -164,7 +164,7 @@ def _sampling(places: Places, captures: list[Capture]) -> str:
         return ""
     import numpy as np
 
-    from levkas.transforms import from_dict
+    from levkas.geometry.transforms import from_dict
 
     step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
     return f"{1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5):.3f}"

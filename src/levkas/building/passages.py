@@ -8,7 +8,7 @@ import numpy as np
 
 from levkas.building.native import UNRELIABLE
 from levkas.calibration.denoising import describe_removed
-from levkas.calibration.gaps import describe_lost, gaps_of, no_values
+from levkas.calibration.invalid_values import describe_lost, gaps_of, no_values
 from levkas.calibration.templates import CalibrationRefused
 from levkas.registration.images import BandImage
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from levkas.building.scans import Scan
-    from levkas.cube import Cube
+    from levkas.core.cube import Cube
 
 
 class Passage:

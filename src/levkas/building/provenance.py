@@ -11,15 +11,15 @@ from levkas.building import fingerprints
 from levkas.building.exposure_times import Times, times_of
 from levkas.building.rig_mates import joint_keys
 from levkas.building.sources import LIBRARIES
-from levkas.problems import Refused
+from levkas.core.problems import Refused
 from levkas.readers.frames import files_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.building.ledger import Key, Ledger
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
 
 FRAME = "frame "
 """Begins what a fingerprint says of the use of a file as a frame."""

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.building.fingerprints import keys_of
-from levkas.radiometry.places import choose_places
-from levkas.reporting.page import CloseUpRow, CloseUps, embed_png
-from levkas.reporting.radiometry import RadiometryRow, describe_layer
+from levkas.pages.page import CloseUpRow, CloseUps, embed_png
+from levkas.pages.radiometry import RadiometryRow, describe_layer
+from levkas.quality.targets.places import choose_places
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from levkas.building.ledger import Ledger
-    from levkas.building.places import Places
-    from levkas.discovery import Capture
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
 
 def radiometry_rows(ledger: Ledger, captures: Sequence[Capture]) -> list[RadiometryRow]:

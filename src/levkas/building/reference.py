@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from levkas.building.native import Native
-    from levkas.building.places import Places
     from levkas.building.scans import Scan
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
-    from levkas.gridding import Grid
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
+    from levkas.geometry.grid import Grid
     from levkas.registration import BandImage, Registration
     from levkas.registration.levkas import Reference
 
@@ -59,7 +59,7 @@ class ReferenceFrame:
         return self.captures[0]
 
     def band(self) -> str:
-        from levkas.cube import find_band
+        from levkas.core.cube import find_band
 
         bands = self.capture.bands
         wanted = self.campaign.reference.band
@@ -130,7 +130,7 @@ class ReferenceFrame:
         """The grid, its sampling in px per mm where known, and the object's region in reference px."""
         if self._grid is None:
             from levkas.building.framing import frame_object
-            from levkas.gridding import GridRefused
+            from levkas.geometry.grid import GridRefused
 
             image = next(i for i in self.images(native) if i.label == self.band())
             facts = self.campaign.objects.get(self.name)
@@ -152,7 +152,7 @@ class ReferenceFrame:
         """SSIM against the reference layer, and its map as PNG text, for the report."""
         from levkas.building.resampling import read_grey, shrink_map
         from levkas.database.preview import encode_png
-        from levkas.evaluation import structural_similarity
+        from levkas.quality.evaluation.similarity import structural_similarity
 
         if capture is self.capture:
             self._grey = grey
@@ -181,6 +181,6 @@ def transforms_of(places: Places, name: str, capture: Capture) -> dict[str, Any]
 
 def maps_of(record: dict[str, Any]) -> dict[str, Any]:
     """Return the maps of a record's bands, reference px to native px, by label."""
-    from levkas.transforms import from_dict
+    from levkas.geometry.transforms import from_dict
 
     return {label: from_dict(band["transform"]) for label, band in record["bands"].items()}

@@ -11,21 +11,21 @@ import numpy as np
 
 from levkas import __version__
 from levkas.building.hand_points import declared_points, joined, placed_in, placed_pairs
+from levkas.geometry.transforms import Affine, Composed
 from levkas.registration import Registration, RegistrationRefused, register
-from levkas.transforms import Affine, Composed
+from levkas.registration.manual_points import Given
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.native import Native
-    from levkas.building.places import Places
     from levkas.building.scans import Scan
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
-    from levkas.gridding import Grid
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
+    from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.given import Given
     from levkas.registration.record import Matches
 
 FEWEST_PX = 16
@@ -80,7 +80,7 @@ def corrections_of(
     given, options = {}, {}
     for band, edits in campaign.edits.of(capture.object, capture.layer).items():
         sensor, placed = placed_in(capture, band, channel)
-        given[sensor] = placed_pairs(edits.given(), placed)
+        given[sensor] = placed_pairs(Given(**edits.pairs()), placed)
         for key in ("reject", "stop"):
             if getattr(edits, key) is not None:
                 options[key] = getattr(edits, key)
@@ -186,7 +186,7 @@ def write_registration(
 
     `matches` are by sensor, the first one's under "". Raises WriteRefused.
     """
-    from levkas.files import make_folder, remove, write_json, write_text
+    from levkas.core.files import make_folder, remove, write_json, write_text
 
     name, layer = capture.object, capture.layer
     path = places.registration(name, layer)

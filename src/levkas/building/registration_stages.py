@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.steps import Step
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from levkas.building.ledger import Key, Ledger
     from levkas.building.measured import Measured
     from levkas.building.native import Native
-    from levkas.building.places import Places
     from levkas.building.reference import ReferenceFrame
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
 
 @dataclass
@@ -93,8 +93,8 @@ class RegistrationStages:
     ) -> tuple[Measured, list[list[str]]]:
         from levkas.building import registering
         from levkas.building.measured import Measured
+        from levkas.pages.figures import draw_trace
         from levkas.registration import RegistrationRefused
-        from levkas.reporting.figures import draw_trace
 
         here = self.calibrated(capture, native)
         options = dict(self.campaign.registration_of(capture.camera))
@@ -157,7 +157,7 @@ class RegistrationStages:
         started: float,
     ) -> Step:
         from levkas.building import registering
-        from levkas.files import together
+        from levkas.core.files import together
 
         record, problems = measured.record, measured.problems
         with together(partial(self.ledger.forget, key)):
@@ -181,7 +181,7 @@ class RegistrationStages:
 
 def _drawn(record: dict[str, Any]) -> list[list[str]]:
     """Return the figures, SVG and caption each, of what a map rests on; none where the record does not say."""
-    from levkas.reporting.figures import draw_basis
+    from levkas.pages.figures import draw_basis
 
     figures = draw_basis(record["trace"], record["reference"]["size"])
     return [[figure.svg, figure.caption] for figure in figures]

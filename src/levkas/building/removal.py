@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
     from levkas.building.ledger import Ledger
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture, Refusals
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture, Refusals
 
 REMOVED = Key("", stage="removed")
 

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.cube import Cube, Flag
+from levkas.core.cube import Cube, Flag
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.native import Native
-    from levkas.gridding import Grid
-    from levkas.transforms import Transform
+    from levkas.geometry.grid import Grid
+    from levkas.geometry.transforms import Transform
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
@@ -88,9 +88,9 @@ def resample(
     `sigma_of` gives the sigma of a sensor, and gives it away. `mosaics` are the sensors that were
     demosaiced: neighbours of theirs share noise.
     """
-    from levkas.rounding import round_root, round_values
-    from levkas.transforms import Composed
-    from levkas.warping import warp
+    from levkas.core.rounding import round_root, round_values
+    from levkas.geometry.resample import warp
+    from levkas.geometry.transforms import Composed
 
     shape = (grid.size[1], grid.size[0])
     parts = []
@@ -134,8 +134,8 @@ def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, in
     the grid: the mean of its squares over that of Σw²u².
     """
     from levkas.calibration.mosaic import interpolate, method_of
-    from levkas.transforms import Affine
-    from levkas.warping import warp
+    from levkas.geometry.resample import warp
+    from levkas.geometry.transforms import Affine
 
     noise = np.random.default_rng(0).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
     table, method = method_of(*mosaic)

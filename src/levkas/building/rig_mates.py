@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 from levkas.building import fingerprints
 from levkas.building.fingerprints import digest
 from levkas.building.ledger import Key
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from levkas.building.ledger import Ledger
     from levkas.building.measured import Measured
-    from levkas.building.places import Places
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
 NOT_THERE = "not registered"
 #: On either side; more know no more of a lens, and every pair of captures is compared.
@@ -88,7 +88,7 @@ class RigMates:
 
     def keep(self, capture: Capture, measured: Measured) -> Path:
         """Write a capture's own registration; raises WriteRefused."""
-        from levkas.files import make_folder, write_bytes
+        from levkas.core.files import make_folder, write_bytes
 
         path = self.path(capture)
         make_folder(path.parent)

@@ -21,16 +21,17 @@ from levkas.building.imprint import setups_of, spectra_of
 from levkas.building.joint_round import JointRound
 from levkas.building.ledger import Key, Ledger
 from levkas.building.objects import ObjectBuild, Round
-from levkas.building.places import Places
 from levkas.building.removal import REMOVED, describe, no_longer_there, removal
 from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.building.shelf import Shelf
 from levkas.building.steps import BuildReport, Step, summarise
 from levkas.building.withdrawing import CATALOGUE, NoReference, put_away, put_away_stage
-from levkas.campaign import Campaign, CampaignInvalid, load_campaign
-from levkas.discovery import Capture, Refusals, find_captures
-from levkas.edits import FILE_NAME, Edits, check_edits
-from levkas.problems import Problem, Refused
+from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
+from levkas.campaign.discovery.captures import Capture, Refusals
+from levkas.campaign.discovery.find_captures import check_edits, find_captures
+from levkas.campaign.edits import FILE_NAME, Edits
+from levkas.core.problems import Problem, Refused
+from levkas.database.layout import Places
 
 CODE = "code.json"
 """Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
@@ -70,7 +71,7 @@ def build(
     Refused
         Where the campaign itself cannot be read, or the output cannot be written.
     """
-    from levkas.files import sweep
+    from levkas.core.files import sweep
 
     campaign, captures, refusals = _plan(path, objects)
     _, every, lost = _plan(path, None) if objects else (campaign, captures, refusals)
@@ -232,6 +233,7 @@ def _pages(cameras: CameraPages | None) -> list[Key]:
 def _plan(path: str | Path, objects: list[str] | None) -> tuple[Campaign, list[Capture], Refusals]:
     """Read the campaign and find its captures, those of some objects only where asked."""
     campaign = load_campaign(path)
+    check_detectors(campaign)
     captures, refusals = find_captures(campaign)
     _check_edits(campaign, captures, refusals)
     if objects:
@@ -250,6 +252,21 @@ def _plan(path: str | Path, objects: list[str] | None) -> tuple[Campaign, list[C
         captures = [c for c in captures if c.object in objects]
         refusals = {key: r for key, r in refusals.items() if key[0] in objects}
     return campaign, captures, refusals
+
+
+def check_detectors(campaign: Campaign) -> None:
+    """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
+    tables = {"registration": campaign.registration}
+    tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
+    asked = {where: keys.detector for where, keys in tables.items() if keys.detector}
+    if set(asked.values()) <= {"sift"}:
+        return
+    from levkas.registration.features import available_detectors, no_detector
+
+    here = available_detectors()
+    missing = [no_detector(name, f"{w}.detector") for w, name in asked.items() if name not in here]
+    if missing:
+        raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
 
 
 def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:
@@ -343,7 +360,7 @@ def _page(
 ) -> Iterator[Step]:
     from levkas.building import provenance
     from levkas.building.pages import report_of
-    from levkas.files import make_folder, together, write_json, write_text
+    from levkas.core.files import make_folder, together, write_json, write_text
 
     key = Key(name, stage="report")
     prints = _page_prints(campaign, mine, steps)
@@ -370,7 +387,7 @@ def _page(
 
 def _object_toml(campaign: Campaign, name: str) -> str:
     """Museum facts of an object."""
-    from levkas.declaring.toml import to_toml
+    from levkas.campaign.schema.toml import to_toml
 
     facts = campaign.objects.get(name)
     return to_toml({"name": name, **(facts.model_dump() if facts else {})})

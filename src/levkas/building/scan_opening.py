@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from levkas.building.bench import Bench
     from levkas.calibration.templates import Template
-    from levkas.campaign import Campaign
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
 
 
 def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
@@ -84,7 +84,7 @@ def _of_lines(bench: Bench) -> tuple[tuple[Template, ...], Template | None, Any]
     """Return darks, white and noise of a push-broom camera: one line, seen many times."""
     from levkas.building.developing import line_noise
     from levkas.building.measuring import note_light
-    from levkas.calibration.scanning import average_lines
+    from levkas.calibration.pushbroom import average_lines
 
     def make(frames: Any) -> Template:
         blocks = (bench.checked(block, frame) for frame in frames for block in _line_blocks(frame))

@@ -14,10 +14,10 @@ from levkas.building.line_templates import FrameLines, gaps_marked
 from levkas.cache_lines import empty
 from levkas.calibration.lines import LineField
 from levkas.calibration.templates import Template, bands_alike
-from levkas.cube import Cube, Flag
-from levkas.machine import count_threads, tile_rows
+from levkas.core.cube import Cube, Flag
+from levkas.core.machine import count_threads, tile_rows
+from levkas.core.rounding import round_root, round_values
 from levkas.registration.images import BandImage
-from levkas.rounding import round_root, round_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from levkas.building.developing import Bench
     from levkas.calibration.denoising import Projecting, Subspace
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.campaign import Campaign
-    from levkas.cube import Band
-    from levkas.discovery import Capture
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.core.cube import Band
     from levkas.readers.envi import EnviFile
 
 STREAMED_SAMPLES = 400_000_000

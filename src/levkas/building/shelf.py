@@ -12,8 +12,8 @@ import numpy as np
 from levkas.building.ledger import Hashes
 from levkas.building.sources import code_version
 from levkas.calibration.templates import Template
-from levkas.discovery import FrameRef
-from levkas.files import make_folder, replacing
+from levkas.campaign.discovery.captures import FrameRef
+from levkas.core.files import make_folder, replacing
 
 
 class Shelf:

@@ -17,8 +17,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.problems import Refused
-from levkas.readers.texts import read_json
+from levkas.core.problems import Refused
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -30,7 +30,7 @@ ENTRIES = {
         "levkas.building.capture_stages:calibrated",
         "levkas.building.registration_stages:_measured",
         "levkas.building.registration_stages:_publish",
-        "levkas.edits",
+        "levkas.campaign.edits",
     ),
     "adjust": (
         "levkas.building.registration_stages:_adjusted",
@@ -40,7 +40,11 @@ ENTRIES = {
         "levkas.building.capture_stages:calibrated",
         "levkas.building.capture_stages:resample",
     ),
-    "report": ("levkas.building.pages", "levkas.building.provenance", "levkas.declaring.toml"),
+    "report": (
+        "levkas.building.pages",
+        "levkas.building.provenance",
+        "levkas.campaign.schema.toml",
+    ),
     "camera": ("levkas.building.camera_pages",),
     "catalogue": ("levkas.building.cataloguing",),
     "template": ("levkas.building.bench",),
@@ -55,7 +59,7 @@ RIM = frozenset(
         *("run", "objects", "joint_round", "rig_mates", "ledger", "fingerprints", "sources"),
         *("standing", "steps", "withdrawing", "removal", "claiming", "turns"),
     )
-) | {"levkas.campaign", "levkas.discovery", "levkas.ownership"}
+) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
 LIBRARIES = {
     "cv2": "opencv-python-headless",
@@ -282,8 +286,8 @@ def remember(kept: Path) -> None:
 
 def keep(kept: Path) -> None:
     """Keep the hashes of all stages for a later run, unless they are kept already."""
-    from levkas.files import write_changed
-    from levkas.plain_json import to_json
+    from levkas.core.files import write_changed
+    from levkas.core.json_safe import to_json
 
     stages = {stage: code_version(stage) for stage in ENTRIES}
     write_changed(kept, to_json({"package": _stamp(), "stages": stages}).encode())

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.disk import DISK_CODES
+from levkas.core.disk import DISK_CODES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from levkas.building.ledger import Key, Ledger
-    from levkas.problems import Problem
+    from levkas.core.problems import Problem
 
 
 def is_of_the_disk(problems: Iterable[Problem]) -> bool:

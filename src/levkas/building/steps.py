@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.ledger import Key
-    from levkas.problems import Problem
+    from levkas.core.problems import Problem
 
 FINISHED = ("fresh", "done", "refused", "failed", "stale")
 

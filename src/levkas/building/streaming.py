@@ -13,25 +13,25 @@ from levkas.building.held_lines import HeldLines
 from levkas.building.measuring import add_counts, flag_and_count, ranges_of
 from levkas.building.resampling import count_flags, grey_of
 from levkas.cache_lines import empty
-from levkas.cube import Band, Cube, Flag
-from levkas.files import spooling
-from levkas.machine import tile_rows
-from levkas.pixelmap import PixelMap, lay
-from levkas.problems import Problem, Refused
-from levkas.rounding import round_root, round_values
-from levkas.transforms import Affine, Composed
-from levkas.warping import Warped, source_rows, warp
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.files import spooling
+from levkas.core.machine import tile_rows
+from levkas.core.problems import Problem, Refused
+from levkas.core.rounding import round_root, round_values
+from levkas.geometry.pixel_maps import PixelMap, lay
+from levkas.geometry.resample import Warped, source_rows, warp
+from levkas.geometry.transforms import Affine, Composed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from levkas.building.default_setup import DefaultLayer
-    from levkas.building.places import Places
     from levkas.building.scans import Scan
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.credits import Credits
-    from levkas.discovery import Capture
-    from levkas.transforms import Transform
+    from levkas.database.layout import Places
+    from levkas.geometry.transforms import Transform
 
 HELD_BYTES = 300_000_000
 """Of calibrated lines and of grid rows, together; the next ones are read meanwhile."""
@@ -56,9 +56,9 @@ def write_scan(
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
     from levkas.building.focusing import Middle
     from levkas.building.passages import Passage, Reducer
+    from levkas.core.files import make_folder
     from levkas.database.layers import Layer
-    from levkas.database.spooling import SpooledTiffs
-    from levkas.files import make_folder
+    from levkas.database.streaming_writer import SpooledTiffs
 
     sensor = capture.sensors[0].name
     base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
@@ -137,7 +137,7 @@ def white_of(scan: Scan) -> float | None:
 
     It is found in the picture of the whole scan, whatever rows come first.
     """
-    from levkas.colour import counts_white, find_rendering
+    from levkas.colour.srgb import counts_white, find_rendering
 
     if scan.quantity == "reflectance":
         return None

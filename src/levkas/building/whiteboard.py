@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
-from levkas.readers.texts import TextRefused, read_text
+from levkas.core.problems import Problem, Refused
+from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from levkas.campaign import Campaign
-    from levkas.cube import Band
+    from levkas.campaign.campaign import Campaign
+    from levkas.core.cube import Band
 
 VISIBLE = (400.0, 700.0)
 

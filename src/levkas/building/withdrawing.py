@@ -8,18 +8,18 @@ from levkas.building import fingerprints
 from levkas.building.ledger import STAGES, Key, Ledger
 from levkas.building.standing import is_of_the_disk
 from levkas.building.steps import Step
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.building.places import Places
-    from levkas.discovery import Capture
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
 
 CATALOGUE = Key("", stage="catalogue")
 
 
 def withdraw(capture: Capture, places: Places, ledger: Ledger, stage: str = "resample") -> None:
     """Take away what an earlier build made of a layer from the stage on that is refused now."""
-    from levkas.files import remove
+    from levkas.core.files import remove
 
     keys = [Key(capture.object, capture.camera, capture.setup, s) for s in STAGES]
     for key in keys[STAGES.index(stage) : -1]:

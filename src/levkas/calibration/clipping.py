@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 MANY_ZEROS = 0.02
 NARROW = 0.3  # counts: a smaller spread is hidden by rounding

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused, Template, bands_alike, pick_bands
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 SAME_TIME = 0.01  # relative: EXIF rounds 1/60 s to 0.017 s now and then
 

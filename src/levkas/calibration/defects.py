@@ -12,8 +12,8 @@ import numpy as np
 
 from levkas.calibration.patterns import as_pattern, split
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.cube import Flag
-from levkas.problems import Problem
+from levkas.core.cube import Flag
+from levkas.core.problems import Problem
 
 HOT = 10.0  # robust sigmas of the dark above the neighbours
 LEAST_HOT = 5.0  # counts: below it subtraction of the dark is as good
@@ -156,7 +156,7 @@ def replace_defects(
     The nearest ring of the same phase that holds three sound sensels or more is used; in a cube
     neighbours are those of the same band.
     """
-    from levkas.calibration.mending import mend
+    from levkas.calibration.defects_kernel import mend
 
     values, flags = np.array(values, np.float32), np.array(flags, np.uint8)
     variance = None if variance is None else np.array(variance, np.float32)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.machine import tile_rows
-from levkas.problems import Problem
+from levkas.core.machine import tile_rows
+from levkas.core.problems import Problem
 
 CORRELATED = 0.1  # of neighbouring bands' noise, beyond what white noise would show
 MOST_KEPT = 0.45  # of the dimensions: beyond it noise has been taken for signal
@@ -100,7 +100,7 @@ def find_subspace(blocks: Iterable[np.ndarray], *, correlated: float = CORRELATE
     covariance of what bands leave each other unexplained is D P D with P = R⁻¹, D = 1/diag(P):
     its correlation of bands i and j is Pᵢⱼ/√(PᵢᵢPⱼⱼ), and for white noise that of I − EEᵀ.
     """
-    from levkas.calibration.projecting import add_products
+    from levkas.calibration.denoising_kernel import add_products
 
     products, pixels = None, 0
     for block in blocks:
@@ -239,7 +239,7 @@ class Projecting:
         self, block: np.ndarray, variance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Return lines, (lines, samples, bands), projected, and their variance; spectra with NaN as they are."""
-        from levkas.calibration.projecting import project, project_variance
+        from levkas.calibration.denoising_kernel import project, project_variance
 
         spectra = np.array(_spectra(block))
         good = np.isfinite(spectra).all(1)

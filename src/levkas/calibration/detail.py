@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numba import types
 
-from levkas.calibration.signatures import readonly
+from levkas.calibration.numba_types import readonly
 
 FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
 Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]

@@ -15,8 +15,8 @@ from levkas.calibration import stencils
 from levkas.calibration.mosaic import interpolate
 from levkas.calibration.patterns import as_pattern, split
 from levkas.calibration.templates import CalibrationRefused
-from levkas.cube import Flag
-from levkas.problems import Problem
+from levkas.core.cube import Flag
+from levkas.core.problems import Problem
 
 BLOCK = 6  # sensels of a phase to a side of the blocks whose means are compared
 FLATTEST = 0.5  # share of the lit blocks that is used, the flattest first

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.blocks import Blocks
-from levkas.calibration.curves import Levels
 from levkas.calibration.darks import SAME_TIME
+from levkas.quality.emva1288.code_spacing import Levels
 
 if TYPE_CHECKING:
-    from levkas.calibration.photon_transfer import Dark
+    from levkas.quality.emva1288.photon_transfer import Dark
 
 SLOPE_TO = 0.7  # of saturation: EMVA 1288's range for the gain
 PRNU_RANGE = (0.15, 0.9)

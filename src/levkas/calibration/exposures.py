@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under
-from levkas.calibration.gaps import gaps_of
+from levkas.calibration.invalid_values import gaps_of
 from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_linearity
-from levkas.calibration.moving import find_moved_between
+from levkas.calibration.motion import find_moved_between
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
 USABLE = 0.98  # of saturation: beyond it the response bends
@@ -295,7 +295,7 @@ def _sums(
     noise: NoiseModel | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return Σ w·rate, Σ w, whether the last that counted was clipped at black, and their rate."""
-    from levkas.calibration.merging import add_exposure
+    from levkas.calibration.exposures_kernel import add_exposure
 
     shape = as_rows(timed[0].mean).shape
     gain = -1.0 if noise is None else noise.gain

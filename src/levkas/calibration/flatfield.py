@@ -18,7 +18,7 @@ from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.noise_fit import WORKED_OUT, NoiseModel
 from levkas.calibration.templates import CalibrationRefused, Template, bands_alike, pick_bands
 from levkas.calibration.whites import check_white, reflectance_table
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def flat_field(
     >>> flat_field(S, D, W, white_reflectance=0.98).values.tolist()
     [[0.49..., 0.49...]]
     """
-    from levkas.calibration import flattening
+    from levkas.calibration import flatfield_kernel
 
     _check_shapes(shot, dark, white, defects)
     darks = [dark] if isinstance(dark, Template) else list(dark or ())
@@ -130,13 +130,13 @@ def flat_field(
     sides = Side.of_shots(shot), Side.of_dark(under), lit, Side.of_dark(white_under)
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
     frames: list[Any] = [*(side.mean for side in sides), scale, *marks]
-    values, flags = flattening.flatten(*frames)
+    values, flags = flatfield_kernel.flatten(*frames)
     variance = None
     if noise is not None or all(side.known for side in sides):
         shared = under.mean is white_under.mean
         model = model_of(noise, under, white_under)
         parts: list[Any] = [*(p for side in sides for p in side), shared, scale, *model]
-        variance = flattening.propagate(*parts).reshape(shot.mean.shape)
+        variance = flatfield_kernel.propagate(*parts).reshape(shot.mean.shape)
     quantity = "counts" if white is None else "reflectance"
     shape = shot.mean.shape
     return Calibrated(values.reshape(shape), flags.reshape(shape), variance, quantity, notes)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from levkas.calibration.flattening import of_mean
-from levkas.cube import Flag
+from levkas.calibration.flatfield_kernel import of_mean
+from levkas.core.cube import Flag
 from levkas.double_lanes import (
     doubles,
     load_doubles,

@@ -18,7 +18,7 @@ import numpy as np
 
 from levkas.calibration.darks import dark_under
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 USED = (0.05, 0.95)  # of saturation, as EMVA 1288 has it
 GROUPS = 20

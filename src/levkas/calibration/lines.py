@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.flatfield import Side, exact_side, model_of, pair_darks
-from levkas.calibration.gaps import gaps_of
+from levkas.calibration.invalid_values import gaps_of
 from levkas.calibration.layout import as_marks
 from levkas.calibration.templates import Template
 from levkas.calibration.whites import check_white, reflectance_table
-from levkas.cube import Flag
-from levkas.rounding import SIGMA_DROP, VALUE_DROP
+from levkas.core.cube import Flag
+from levkas.core.rounding import SIGMA_DROP, VALUE_DROP
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,7 +10,7 @@ from levkas.calibration import stencils
 from levkas.calibration.detail import interpolation_variance
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 METHODS: dict[str, Callable[[stencils.Place, int], stencils.Taps]] = {
     "malvar": stencils.malvar,
@@ -112,7 +112,7 @@ def interpolate(
 
     Arguments and results as in `demosaic`; `weights` as in `stencils.Place`.
     """
-    from levkas.calibration.weighing import weigh
+    from levkas.calibration.mosaic_kernel import weigh
 
     if values.ndim != 2 or any(n < p for n, p in zip(values.shape, table.shape, strict=True)):
         raise CalibrationRefused(

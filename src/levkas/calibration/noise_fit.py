@@ -206,7 +206,7 @@ def mean_variance(stack: Template, *, step: float = 1.0) -> np.ndarray:
     A pixel's own variance of a few shots is no sigma: it weighs n − 1 against 60 of what pixels of like
     signal have in the mean, channel by channel.
     """
-    from levkas.calibration.flattening import PRIOR
+    from levkas.calibration.flatfield_kernel import PRIOR
 
     freedom = stack.count - 1
     assert stack.variance is not None

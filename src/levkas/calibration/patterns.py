@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 Pattern = tuple[tuple[str, ...], ...]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 LARGEST = 4.0  # Σ|w| of a stencil that extrapolates; a larger window is tried before more
 WINDOWS = 4  # how many periods a window may reach to each side

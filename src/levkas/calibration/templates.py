@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.layout import as_marks, as_rows
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -189,21 +189,23 @@ class _Sums:
         self.count += 1
 
     def _sum(self, frame: np.ndarray, before: int, totals: tuple[np.ndarray, np.ndarray]) -> None:
-        from levkas.calibration import averaging
+        from levkas.calibration import templates_kernel
 
         marks = (as_marks(self.saturated), as_marks(self.black))
         if self.whole:
-            averaging.add_codes(as_rows(frame, None), *totals, *marks, self.high, self.low)
+            templates_kernel.add_codes(as_rows(frame, None), *totals, *marks, self.high, self.low)
         else:
             reals = frame if frame.dtype in (np.float32, np.float64) else frame.astype(np.float64)
-            averaging.add_reals(as_rows(reals, None), before, *totals, *marks, self.high, self.low)
+            templates_kernel.add_reals(
+                as_rows(reals, None), before, *totals, *marks, self.high, self.low
+            )
 
     def template(self, exposure_s: float | None) -> Template:
-        from levkas.calibration import averaging
+        from levkas.calibration import templates_kernel
 
         if self.totals is None:
             mean = self.first.astype(np.float32)
             return Template(mean, None, 1, self.saturated, self.black, exposure_s)
-        finish = averaging.finish_codes if self.whole else averaging.finish_reals
+        finish = templates_kernel.finish_codes if self.whole else templates_kernel.finish_reals
         mean, variance = (a.reshape(self.first.shape) for a in finish(*self.totals, self.count))
         return Template(mean, variance, self.count, self.saturated, self.black, exposure_s)

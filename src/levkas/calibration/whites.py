@@ -8,7 +8,7 @@ import numpy as np
 
 from levkas.calibration.patterns import channel_names, channel_table
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.problems import Problem
+from levkas.core.problems import Problem
 
 MOST = 0.5  # share of a channel's white that must be usable
 SAMPLE = 100_000  # pixels looked at to judge a white

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.database.opening import Database
+    from levkas.database.reader import Database
 
 
 def open(path: str | Path) -> Database:
@@ -18,6 +18,6 @@ def open(path: str | Path) -> Database:
     DatabaseRefused
         Where there is no database.
     """
-    from levkas.database.opening import Database
+    from levkas.database.reader import Database
 
     return Database(path)

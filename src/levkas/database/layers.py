@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.colour import preview
+from levkas.colour.srgb import preview
+from levkas.core.digests import hash_file
+from levkas.core.files import remove, together
+from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.database.catalogue import Entry
 from levkas.database.credits import Credits
 from levkas.database.planes import planes_of
 from levkas.database.preview import write_preview
 from levkas.database.spectral_tiff import write_spectral_tiff
 from levkas.database.store import layer_name, write_layer_store
-from levkas.digests import hash_file
-from levkas.files import remove, together
-from levkas.rounding import SIGMA_DROP, is_rounded, round_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from levkas.cube import Band, Cube
+    from levkas.core.cube import Band, Cube
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,13 @@ def write_layer(
     verdict : str
         For the catalogue.
     sensitivity, encoded, white
-        For the picture, as in `levkas.colour.preview`.
+        For the picture, as in `levkas.colour.srgb.preview`.
     zarr : bool
         Whether the Zarr layer is written too.
     threads : int, optional
         For compression; the bytes are the same for any number.
     before : callable, optional
-        As of `levkas.files.together`.
+        As of `levkas.core.files.together`.
 
     Returns
     -------
@@ -195,7 +195,7 @@ def centres_of(bands: Sequence[Band], centroids: Mapping[str, float] | None = No
 
     Examples
     --------
-    >>> from levkas.cube import Band
+    >>> from levkas.core.cube import Band
     >>> centres_of([Band("R1"), Band("G1")]), centres_of([Band("550 nm", 550.0)])
     ([0.0, 1.0], [550.0])
     """

@@ -15,12 +15,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from levkas.core.digests import hash_file
+from levkas.core.files import PARTIAL, write_changed
+from levkas.core.machine import count_threads
+from levkas.core.problems import Problem
 from levkas.database.containment import stays_inside
-from levkas.digests import hash_file
-from levkas.files import PARTIAL, write_changed
-from levkas.machine import count_threads
-from levkas.problems import Problem
-from levkas.readers.texts import DEEPEST
+from levkas.readers.text import DEEPEST
 
 NAME = "manifest-sha256.txt"
 LARGEST = 256 << 20

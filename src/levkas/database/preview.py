@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.files import write_bytes
-from levkas.icc import srgb_profile
+from levkas.colour.icc import srgb_profile
+from levkas.core.files import write_bytes
 
 if TYPE_CHECKING:
     from pathlib import Path

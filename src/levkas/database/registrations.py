@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.problems import Problem, Refused
-from levkas.readers.texts import read_json
+from levkas.geometry.transforms import from_dict
+from levkas.readers.text import read_json
 from levkas.registration.uncertainty import Sigma
-from levkas.transforms import from_dict
 
 KINDS: dict[str, tuple[type, ...]] = {
     "object": (str,),
@@ -33,7 +33,7 @@ WHOLE = ("object", "camera", "reference", "verdict")
 MOST_PX = 1 << 20
 """Sides of grids and frames; far more than any sensor or scan has."""
 WRONG = (ValueError, KeyError, TypeError, IndexError, AttributeError, ArithmeticError, MemoryError)
-"""What numpy and `levkas.transforms` raise on numbers that are not those of a transform."""
+"""What numpy and `levkas.geometry.transforms` raise on numbers that are not those of a transform."""
 
 
 class RecordRefused(Refused):

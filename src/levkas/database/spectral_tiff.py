@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
+from levkas.colour.icc import srgb_profile
+from levkas.core.files import replacing
+from levkas.core.machine import count_threads
+from levkas.core.problems import Problem
 from levkas.database.credits import Credits
 from levkas.database.tiff_pages import TiffRefused, open_pages
-from levkas.files import replacing
-from levkas.icc import srgb_profile
-from levkas.machine import count_threads
-from levkas.problems import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence

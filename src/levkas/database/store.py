@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.cube import Band, Cube, Flag
+from levkas.core.cube import Band, Cube, Flag
+from levkas.core.files import Folder, publishing, write_changed
+from levkas.core.json_safe import to_json
 from levkas.database.manifest import is_partial, list_files
-from levkas.files import Folder, publishing, write_changed
-from levkas.plain_json import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

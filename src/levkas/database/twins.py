@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from levkas.database.holdings import TWINS, Holdings, base_of, record_of, same_numbers
-from levkas.database.soundness import TiffFacts, damaged
-from levkas.problems import Problem, Refused
-from levkas.readers.texts import read_json
+from levkas.core.problems import Problem, Refused
+from levkas.database.file_inventory import TWINS, Holdings, base_of, record_of, same_numbers
+from levkas.database.integrity import TiffFacts, damaged
+from levkas.readers.text import read_json
 
 ROWS = 64
 

@@ -17,15 +17,15 @@ _HOMES = {
     "plan_framing": "framing",
     "plan_exposure": "exposing",
     "plan_dose": "dose",
-    "regulating_filter": "regulating",
+    "regulating_filter": "filter_design",
     "write_report": "report",
     "render_sheet": "contact_sheet",
     "fit_lamps": "lamp_fit",
     "illuminate": "irradiance",
     "sample_surface": "surface",
-    "specular": "facets",
+    "specular": "microfacet",
     "colour_temperature": "spectra",
-    "illuminant": "illuminants",
+    "illuminant": "levkas.colour.illuminants",
     "GRID": "spectra",
 }
 __all__ = sorted(_HOMES)

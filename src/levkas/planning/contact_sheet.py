@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.files import write_bytes
+from levkas.core.files import write_bytes
 from levkas.planning.light import eye_of
 from levkas.planning.mitsuba_scene import camera_object, camera_sheet, lamp_objects, load_mitsuba
 from levkas.planning.motif import Motif, draw_motif

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.facets import AIR, facet_lobe, fresnel, gold_index
-from levkas.planning.lobes import Lobe, lobe_exponent
+from levkas.planning.luminous_intensity import Lobe, lobe_exponent
+from levkas.planning.microfacet import AIR, facet_lobe, fresnel, gold_index
 from levkas.planning.setup import Lamp, Lighting, lamp_place
 from levkas.planning.surface import sample_surface
 from levkas.planning.texture import slope_nodes

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.noise import Sensor, snr_db
+from levkas.calibration.noise_model import Sensor, snr_db
 from levkas.planning.framing import magnification
 from levkas.planning.irradiance import illuminate
 from levkas.planning.refusals import PlanRefused, wrong

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.planning.facets import AIR, facet_lobe, fresnel, gold_index
 from levkas.planning.irradiance import illuminate, light_of
+from levkas.planning.microfacet import AIR, facet_lobe, fresnel, gold_index
 from levkas.planning.texture import slope_nodes
 
 if TYPE_CHECKING:

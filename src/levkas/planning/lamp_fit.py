@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.planning.irradiance import drop, illuminate
-from levkas.planning.lobes import Lobe
+from levkas.planning.luminous_intensity import Lobe
 from levkas.planning.setup import lamp_place
 
 if TYPE_CHECKING:

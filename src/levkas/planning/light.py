@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.facets import lobe_reach_deg, transmitted
 from levkas.planning.glare import Glare, glare, rough_texture
 from levkas.planning.irradiance import drop, illuminate
-from levkas.planning.lobes import Lobe
+from levkas.planning.luminous_intensity import Lobe
+from levkas.planning.microfacet import lobe_reach_deg, transmitted
 from levkas.planning.setup import Lamp, Lighting, aim_point
 from levkas.planning.surface import Surface, sample_surface, wall_deg
 from levkas.planning.texture import hidden_share, shading_contrast

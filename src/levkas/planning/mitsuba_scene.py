@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.problems import Problem
 from levkas.planning.refusals import PlanRefused
 from levkas.planning.spectra import GRID
-from levkas.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.planning.setup import Lamp, Lighting

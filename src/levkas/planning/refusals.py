@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 EXPLAINED = "docs/planning.md explains every key."
 

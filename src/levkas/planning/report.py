@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.files import write_text
+from levkas.colour.illuminants import illuminant
+from levkas.core.files import write_text
 from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS, Judge
 from levkas.planning.diagrams import draw_bench
 from levkas.planning.dose import plan_dose
 from levkas.planning.exposing import plan_exposure
 from levkas.planning.framing import plan_framing
-from levkas.planning.illuminants import illuminant
 from levkas.planning.light import compare_lightings, eye_of, plan_light
 from levkas.planning.maps import (
     draw_evenness,
@@ -120,7 +120,7 @@ def _light_facts(setup: Setup, plan: LightPlan) -> dict[str, Any]:
     shared = [e for e in exposures if setup.cameras[e.camera].keys.exposure == "one"]
     uneven = max(shared, key=lambda e: e.evenness, default=None)
     if uneven is not None and len(uneven.channels) > 1:
-        from levkas.planning.regulating import regulating_filter
+        from levkas.planning.filter_design import regulating_filter
 
         found = regulating_filter(setup, uneven.camera, plan.lighting.name)
         facts["filter"] = draw_filter(found, uneven.camera)

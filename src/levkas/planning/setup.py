@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.lobes import Lobe, read_lobe
+from levkas.planning.luminous_intensity import Lobe, read_lobe
 from levkas.planning.refusals import PlanRefused, wrong
 from levkas.planning.spectra import GRID, Spectrum, eye, integrate, read_spectrum
 
 if TYPE_CHECKING:
+    from levkas.core.problems import Problem
     from levkas.planning.tables import (
         Bench,
         CameraKeys,
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
         PlacedLamp,
         SetupKeys,
     )
-    from levkas.problems import Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,14 +170,14 @@ def load_setup(path: str | Path) -> Setup:
     PlanRefused
         With every problem: what is misspelt, out of range, contradicts itself, or cannot be meant.
     """
-    from levkas.planning.doubts import find_doubts
+    from levkas.planning.warnings import find_doubts
 
     path = find_setup(path)
     bench = _validate(path)
     problems: list[Problem] = list(find_doubts(bench, str(path)))
     setup = _resolve(path, bench, problems)
     if setup is not None:
-        from levkas.planning.contradictions import find_contradictions
+        from levkas.planning.checks import find_contradictions
 
         told = {p.field for p in problems}
         problems += [p for p in find_contradictions(setup) if p.field not in told]
@@ -209,7 +209,7 @@ def find_setup(path: str | Path) -> Path:
 def _validate(path: Path) -> Bench:
     from pydantic import ValidationError
 
-    from levkas.declaring.toml import TomlRefused, read_toml
+    from levkas.campaign.schema.toml import TomlRefused, read_toml
     from levkas.planning.tables import Bench
 
     try:
@@ -218,7 +218,7 @@ def _validate(path: Path) -> Bench:
     except TomlRefused as refused:
         raise PlanRefused(*refused.problems) from None
     except ValidationError as invalid:
-        from levkas.declaring.messages import explain
+        from levkas.campaign.schema.error_messages import explain
 
         problems = explain(record, invalid.errors(), Bench)
         fix = "docs/planning.md explains every key."

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator
 
-from levkas.declaring.tables import Range, Table
-from levkas.declaring.values import Number, Size, SizeMm, Switch, Text, Whole
+from levkas.campaign.schema.tables import Range, Table
+from levkas.campaign.schema.values import Number, Size, SizeMm, Switch, Text, Whole
 
 SAFE_KINDS = ("high", "medium", "low", "none")
 

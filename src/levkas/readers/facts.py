@@ -9,8 +9,8 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
-from levkas.machine import MEMORY, chosen_memory, memory_bound
-from levkas.problems import Problem, Refused
+from levkas.core.machine import MEMORY, chosen_memory, memory_bound
+from levkas.core.problems import Problem, Refused
 
 MOST_SAMPLES = 2_000_000_000
 """Samples of one frame; a file that declares more is damaged or not an image."""

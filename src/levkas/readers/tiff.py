@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import ceil, prod
+from math import ceil, isfinite, prod
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -20,9 +22,7 @@ from levkas.readers.facts import (
     decoding,
     unreadable,
 )
-from levkas.readers.tiff_codecs import CODECS, JPEG, OWN_SIZE, SLACK, check_frames
-from levkas.readers.tiff_pages import full_pages
-from levkas.readers.tiff_tags import colours_of, describe
+from levkas.readers.images import iso_date
 
 LARGEST_RATIO = 2000
 PLAIN = 1  # tag Compression
@@ -77,7 +77,7 @@ def _decode(path: Path, tiff: Any, pages: list[int], index: int) -> np.ndarray:
         )
     wanted = tiff.pages[pages[index]]
     shape = _checked(path, tiff, wanted, index)
-    if wanted.compression in JPEG:
+    if wanted.compression in JPEG_CODES:
         _check_endings(path, tiff, wanted)
     check_memory(path, prod(shape), wanted.dtype.itemsize)
     # One thread: strips of a frame are small, and builds run frames side by side.
@@ -109,7 +109,7 @@ def read_tiff_parts(path: Path, rows: Sequence[Span], columns: Sequence[Span]) -
         if separate or (pieces < 2 and not page.is_contiguous):
             whole = read_tiff_page(path)
             return np.ascontiguousarray(whole[np.ix_(_all_of(rows), _all_of(columns))])
-        if page.compression in JPEG:
+        if page.compression in JPEG_CODES:
             _check_endings(path, tiff, page)
         size = tuple(sum(stop - start for start, stop in side) for side in (rows, columns))
         out = np.empty((*size, *shape[2:]), page.dtype.newbyteorder("="))
@@ -356,3 +356,360 @@ def _check_stack(path: Path, tiff: Any, page: Any) -> None:
             found=f"{tuple(tiff.series[0].shape)} behind one page",
             fix="Save it again with one page a frame.",
         )
+
+
+JPEG_CODES = (6, 7, 33007)
+JPEG_2000 = (33003, 33005, 34712)
+JPEG_XL = (50002, 52546)
+OWN_SIZE = (*JPEG_CODES, *JPEG_2000, *JPEG_XL)
+CODECS = {
+    1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits", 34925: "LZMA",
+    34926: "Zstandard", 50000: "Zstandard", **dict.fromkeys(JPEG_CODES, "JPEG"),
+    **dict.fromkeys(JPEG_2000, "JPEG 2000"), **dict.fromkeys(JPEG_XL, "JPEG XL"),
+}  # fmt: skip
+"""Codes of the tag Compression that are read."""
+SLACK = 4096
+"""Bytes by which a strip may exceed twice its pixels: tables of JPEG, tails of writers."""
+MOST_SCANS = 64
+JXL_RATIOS = ((1, 1), (12, 10), (4, 3), (3, 2), (16, 9), (5, 4), (2, 1))
+"""Width over height in the short form of a JPEG XL size."""
+
+
+def check_frames(path: Path, tiff: Any, page: Any) -> None:
+    """Refuse strips that say another size than their page does.
+
+    Raises
+    ------
+    UnreadableCapture
+        ``E_SIZE``, before any strip is decoded.
+    """
+    most = 4 * prod(page.chunks) + SLACK
+    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        tiff.filehandle.seek(offset)
+        samples, scans = frame_of(tiff.filehandle.read(count), page.compression)
+        if samples > most or scans > MOST_SCANS:
+            raise unreadable(
+                path,
+                "a strip or tile says another size than its page",
+                code="E_SIZE",
+                field="StripByteCounts",
+                found=f"{samples} samples in {scans} scans",
+                expected=f"at most {most} samples in {MOST_SCANS} scans",
+                fix=COPY_AGAIN,
+            )
+
+
+def frame_of(data: bytes, compression: int) -> tuple[int, int]:
+    """Return the samples and scans that a strip declares; 0 samples where it has no header.
+
+    Examples
+    --------
+    >>> frame_of(bytes.fromhex("ffd8 ffc0 000b 08 0010 0020 01 011100"), 7)
+    (512, 0)
+    >>> frame_of(bytes.fromhex("ff0a 4f 00"), 50002)
+    (4096, 1)
+    """
+    if compression in JPEG_2000:
+        return _jpeg_2000(data), 1
+    if compression in JPEG_XL:
+        return _jpeg_xl(data), 1
+    at, samples = 2, 0
+    while at + 10 <= len(data) and data[at] == 0xFF and data[at + 1] != 0xDA:
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4])
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = (int.from_bytes(data[at + i : at + i + 2]) for i in (5, 7))
+            samples = max(samples, height * width * max(1, data[at + 9]))
+        at += 1 if marker == 0xFF else 2 + length
+    return samples, data.count(b"\xff\xda")
+
+
+def _jpeg_2000(data: bytes) -> int:
+    start = data.find(b"\xff\x4f\xff\x51")
+    if start < 0 or len(data) < start + 42:
+        return 0
+    numbers = [int.from_bytes(data[start + i : start + i + 4]) for i in (8, 12, 16, 20)]
+    channels = int.from_bytes(data[start + 40 : start + 42])
+    return max(0, numbers[0] - numbers[2]) * max(0, numbers[1] - numbers[3]) * channels
+
+
+def _jpeg_xl(data: bytes) -> int:
+    """Samples of one channel, from the SizeHeader of ISO/IEC 18181-1."""
+    start = data.find(b"\xff\x0a")
+    if start < 0:
+        return 0
+    bits, at = int.from_bytes(data[start + 2 : start + 14], "little"), 0
+
+    def take(count: int) -> int:
+        nonlocal at
+        value = (bits >> at) & ((1 << count) - 1)
+        at += count
+        return value
+
+    small = take(1)
+
+    def side() -> int:
+        return 8 * (take(5) + 1) if small else 1 + take((9, 13, 18, 30)[take(2)])
+
+    height = side()
+    ratio = take(3)
+    if not ratio:
+        return height * side()
+    across, down = JXL_RATIOS[ratio - 1]
+    return height * (height * across // down)
+
+
+MOST_PAGES = 4096
+MOST_TAGS = 4096
+SUBFILE_TYPE = 254  # its value says whether a page is a preview or a mask
+REDUCED, MASK = 1, 4
+
+
+def full_pages(path: Path) -> list[int]:
+    """Return which pages of a TIFF are images, as indices into its chain of directories.
+
+    Previews, pyramid levels and masks are left out. The walk reads a few bytes a page.
+
+    Raises
+    ------
+    UnreadableCapture
+        As `kinds_of_pages`, and where there is no image.
+    """
+    kinds = kinds_of_pages(path)
+    pages = [i for i, kind in enumerate(kinds) if not kind & (REDUCED | MASK)]
+    if not pages:
+        raise unreadable(
+            path,
+            "the TIFF holds no image",
+            field="NewSubfileType",
+            found=f"{len(kinds)} previews or masks" if kinds else "no pages",
+            expected="at least one full-size page",
+        )
+    return pages
+
+
+def kinds_of_pages(path: Path) -> list[int]:
+    """Return NewSubfileType of every directory in the chain.
+
+    Raises
+    ------
+    UnreadableCapture
+        Where the chain leaves the file, or turns back on itself: a decoder would follow it for ever.
+    """
+    with path.open("rb") as handle:
+        size = handle.seek(0, 2)
+        handle.seek(0)
+        order = "<" if handle.read(2) == b"II" else ">"
+        big = _number(path, handle, order + "H") == 43
+        handle.seek(8 if big else 4)
+        offset = _number(path, handle, order + ("Q" if big else "I"))
+        kinds: list[int] = []
+        seen: set[int] = set()
+        walked = 0
+        while offset:
+            # Directories stand side by side: laid over one another, each costs a reader as much
+            # of the file again.
+            if offset in seen or offset >= size or walked > size:
+                raise _broken(path, offset, size)
+            if len(kinds) >= MOST_PAGES:
+                raise _too_many(path)
+            seen.add(offset)
+            kind, following = _directory(path, handle, offset, order, big)
+            walked += handle.tell() - offset
+            offset = following
+            kinds.append(kind)
+    return kinds
+
+
+def _directory(path: Path, handle: BinaryIO, offset: int, order: str, big: bool) -> tuple[int, int]:
+    """Return NewSubfileType of the directory at `offset`, and where the next one is (0: none)."""
+    handle.seek(offset)
+    count = _number(path, handle, order + ("Q" if big else "H"))
+    if not 0 < count <= MOST_TAGS:
+        raise unreadable(
+            path,
+            "a directory of the TIFF is damaged",
+            field="number of tags",
+            found=f"{count} tags",
+            expected=f"1 to {MOST_TAGS}",
+            fix=COPY_AGAIN,
+        )
+    entry = struct.Struct(order + ("HHQI4x" if big else "HHII"))
+    data = handle.read(count * entry.size)
+    if len(data) < count * entry.size:
+        raise _cut(path, handle)
+    # The value stands left in its field: a SHORT there has to be read as one.
+    kind = next(
+        (
+            v >> (16 * (order == ">" and t == 3))
+            for c, t, _, v in entry.iter_unpack(data)
+            if c == SUBFILE_TYPE
+        ),
+        0,
+    )
+    return kind, _number(path, handle, order + ("Q" if big else "I"))
+
+
+def _number(path: Path, handle: BinaryIO, form: str) -> int:
+    data = handle.read(struct.calcsize(form))
+    if len(data) < struct.calcsize(form):
+        raise _cut(path, handle)
+    number: int = struct.unpack(form, data)[0]
+    return number
+
+
+def _cut(path: Path, handle: BinaryIO) -> Exception:
+    return unreadable(
+        path,
+        "the file ends inside a directory of the TIFF",
+        code="E_TRUNCATED",
+        field="directory",
+        found=f"{handle.seek(0, 2)} bytes",
+        expected="all tags of the page, and where the next one is",
+        fix=COPY_AGAIN,
+    )
+
+
+def _too_many(path: Path) -> Exception:
+    return unreadable(
+        path,
+        "the TIFF has too many pages",
+        code="E_SIZE",
+        field="pages",
+        found=f"over {MOST_PAGES}",
+        expected=f"at most {MOST_PAGES}",
+        fix="Save the frames in several files.",
+    )
+
+
+def _broken(path: Path, offset: int, size: int) -> Exception:
+    past = offset >= size
+    return unreadable(
+        path,
+        "the file ends before its pages do"
+        if past
+        else "the pages of the TIFF go round in a circle or lie over one another",
+        code="E_TRUNCATED" if past else "E_UNREADABLE",
+        field="next directory",
+        found=f"byte {offset}",
+        expected=f"below {size}" if past else "a byte not yet visited",
+        fix=COPY_AGAIN,
+    )
+
+
+GRAY = {0: "zero is white", 1: "gray", 2: "colours", 32803: "mosaic", 34892: "linear"}
+YCBCR_DECODED = (6, 7, 33007, 34892)
+YCBCR = 6
+RATIONAL = (5, 10)  # types of tags
+MICASENSE_FULL = 65520.0
+"""MicaSense cameras count 12 bits and store them times 16; no tag says so."""
+
+
+def colours_of(page: Any) -> str | None:
+    """Return what the samples are, None where they are no counts (palette, CMYK, CIELAB)."""
+    if "PhotometricInterpretation" not in page.tags:
+        return "gray"
+    photometric = int(page.photometric)
+    if photometric == YCBCR and page.compression in YCBCR_DECODED:
+        return "colours"  # the decoder gives red, green, blue
+    return GRAY.get(photometric)
+
+
+def describe(page: Any) -> dict[str, Any]:
+    """Return the levels, pattern, exposure, date, camera and band of a page, as fields of Facts."""
+    tags = page.tags
+    exif = _value(tags, "ExifTag")
+    exif = exif if isinstance(exif, dict) else {}
+
+    def find(*names: str) -> Any:
+        for name in names:
+            value = _value(tags, name)
+            value = exif.get(name) if value is None else value
+            if value is not None:
+                return value
+        return None
+
+    blacks, whites = _levels(tags, "BlackLevel"), _levels(tags, "WhiteLevel")
+    model, make = _text(find("Model")), _text(find("Make"))
+    wavelength, fwhm, name = camera_band(_value(tags, "XMP") or b"")
+    saturation = min(whites) if whites else None
+    if make == "MicaSense" and wavelength and saturation is None and page.bitspersample == 16:
+        saturation = MICASENSE_FULL
+    return {
+        "black": sum(blacks) / len(blacks) if blacks else None,
+        "blacks": blacks if len(blacks) == 4 and len(set(blacks)) > 1 else None,
+        "saturation": saturation,
+        "pattern": _bayer(find("CFAPattern"), find("CFARepeatPatternDim")),
+        "exposure_s": _positive(find("ExposureTime")),
+        "iso": _positive(find("ISOSpeedRatings", "PhotographicSensitivity", "ISOSpeed")),
+        "captured": iso_date(find("DateTimeOriginal", "DateTime"), find("OffsetTimeOriginal")),
+        "model": model,
+        "wavelengths": (wavelength,) if wavelength else None,
+        "fwhm": (fwhm,) if fwhm else None,
+        "band_names": (name,) if name else None,
+    }
+
+
+def camera_band(xmp: bytes | str) -> tuple[float | None, float | None, str | None]:
+    """Return centre and width (nm) and name of the band that MicaSense and others put in XMP.
+
+    Examples
+    --------
+    >>> camera_band(b"<Camera:CentralWavelength>475</Camera:CentralWavelength>")
+    (475.0, None, None)
+    """
+    text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else str(xmp)
+
+    def find(name: str) -> str | None:
+        found = re.search(rf"Camera:{name}(?:=\"|>)\s*([^<\"]+)", text)
+        return found[1].strip() if found else None
+
+    return _positive(find("CentralWavelength")), _positive(find("WavelengthFWHM")), find("BandName")
+
+
+def _value(tags: Any, name: str) -> Any:
+    """Value of a tag, None where it is not there or cannot be read: no pixel depends on these."""
+    try:
+        return tags[name].value if name in tags else None
+    except Exception:  # a damaged EXIF directory leads tifffile to many kinds of errors
+        return None
+
+
+def _levels(tags: Any, name: str) -> tuple[float, ...]:
+    value = _value(tags, name)
+    if value is None or isinstance(value, str | bytes):
+        return ()
+    numbers = [float(v) for v in np.atleast_1d(np.asarray(value, float)).ravel()]
+    if int(tags[name].dtype) in RATIONAL:
+        pairs = zip(numbers[::2], numbers[1::2], strict=False)
+        numbers = [top / bottom for top, bottom in pairs if bottom]
+    return tuple(n for n in numbers if isfinite(n))
+
+
+def _positive(value: Any) -> float | None:
+    """Return a positive number from a number, a rational, text, or the first of several."""
+    try:
+        if isinstance(value, tuple | list) and len(value) == 2:
+            value = float(value[0]) / float(value[1])
+        elif isinstance(value, tuple | list):
+            value = value[0]
+        number = float(value)
+    except (TypeError, ValueError, IndexError, ZeroDivisionError, OverflowError):
+        return None
+    return number if isfinite(number) and number > 0 else None
+
+
+def _text(value: Any) -> str | None:
+    if isinstance(value, bytes):
+        value = value.decode("ascii", "replace")
+    return (str(value).strip(" \0") or None) if value else None
+
+
+def _bayer(pattern: Any, dims: Any) -> str | None:
+    """Return a 2x2 pattern as letters; codes are 0 red, 1 green, 2 blue."""
+    try:
+        if dims is not None and [int(d) for d in np.atleast_1d(dims)] != [2, 2]:
+            return None
+        codes = [int(c) for c in pattern] if isinstance(pattern, bytes | tuple | list) else []
+    except (TypeError, ValueError):
+        return None
+    return "".join("RGB"[c] for c in codes) if len(codes) == 4 and max(codes) < 3 else None

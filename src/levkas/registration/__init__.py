@@ -20,7 +20,7 @@ from levkas.registration.record import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from levkas.registration.given import Given
+    from levkas.registration.manual_points import Given
 
 METHODS: dict[str, tuple[str, str]] = {
     "levkas": ("levkas.registration.levkas", "register_levkas"),
@@ -87,7 +87,7 @@ def register(
     RegistrationRefused
         Where there is no answer at all, or an argument is wrong.
     """
-    from levkas.machine import steady_libraries
+    from levkas.core.machine import steady_libraries
     from levkas.registration.arguments import check_arguments
 
     check_arguments(reference, target, reference_band, method, METHODS, reject, stop, region)
@@ -114,7 +114,7 @@ def _checked(
     found: Registration, target: Sequence[BandImage], given: Mapping[str, Given]
 ) -> Registration:
     """Measure every check point by the map of the band in which it was placed."""
-    from levkas.registration.given import measure_checks, with_checks
+    from levkas.registration.manual_points import measure_checks, with_checks
 
     report: list[dict[str, Any]] = []
     matches, others = found.matches, dict(found.others)

@@ -15,7 +15,7 @@ import numpy as np
 from levkas.registration.images import area_average
 
 if TYPE_CHECKING:
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 LONG_SIDE_PX = 800
 WINDOW_PX = 40

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
+from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
 from levkas.registration.features import find_key_points
 from levkas.registration.images import BandImage, grey, stretch
 from levkas.registration.matching import match
 from levkas.registration.outliers import remove_outliers
 from levkas.registration.record import RegistrationRefused
-from levkas.transforms import Affine, Composed, Inverse, Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

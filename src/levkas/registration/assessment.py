@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.registration.basis import describe_basis
-from levkas.registration.ladder import RUNGS
-from levkas.registration.pyramid import GOOD_PX
+from levkas.registration.coarse_to_fine import GOOD_PX
+from levkas.registration.model_selection import RUNGS
+from levkas.registration.observations import Sighting
 from levkas.registration.record import Matches, Registration, Verdict
-from levkas.registration.sightings import Sighting
 from levkas.registration.verdict import (
     COVERAGE,
     LOOK,
@@ -27,9 +27,9 @@ from levkas.registration.verdict import (
 )
 
 if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
     from levkas.registration.sensors import Sensor
     from levkas.registration.uncertainty import Sigma
-    from levkas.transforms import Transform
 
 #: Share of windows that are predicted better than windows that cannot match (19 of 20 of those).
 BELIEVED, DOUBTED = 0.5, 0.2

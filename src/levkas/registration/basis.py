@@ -8,7 +8,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from levkas.registration.checks import Checks
-    from levkas.registration.ladder import Rung
+    from levkas.registration.model_selection import Rung
 
 #: A record of more only grows; the rest is told by its number.
 MOST_WINDOWS = 1000

@@ -16,7 +16,7 @@ import numpy as np
 from levkas.registration.models import solve_pairs
 
 if TYPE_CHECKING:
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 #: So many confirmed windows have to be near: one may be found where it should be by chance.
 LEAST_NEAR = 2

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from levkas.core.threads import each
+from levkas.geometry.transforms import Polynomial, design_matrix
+from levkas.registration.local_shifts import Windows
 from levkas.registration.models import temper
-from levkas.registration.refinement import Windows
-from levkas.registration.workers import each
-from levkas.transforms import Polynomial, design_matrix
 
 BLOCKS = 8
 LEAST_WINDOWS = 12

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.geometry.transforms import Polynomial
 from levkas.registration.outliers import remove_outliers
 from levkas.registration.record import RegistrationRefused
-from levkas.transforms import Polynomial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from levkas.geometry.transforms import Transform
     from levkas.registration.checks import Checks
     from levkas.registration.record import Matches
-    from levkas.transforms import Transform
 
 GRID = (24, 18)
 CELLS = (6, 5)
@@ -218,7 +218,7 @@ def measure_chance(evidence: Evidence, rng: np.random.Generator) -> dict[str, An
 
 
 def _count_kept(target: np.ndarray, reference: np.ndarray, evidence: Evidence) -> int:
-    from levkas.transforms import Affine
+    from levkas.geometry.transforms import Affine
 
     count = len(target)
     try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.transforms import Affine
+from levkas.geometry.transforms import Affine
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.machine import count_threads
+from levkas.core.machine import count_threads
+from levkas.geometry.transforms import Homography, Polynomial, Transform
 from levkas.registration.key_points import Detector, inverted, mirrored
 from levkas.registration.pairing import Pairs, pair, pair_widely, unique
-from levkas.registration.voting import REACH, vote
-from levkas.transforms import Homography, Polynomial, Transform
+from levkas.registration.pose_clustering import REACH, vote
 
 if TYPE_CHECKING:
     from levkas.registration.key_points import KeyPictures, KeyPoints

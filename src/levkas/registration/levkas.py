@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.geometry.transforms import Transform
 from levkas.registration.record import Registration
-from levkas.transforms import Transform
 
 if TYPE_CHECKING:
-    from levkas.registration.given import Given
     from levkas.registration.images import BandImage
-    from levkas.registration.prediction import Scene
+    from levkas.registration.manual_points import Given
+    from levkas.registration.predictors import Scene
     from levkas.registration.uncertainty import Sigma
 
 MOST_PREDICTING = 12
@@ -35,9 +35,9 @@ class Reference:
     def __init__(
         self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None
     ) -> None:
+        from levkas.registration.foreground import describe_mask, find_object
         from levkas.registration.key_points import KeyPictures
         from levkas.registration.pictures import images_of
-        from levkas.registration.silhouette import describe_mask, find_object
 
         self.anchor = next(image for image in bands if image.label == band)
         self.siblings = [image for image in bands if image.sensor == self.anchor.sensor]
@@ -59,7 +59,7 @@ class Reference:
 
     def scene(self, transforms: Mapping[str, Transform]) -> Scene:
         """Return what predicts other bands; `transforms` of the reference camera's own bands."""
-        from levkas.registration.prediction import Scene, registered
+        from levkas.registration.predictors import Scene, registered
 
         if self._scene is None:
             bands = self.predicting()
@@ -131,8 +131,8 @@ def register_levkas(
     from levkas.registration.assessment import assess
     from levkas.registration.key_points import KeyPictures
     from levkas.registration.pictures import images_of
+    from levkas.registration.reference_bands import align_own
     from levkas.registration.sensors import align_sensor
-    from levkas.registration.siblings import align_own
 
     base = ready() if ready else Reference(reference, reference_band, region)
     own, anchor = target is reference, base.anchor

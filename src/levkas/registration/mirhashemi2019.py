@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
+from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
 from levkas.registration.alignment import align_sensors, camera_grey
 from levkas.registration.arguments import check_thresholds
 from levkas.registration.features import KeyPoints, find_key_points
-from levkas.registration.given import Given, Marked
 from levkas.registration.images import BandImage, area_average, stretch
+from levkas.registration.manual_points import Given, Marked
 from levkas.registration.matching import RATIO, match
 from levkas.registration.outliers import Cleaned, clean
 from levkas.registration.record import Matches, Registration, RegistrationRefused, Verdict
 from levkas.registration.verdict import Evidence, judge
-from levkas.transforms import Affine, Composed, Inverse, Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from levkas.map_kernels import spline_sums
-from levkas.registration.projective import fit_parameters, weigh
-from levkas.spline import SplineShift, spline_weights
-from levkas.transforms import (
+from levkas.geometry.pixel_maps_kernel import spline_sums
+from levkas.geometry.spline import SplineShift, spline_weights
+from levkas.geometry.transforms import (
     Affine,
     Composed,
     Homography,
@@ -20,6 +19,7 @@ from levkas.transforms import (
     design_matrix,
     frame_of,
 )
+from levkas.registration.projective import fit_parameters, weigh
 
 MOST_SPANS = 12
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem
+from levkas.core.problems import Problem
+from levkas.geometry.transforms import Polynomial, design_matrix, frame_of
 from levkas.registration.arguments import check_thresholds
 from levkas.registration.downdating import (
     fit_rows,
@@ -21,12 +22,11 @@ from levkas.registration.downdating import (
     solve_triangular,
 )
 from levkas.registration.record import RegistrationRefused, Trace
-from levkas.transforms import Polynomial, design_matrix, frame_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ def cut(
 
     Examples
     --------
-    >>> from levkas.transforms import Affine
+    >>> from levkas.geometry.transforms import Affine
     >>> target, reference = np.array([[1.0, 1.0], [2.0, 2.0]]), np.array([[2.5, 2.5], [94.5, 4.5]])
     >>> cut(target, reference, Affine.scaling(2.0), 10.0)
     (array([ 0., 90.]), array([ True, False]))

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from levkas.registration.prediction import rooted
-from levkas.registration.workers import each
+from levkas.core.threads import each
+from levkas.registration.predictors import rooted
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage

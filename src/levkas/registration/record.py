@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from levkas.registration.sightings import Sighting
+    from levkas.geometry.transforms import Transform
+    from levkas.registration.observations import Sighting
     from levkas.registration.uncertainty import Sigma
-    from levkas.transforms import Transform
 
 COLUMNS = (
     "reference_x",

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.mirhashemi2019 import REJECT_SHARE, scale_only
 from levkas.registration.outliers import Cleaned, clean, cut
-from levkas.transforms import Affine, Transform
 
 ORDERS = ((20, 3), (12, 2), (3, 1))
 """Least number of pairs, order of the polynomial that they carry."""

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from levkas.core.threads import in_threads
 from levkas.lanes import fma, look
-from levkas.registration.workers import in_threads
 
 if TYPE_CHECKING:
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 HELPERS = "2f84df1f9667906e"
 """Digest of what is inlined from other files: numba keeps machine code as long as this file is the same."""

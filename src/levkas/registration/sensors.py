@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem
-from levkas.registration.given import Given
-from levkas.registration.guided import guide
+from levkas.core.problems import Problem
+from levkas.geometry.transforms import Composed, Transform
+from levkas.registration.coarse_to_fine import refine
 from levkas.registration.initial import start
-from levkas.registration.pyramid import refine
+from levkas.registration.manual_points import Given
 from levkas.registration.record import RegistrationRefused
+from levkas.registration.seeded import guide
 from levkas.registration.task import Task
 from levkas.registration.uncertainty import Sigma, measure_sigma
-from levkas.transforms import Composed, Transform
 
 if TYPE_CHECKING:
     from levkas.registration.checks import Checks
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from levkas.registration.images import BandImage
     from levkas.registration.initial import Start
     from levkas.registration.key_points import KeyPictures
-    from levkas.registration.ladder import Rung
-    from levkas.registration.prediction import Scene
-    from levkas.registration.refinement import Windows
+    from levkas.registration.local_shifts import Windows
+    from levkas.registration.model_selection import Rung
+    from levkas.registration.predictors import Scene
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.registration.given import Given
+from levkas.core.threads import each
+from levkas.geometry.transforms import Composed, Transform
 from levkas.registration.initial import Start
-from levkas.registration.prediction import Scene, compared, sampled
-from levkas.registration.refinement import Windows
-from levkas.registration.workers import each
-from levkas.transforms import Composed, Transform
+from levkas.registration.local_shifts import Windows
+from levkas.registration.manual_points import Given
+from levkas.registration.predictors import Scene, compared, sampled
 
 if TYPE_CHECKING:
     from levkas.registration.images import BandImage

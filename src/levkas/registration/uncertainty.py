@@ -17,7 +17,7 @@ import numpy as np
 if TYPE_CHECKING:
     from levkas.registration.checks import Checks
     from levkas.registration.chromatic import Chromatic
-    from levkas.registration.ladder import Rung
+    from levkas.registration.model_selection import Rung
 
 LATTICE = (9, 7)
 DECIMALS = 5

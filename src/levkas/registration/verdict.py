@@ -26,7 +26,7 @@ from levkas.registration.record import Verdict
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from levkas.transforms import Transform
+    from levkas.geometry.transforms import Transform
 
 SEED = 20190817
 MATCHES_PER_TERM = 4

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from levkas.noise import Sensor
+from levkas.calibration.noise_model import Sensor
 from levkas.simulation.optics import Chromatic, View, turn
 from levkas.simulation.panel import Panel
 from levkas.simulation.pigments import WAVELENGTHS

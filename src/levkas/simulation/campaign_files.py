@@ -7,7 +7,7 @@ from io import BytesIO
 
 import numpy as np
 
-from levkas.files import Folder
+from levkas.core.files import Folder
 from levkas.simulation.cameras import CameraModel
 from levkas.simulation.capture import WHITE_REFLECTANCE, Camera, Frame
 from levkas.simulation.panel import Panel

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.files import publishing
-from levkas.ownership import require_outside, stands_in
+from levkas.core.files import publishing
+from levkas.core.ownership import require_outside, stands_in
 from levkas.simulation.cameras import CameraModel, camera_models
 from levkas.simulation.campaign_files import FrameWriter, write_campaign_toml, write_tables
 from levkas.simulation.capture import Camera, Sight, look
@@ -107,7 +107,7 @@ def simulate_campaign(
     SimulationRefused
         On an unknown preset or camera, a scale that is not in (0, 1], no object, or a folder that
         holds something.
-    levkas.disk.WriteRefused
+    levkas.core.disk.WriteRefused
         Where the folder cannot be written or the disk is full.
     """
     folder = Path(folder)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.simulation.ageing import age
 from levkas.simulation.painting import Canvas, Painting
 from levkas.simulation.pigments import WAVELENGTHS, paint_spectra

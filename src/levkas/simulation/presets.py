@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.simulation.cameras import CameraModel, camera_models
 
 REFERENCE = ("lctf-vis", "550 nm")

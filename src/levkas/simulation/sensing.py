@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 if TYPE_CHECKING:
-    from levkas.noise import Sensor
+    from levkas.calibration.noise_model import Sensor
 
 FEW = 24.0
 

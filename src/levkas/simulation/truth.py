@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from levkas.cube import find_band
-from levkas.files import write_bytes, write_json
+from levkas.core.cube import find_band
+from levkas.core.files import write_bytes, write_json
 from levkas.simulation.optics import (
     Chromatic,
     View,
@@ -57,7 +57,7 @@ class CameraGeometry:
     sensors: dict[str, np.ndarray] = field(default_factory=dict)
 
     def band(self, label: str) -> BandGeometry:
-        """Return the band that `label` names; raises `levkas.problems.Refused` where none is."""
+        """Return the band that `label` names; raises `levkas.core.problems.Refused` where none is."""
         return self.bands[find_band([b.label for b in self.bands], label)]
 
     def step(self, band: str | None) -> tuple[tuple[float, float, float, float], np.ndarray]:

@@ -16,9 +16,9 @@ import numpy as np
 from levkas.registration.replay import reject_of
 
 if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
     from levkas.registration.outliers import Cleaned
     from levkas.registration.record import Matches
-    from levkas.transforms import Transform
     from levkas.workbench.session import Session
 
 SAMPLED_ROUNDS = 120

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.transforms import Transform
+from levkas.geometry.transforms import Transform
 from levkas.workbench.pictures import Picture
 
 HALF_PX = 16

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.transforms import Inverse, Transform, from_dict
+from levkas.geometry.transforms import Inverse, Transform, from_dict
 from levkas.workbench import maps
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
 from levkas.workbench.operations import refused
@@ -19,7 +19,7 @@ from levkas.workbench.pictures import Picture, encode, tinted, warped_tile
 from levkas.workbench.session import look
 
 if TYPE_CHECKING:
-    from levkas.discovery import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.registration.record import Matches
     from levkas.workbench.sensor_view import SensorView
     from levkas.workbench.session import Session, View
@@ -332,7 +332,7 @@ class Frame:
 
     def export(self, dialect: str) -> tuple[list[tuple[str, bytes]], list[str]]:
         """Return the pairs as files of a dialect, with their names, and what it cannot hold."""
-        from levkas.control_points import DIALECTS, format_points, losses
+        from levkas.registration.control_points import DIALECTS, format_points, losses
 
         points = self._points(self.session.view.matches)
         data = format_points(points, dialect)
@@ -343,8 +343,8 @@ class Frame:
 
     def take(self, files: list[bytes], dialect: str | None) -> dict[str, Any]:
         """Add the pairs of a file: those that are there already stay as they are."""
-        from levkas.control_points import parse_points
-        from levkas.registration.given import near
+        from levkas.registration.control_points import parse_points
+        from levkas.registration.manual_points import near
 
         found = self.session.found
         points = parse_points(
@@ -362,7 +362,7 @@ class Frame:
         return {"imported": int(new.sum()), "known": int((~new).sum())}
 
     def _points(self, matches: Matches) -> Any:
-        from levkas.control_points import ControlPoints
+        from levkas.registration.control_points import ControlPoints
 
         found = self.session.found
         return ControlPoints(
@@ -387,7 +387,7 @@ class Frame:
 
 def _shifted(forward: Transform, pair: np.ndarray, at: np.ndarray | None = None) -> Transform:
     """The map near a place (`at`, else the pair's own), shifted so that it leads through a pair."""
-    from levkas.transforms import Affine
+    from levkas.geometry.transforms import Affine
 
     slope = forward.jacobian((pair[:2] if at is None else at)[None])[0]
     return Affine(np.column_stack([slope, pair[2:] - slope @ pair[:2]]))

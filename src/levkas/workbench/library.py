@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.places import Places
-from levkas.campaign import load_campaign
-from levkas.discovery import Capture, find_captures
-from levkas.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
-from levkas.problems import Problem, Refused
-from levkas.readers.texts import read_json
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.captures import Capture
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.campaign.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
+from levkas.core.problems import Problem, Refused
+from levkas.database.layout import Places
+from levkas.readers.text import read_json
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import Frame
 from levkas.workbench.pictures import Picture, read_picture
@@ -27,7 +28,7 @@ from levkas.workbench.session import Found, Session
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from levkas.campaign import Campaign
+    from levkas.campaign.campaign import Campaign
 
 MOST_PICTURES = 8
 FEW_BANDS = 4

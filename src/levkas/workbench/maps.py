@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused
 from levkas.workbench.pictures import Picture, place_on_lattice
 
 if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
     from levkas.registration.record import Matches
-    from levkas.transforms import Transform
 
 LONGEST_PX = 480
 NODES = 48
@@ -88,7 +88,7 @@ def draw_leave_one_out(matches: Matches, size: tuple[int, int]) -> Map:
 
 def draw_ssim(reference: Picture, target: Picture, forward: Transform) -> Map:
     """Draw the structural similarity of the reference and of the target brought into its frame."""
-    from levkas.evaluation import structural_similarity
+    from levkas.quality.evaluation.similarity import structural_similarity
 
     step = max(1.0, max(reference.size) / LONGEST_PX)
     across, down = _axes(reference.size, LONGEST_PX)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from levkas.edits import FrameEdits, Pair, round_pair
-from levkas.problems import Problem, Refused
+from levkas.campaign.edits import FrameEdits, Pair, round_pair
+from levkas.core.problems import Problem, Refused
 
 OWN = ("added", "moved")
 KINDS = ("deleted", "restored", "pinned", "added", "checks")

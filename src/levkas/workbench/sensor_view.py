@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from levkas.finding.captures import Capture, SensorFrames
+    from levkas.campaign.discovery.captures import Capture, SensorFrames
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.edits import EditsConflict, FrameEdits, Pair, merge
-from levkas.registration.given import Marked, measure_checks
+from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
+from levkas.geometry.transforms import Affine, Inverse, Transform
+from levkas.registration.manual_points import Given, Marked, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
 from levkas.registration.record import Matches, RegistrationRefused
 from levkas.registration.replay import reject_of, replay
-from levkas.transforms import Affine, Inverse, Transform
 from levkas.workbench.operations import OPERATIONS, refused, set_threshold
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ class Session:
 
 def look(found: Found, edits: FrameEdits) -> View:
     """Replay the removal of outliers on what was found and corrected."""
-    given = edits.given()
+    given = Given(**edits.pairs())
     marked = given.mark(found.matches.reference, found.matches.target)
     kept = np.concatenate([found.matches.kept, np.ones(len(marked.reason), bool)])
     kept = kept[: len(marked.reason)]
@@ -312,7 +312,7 @@ def _unfitted(marked: Marked) -> Matches:
 
 
 def _with_checks(matches: Matches, checks: np.ndarray, forward: Transform) -> Matches:
-    from levkas.registration.given import with_checks
+    from levkas.registration.manual_points import with_checks
 
     if not len(checks):
         return matches

@@ -1,0 +1,191 @@
+"""Pixels that moved between shots, or between exposures: a spread over time that noise does not explain.
+
+A pixel's sample variance over its expected one is summed over it and its eight neighbours of the same
+channel; in still places nine times (shots − 1) of it follows chi-squared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+from numba import types
+
+from levkas.calibration.layout import as_marks, as_rows
+from levkas.calibration.noise_fit import NoiseModel
+from levkas.calibration.numba_types import readonly
+from levkas.calibration.templates import Template
+
+BY_CHANCE = 1e-10  # of one pixel: a false one in a thousand frames of 10 megapixels
+NONLINEAR = 0.01  # of the signal, from exposure to exposure: `linearity` allows as much
+MISFIT = 1.5  # of the variance: what a fitted noise model may be off by
+
+_REAL, _BYTE = readonly(types.float32), readonly(types.uint8)
+
+
+def find_moved(
+    stack: Template,
+    noise: NoiseModel,
+    dark: np.ndarray | float = 0.0,
+    *,
+    period: tuple[int, int] = (1, 1),
+) -> np.ndarray:
+    """Find pixels that did not stand still.
+
+    Parameters
+    ----------
+    stack : Template, (h, w) or (h, w, b)
+        Of two shots or more.
+    noise : NoiseModel
+        Of one shot.
+    dark : ndarray that broadcasts to the stack, or float
+        Counts without light.
+    period : (rows, columns)
+        Of a mosaic: neighbours are those of the same phase.
+
+    Returns
+    -------
+    moved : ndarray of bool, shape of the stack
+        Nowhere for a single shot. The whole neighbourhood of a movement is marked.
+
+    Notes
+    -----
+    A lamp that flickers by f adds (f·signal)², which noise fitted to the same stack holds already;
+    saturated pixels are passed over, for they stand still whatever happens.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> frames = [np.float32(rng.normal(1000, 10, (40, 40))) for _ in range(3)]
+    >>> frames[1][20:25, 20:25] += 200
+    >>> from levkas.calibration.templates import average
+    >>> moved = find_moved(average(frames), NoiseModel(0.1, 0.1))
+    >>> bool(moved[20:25, 20:25].all()), int(moved.sum()) <= 49
+    (True, True)
+    """
+    shape = stack.mean.shape
+    if stack.variance is None or stack.count < 2:
+        return np.zeros(shape, bool)
+    level = np.atleast_2d(np.asarray(dark, np.float32))
+    if level.size > 1:
+        level = np.broadcast_to(level, (level.shape[0], *shape[1:]))
+    depth = shape[2] if len(shape) == 3 else 1
+    rows, columns = period[0], period[1] * depth
+    marked = _find(
+        *(as_rows(stack.mean), as_rows(stack.variance), as_marks(stack.saturated), as_rows(level)),
+        *(noise.gain, noise.read_variance, _limit(stack.count - 1), rows, columns),
+    )
+    return marked.reshape(shape) > 0
+
+
+def find_moved_between(
+    shots: Sequence[Template],
+    levels: Sequence[np.ndarray],
+    rate: np.ndarray,
+    noise: NoiseModel,
+    *,
+    reads: Sequence[float] | None = None,
+    left_out: Sequence[np.ndarray] | None = None,
+    nonlinear: float = NONLINEAR,
+    period: tuple[int, int] = (1, 1),
+) -> np.ndarray:
+    """Find pixels that did not stand still from one exposure of a scene to the next.
+
+    Parameters
+    ----------
+    shots : sequence of Template, (h, w) or (h, w, b)
+        Of different exposures, whose `exposure_s` are known.
+    levels : sequence of ndarray that broadcast to the shots
+        Counts without light of each.
+    rate : ndarray like a shot
+        What they were merged to, counts a second.
+    noise : NoiseModel
+        Of one shot.
+    reads : sequence of float, optional
+        Variance without light of each exposure, counts²; the noise model's by default.
+    left_out : sequence of ndarray of bool, optional
+        What takes no part in each shot, saturated and black values besides.
+    nonlinear : float
+        Relative deviation that the sensor's own response explains.
+    period : (rows, columns)
+        Of a mosaic: neighbours are those of the same phase.
+
+    Returns
+    -------
+    moved : ndarray of bool, shape of a shot
+        Nowhere where fewer than two exposures are usable.
+
+    Examples
+    --------
+    >>> from levkas.calibration.templates import average
+    >>> rng = np.random.default_rng(1)
+    >>> takes = [rng.normal(1000 * t, (100 * t + 4) ** 0.5, (40, 40)).astype("f4") for t in (1, 2)]
+    >>> takes[1][20:25, 20:25] *= 0.5
+    >>> shots = [average([f], exposure_s=t) for f, t in zip(takes, (1.0, 2.0))]
+    >>> level, rate = np.zeros((1, 1), "f4"), np.full((40, 40), 1000, "f4")
+    >>> moved = find_moved_between(shots, [level, level], rate, NoiseModel(0.1, 4.0))
+    >>> bool(moved[20:25, 20:25].all()), int(moved.sum()) <= 49
+    (True, True)
+    """
+    shape = shots[0].mean.shape
+    total, used = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+    bad = [s.saturated | s.black for s in shots]
+    bad = bad if left_out is None else [b | m for b, m in zip(bad, left_out, strict=True)]
+    reads = reads or [noise.read_variance] * len(shots)
+    for shot, level, read, lost in zip(shots, levels, reads, bad, strict=True):
+        expected = np.maximum(rate, 0) * np.float32(shot.exposure_s or 0.0)
+        spread = (read + noise.gain * expected) / shot.count + (nonlinear * expected) ** 2
+        total += np.where(lost, 0, (shot.mean - level - expected) ** 2 / spread)
+        used += ~lost
+    total[used < 2] = 0
+    freedom = len(shots) - 1  # one went into the rate; where fewer took part the limit is safe
+    depth = shape[2] if len(shape) == 3 else 1
+    still, none = np.zeros(shape, bool), np.zeros((1, 1), np.float32)
+    marked = _find(
+        *(as_rows(still, np.float32), as_rows(total), as_marks(still), none),
+        *(0.0, 1.0, freedom * _limit(freedom), period[0], period[1] * depth),
+    )
+    return marked.reshape(shape) > 0
+
+
+def _limit(freedom: int) -> float:
+    """Return the sum of nine variance ratios that is not exceeded by chance."""
+    from scipy.special import gammainccinv
+
+    return MISFIT * 2 * float(gammainccinv(9 * freedom / 2, BY_CHANCE)) / freedom
+
+
+@numba.njit(
+    [
+        types.uint8[:, ::1](
+            *(_REAL, _REAL, _BYTE, _REAL),
+            *(types.float32, types.float32, types.float32, types.int64, types.int64),
+        )
+    ],
+    parallel=True,
+    cache=True,
+    fastmath={"contract"},
+)
+def _find(  # type: ignore[no-untyped-def]
+    mean, variance, saturated, dark, gain, read, limit, rows, columns
+):
+    """Return where a pixel and its neighbours, those beyond the border left out, pass the limit."""
+    height, width = mean.shape
+    ratio = np.empty((height, width), np.float32)
+    for y in numba.prange(height):
+        dy, dx = y % dark.shape[0], dark.shape[1] > 1
+        for x in range(width):
+            light = max(mean[y, x] - dark[dy, x * dx], np.float32(0.0))
+            still = np.float32(1 - saturated[y, x])
+            ratio[y, x] = still * variance[y, x] / (read + gain * light)
+    marked = np.zeros((height, width), np.uint8)
+    for y in numba.prange(height):
+        column = np.zeros(width + 2 * columns, np.float32)
+        for v in range(max(y - rows, y % rows), min(y + rows + 1, height), rows):
+            for x in range(width):
+                column[x + columns] += ratio[v, x]
+        for x in range(width):
+            total = column[x] + column[x + columns] + column[x + 2 * columns]
+            marked[y, x] = total > limit
+    return marked

@@ -1,0 +1,100 @@
+"""What was found of a campaign: frames, sensors, captures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from levkas.core.cube import Band
+from levkas.core.problems import Refused
+
+Rows = tuple[tuple[str, ...], ...]
+
+
+class CaptureRefused(Refused):
+    """One capture cannot be built; the others are."""
+
+
+@dataclass(frozen=True)
+class FrameRef:
+    """Where one exposure of one sensor stands, and what its name says of it.
+
+    Parameters
+    ----------
+    path : Path
+        Of an ENVI cube the header.
+    target : str
+    sensor : str
+        Empty for a camera of one sensor.
+    band : str, optional
+        Label of the band that the frame shows; None where it shows all, or serves all.
+    wavelength : float, optional
+        nm, as the name says it.
+    exposure_s : float, optional
+        As the name says it; None where only the file may know.
+    shot, setup : str
+    page : int, optional
+        Of a multi-page TIFF, from 0. None: the whole file, for a `cube` all its pages.
+    """
+
+    path: Path
+    target: str
+    sensor: str = ""
+    band: str | None = None
+    wavelength: float | None = None
+    exposure_s: float | None = None
+    shot: str = ""
+    setup: str = ""
+    page: int | None = None
+
+
+@dataclass(frozen=True)
+class SensorFrames:
+    """Everything that one sensor saw for one object, templates included.
+
+    Parameters
+    ----------
+    name : str
+        Empty for a camera of one sensor.
+    pattern : rows of channel names, or None
+    bands : tuple of Band
+        That this sensor yields, in order.
+    align : "measure" or ((a, b, c), (d, e, f))
+        Native px of the camera's first sensor → this one.
+    object : tuple of FrameRef
+        Shots and exposures; of a `cube` the strips of the scan, in order.
+    dark, white : tuple of FrameRef
+        With a band where they belong to one, without where they serve all.
+    """
+
+    name: str
+    pattern: Rows | None
+    bands: tuple[Band, ...]
+    align: str | tuple[tuple[float, ...], ...]
+    object: tuple[FrameRef, ...]
+    dark: tuple[FrameRef, ...] = ()
+    white: tuple[FrameRef, ...] = ()
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One object by one camera under one setup; the setup is empty for the default one."""
+
+    object: str
+    camera: str
+    setup: str
+    sensors: tuple[SensorFrames, ...]
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """All bands, sensor by sensor."""
+        return tuple(band for sensor in self.sensors for band in sensor.bands)
+
+    @property
+    def layer(self) -> str:
+        """Camera and setup as frames are named: ``d80@45-degree``."""
+        return f"{self.camera}@{self.setup}" if self.setup else self.camera
+
+
+Refusals = dict[tuple[str, str, str], Refused]
+"""(object, camera, setup) → what is wrong with that capture alone."""

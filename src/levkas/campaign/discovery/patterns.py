@@ -1,0 +1,479 @@
+"""Names of files as patterns: ``raw/d80/{target}/{wavelength}nm_{exposure}ms_*.tif``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+from levkas.core.problems import Problem, Refused
+
+MOST_STEPS = 200_000
+"""Of one name; only placeholders that stand twice with many readings of the first come near it."""
+_DIGITS = re.compile(r"\d+")
+_OPEN = re.compile(r"(?<![^\W_])")
+_CLOSED = re.compile(r"(?![^\W_])")
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Text that stands as it is, upper and lower case alike in its suffix."""
+
+    source: re.Pattern[str]
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        """Yield where it ends that begins at `start`, what an expression tries first coming first."""
+        if found := self.source.match(text, start):
+            yield found.end()
+
+
+@dataclass(frozen=True)
+class Span:
+    """Any text within a name, of `least` letters or more; as much as it can be, or as little."""
+
+    least: int = 0
+    greedy: bool = True
+
+    def ends(self, text: str, start: int, tried: int | None = None) -> Iterator[int]:
+        """Yield as the others do; `tried` is a later start in the same name, whose ends have failed."""
+        last = end_of_name(text, start) if tried is None else tried + self.least - 1
+        places = range(start + self.least, last + 1)
+        yield from reversed(places) if self.greedy else places
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number with or without decimals, never a part of a longer one."""
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        before, point = text[start - 1 : start], text[max(start - 2, 0) : start]
+        if before.isdecimal() or (len(point) == 2 and point[0].isdecimal() and point[1] == "."):
+            return
+        whole = _DIGITS.match(text, start)
+        if whole is None:
+            return
+        point = text[whole.end() : whole.end() + 1]
+        decimals = _DIGITS.match(text, whole.end() + 1) if point == "." else None
+        if decimals:
+            yield decimals.end()
+        yield whole.end()
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of some values; beside a wildcard no part of a longer word."""
+
+    values: tuple[str, ...]
+    open_before: bool = False
+    open_after: bool = False
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        if self.open_before and not _OPEN.match(text, start):
+            return
+        for length in self.lengths:
+            end = start + length
+            if text[start:end] in self.known and (not self.open_after or _CLOSED.match(text, end)):
+                yield end
+
+    @cached_property
+    def known(self) -> frozenset[str]:
+        """The values, to be looked up: there may be thousands."""
+        return frozenset(self.values)
+
+    @cached_property
+    def lengths(self) -> tuple[int, ...]:
+        """How long they are, in their order."""
+        return tuple(dict.fromkeys(map(len, self.values)))
+
+
+@dataclass(frozen=True)
+class Depths:
+    """Any number of whole folders, none included; as many as there can be."""
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        found = [start]
+        while (slash := text.find("/", found[-1])) > found[-1]:
+            found.append(slash + 1)
+        yield from reversed(found)
+
+
+def end_of_name(text: str, start: int) -> int:
+    """Return where the name of a folder or file ends that a place lies in."""
+    slash = text.find("/", start)
+    return len(text) if slash < 0 else slash
+
+
+Kind = Fixed | Span | Number | OneOf | Depths
+Piece = tuple[Kind, str]
+"""What it matches, and the name of the placeholder; empty for none."""
+
+
+def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
+    """Return what a text says by placeholder; None where it does not fit.
+
+    A placeholder that stands twice stands for the same text.
+
+    Raises
+    ------
+    Refused
+        Where that alone leaves too many ways to read a name.
+    """
+    names = [name for _, name in pieces]
+    twice = {name for name in names if name and names.count(name) > 1}
+    failed: dict[tuple[object, ...], int] = {}
+    places: list[int] = []
+    known: list[dict[str, str]] = []
+    waiting: list[Iterator[int]] = []
+
+    def enter(index: int, start: int, said: dict[str, str]) -> None:
+        """Go on with a piece at a place, unless it failed there."""
+        tried = failed.get(_state(pieces, index, text, start, said))
+        if tried is not None and tried <= start:
+            return
+        kind, name = pieces[index]
+        places.append(start)
+        known.append(said)
+        if name in said:
+            same = text.startswith(said[name], start)
+            waiting.append(iter([start + len(said[name])] if same else []))
+        elif isinstance(kind, Span):
+            waiting.append(kind.ends(text, start, tried))
+        else:
+            waiting.append(kind.ends(text, start))
+
+    enter(0, 0, {})
+    for _ in range(MOST_STEPS):
+        if not waiting:
+            return None
+        index, start, said = len(waiting) - 1, places[-1], known[-1]
+        end = next(waiting[-1], None)
+        if end is None:
+            failed[_state(pieces, index, text, start, said)] = start
+            for stack in (waiting, places, known):
+                stack.pop()  # type: ignore[attr-defined]
+        elif index + 1 < len(pieces):
+            name = names[index]
+            if name in twice and name not in said:
+                said = {**said, name: text[start:end]}
+            enter(index + 1, end, said)
+        elif end == len(text):
+            return _told(names, [*places, end], text)
+    raise Refused(
+        Problem(
+            "E_VALUE",
+            "a name can be read in too many ways",
+            field="files",
+            found=text[:80],
+            expected="a pattern whose placeholders stand apart",
+            fix="Put letters between the placeholders of `files`.",
+        )
+    )
+
+
+def _state(
+    pieces: Sequence[Piece], index: int, text: str, start: int, said: dict[str, str]
+) -> tuple[object, ...]:
+    """Return what a failure depends on: of a span the name that it lies in, for a later start ends where it may."""
+    free = isinstance(pieces[index][0], Span) and pieces[index][1] not in said
+    return index, end_of_name(text, start) if free else start, free, *said.items()
+
+
+def _told(names: Sequence[str], places: Sequence[int], text: str) -> dict[str, str]:
+    told: dict[str, str] = {}
+    for name, start, end in zip(names, places[:-1], places[1:], strict=True):
+        if name:
+            told.setdefault(name, text[start:end])
+    return told
+
+
+FIELDS = ("target", "setup", "band", "wavelength", "exposure", "shot", "sensor")
+SECONDS = {
+    "min": 60.0,
+    "s": 1.0,
+    "sec": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "μs": 1e-6,
+    "ns": 1e-9,
+}
+"""Units that may follow ``{exposure}``; seconds where none of them does."""
+
+_PIECE = re.compile(r"(\{[^{}]*\}|\*\*|\*)")
+_NUMBER = r"(?<!\d)(?<!\d\.)\d+(?:\.\d+)?(?!\d)"  # never the tail of a longer number
+_BODY = {
+    "target": r"[^/]+",  # as much as it can: the rest of a pattern says what is not its
+    "setup": r"[^/]+?",
+    "band": r"[^/]+?",
+    "sensor": r"[^/]+?",
+    "shot": r"[^/]*?",
+    "wavelength": _NUMBER,
+    "exposure": _NUMBER,
+}
+_KIND: dict[str, Kind] = {
+    "target": Span(1),
+    "setup": Span(1, greedy=False),
+    "band": Span(1, greedy=False),
+    "sensor": Span(1, greedy=False),
+    "shot": Span(0, greedy=False),
+    "wavelength": Number(),
+    "exposure": Number(),
+}
+LONGEST = 4096
+"""Letters of a path, as file systems have it."""
+TAME, SHORT = 3, 80
+"""Stars and placeholders up to which a regular expression, 50 times as fast, has few ways to share out a name of
+so many letters; of a longer one two of them."""
+MOST_ALTERNATIVES = 64
+"""Known values up to which a regular expression tries one after the other; of more, lengths are tried."""
+
+
+class Known(tuple[tuple[str, tuple[str, ...]], ...]):
+    """Values by placeholder, hashed once: a name of thousands is a key to what was made of it."""
+
+    @cached_property
+    def _hash(self) -> int:
+        return tuple.__hash__(self)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def is_long(self) -> bool:
+        """Whether a placeholder has more values than a regular expression tries quickly."""
+        return any(len(values) > MOST_ALTERNATIVES for _, values in self)
+
+
+NOTHING_KNOWN = Known()
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One pattern, taken apart.
+
+    Parameters
+    ----------
+    text : str
+        As it was declared.
+    segments : tuple of str
+        Its parts between slashes.
+    fields : frozenset of str
+        Names of its placeholders.
+    """
+
+    text: str
+    segments: tuple[str, ...]
+    fields: frozenset[str]
+
+    @classmethod
+    def parse(cls, text: str) -> Pattern:
+        """Check a pattern and take it apart.
+
+        Raises
+        ------
+        ValueError
+            For an unknown placeholder, a brace without its pair, or ``**`` inside a name.
+
+        Examples
+        --------
+        >>> sorted(Pattern.parse("raw/{target}/{wavelength}nm*.tif").fields)
+        ['target', 'wavelength']
+        """
+        if len(text) > LONGEST:
+            raise ValueError(f"the pattern is longer than the {LONGEST} letters of any path")
+        path = text.replace("\\", "/")
+        segments = tuple(s for s in path.split("/") if s not in ("", "."))
+        segments = tuple(
+            s for i, s in enumerate(segments) if s != "**" or segments[i - 1 : i] != (s,)
+        )
+        if not segments or path.endswith("/"):
+            raise ValueError("the pattern ends in a folder, not in a file")
+        fields = set()
+        for segment in segments:
+            for piece in _PIECE.split(segment):
+                if piece.startswith("{") and piece[1:-1] in FIELDS:
+                    fields.add(piece[1:-1])
+                elif piece.startswith("{") and piece.endswith("}"):
+                    known = ", ".join(f"{{{name}}}" for name in FIELDS)
+                    raise ValueError(f"unknown placeholder {piece}; known are {known}")
+                elif "{" in piece or "}" in piece:
+                    raise ValueError("a brace has no pair")
+            if "**" in segment and segment != "**":
+                raise ValueError("** stands for whole folders: raw/**/{target}.tif")
+        if segments[-1] == "**":
+            raise ValueError("the pattern ends in **, which stands for folders")
+        return cls(
+            ("/" if path.startswith("/") else "") + "/".join(segments), segments, frozenset(fields)
+        )
+
+    @property
+    def absolute(self) -> bool:
+        """Whether it starts at the root of the file system."""
+        return self.text.startswith("/")
+
+    def given(self, field: str, value: str) -> Pattern:
+        """Return the pattern with one placeholder filled in."""
+        return Pattern.parse(self.text.replace(f"{{{field}}}", value))
+
+    def fits_segment(self, index: int, name: str) -> bool:
+        """Whether a file's or folder's name could stand at one place between slashes."""
+        last = index == len(self.segments) - 1
+        return _match(self.segments[index], NOTHING_KNOWN, last, name, named=False) is not None
+
+    def read(
+        self, path: str, known: Mapping[str, Collection[str]] | tuple[Known, ...] | None = None
+    ) -> dict[str, Any] | None:
+        """Return what a path says, by field; None where it does not fit.
+
+        Parameters
+        ----------
+        path : str
+            Relative as the pattern is, with ``/``.
+        known : dict of field to values, optional
+            Preferred where a name could be read in several ways; else {target} is the longest. For many
+            names, as `ways_to_read` gives it.
+
+        Examples
+        --------
+        >>> Pattern.parse("{target}_{exposure}ms.tif").read("icon_1_250ms.TIF")
+        {'target': 'icon_1', 'exposure_s': 0.25}
+        """
+        text = "/".join(self.segments)
+        for knowledge in known if isinstance(known, tuple) else ways_to_read(known or {}):
+            found = _match(text, knowledge, True, path, named=True)
+            if found is not None:
+                return self._values(found)
+        return None
+
+    def _values(self, texts: dict[str, str]) -> dict[str, Any]:
+        values: dict[str, Any] = dict(texts)
+        if "wavelength" in values:
+            values["wavelength"] = float(values["wavelength"])
+        if "exposure" in values:
+            seconds = float(values.pop("exposure")) * SECONDS[exposure_unit(self.text)]
+            values["exposure_s"] = float(f"{seconds:.12g}")
+        return values
+
+
+def exposure_unit(pattern: str) -> str:
+    """Return the unit behind ``{exposure}``: ``"s"`` where the letters there are none.
+
+    >>> exposure_unit("{target}_{exposure}ms_*.tif"), exposure_unit("{exposure}_ms.tif")
+    ('ms', 's')
+    """
+    found = re.search(r"\{exposure\}([^\W\d_]*)", pattern)
+    unit = found.group(1).lower() if found else ""
+    return unit if unit in SECONDS else "s"
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """Sort key that puts 9 before 10.
+
+    >>> sorted(["b10", "b9", "a"], key=natural)
+    ['a', 'b9', 'b10']
+    """
+    parts = re.split(r"([0-9]+)", text)
+    return [(0, int(p), p) if i % 2 else (1, 0, p) for i, p in enumerate(parts) if p]
+
+
+def ways_to_read(known: Mapping[str, Collection[str]]) -> tuple[Known, ...]:
+    """Return what names are read with: everything known, then all but the target, then nothing."""
+    told = Known((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
+    but_target = Known(item for item in told if item[0] != "target")
+    return tuple(dict.fromkeys((told, but_target, NOTHING_KNOWN)))
+
+
+def _match(text: str, known: Known, ends: bool, name: str, *, named: bool) -> dict[str, str] | None:
+    """Return what a name says by placeholder; None where it does not fit."""
+    if known.is_long or _free(text) > (2 if len(name) > SHORT else TAME):
+        return match_pieces(_pieces(text, known, named, ends), name)
+    found = _compiled(text, known, named, ends).fullmatch(name)
+    return found.groupdict() if found else None
+
+
+@lru_cache(maxsize=4096)
+def _free(text: str) -> int:
+    """Count what shares a name with something else and may end in more than one place; no numbers."""
+    shared = [s for s in text.split("/") if not re.fullmatch(r"\{[^{}]*\}", s)]
+    numbers = r"\{(?:wavelength|exposure)\}"
+    return sum(len(re.findall(r"\*\*|\*|\{", re.sub(numbers, "", s))) for s in shared)
+
+
+def _split(text: str) -> list[str]:
+    """Return stars, placeholders and what stands between; ``\0`` for any number of folders."""
+    pieces = [p for p in _PIECE.split(text) if p]
+    if "**" not in pieces:
+        return pieces
+    return [p for p in re.split(r"(\{[^{}]*\}|\0|\*)", text.replace("**/", "\0")) if p]
+
+
+@lru_cache(maxsize=4096)
+def _pieces(text: str, known: Known, named: bool, ends: bool) -> tuple[Piece, ...]:
+    """Return a pattern, or one segment of it, for `match_pieces`."""
+    values, pieces = dict(known), _split(text)
+    out: list[Piece] = []
+    for i, piece in enumerate(pieces):
+        if piece == "\0":
+            out.append((Depths(), ""))
+        elif piece == "*":
+            out.append((Span(), ""))
+        elif not piece.startswith("{"):
+            out.append((Fixed(re.compile(_literal(piece, ends and i == len(pieces) - 1))), ""))
+        else:
+            name = piece[1:-1]
+            kind = _KIND[name]
+            if name in values:
+                before, after = (_beside(pieces[j : j + 1]) for j in (i - 1, i + 1))
+                kind = OneOf(_longest_first(values[name]), before, after)
+            out.append((kind, name if named else ""))
+    return tuple(out)
+
+
+@lru_cache(maxsize=4096)
+def _compiled(text: str, known: Known, named: bool, ends: bool) -> re.Pattern[str]:
+    """Compile a pattern, or one segment of it; upper and lower case differ but in the suffix."""
+    values, pieces = dict(known), _split(text)
+    out: list[str] = []
+    used: set[str] = set()
+    for i, piece in enumerate(pieces):
+        if piece == "\0":
+            out.append(r"(?:[^/]+/)*")
+        elif piece == "*":
+            out.append(r"[^/]*")
+        elif not piece.startswith("{"):
+            out.append(_literal(piece, ends and i == len(pieces) - 1))
+        else:
+            name = piece[1:-1]
+            body = _BODY[name]
+            if name in values:
+                body = _alternatives(values[name], pieces[i - 1 : i], pieces[i + 1 : i + 2])
+            if not named:
+                out.append(f"(?:{body})")
+            else:
+                out.append(f"(?P={name})" if name in used else f"(?P<{name}>{body})")
+                used.add(name)
+    return re.compile("".join(out))
+
+
+def _literal(text: str, last: bool) -> str:
+    stem, dot, suffix = text.rpartition(".") if last else (text, "", "")
+    return re.escape(stem) + (f"(?i:{re.escape(dot + suffix)})" if dot else "")
+
+
+def _alternatives(values: tuple[str, ...], before: list[str], after: list[str]) -> str:
+    """Known values, longest first; beside a wildcard ``icon1`` is no part of ``icon10``."""
+    body = "|".join(re.escape(v) for v in _longest_first(values))
+    start = r"(?<![^\W_])" if _beside(before) else ""
+    stop = r"(?![^\W_])" if _beside(after) else ""
+    return f"{start}(?:{body}){stop}"
+
+
+def _longest_first(values: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(sorted(values, key=lambda v: (-len(v), v)))
+
+
+def _beside(pieces: list[str]) -> bool:
+    """Whether the piece beside a placeholder is free itself."""
+    return bool(pieces) and pieces[0][0] in "{*"

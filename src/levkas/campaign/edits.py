@@ -1,0 +1,468 @@
+"""edits.toml: corrections made by hand on screen, kept beside campaign.toml and replayed by a build.
+
+Several workbenches and a person with an editor may change the file at one time: a change is written on
+top of what the file holds by then, and what it holds besides, comments included, stays as it is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+
+FILE_NAME = "edits.toml"
+MOST_TURNS = 50
+"""How often a change is made anew because the file was changed meanwhile."""
+EXPLAINED = "docs/workbench.md explains every key; the workbench writes the file for you."
+HEAD = """\
+# Corrections by hand; `levkas inspect` writes this file, `levkas build` replays it.
+# A pair is [reference x, reference y, target x, target y], native pixels, centres at whole numbers.
+version = 1
+"""
+
+Pair = tuple[float, ...]
+
+
+class EditsInvalid(Refused):
+    """edits.toml cannot be used; every reason is listed."""
+
+
+class EditsConflict(Refused):
+    """A change contradicts what edits.toml holds by now, which is `present`."""
+
+    def __init__(self, *problems: Problem, present: FrameEdits) -> None:
+        super().__init__(*problems)
+        self.present = present
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), present=self.present), self.problems
+
+
+@dataclass(frozen=True)
+class FrameEdits:
+    """What was corrected of one frame: a camera, its lighting, and a band that names its sensor.
+
+    Parameters
+    ----------
+    deleted, restored, pinned, added, checks : tuple of (4,) pairs
+        Reference x, y and target x, y; px rounded to 0.01.
+    moved : tuple of (8,)
+        A pair as it was found, and the pair that takes its place.
+    reject, stop : float or None, reference px
+        Instead of the campaign's.
+    note : str
+        A person's own words; no build depends on them.
+
+    Examples
+    --------
+    >>> edits = FrameEdits(moved=((1, 2, 3, 4, 1, 2, 3, 5),))
+    >>> edits.pairs()["added"].tolist(), edits.pairs()["deleted"].tolist()
+    ([[1.0, 2.0, 3.0, 5.0]], [[1.0, 2.0, 3.0, 4.0]])
+    """
+
+    deleted: tuple[Pair, ...] = ()
+    restored: tuple[Pair, ...] = ()
+    pinned: tuple[Pair, ...] = ()
+    added: tuple[Pair, ...] = ()
+    moved: tuple[Pair, ...] = ()
+    checks: tuple[Pair, ...] = ()
+    reject: float | None = None
+    stop: float | None = None
+    note: str = ""
+
+    def __bool__(self) -> bool:
+        return self != FrameEdits()
+
+    def pairs(self) -> dict[str, Any]:
+        """Return the pairs by their kind, each (n, 4): a move deletes a pair and adds another."""
+        rows = {
+            "added": (*self.added, *(move[4:] for move in self.moved)),
+            "pinned": self.pinned,
+            "restored": self.restored,
+            "deleted": (*self.deleted, *(move[:4] for move in self.moved)),
+            "checks": self.checks,
+        }
+        return {kind: np.array(found, float).reshape(-1, 4) for kind, found in rows.items()}
+
+    def told(self) -> str:
+        """Say in a few words what a build depends on, with a hash of all of it; empty for nothing.
+
+        >>> FrameEdits(added=((1, 2, 3, 4),), note="by eye").told()
+        '1 added (e67e0ce8)'
+        """
+        record = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "note"}
+        parts = [f"{len(v)} {name}" for name, v in record.items() if isinstance(v, tuple) and v]
+        parts += [f"{name} {record[name]:g}" for name in ("reject", "stop") if record[name]]
+        if not parts:
+            return ""
+        text = json.dumps(
+            {k: sorted(v) if isinstance(v, tuple) else v for k, v in record.items()}, sort_keys=True
+        )
+        return f"{', '.join(parts)} ({hashlib.sha256(text.encode()).hexdigest()[:8]})"
+
+
+def merge(base: FrameEdits, ours: FrameEdits, theirs: FrameEdits) -> FrameEdits:
+    """Return what came of `base` by the changes of both; where both changed one number or the note, theirs.
+
+    Pairs are merged one by one: what either added is there, what either took away is not.
+
+    >>> base = FrameEdits(deleted=((1, 2, 3, 4), (5, 6, 7, 8)))
+    >>> merge(base, FrameEdits(deleted=base.deleted[:1]), replace(base, pinned=((9, 9, 9, 9),)))
+    FrameEdits(deleted=((1, 2, 3, 4),), restored=(), pinned=((9, 9, 9, 9),), added=(), moved=(), checks=(), reject=None, stop=None, note='')
+    """
+    merged: dict[str, Any] = {}
+    for name in (f.name for f in fields(FrameEdits)):
+        first, one, other = (getattr(edits, name) for edits in (base, ours, theirs))
+        if isinstance(first, tuple):
+            gone, new = set(first) - set(one), set(one) - set(first)
+            merged[name] = tuple(sorted((set(other) - gone) | new))
+        else:
+            merged[name] = other if other != first else one
+    return FrameEdits(**merged)
+
+
+@dataclass(frozen=True)
+class Edits:
+    """All corrections of a campaign: (object, frame) → what was corrected.
+
+    Parameters
+    ----------
+    frames : mapping
+        Frames as the contract names them: ``"d80"``, ``"d80@45-degree"``, ``"msbs:IR"``.
+    """
+
+    frames: Mapping[tuple[str, str], FrameEdits] = field(default_factory=dict)
+
+    def of(self, name: str, layer: str) -> dict[str, FrameEdits]:
+        """Return the corrections of a layer: band ("" for its first sensor) → what was corrected."""
+        found = {}
+        for (object_, frame), edits in sorted(self.frames.items()):
+            here, _, band = frame.partition(":")
+            if object_ == name and here == layer and edits:
+                found[band] = edits
+        return found
+
+    def with_frame(self, name: str, frame: str, edits: FrameEdits) -> Edits:
+        """Return these corrections with those of one frame replaced; without it where there are none."""
+        frames = {key: value for key, value in self.frames.items() if key != (name, frame)}
+        return Edits(frames | ({(name, frame): edits} if edits else {}))
+
+
+def read_edits(path: Path) -> Edits:
+    """Read edits.toml; no corrections where there is no such file.
+
+    Raises
+    ------
+    EditsInvalid
+        With everything that is wrong with it.
+    """
+    if not path.is_file():
+        return Edits()
+    from levkas.campaign.schema.toml import TomlRefused, read_toml
+
+    try:
+        return _validated(read_toml(path), path)
+    except TomlRefused as refused:
+        raise EditsInvalid(*refused.problems) from None
+
+
+def _validated(record: dict[str, Any], path: Path) -> Edits:
+    from pydantic import ValidationError
+
+    from levkas.campaign.schema.error_messages import MOST_PROBLEMS, explain
+    from levkas.campaign.schema.tables import EditsDocument
+
+    try:
+        document = EditsDocument.model_validate(record)
+    except ValidationError as invalid:
+        errors = invalid.errors(include_url=False, include_context=False)
+        told = explain(record, errors, EditsDocument)
+        raise EditsInvalid(*(with_explanation(p, path) for p in told)) from None
+    frames = {
+        (name, frame): FrameEdits(**{k: _rounded(v) for k, v in dict(keys).items()})
+        for name, table in document.objects.items()
+        for frame, keys in table.cameras.items()
+    }
+    edits = Edits({key: value for key, value in frames.items() if value})
+    if problems := list(islice(_contradictions(edits), MOST_PROBLEMS)):
+        raise EditsInvalid(*(with_explanation(p, path) for p in problems))
+    return edits
+
+
+def write_edits(path: Path, edits: Edits) -> None:
+    """Write edits.toml: the same corrections give the same bytes, in whatever order they were made."""
+    from levkas.core.files import write_text
+
+    write_text(path, to_text(edits))
+
+
+def change_edits(
+    path: Path,
+    name: str,
+    frame_of: Callable[[Edits], str],
+    before: FrameEdits,
+    after: FrameEdits,
+) -> FrameEdits:
+    """Write what a change made of one frame's corrections, on top of what edits.toml holds by now.
+
+    Parameters
+    ----------
+    path : Path
+        edits.toml, or where it shall stand.
+    name : str
+        Of the object.
+    frame_of : callable
+        Gives the frame's name in a file of these corrections.
+    before, after : FrameEdits
+        The corrections as they were known, and with the change.
+
+    Returns
+    -------
+    written : FrameEdits
+        What the file holds of the frame now; it is on the disk.
+
+    Raises
+    ------
+    EditsConflict
+        Where the change contradicts what others wrote meanwhile; the file is as it was.
+    EditsInvalid
+        Where the file cannot be read.
+    WriteRefused, Taken
+        Where it cannot be written, or another process holds it.
+    """
+    from levkas.core.files import together, write_text
+    from levkas.core.locks import locked
+
+    with locked(path.with_name(f".{path.name}.lock")):
+        for _ in range(MOST_TURNS):
+            data = _bytes_of(path)
+            edits = read_edits(path)
+            frame = frame_of(edits)
+            present = edits.frames.get((name, frame), FrameEdits())
+            merged = merge(before, after, present)
+            if problems := _clashes(
+                before, after, present, merged, f"objects.{name}.cameras.{frame}"
+            ):
+                raise EditsConflict(*(with_explanation(p, path) for p in problems), present=present)
+            if merged == present:
+                return present
+            text = _revised(data, edits, edits.with_frame(name, frame, merged), (name, frame), path)
+
+            def unchanged(data: bytes = data) -> None:
+                if _bytes_of(path) != data:
+                    raise _Changed
+
+            try:
+                with together(before=unchanged):
+                    write_text(path, text)
+            except _Changed:  # by an editor, which takes no lock
+                continue
+            return merged
+    problem = Problem("E_BUSY", "edits.toml is changed again and again", str(path))
+    raise EditsInvalid(with_explanation(problem, path))
+
+
+class _Changed(Exception):
+    """The file is no longer what it was when it was read."""
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _clashes(
+    before: FrameEdits, after: FrameEdits, present: FrameEdits, merged: FrameEdits, where: str
+) -> list[Problem]:
+    """What a change and the present state say of one thing, differently."""
+    found = [
+        Problem(
+            "E_CONFLICT",
+            f"`{name}` was changed meanwhile",
+            field=f"{where}.{name}",
+            found=getattr(present, name),
+            expected=getattr(before, name),
+            fix="Look at what it is now, then change it again.",
+        )
+        for name in ("reject", "stop", "note")
+        if getattr(before, name) not in (getattr(after, name), getattr(present, name))
+        and getattr(after, name) != getattr(present, name)
+    ]
+    if merged != present:
+        for problem in _contradictions(Edits({("", ""): merged})):
+            key = (problem.field or "").rpartition(".")[2]
+            message = f"{problem.message}: it was changed meanwhile"
+            fix = "Look at what it is now, then change it again."
+            found.append(
+                replace(
+                    problem, code="E_CONFLICT", message=message, field=f"{where}.{key}", fix=fix
+                )
+            )
+    return found
+
+
+def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], path: Path) -> str:
+    """The file's text with one frame changed: written anew where it is as we write it, else in place."""
+    text = data.decode("utf-8-sig")
+    if not text.strip() or text == to_text(edits):
+        return to_text(wanted)
+    import tomlkit
+
+    one = wanted.frames.get(place, FrameEdits())
+    document = tomlkit.parse(text)
+    table: Any = document
+    for part in ("objects", place[0], "cameras", place[1]):
+        table = table.get(part) if table is not None else None
+    if table is None:
+        made = f"{text.rstrip()}\n\n" + to_text(Edits({place: one})).removeprefix(f"{HEAD}\n")
+    else:
+        for key in (f.name for f in fields(FrameEdits)):
+            _revise(table, key, getattr(one, key))
+        made = tomlkit.dumps(document)
+    with contextlib.suppress(ValueError):
+        if _validated(tomllib.loads(made), path) == wanted:
+            return made
+    problem = Problem(
+        "E_VALUE",
+        "edits.toml is laid out in a way that cannot be changed in place",
+        field=f"objects.{place[0]}.cameras.{place[1]}",
+        expected="a table of its own for every camera",
+    )
+    raise EditsInvalid(with_explanation(problem, path))
+
+
+def _revise(table: Any, key: str, value: Any) -> None:
+    """Change one key of a table of tomlkit; rows that stay keep their place and their comments."""
+    import tomlkit
+
+    if value in (None, "", ()):
+        table.pop(key, None)
+        return
+    if not isinstance(value, tuple):
+        if table.get(key) != value:
+            _put(table, key, value)
+        return
+    if key not in table:
+        rows = "".join(f"  {_row(row)},\n" for row in value)
+        _put(table, key, tomlkit.parse(f"{key} = [\n{rows}]\n")[key])
+        return
+    array, missing = table[key], set(value)
+    for at in reversed(range(len(array))):
+        row = round_pair(array[at])
+        if row in missing:
+            missing.discard(row)
+        else:
+            del array[at]
+    for row in sorted(missing):
+        new: Any = tomlkit.parse(f"{key} = {_row(row)}")[key]
+        if "\n" in array.as_string():
+            array.add_line(new, indent="  ")
+        else:
+            array.append(new)
+
+
+def _put(table: Any, key: str, value: Any) -> None:
+    """Set a key; a new one stands before the comments that lead to the next table."""
+    body = table.value.body if hasattr(table.value, "body") else []
+    trailing = []
+    while key not in table and body and body[-1][0] is None:
+        trailing.append(body.pop()[1])
+    table[key] = value
+    for item in reversed(trailing):
+        table.add(item)
+
+
+def to_text(edits: Edits) -> str:
+    """Return the text of edits.toml."""
+    lines = [HEAD]
+    for (name, frame), one in sorted(edits.frames.items()):
+        if not one:
+            continue
+        lines.append(f"[objects.{_text(name)}.cameras.{_text(frame)}]")
+        for key in (f.name for f in fields(FrameEdits)):
+            value = getattr(one, key)
+            if isinstance(value, tuple) and value:
+                lines.append(f"{key} = [")
+                lines += [f"  {_row(row)}," for row in sorted(value)]
+                lines.append("]")
+            elif isinstance(value, float):
+                lines.append(f"{key} = {value!r}")
+            elif value:
+                lines.append(f"{key} = {_text(value)}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def round_pair(pair: Iterable[float]) -> Pair:
+    """Round a pair as edits.toml keeps it.
+
+    >>> round_pair((1.004, -0.001, 2.126, 3))
+    (1.0, 0.0, 2.13, 3.0)
+    """
+    return tuple(round(float(v), 2) + 0.0 for v in pair)
+
+
+def _row(row: Pair) -> str:
+    return f"[{', '.join(f'{v:.2f}' for v in row)}]"
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(sorted({round_pair(row) for row in value}))
+    return float(value) if isinstance(value, int) else value
+
+
+def _contradictions(edits: Edits) -> Iterator[Problem]:
+    """Yield pairs of which two things are said at once."""
+    for (name, frame), one in sorted(edits.frames.items()):
+        said: dict[Pair, str] = {}
+        where = f"objects.{name}.cameras.{frame}"
+        for key in ("deleted", "restored", "pinned", "added", "checks", "moved"):
+            for row in getattr(one, key):
+                before = said.setdefault(row[:4], key)
+                if before != key:
+                    yield Problem(
+                        "E_VALUE",
+                        f"a pair is both {before} and {key}",
+                        field=f"{where}.{key}",
+                        found=", ".join(f"{v:.2f}" for v in row[:4]),
+                        fix="Keep one of them.",
+                    )
+        if len({row[:4] for row in one.moved}) < len(one.moved):
+            yield Problem(
+                "E_VALUE",
+                "a pair is moved to two places",
+                field=f"{where}.moved",
+                fix="Keep one of them.",
+            )
+        if one.reject is not None and one.stop is not None and one.reject <= one.stop:
+            yield Problem(
+                "E_VALUE",
+                "`reject` must be above `stop`",
+                field=f"{where}.reject",
+                found=one.reject,
+                expected=f"more than {one.stop:g}",
+            )
+
+
+def with_explanation(problem: Problem, path: Path) -> Problem:
+    """Return a problem with the file, and where the keys are explained unless it says its fix."""
+    return replace(problem, file=str(path), fix=problem.fix or EXPLAINED)
+
+
+def _text(value: str) -> str:
+    """A TOML basic string; JSON's are the same but for one character."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,81 @@
+"""A folder of captures guessed into a campaign.toml, every guess with its reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from levkas.campaign.guess.proposal import LookRefused
+from levkas.core.problems import Problem
+
+if TYPE_CHECKING:
+    from levkas.campaign.guess.proposal import Proposal
+
+__all__ = ["LookRefused", "look", "write_campaign"]
+
+FILE = "campaign.toml"
+
+
+def look(folder: str | Path) -> Proposal:
+    """Guess a campaign from the names, headers and numbers of the files below a folder.
+
+    Nothing is written. What cannot be told from the files is listed as unknown.
+
+    Parameters
+    ----------
+    folder : path
+
+    Returns
+    -------
+    proposal : Proposal
+        `text` is a whole campaign.toml with comments, `to_dict()` what it says.
+
+    Raises
+    ------
+    LookRefused
+        Where there is no image that can be read.
+    """
+    from levkas.campaign.guess.campaigns import propose
+    from levkas.campaign.guess.listing import list_captures
+
+    listing = list_captures(folder)
+    if not listing.seen:
+        others = ", ".join(f"{n} {suffix}" for suffix, n in listing.others.most_common(5))
+        unreadable = [f"{name}: {why}" for name, why in list(listing.unreadable.items())[:3]]
+        raise LookRefused(
+            Problem(
+                "E_NO_FRAMES",
+                "there is no capture here that can be read",
+                file=str(folder),
+                found="; ".join([*([others] if others else []), *unreadable]) or "no files",
+                expected="TIFF, PNG, JPEG, camera raw, or ENVI with its header",
+                fix="Give the folder that holds the raw frames.",
+            )
+        )
+    return propose(listing)
+
+
+def write_campaign(proposal: Proposal) -> Path:
+    """Write the proposal as campaign.toml into the folder that was looked at.
+
+    Raises
+    ------
+    LookRefused
+        ``E_EXISTS`` where there is one.
+    WriteRefused
+        Where the disk refuses.
+    """
+    from levkas.core.files import write_text
+
+    path = proposal.root / FILE
+    if path.exists() or path.is_symlink():
+        raise LookRefused(
+            Problem(
+                "E_EXISTS",
+                "there is a campaign.toml already",
+                file=str(path),
+                fix="Move it away, or take over by hand what is wanted of the proposal.",
+            )
+        )
+    write_text(path, proposal.text)
+    return path

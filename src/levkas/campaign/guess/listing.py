@@ -1,0 +1,133 @@
+"""What stands in a folder of captures: every image with its header's facts, and what is no image."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from levkas.campaign.discovery.file_index import DEEPEST, Folders, walk
+from levkas.core.problems import Refused
+from levkas.readers.facts import Facts
+
+IMAGES = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", ".hdr"])
+MOST_READ = 3000
+"""Headers that are read; of more files, and of camera raws, a few of each folder stand for all."""
+FEW = 3
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One capture: its file, the folders it stands in below the root, its stem, and its facts.
+
+    Facts that are `borrowed` are those of files like it: its header was not read.
+    """
+
+    path: Path
+    folders: tuple[str, ...]
+    facts: Facts
+    borrowed: bool = False
+
+    @property
+    def stem(self) -> str:
+        """Its name without the suffix."""
+        return self.path.stem
+
+    @property
+    def name(self) -> str:
+        """Its path below the root."""
+        return "/".join((*self.folders, self.path.name))
+
+    @property
+    def channels(self) -> int:
+        """Samples of a pixel."""
+        return int(self.facts.shape[2]) if len(self.facts.shape) == 3 else 1
+
+
+@dataclass
+class Listing:
+    """Everything below a folder.
+
+    Attributes
+    ----------
+    root : Path
+    seen : list of Seen
+        In natural order.
+    tables : list of str
+        CSV files, relative.
+    unreadable : dict
+        Relative name → why, for images that cannot be opened.
+    others : Counter
+        Suffix → number, of files that are no images.
+    """
+
+    root: Path
+    seen: list[Seen] = field(default_factory=list)
+    tables: list[str] = field(default_factory=list)
+    unreadable: dict[str, str] = field(default_factory=dict)
+    others: Counter[str] = field(default_factory=Counter)
+
+
+def list_captures(root: str | Path) -> Listing:
+    """List the captures below a folder; databases of Levkas, hidden and unfinished files are left out."""
+    from levkas.readers.raw import SUFFIXES
+
+    listing = Listing(Path(root))
+    paths: list[tuple[tuple[str, ...], Path]] = []
+    for above, names in walk(listing.root, Folders()):
+        if any(name.endswith((".kept", ".removed")) for name in above):
+            continue
+        if names is None:
+            listing.unreadable["/".join(above)] = f"over {DEEPEST} folders in one another"
+            continue
+        folder = listing.root.joinpath(*above)
+        paths += [(above, folder / name) for name in names]
+    headers = {p.with_suffix("") for _, p in paths if p.suffix.lower() == ".hdr"}
+    known: dict[tuple[object, ...], list[Facts]] = {}
+    for folders, path in paths:
+        suffix = path.suffix.lower()
+        name = "/".join((*folders, path.name))
+        of_header = path in headers or path.with_suffix("") in headers
+        if of_header and suffix not in IMAGES:
+            continue  # the data of an ENVI header
+        if suffix not in IMAGES and suffix not in SUFFIXES:
+            listing.others[suffix or path.name] += 1
+            listing.tables += [name] if suffix == ".csv" else []
+            continue
+        alike = known.setdefault((folders, suffix), [])
+        spared = len(alike) >= FEW and (suffix in SUFFIXES or len(paths) > MOST_READ)
+        if spared and all(f.shape == alike[0].shape for f in alike):
+            facts = replace(alike[0], path=path, exposure_s=None, captured=None)
+            listing.seen.append(Seen(path, folders, facts, borrowed=True))
+            continue
+        told = _no_capture(path) or _facts(path)
+        if isinstance(told, str):
+            listing.unreadable[name] = told
+            continue
+        alike.append(told)
+        listing.seen.append(Seen(path, folders, told))
+    return listing
+
+
+def _facts(path: Path) -> Facts | str:
+    from levkas.readers.frames import read_facts
+
+    try:
+        return read_facts(path)
+    except Refused as refused:
+        problem = refused.problems[0]
+        sizes = f" ({problem.found}; {problem.expected})"
+        return problem.message + (sizes if problem.code in ("E_SIZE", "E_MEMORY") else "")
+
+
+def _no_capture(path: Path) -> str:
+    """Say of an ENVI header that it describes no image: a library of spectra."""
+    if path.suffix.lower() != ".hdr":
+        return ""
+    from levkas.readers.envi import parse_header
+
+    try:
+        kind = str(parse_header(path).get("file type", "")).lower()
+    except Refused as refused:
+        return refused.problems[0].message
+    return "a library of spectra, no image" if "library" in kind else ""

@@ -1,0 +1,480 @@
+"""What the tables of campaign.toml say against one another, and against the files they name."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from levkas.campaign.discovery.patterns import Pattern
+from levkas.campaign.schema.tables import (
+    ONLY_OF_THE_PAPER,
+    THRESHOLDS,
+    CameraKeys,
+    Document,
+    Range,
+    RegistrationKeys,
+    Sensor,
+)
+from levkas.core.problems import Problem
+
+LONGEST_NAME = 80
+MOST_COMPARED = 20_000
+"""Pairs of names whose likeness is looked at, one after the other; each takes some 10 µs."""
+MOST_LISTED = 20
+MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
+"""Cameras; objects times cameras; patterns of one camera: each is looked up among the files."""
+_UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
+
+
+def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
+    """Yield everything that does not fit together; `file` is left for the caller to say."""
+    if too_many := list(_sizes(document)):
+        yield from too_many
+        return
+    yield from _names(document)
+    yield from _targets(document)
+    for name, camera in document.cameras.items():
+        yield from check_camera(f"cameras.{name}", camera)
+    yield from _setups(document)
+    yield from _registration(document)
+    yield from _files(document, root)
+    output = document.campaign.output
+    if why := no_place((root / output).resolve(), root.resolve()):
+        yield wrong(
+            "campaign.output", why, output, "a folder of its own", 'Write output = "database".'
+        )
+
+
+def no_place(output: Path, root: Path) -> str:
+    """Return why no database can be written to a folder, whatever stands there; ``""`` where one can.
+
+    >>> no_place(Path("/"), Path("/data/icons"))
+    'the database would be written over a whole disk or a home'
+    >>> no_place(Path("/data/icons/database"), Path("/data/icons"))
+    ''
+    """
+    try:
+        home = Path.home().resolve()
+    except RuntimeError:  # a user without one
+        home = root
+    if output in (Path(output.anchor), home):
+        return "the database would be written over a whole disk or a home"
+    if output in (root, *root.parents):
+        return "the database would be written over the campaign"
+    return ""
+
+
+def is_safe_name(name: str) -> bool:
+    """Whether a name can be part of file names and frame names on every system.
+
+    >>> is_safe_name("lctf-vis"), is_safe_name("d80@soft")
+    (True, False)
+    """
+    return 0 < len(name) <= LONGEST_NAME and not _UNSAFE.search(name)
+
+
+def meant(text: str, known: Iterable[str]) -> str | None:
+    """Return ``Did you mean 'files'?`` where a known name is near.
+
+    >>> meant("fles", ["files", "kind"])
+    "Did you mean 'files'?"
+    """
+    names = [n for n in islice(known, MOST_COMPARED) if len(n) <= LONGEST_NAME]
+    near = difflib.get_close_matches(text[:LONGEST_NAME], names, 1, 0.6)
+    return f"Did you mean {near[0]!r}?" if near else None
+
+
+def listed(names: Collection[str]) -> str:
+    """Return names as they are listed in a message, the first twenty of many.
+
+    >>> listed(["nir", "vis"]), listed([str(n) for n in range(100)])[-8:]
+    ('nir, vis', '18, 19 …')
+    """
+    more = " …" if len(names) > MOST_LISTED else ""
+    return ", ".join(n[:LONGEST_NAME] for n in islice(names, MOST_LISTED)) + more
+
+
+def _sizes(document: Document) -> Iterator[Problem]:
+    cameras = document.cameras
+    objects = document.targets.objects or document.objects
+    lightings = 1 + len(document.setups)
+    patterns = max((len(camera.patterns) for camera in cameras.values()), default=0)
+    for field, count, most, what in (
+        ("cameras", len(cameras), MOST_CAMERAS, "cameras"),
+        ("setups", lightings, MOST_CAMERAS, "lightings"),
+        (
+            "targets.objects",
+            max(1, len(objects)) * len(cameras),
+            MOST_LAYERS,
+            "objects times cameras",
+        ),
+        ("cameras", patterns, MOST_PATTERNS, "patterns of one camera"),
+    ):
+        if count > most:
+            fix = "Divide it into several campaigns."
+            yield Problem("E_SIZE", f"too many {what}", None, field, count, f"at most {most}", fix)
+
+
+# --- names ------------------------------------------------------------------------------------
+
+
+def _names(document: Document) -> Iterator[Problem]:
+    cameras, reference = document.cameras, document.campaign.reference.camera
+    if reference not in cameras:
+        yield wrong(
+            "campaign.reference.camera",
+            "the reference camera is not declared",
+            reference,
+            f"one of {listed(cameras)}",
+            meant(reference, cameras),
+        )
+    own = [document.campaign.setup] if document.campaign.setup else []
+    tables = {"cameras": list(cameras), "setups": [*document.setups, *own]}
+    tables |= {
+        f"cameras.{n}.sensors": [s.name for s in camera.sensors] for n, camera in cameras.items()
+    }
+    tables["objects"] = [*document.objects, *(document.targets.objects or ())]
+    for table, names in tables.items():
+        for name in dict.fromkeys(names):
+            if not is_safe_name(name):
+                yield wrong(
+                    f"{table}.{name}",
+                    "this name cannot be part of a file name",
+                    name,
+                    f"at most {LONGEST_NAME} letters, digits, - and _",
+                )
+    if "grid" in cameras:
+        yield wrong(
+            "cameras.grid", "grid is the name of the published frame", "grid", "another name"
+        )
+    layers = [(name, f"cameras.{name}") for name in cameras]
+    for setup, keys in document.setups.items():
+        layers += [(f"{c}_{setup}", f"setups.{setup}.cameras.{c}") for c in keys.cameras]
+    yield from _twice(layers, "two layers would have one file name")
+    yield from _twice(
+        [(n, f"objects.{n}") for n in set(tables["objects"])], "names differ in case only"
+    )
+
+
+def _twice(named: Iterable[tuple[str, str]], message: str) -> Iterator[Problem]:
+    first: dict[str, str] = {}
+    for name, field in named:
+        other = first.setdefault(name.casefold(), field)
+        if other != field:
+            yield wrong(field, message, name, f"a name that differs from {other}")
+
+
+# --- targets ----------------------------------------------------------------------------------
+
+
+def _targets(document: Document) -> Iterator[Problem]:
+    targets = document.targets
+    roles = {
+        "dark": targets.dark,
+        "white": targets.white.names if targets.white else (),
+        "charts": tuple(targets.charts),
+        "objects": targets.objects or (),
+    }
+    seen: dict[str, str] = {}
+    for role, names in roles.items():
+        for name in names:
+            other = seen.setdefault(name, role)
+            if other != role:
+                yield wrong(
+                    f"targets.{role}", f"{name!r} is declared twice", name, f"{other} or {role}"
+                )
+    known = tuple(targets.objects or ())
+    # What is like none of them waits for another build.
+    for name in islice(
+        sorted(document.objects.keys() - set(known)), MOST_COMPARED // max(1, len(known))
+    ):
+        if near := meant(name, known):
+            yield wrong(
+                f"objects.{name}",
+                "facts of an object that is not among targets.objects",
+                name,
+                listed(known),
+                near,
+            )
+
+
+# --- setups, registration, files ---------------------------------------------------------------
+
+
+def _setups(document: Document) -> Iterator[Problem]:
+    for setup, keys in document.setups.items():
+        if setup == document.campaign.setup and keys.cameras:
+            yield wrong(
+                f"setups.{setup}.cameras",
+                "the default lighting has the cameras' own files",
+                ", ".join(keys.cameras),
+                "no cameras: it is campaign.setup",
+            )
+        for name, own in keys.cameras.items():
+            field = f"setups.{setup}.cameras.{name}"
+            camera = document.cameras.get(name)
+            if camera is None:
+                yield wrong(
+                    field,
+                    "a setup names a camera that is not declared",
+                    name,
+                    f"one of {listed(document.cameras)}",
+                    meant(name, document.cameras),
+                )
+                continue
+            for text in own.files:
+                yield from check_pattern(f"{field}.files", text, camera.kind)
+            if own.files and camera.kind == "sensors" and "{sensor}" not in "".join(own.files):
+                yield wrong(f"{field}.files", "the pattern has no {sensor}", " ".join(own.files))
+            if not own.files and not any("{setup}" in text for text in camera.patterns):
+                yield Problem(
+                    "E_KEY",
+                    "files is required",
+                    field=f"{field}.files",
+                    fix=f"Write it here, or {{setup}} in cameras.{name}.files.",
+                )
+
+
+def _registration(document: Document) -> Iterator[Problem]:
+    common = document.registration
+    own = {name: camera.registration for name, camera in document.cameras.items()}
+    methods = {name: keys.method or common.method or "levkas" for name, keys in own.items()}
+    if common.use is not None and not any((common.points, *(k.points for k in own.values()))):
+        yield wrong("registration.use", "there are no points to use", common.use)
+    if "mirhashemi2019" not in methods.values():
+        yield from _of_the_paper("registration", common)
+    if common.joint and "levkas" not in methods.values():
+        yield _not_joint("registration.joint")
+    for name, keys in own.items():
+        if keys.joint and methods[name] != "levkas":
+            yield _not_joint(f"cameras.{name}.registration.joint")
+        if methods[name] != "mirhashemi2019":
+            yield from _of_the_paper(f"cameras.{name}.registration", keys)
+        if keys.use is not None and (keys.points or common.points) is None:
+            yield wrong(f"cameras.{name}.registration.use", "there are no points to use", keys.use)
+        reject, stop = keys.reject or common.reject, keys.stop or common.stop or 1.0
+        if reject is not None and reject <= stop:
+            where = f"cameras.{name}.registration" if keys.given() else "registration"
+            yield wrong(f"{where}.reject", "reject is not above stop", reject, f"> {stop:g} px")
+
+
+def _not_joint(where: str) -> Problem:
+    return wrong(
+        where,
+        "the method 'mirhashemi2019' adjusts no captures together",
+        "true",
+        fix='Take it out, or write method = "levkas".',
+    )
+
+
+def _of_the_paper(where: str, keys: RegistrationKeys) -> Iterator[Problem]:
+    for key in ONLY_OF_THE_PAPER:
+        if getattr(keys, key) is not None:
+            yield wrong(
+                f"{where}.{key}",
+                f"the method 'levkas' has no `{key}`",
+                getattr(keys, key),
+                fix='Take it out, or write method = "mirhashemi2019".',
+            )
+
+
+def find_ineffective(document: Document) -> Iterator[str]:
+    """Yield what is accepted and changes nothing: thresholds of the paper's method where that is not used.
+
+    `reject` and `stop` have been taken under either method from the first, and stay so.
+    """
+    common = document.registration
+    own = {name: camera.registration for name, camera in document.cameras.items()}
+    methods = {name: keys.method or common.method or "levkas" for name, keys in own.items()}
+    tables = {
+        f"cameras.{name}.registration": own[name] for name in own if methods[name] == "levkas"
+    }
+    if "mirhashemi2019" not in methods.values():
+        tables = {"registration": common, **tables}
+    for where, keys in tables.items():
+        for key in THRESHOLDS:
+            if getattr(keys, key) is not None:
+                yield f"campaign.toml: {without_effect(f'{where}.{key}')}"
+
+
+def without_effect(field: str) -> str:
+    """Return what is said of a threshold that the default method does not have."""
+    return (
+        f'{field} has no effect under the default method; it belongs to method = "mirhashemi2019"'
+    )
+
+
+def _files(document: Document, root: Path) -> Iterator[Problem]:
+    white = document.targets.white
+    named = {f"cameras.{n}.sensitivity": c.sensitivity for n, c in document.cameras.items()}
+    if white and isinstance(white.reflectance, str):
+        named["targets.white.reflectance"] = white.reflectance
+    named |= {f"setups.{n}.spectrum": setup.spectrum for n, setup in document.setups.items()}
+    tables = {"registration": document.registration}
+    tables |= {f"cameras.{n}.registration": c.registration for n, c in document.cameras.items()}
+    for where, keys in tables.items():
+        if keys.points is not None and "{" not in keys.points:
+            named[f"{where}.points"] = keys.points
+    for field, name in named.items():
+        if name is not None and not (root / name).is_file():
+            yield Problem(
+                "E_UNREADABLE",
+                "the table that is named is not there",
+                field=field,
+                found=name,
+                expected="a CSV file, named relative to campaign.toml",
+            )
+
+
+KEYS_OF_KINDS = {
+    "pattern": ("mosaic", "bands"),
+    "bands": ("mosaic", "bands", "cube", "image"),
+    "demosaic": ("mosaic", "sensors"),
+    "scan": ("cube",),
+    "sensors": ("sensors",),
+}
+"""Camera keys that mean nothing elsewhere."""
+
+
+def wrong(
+    field: str, message: str, found: Any = None, expected: str | None = None, fix: str | None = None
+) -> Problem:
+    """Return a value's problem."""
+    return Problem("E_VALUE", message, field=field, found=found, expected=expected, fix=fix)
+
+
+def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
+    """Yield what does not fit together in the table `where`, such as ``cameras.nir``."""
+    for key, kinds in KEYS_OF_KINDS.items():
+        if getattr(camera, key) and camera.kind not in kinds:
+            per_sensor = key in ("pattern", "bands") and camera.kind == "sensors"
+            yield wrong(
+                f"{where}.{key}",
+                f"a camera of kind {camera.kind!r} has no `{key}`",
+                expected=" or ".join(f'kind = "{kind}"' for kind in kinds),
+                fix="Write it in each [[sensors]] table." if per_sensor else "Take it out.",
+            )
+    if camera.kind == "sensors":
+        yield from _sensors(where, camera)
+    elif not camera.files:
+        yield Problem("E_KEY", "files is required", field=f"{where}.files")
+    for text in camera.files:
+        yield from check_pattern(f"{where}.files", text, camera.kind)
+    yield from _wavelengths(where, camera)
+    yield from _channels(where, camera.pattern if camera.kind == "mosaic" else None, camera.bands)
+    if camera.black is not None and camera.saturation and camera.black >= camera.saturation:
+        yield wrong(
+            f"{where}.black",
+            "black is not below saturation",
+            camera.black,
+            f"< {camera.saturation:g}",
+        )
+    dark, white = set(camera.dark or ()), set(camera.white or ())
+    if dark & white:
+        yield wrong(f"{where}.white", "a template is dark and white at once", min(dark & white))
+
+
+def _sensors(where: str, camera: CameraKeys) -> Iterator[Problem]:
+    if not camera.sensors:
+        yield Problem("E_KEY", "[[sensors]] tables are required", field=f"{where}.sensors")
+    for name, count in Counter(s.name for s in camera.sensors).items():
+        if count > 1:
+            yield wrong(f"{where}.sensors.{name}", "two sensors have one name", name)
+    for sensor in camera.sensors:
+        at = f"{where}.sensors.{sensor.name}"
+        if not sensor.files and not any("{sensor}" in text for text in camera.files):
+            yield Problem(
+                "E_KEY",
+                "files is required",
+                field=f"{at}.files",
+                fix=f"Write it here, or {{sensor}} in {where}.files.",
+            )
+        for text in sensor.files:
+            yield from check_pattern(f"{at}.files", text, camera.kind)
+        yield from _channels(at, sensor.pattern, sensor.bands)
+    yield from _sensor_alignment(where, camera.sensors)
+
+
+def _sensor_alignment(where: str, sensors: tuple[Sensor, ...]) -> Iterator[Problem]:
+    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    if sensors and sensors[0].align not in ("measure", identity):
+        yield wrong(
+            f"{where}.sensors.{sensors[0].name}.align",
+            "the first sensor is what the others are aligned to",
+            fix="Take it out.",
+        )
+
+
+def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
+    """Yield what is wrong with a pattern of files for a camera of some kind."""
+    try:
+        fields = Pattern.parse(text).fields
+    except ValueError as error:
+        yield wrong(field, str(error), text, "a pattern such as raw/NAME/{target}/{shot}.tif")
+        return
+    if "target" not in fields:
+        yield wrong(field, "the pattern has no {target}", text, "raw/NAME/{target}/*.tif")
+    for name in ("band", "wavelength"):
+        if name in fields and kind != "bands":
+            yield wrong(
+                field, f"only a camera of kind 'bands' has {{{name}}}", text, fix="Write * instead."
+            )
+    if "sensor" in fields and kind != "sensors":
+        yield wrong(
+            field, "only a camera of kind 'sensors' has {sensor}", text, fix="Write * instead."
+        )
+
+
+def _wavelengths(where: str, camera: CameraKeys) -> Iterator[Problem]:
+    centres, keys = camera.centres, camera.wavelengths
+    if centres is None:
+        return
+    field = f"{where}.wavelengths"
+    if not centres and isinstance(keys, Range):
+        yield wrong(
+            field,
+            f"{keys.start:g} to {keys.stop:g} nm is no whole number of steps of {keys.step:g} nm",
+        )
+    elif not centres:
+        yield wrong(field, "the list is empty", fix="Take it out: the files say their wavelengths.")
+    elif len(set(centres)) < len(centres):
+        yield wrong(field, "a wavelength stands there twice", Counter(centres).most_common(1)[0][0])
+    elif camera.bands and len(camera.bands) != len(centres):
+        yield Problem(
+            "E_BAND_COUNT",
+            "`bands` and `wavelengths` do not fit",
+            field=field,
+            found=f"{len(centres)} wavelengths",
+            expected=f"{len(camera.bands)}, one a band",
+        )
+    elif not camera.bands and any("{band}" in text for text in camera.files):
+        yield Problem(
+            "E_KEY",
+            "nothing says which band has which wavelength",
+            field=f"{where}.bands",
+            fix="Write `bands` in the order of `wavelengths`.",
+        )
+
+
+def _channels(
+    where: str, pattern: tuple[tuple[str, ...], ...] | None, bands: tuple[str, ...] | None
+) -> Iterator[Problem]:
+    for name, count in Counter(bands or ()).items():
+        if count > 1:
+            yield Problem(
+                "E_BAND_TWICE", "two bands have one name", field=f"{where}.bands", found=name
+            )
+    channels = {name for row in pattern or () for name in row}
+    if pattern and bands and len(bands) != len(channels):
+        yield Problem(
+            "E_BAND_COUNT",
+            "`bands` does not fit `pattern`",
+            field=f"{where}.bands",
+            found=len(bands),
+            expected=f"{len(channels)}: {', '.join(sorted(channels))}",
+        )

@@ -1,0 +1,167 @@
+"""What the schema found wrong with campaign.toml, in words of ours, with the key that was meant."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from pydantic import BaseModel
+
+from levkas.campaign.schema.cross_checks import meant
+from levkas.campaign.schema.tables import Document
+from levkas.core.problems import Problem
+
+MOST_PROBLEMS = 100
+"""That one report lists; a file with more is not of the kind that was looked for."""
+PHRASES = {
+    "^Value error, ": "",
+    "^(Input|Tuple|Dictionary|String) should ": "",
+    "be a valid string": "be text in quotes",
+    "be a valid boolean": "be true or false",
+    "be a valid integer": "be a whole number",
+    "be a valid dictionary.*": "be a table",
+    "be a valid tuple": "be a list",
+    " after validation.*": "",
+}
+"""The schema's words in ours."""
+EXAMPLES = {
+    "reference": '{ camera = "lctf-vis", band = "550 nm" }',
+    "kind": "mosaic, bands, sensors, cube or image",
+    "campaign": "a table [campaign] with `reference`",
+    "cameras": "a table [cameras.NAME] for each camera",
+}
+
+
+def explain(
+    record: dict[str, Any], errors: Sequence[Any], document: type[BaseModel] = Document
+) -> list[Problem]:
+    """Return the problems that findings of the schema mean, of very many the first ones.
+
+    Parameters
+    ----------
+    record : dict
+        What was read.
+    errors : sequence
+        As pydantic's `ValidationError.errors` gives them.
+    document : type
+        The schema they were found by.
+    """
+    listed = errors[:MOST_PROBLEMS]
+    problems = _without_echoes([_problem(record, e, document) for e in listed])
+    return [*problems, *left_out(len(errors) - len(listed))]
+
+
+def left_out(count: int | None = None) -> list[Problem]:
+    """Return what ends a list that was cut short; nothing where `count` is 0."""
+    if count == 0:
+        return []
+    how_many = "more" if count is None else f"{count} more"
+    fix = "Mend those above first; is it the right file?"
+    return [Problem("E_TOO_MANY", f"there are {how_many} problems, which are not listed", fix=fix)]
+
+
+def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> Problem:
+    """Turn one finding of the schema into a problem, with the key that was meant."""
+    where = [step for step in error["loc"] if not str(step).startswith("<")]
+    field, key = _named(record, where), str(where[-1])
+    if error["type"] == "extra_forbidden":
+        known = _known_keys(where[:-1], document)
+        open_ = [k for k in known if k not in _at(record, where[:-1])]
+        elsewhere = [f"[{table}]" for table, keys in _tables(document, "").items() if key in keys]
+        near = meant(key, open_) or meant(key, known)
+        home = f"It belongs to {' or '.join(elsewhere)}." if elsewhere else "Take it out."
+        return Problem(
+            "E_KEY",
+            f"unknown key {key!r}",
+            field=field,
+            expected=", ".join(known),
+            fix=near or home,
+        )
+    if error["type"] == "missing":
+        return Problem("E_KEY", f"{key} is required", field=field, expected=EXAMPLES.get(key))
+    message = str(error["msg"])
+    found = error.get("input")
+    shown = "a table" if isinstance(found, dict) else str(found)[:80]
+    return Problem("E_VALUE", f"{key} {_must(message)}", field=field, found=shown)
+
+
+def _must(message: str) -> str:
+    for theirs, ours in PHRASES.items():
+        message = re.sub(theirs, ours, message)
+    return message if message.startswith("must") else f"must {message[0].lower()}{message[1:]}"
+
+
+def _without_echoes(problems: list[Problem]) -> list[Problem]:
+    """A required key that was only misspelt is not also missing."""
+    spelt = {(_table(p), p.fix) for p in problems if p.fix}
+    return [
+        p
+        for p in problems
+        if not p.message.endswith(" is required")
+        or (_table(p), f"Did you mean {(p.field or '').rpartition('.')[2]!r}?") not in spelt
+    ]
+
+
+def _table(problem: Problem) -> str:
+    return (problem.field or "").rpartition(".")[0]
+
+
+def _at(record: dict[str, Any], where: list[int | str]) -> Any:
+    """The table at a place of a record."""
+    place: Any = record
+    for step in where:
+        place = place[step]
+    return place
+
+
+def _named(record: dict[str, Any], where: list[int | str]) -> str:
+    """Dotted name of a key; an item of a list of tables by its name."""
+    names, place = [], record
+    for step in where:
+        inner: Any = None
+        if isinstance(place, dict):
+            inner = place.get(str(step))
+        elif isinstance(place, list) and isinstance(step, int) and step < len(place):
+            inner = place[step]
+        named = isinstance(step, int) and isinstance(inner, dict)
+        names.append(str(inner.get("name", step)) if named else str(step))
+        place = inner
+    return ".".join(names)
+
+
+def _known_keys(where: list[int | str], document: type[BaseModel]) -> list[str]:
+    """Keys that the schema knows at a place such as ``["cameras", "nir"]``."""
+    model: Any = document
+    is_name = False
+    for step in where:
+        field = None if is_name else model.model_fields.get(str(step))
+        is_name = field is not None and _is_dict(field)
+        model = (_model_in(field.annotation) if field else None) or model
+    return sorted(model.model_fields)
+
+
+def _is_dict(field: Any) -> bool:
+    return getattr(field.annotation, "__origin__", None) is dict
+
+
+def _model_in(annotation: Any) -> Any:
+    """The table inside an annotation such as ``dict[str, Camera]`` or ``GridKeys | None``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    inner = (_model_in(part) for part in getattr(annotation, "__args__", ()))
+    return next((model for model in inner if model), None)
+
+
+def _tables(model: Any, name: str) -> dict[str, tuple[str, ...]]:
+    tables = {name: tuple(model.model_fields)} if name else {}
+    for key, field in model.model_fields.items():
+        inner = _model_in(field.annotation)
+        if inner:
+            place = f"{name}.{key}".lstrip(".")
+            tables |= _tables(inner, f"{place}.NAME" if _is_dict(field) else place)
+    return tables
+
+
+TABLES = _tables(Document, "")
+"""Known keys by table: ``"cameras.NAME"``, ``"cameras.NAME.registration"``, …"""

@@ -1,0 +1,303 @@
+"""The tables of campaign.toml: which keys there are, and which values each of them takes."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
+
+from levkas.campaign.schema.values import (
+    Address,
+    Align,
+    Date,
+    Doi,
+    MuseumDate,
+    Names,
+    Number,
+    Orcid,
+    Pattern,
+    Reflectance,
+    Region,
+    Size,
+    SizeMm,
+    Switch,
+    Text,
+    Whole,
+)
+
+MOST_WAVELENGTHS = 100_000
+
+
+class Table(BaseModel):
+    """A table of which every key is known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Range(Table):
+    """Wavelengths at equal steps, both ends included, nm."""
+
+    start: Annotated[Number, Field(gt=0)]
+    stop: Annotated[Number, Field(gt=0)]
+    step: Annotated[Number, Field(gt=0)]
+
+    def values(self) -> tuple[float, ...]:
+        """Return the wavelengths, nm; empty where the steps do not lead from start to stop.
+
+        >>> Range(start=400, stop=420, step=10).values()
+        (400.0, 410.0, 420.0)
+        """
+        return _steps(self.start, self.stop, self.step)
+
+
+@lru_cache(maxsize=256)
+def _steps(start: float, stop: float, step: float) -> tuple[float, ...]:
+    count = (stop - start) / step
+    if not -1e-6 < count < MOST_WAVELENGTHS or abs(count - round(count)) > 1e-6:
+        return ()
+    return tuple(round(start + i * step, 6) for i in range(round(count) + 1))
+
+
+Wavelengths = Annotated[
+    Annotated[Range, Tag("<table>")]
+    | Annotated[tuple[Annotated[Number, Field(gt=0)], ...], Tag("<list>")],
+    Discriminator(lambda value: "<table>" if isinstance(value, dict | Range) else "<list>"),
+]
+
+
+def _reference(value: Any) -> Any:
+    if isinstance(value, str):
+        camera, _, band = value.partition(":")
+        return {"camera": camera, "band": band} if band else {"camera": camera}
+    return value
+
+
+def _white(value: Any) -> Any:
+    return {"names": value} if isinstance(value, str | list) else value
+
+
+def _creator(value: Any) -> Any:
+    return {"name": value} if isinstance(value, str) else value
+
+
+class Reference(Table):
+    """What all else is registered to."""
+
+    camera: Text
+    band: Text | None = None
+
+
+class Description(Table):
+    """The campaign as a whole."""
+
+    title: Text = ""
+    creator: Text = ""
+    date: Date | None = None
+    licence: Text = ""
+    reference: Annotated[Reference, BeforeValidator(_reference)]
+    setup: Text = ""
+    output: Annotated[Text, Field(min_length=1)] = "database"
+
+
+class GridKeys(Table):
+    """The published frame."""
+
+    mirror: Switch = False
+    rotate: Number = 0.0
+    region: Region | None = None
+    size: Size | None = None
+
+
+class RegistrationKeys(Table):
+    """How cameras are registered; errors in reference pixels."""
+
+    method: Literal["levkas", "mirhashemi2019"] | None = None
+    reject: Annotated[Number, Field(gt=0)] | None = None
+    stop: Annotated[Number, Field(gt=0)] | None = None
+    ratio: Annotated[Number, Field(gt=0, le=1)] | None = None
+    order: Annotated[Whole, Field(ge=1, le=5)] | None = None
+    detector: Literal["sift", "orb", "kaze", "akaze"] | None = None
+    matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
+    points: Annotated[Text, Field(min_length=1)] | None = None
+    use: Literal["check", "seeds"] | None = None
+    joint: Switch | None = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what was said, by key."""
+        return {key: value for key, value in self if value is not None}
+
+
+ONLY_OF_THE_PAPER = ("ratio", "order", "detector", "matching")
+"""Keys of [registration] that only the method "mirhashemi2019" has."""
+THRESHOLDS = ("reject", "stop")
+"""Keys of [registration] that the method "levkas" takes and does not need: T1 and T2 of the paper."""
+OF_THE_POINTS = ("points", "use")
+"""Keys of [registration] that say where control points are, and what for."""
+OF_THE_RIG = ("joint",)
+"""Keys of [registration] that say what captures are adjusted together."""
+
+
+class Sensor(Table):
+    """One sensor of a multi-sensor camera."""
+
+    name: Text
+    files: Names = ()
+    pattern: Pattern | None = None
+    bands: Names = ()
+    align: Align = "measure"
+
+
+class CameraKeys(Table):
+    """One camera and how its files are named."""
+
+    kind: Literal["mosaic", "bands", "sensors", "cube", "image"]
+    files: Names = ()
+    pattern: Pattern | None = None
+    bands: Names | None = None
+    wavelengths: Wavelengths | None = None
+    sensitivity: Text | None = None
+    reference_band: Text | None = None
+    bits: Annotated[Whole, Field(ge=1, le=32)] | None = None
+    black: Number | None = None
+    saturation: Annotated[Number, Field(gt=0)] | None = None
+    exposures: Literal["one", "best", "merge"] = "one"
+    manifest: Text | None = None
+    sensors: tuple[Sensor, ...] = ()
+    scan: Literal["push-broom", "mirror"] | None = None
+    denoise: Literal["hysime"] | None = None
+    demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
+    dark: Names | None = None
+    white: Names | None = None
+    registration: RegistrationKeys = RegistrationKeys()
+
+    @property
+    def centres(self) -> tuple[float, ...] | None:
+        """Declared wavelengths, nm."""
+        return (
+            self.wavelengths.values() if isinstance(self.wavelengths, Range) else self.wavelengths
+        )
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Every pattern of files, the sensors' own included."""
+        return (*self.files, *(text for sensor in self.sensors for text in sensor.files))
+
+
+class White(Table):
+    """The white board."""
+
+    names: Names
+    reflectance: Reflectance | None = None
+
+
+class TargetKeys(Table):
+    """What the values of {target} mean."""
+
+    dark: Names = ()
+    white: Annotated[White, BeforeValidator(_white)] | None = None
+    charts: dict[str, Text] = {}
+    objects: Names | None = None
+
+
+class SetupCamera(Table):
+    """A camera under another lighting."""
+
+    files: Names = ()
+
+
+class Setup(Table):
+    """A lighting: another one with its cameras, or the default one, which has none of its own."""
+
+    title: Text = ""
+    description: Text = ""
+    spectrum: Text | None = None
+    cameras: dict[str, SetupCamera] = {}
+
+
+class ObjectFacts(Table):
+    """What a museum says of a painting."""
+
+    title: Text = ""
+    creator: Text = ""
+    date: MuseumDate | None = None
+    medium: Text = ""
+    size_mm: SizeMm | None = None
+    owner: Text = ""
+    rights: Text = ""
+    inventory: Text = ""
+
+
+class Creator(Table):
+    """A person who made the database, or an organisation."""
+
+    name: Annotated[Text, Field(min_length=1)]
+    orcid: Orcid | None = None
+    affiliation: Text = ""
+    organisation: Switch = False
+
+
+class PublicationKeys(Table):
+    """What is said of the database when it is published."""
+
+    creators: tuple[Annotated[Creator, BeforeValidator(_creator)], ...] = ()
+    description: Text = ""
+    keywords: Names = ()
+    publisher: Text = ""
+    date: Date | None = None
+    version: Text = ""
+    doi: Doi | None = None
+    url: Address | None = None
+    contact: Text = ""
+    related: tuple[Address, ...] = ()
+
+
+class Document(Table):
+    """The whole of campaign.toml."""
+
+    campaign: Description
+    grid: GridKeys | None = None
+    cameras: dict[str, CameraKeys] = Field(min_length=1)
+    targets: TargetKeys = TargetKeys()
+    setups: dict[str, Setup] = {}
+    objects: dict[str, ObjectFacts] = {}
+    registration: RegistrationKeys = RegistrationKeys()
+    publication: PublicationKeys = PublicationKeys()
+
+
+MOST_PX = 1e6
+
+Place = Annotated[Number, Field(ge=-MOST_PX, le=MOST_PX)]
+Pair = tuple[Place, Place, Place, Place]
+Move = tuple[Place, Place, Place, Place, Place, Place, Place, Place]
+
+
+class FrameKeys(Table):
+    """What was corrected of one camera, under one lighting, for one object.
+
+    Pairs are (reference x, reference y, target x, target y); a move is a pair and the pair that
+    takes its place.
+    """
+
+    deleted: tuple[Pair, ...] = ()
+    restored: tuple[Pair, ...] = ()
+    pinned: tuple[Pair, ...] = ()
+    added: tuple[Pair, ...] = ()
+    moved: tuple[Move, ...] = ()
+    checks: tuple[Pair, ...] = ()
+    reject: Annotated[Number, Field(gt=0)] | None = None
+    stop: Annotated[Number, Field(gt=0)] | None = None
+    note: Text = ""
+
+
+class ObjectKeys(Table):
+    """What was corrected of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
+
+    cameras: dict[str, FrameKeys] = Field(default={})
+
+
+class EditsDocument(Table):
+    """edits.toml as a whole."""
+
+    version: Literal[1]
+    objects: dict[str, ObjectKeys] = Field(default={})

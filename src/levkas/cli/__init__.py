@@ -1,0 +1,88 @@
+"""The command line: one file a group of commands, each parses, calls the library once and prints."""
+
+from __future__ import annotations
+
+import io
+import sys
+from typing import Annotated
+
+import typer
+
+from levkas import __version__
+from levkas.cli import build, demo, doctor, evaluate, inspect, measure, plan, publish
+
+app = typer.Typer(
+    name="levkas",
+    help="Raw captures of a painting to one calibrated, registered spectral image database.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+_plan = typer.Typer(
+    help="Plan light, framing and exposure.", no_args_is_help=True, rich_markup_mode=None
+)
+_points = typer.Typer(
+    help="Control points of other programs.", no_args_is_help=True, rich_markup_mode=None
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"levkas {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _levkas(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    # Names of files need not be text; a report in JSON stays one, where "\\udcff" is an escape.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+@_points.callback()
+def _points_callback() -> None:
+    pass
+
+
+for _name, _command in {
+    "look": build.look,
+    "build": build.build,
+    "status": build.status,
+    "evaluate": evaluate.evaluate,
+    "validate": build.validate,
+    "chart": measure.chart,
+    "map": evaluate.map_points,
+    "simulate": demo.simulate,
+    "demo": demo.demo,
+    "doctor": doctor.doctor,
+    "inspect": inspect.inspect,
+    "publish": publish.publish,
+    "export": publish.export,
+    "radiometry": measure.radiometry,
+}.items():
+    app.command(_name)(_command)
+for _name, _command in {
+    "light": plan.light,
+    "framing": plan.framing,
+    "exposure": plan.exposure,
+    "fit": plan.fit,
+}.items():
+    _plan.command(_name)(_command)
+_points.command("convert")(evaluate.convert)
+app.add_typer(_plan, name="plan")
+app.add_typer(_points, name="points")
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

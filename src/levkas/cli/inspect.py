@@ -1,0 +1,44 @@
+"""The command that serves the workbench: inspect."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from levkas.cli.output import (
+    CampaignPath,
+    DatabasePath,
+    refusing,
+)
+
+if TYPE_CHECKING:
+    from levkas.workbench.server.app import Address
+
+
+@refusing("inspect")
+def inspect(
+    campaign: CampaignPath,
+    output: DatabasePath = None,
+    port: Annotated[
+        int, typer.Option(help="Port on this machine; 0 takes any free one.", min=0, max=65535)
+    ] = 0,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Print the address and open no browser.")
+    ] = False,
+) -> None:
+    """Follow and correct the registration on screen; corrections go to edits.toml.
+
+    The page is served to this machine alone. From another one: ssh -L PORT:127.0.0.1:PORT.
+    """
+    from levkas.workbench.server.app import serve
+
+    def tell(address: Address) -> None:
+        typer.echo(f"The workbench is at {address.url}")
+        typer.echo(
+            f"From another machine: ssh -L {address.port}:127.0.0.1:{address.port} …, then the same "
+            "address. Ctrl-C ends it."
+        )
+
+    serve(campaign, output=output, port=port, browse=not no_open, tell=tell)
+    typer.echo("Ended. Corrections are in edits.toml; levkas build replays them.")

@@ -1,0 +1,210 @@
+"""Commands that plan a session: plan light, framing, exposure, fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from levkas.cli.output import (
+    Json,
+    Overwrite,
+    print_report,
+    refusing,
+)
+
+SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
+Lighting = Annotated[
+    str | None, typer.Option("--setup-name", "-s", help="One of its setups; the first without.")
+]
+
+
+@refusing("plan light")
+def light(
+    setup: SetupPath,
+    name: Lighting = None,
+    optimise: Annotated[
+        bool, typer.Option("--optimise", help="Search the best places for two lamps.")
+    ] = False,
+    report: Annotated[
+        Path | None, typer.Option("--report", "-o", help="HTML page to write; prints on A4.")
+    ] = None,
+    render: Annotated[
+        Path | None,
+        typer.Option("--render", help="PNG of what a camera would see; needs levkas[render]."),
+    ] = None,
+    overwrite: Overwrite = False,
+    seed: Annotated[int, typer.Option(help="Seed of the random starts.", min=0)] = 1,
+    as_json: Json = False,
+) -> None:
+    """Evenness, glare, relief and bright field of a lighting, and what each lever would change."""
+    from levkas.core.ownership import require_free
+    from levkas.planning.text_report import light_record, light_text
+
+    for path in filter(None, (report, render)):
+        require_free(path, overwrite=overwrite)
+    record = light_record(setup, name, optimised=optimise, seed=seed)
+    if report is not None:
+        from levkas.planning.report import write_report
+
+        record["report"] = str(write_report(report, record.setup, name, seed=seed))
+    if render is not None:
+        from levkas.planning.contact_sheet import render_sheet
+
+        record["render"] = str(render_sheet(record.setup, render, seed=seed))
+    print_report("plan light", as_json, True, [], **record)
+    if not as_json:
+        typer.echo(light_text(record))
+
+
+@refusing("plan framing")
+def framing(setup: SetupPath, as_json: Json = False) -> None:
+    """Field, working distance, sampling, depth of field and diffraction of every camera."""
+    from levkas.planning.framing import plan_framing
+    from levkas.planning.setup import load_setup
+    from levkas.planning.text_report import framing_text
+
+    found = plan_framing(load_setup(setup))
+    print_report("plan framing", as_json, True, [], cameras=[f.to_dict() for f in found])
+    if not as_json:
+        typer.echo(framing_text(found))
+
+
+@refusing("plan exposure")
+def exposure(
+    frames: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Frames of a white, or folders of them; a file a band."),
+    ] = None,
+    setup: Annotated[
+        Path | None,
+        typer.Option(
+            "--setup", help="Setup file, or a folder with one; instead of frames, or too."
+        ),
+    ] = None,
+    name: Lighting = None,
+    dark: Annotated[
+        list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
+    ] = None,
+    pattern: Annotated[
+        str | None, typer.Option(help="Of a mosaic, such as RGGB; default the file's own.")
+    ] = None,
+    black: Annotated[float | None, typer.Option(help="Counts; default the file's own.")] = None,
+    bits: Annotated[
+        int | None,
+        typer.Option(
+            help="Of the camera's converter; default the file's or campaign.toml's.", min=1, max=32
+        ),
+    ] = None,
+    saturation: Annotated[
+        float | None,
+        typer.Option(help="Counts at which a sensel is full; default as the bits say."),
+    ] = None,
+    time: Annotated[
+        float | None, typer.Option(help="Exposure in s, where names and headers do not tell.")
+    ] = None,
+    of_object: Annotated[
+        bool,
+        typer.Option("--object", help="The frames show the object: gold may outshine a white."),
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Which exposure to set: from frames, channel by channel or band by band, with SNR and ISO.
+
+    From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
+    """
+    if not frames and setup is None:
+        raise typer.BadParameter("give frames of a white, --setup FILE, or both")
+    record: dict[str, Any] = {}
+    texts = []
+    if frames:
+        from levkas.planning.advice_text import advice_text
+        from levkas.planning.exposure_advice import coach
+
+        found = coach(
+            frames,
+            dark or (),
+            pattern=pattern,
+            black=black,
+            bits=bits,
+            saturation=saturation,
+            exposure_s=time,
+            is_white=not of_object,
+        )
+        record["bands"] = [c.to_dict() for c in found]
+        texts.append(advice_text(found))
+    if setup is not None:
+        from levkas.planning.text_report import exposure_record, exposure_text
+
+        planned = exposure_record(setup, name)
+        record.update(planned)
+        texts.append(exposure_text(planned))
+    print_report("plan exposure", as_json, True, [], **record)
+    if not as_json:
+        typer.echo("\n\n".join(texts))
+
+
+@refusing("plan fit")
+def fit(
+    setup: SetupPath,
+    whites: Annotated[
+        list[Path], typer.Argument(help="White frames of one camera, or folders of them.")
+    ],
+    name: Lighting = None,
+    dark: Annotated[
+        list[Path] | None, typer.Option("--dark", help="Dark frame or folder; may be repeated.")
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(help="Whose field the frame shows; else it shows just the object's size."),
+    ] = None,
+    lamp: Annotated[
+        int | None, typer.Option(help="The only lamp of the lighting that shone, from 1.")
+    ] = None,
+    region: Annotated[
+        str | None, typer.Option(help="x,y,width,height of the board, native pixels.")
+    ] = None,
+    black: Annotated[float | None, typer.Option(help="Counts; default the file's own.")] = None,
+    saturation: Annotated[
+        float | None,
+        typer.Option(help="Counts at which a sensel is full; default as the bits say."),
+    ] = None,
+    bits: Annotated[
+        int | None,
+        typer.Option(help="Bits of the converter; default as file or campaign declare."),
+    ] = None,
+    bent: Annotated[
+        bool, typer.Option("--bent", help="The board is bent as the object is.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """How the lamps really hang, from a white that was captured under them."""
+    from levkas.planning.lamp_positions import fit_white, hung_text
+
+    found = fit_white(
+        setup,
+        whites,
+        name,
+        darks=dark or (),
+        camera=camera,
+        lamp=lamp,
+        region=_four(region),
+        black=black,
+        saturation=saturation,
+        bits=bits,
+        bent=bent,
+    )
+    print_report("plan fit", as_json, True, [], **found.to_dict())
+    if not as_json:
+        typer.echo(hung_text(found))
+
+
+def _four(text: str | None) -> tuple[int, int, int, int] | None:
+    if text is None:
+        return None
+    try:
+        x, y, width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter("--region is x,y,width,height, whole numbers") from None
+    return x, y, width, height

@@ -1,0 +1,94 @@
+"""Commands that hand a database on: publish, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from levkas.cli.output import (
+    Json,
+    Overwrite,
+    draw_steps,
+    print_report,
+    refusing,
+)
+
+
+@refusing("publish")
+def publish(
+    subject: Annotated[
+        Path, typer.Argument(metavar="DATABASE", help="Database, or its campaign's folder.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="New folder, or an earlier publication; default DATABASE.published beside it.",
+        ),
+    ] = None,
+    edition: Annotated[
+        Literal["full", "medium", "both"],
+        typer.Option(help="Full size, at most 640 x 480, or both."),
+    ] = "both",
+    check: Annotated[
+        bool, typer.Option("--check", help="Only say what is missing, and where to write it.")
+    ] = False,
+    bag: Annotated[
+        Path | None, typer.Option("--bag", help="Also a BagIt bag, a copy, in this new folder.")
+    ] = None,
+    url: Annotated[str, typer.Option(help="Address under which the folder will be found.")] = "",
+    no_iiif: Annotated[
+        bool, typer.Option("--no-iiif", help="Leave tiles and IIIF manifests out.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Make a folder that anyone can open, preview and cite."""
+    from levkas.publish import run
+
+    if check:
+        missing = run.check(subject)
+        print_report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
+        if not as_json:
+            typer.echo(missing.text)
+        raise typer.Exit(0 if missing.ok else 1)
+    made = run.publish(subject, output=output, editions=edition, url=url, iiif=not no_iiif, bag=bag)
+    steps = draw_steps(made, as_json)
+    report = run.summarise(steps)
+    print_report("publish", as_json, True, [], **report.to_dict())
+    if not as_json:
+        typer.echo(report.text)
+
+
+@refusing("export")
+def export(
+    database: Annotated[Path, typer.Argument(help="Database, also a published one.")],
+    form: Annotated[
+        Literal["imagej", "envi", "matlab", "ntire", "qgis", "netcdf", "csv-spectra"],
+        typer.Option("--for", help="Who is to read it."),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder; default DATABASE.FORMAT beside it."),
+    ] = None,
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="Only this object; may be repeated.")
+    ] = None,
+    cameras: Annotated[
+        list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Write layers in the format of another program, values as they are."""
+    from levkas.export import run
+
+    chosen = {"objects": objects or (), "cameras": cameras or ()}
+    made = run.export(database, form, output=output, overwrite=overwrite, **chosen)
+    steps = draw_steps(made, as_json)
+    files = [str(path) for step in steps for path in step.files]
+    print_report("export", as_json, True, [], files=files)
+    if not as_json:
+        typer.echo(f"{len(files)} files of {len(steps)} layers for {form}")

@@ -1,0 +1,99 @@
+"""The CIELAB gamut of spectral cubes: which cells of 1 ΔE their pixels fill, as in Figure 12.
+
+CIELAB after ISO/CIE 11664-4, under D65 and for the 2° observer.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.colour.relighting import adaptation
+from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, xyz_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["VIEWS", "gamut_cells", "lab_colours", "lab_of", "munsell_lab", "xyz_to_lab"]
+
+WHITE = SRGB_TO_XYZ.sum(1)
+EPSILON, KAPPA = 216 / 24389, 24389 / 27
+C_XY = (0.31006, 0.31616)
+"""Chromaticity of illuminant C, under which Munsell's colours are specified."""
+VIEWS = {"a": ("a*", "b*", 1, 2), "b": ("a*", "L*", 1, 0), "c": ("b*", "L*", 2, 0)}
+"""The three views of Figure 12: names of the axes, and their columns of (L, a, b)."""
+
+
+def xyz_to_lab(xyz: np.ndarray, white: np.ndarray = WHITE) -> np.ndarray:
+    """Return CIELAB of XYZ, (…, 3).
+
+    Examples
+    --------
+    >>> xyz_to_lab(0.184187 * WHITE).round(3).tolist()
+    [50.0, 0.0, 0.0]
+    """
+    ratio = np.asarray(xyz, float) / white
+    f = np.where(ratio > EPSILON, np.cbrt(ratio), (KAPPA * ratio + 16) / 116)
+    x, y, z = np.moveaxis(f, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
+
+
+def lab_of(values: np.ndarray, wavelengths: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return CIELAB under D65 of reflectance, (…, bands) → (…, 3); NaN stays NaN."""
+    weights = xyz_weights(wavelengths)
+    # einsum, unlike a matrix product, sums in one order for any number of threads.
+    xyz = np.stack([np.einsum("...b,b->...", np.asarray(values, float), w) for w in weights.T], -1)
+    return xyz_to_lab(xyz)
+
+
+def gamut_cells(lab: np.ndarray, *, step: float = 1.0) -> np.ndarray:
+    """Return the cells that some colours fill.
+
+    Parameters
+    ----------
+    lab : ndarray, (…, 3)
+        NaN is left out.
+    step : float
+        Side of a cell, ΔE.
+
+    Returns
+    -------
+    cells : ndarray, (n, 4), float64
+        L, a, b of the cells' centres, sorted, and how many colours are in each.
+
+    Examples
+    --------
+    >>> gamut_cells(np.array([[50.2, 0.1, 0.4], [49.9, -0.2, 0.0], [70, 5, 5]])).tolist()
+    [[50.0, 0.0, 0.0, 2.0], [70.0, 5.0, 5.0, 1.0]]
+    """
+    flat = np.asarray(lab, float).reshape(-1, 3)
+    flat = flat[np.isfinite(flat).all(1)]
+    cells, counts = np.unique(np.rint(flat / step), axis=0, return_counts=True)
+    return np.column_stack([cells * step + 0.0, counts])
+
+
+def lab_colours(lab: np.ndarray) -> np.ndarray:
+    """Return the sRGB colours of CIELAB under D65, (n, 3) → (n, 3) uint8; what is out of range is clipped."""
+    lightness, a, b = np.moveaxis(np.asarray(lab, float), -1, 0)
+    y = (lightness + 16) / 116
+    f = np.stack([y + a / 500, y, y - b / 200], -1)
+    ratio = np.where(f**3 > EPSILON, f**3, (116 * f - 16) / KAPPA)
+    return encode_srgb(ratio * WHITE @ np.linalg.inv(SRGB_TO_XYZ).T)
+
+
+def munsell_lab() -> np.ndarray:
+    """Return CIELAB under D65 of the real colours of the Munsell renotation, (2734, 3).
+
+    Notes
+    -----
+    From colour-science's table of xyY under illuminant C, adapted to D65 by Bradford. That package
+    takes seconds to load.
+    """
+    from colour.notation.datasets.munsell.real import MUNSELL_COLOURS_REAL
+
+    table = np.array([colour for _, colour in MUNSELL_COLOURS_REAL], float)
+    x, y, luminance = table[:, 0], table[:, 1], table[:, 2] / 100
+    xyz = np.stack([x / y, np.ones(len(y)), (1 - x - y) / y], 1) * luminance[:, None]
+    white = np.array([C_XY[0] / C_XY[1], 1.0, (1 - sum(C_XY)) / C_XY[1]])
+    return xyz_to_lab(xyz @ adaptation(white, WHITE).T)

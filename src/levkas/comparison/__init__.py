@@ -1,6 +1,0 @@
-"""Methods of registration side by side: ours, the paper's, its opponents and today's peers."""
-
-from levkas.comparison.methods import COMPARED, Method
-from levkas.comparison.table import Comparison, compare
-
-__all__ = ["COMPARED", "Comparison", "Method", "compare"]

@@ -1,0 +1,167 @@
+"""The cube: calibrated bands of one object by one camera under one setup."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import IntFlag
+from math import nan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import xarray
+
+
+class Flag(IntFlag):
+    """Bits of the flag field, one byte per pixel and band."""
+
+    OUTSIDE = 1
+    SATURATED = 2
+    BLACK = 4
+    DEFECT = 8
+    GLARE = 16
+    MOVED = 32
+    NEAR = 64
+    VEILED = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """One channel: its label, and centre and width in nm (NaN where it is broad)."""
+
+    label: str
+    wavelength: float = nan
+    fwhm: float = nan
+
+
+@dataclass(frozen=True)
+class Cube:
+    """Values of one camera with what is known about each of them.
+
+    Parameters
+    ----------
+    values : ndarray, (height, width, bands), float32
+        Reflectance (1.0 is the perfect diffuser) or counts, as `quantity` says.
+    flags : ndarray, (height, width, bands), uint8
+        Bit field of `Flag`.
+    sigma : ndarray, (height, width, bands), float32, or None
+        One standard deviation of the random part, in the unit of `values`.
+    bands : tuple of Band
+        In the order of the last axis.
+    quantity : str
+        ``"reflectance"`` or ``"counts"``.
+    """
+
+    values: np.ndarray
+    flags: np.ndarray
+    sigma: np.ndarray | None
+    bands: tuple[Band, ...]
+    quantity: str = "reflectance"
+
+    def __post_init__(self) -> None:
+        shapes = [a.shape for a in (self.values, self.flags, self.sigma) if a is not None]
+        if len(set(shapes)) != 1 or self.values.ndim != 3 or shapes[0][2] != len(self.bands):
+            raise ValueError(f"cube of {len(self.bands)} bands has arrays of shapes {shapes}")
+
+    @property
+    def labels(self) -> list[str]:
+        """Band labels in order."""
+        return [band.label for band in self.bands]
+
+    def to_xarray(self, **attributes: Any) -> xarray.DataArray:
+        """Return a labelled array, dims ``("y", "x", "band")``."""
+        import xarray
+
+        coords = {
+            "band": self.labels,
+            "wavelength": ("band", [b.wavelength for b in self.bands]),
+            "fwhm": ("band", [b.fwhm for b in self.bands]),
+        }
+        attributes = {"quantity": self.quantity, **attributes}
+        return xarray.DataArray(self.values, coords, ("y", "x", "band"), attrs=attributes)
+
+
+def band_labels(wavelengths: Sequence[float]) -> list[str]:
+    """Label wavelengths with the fewest decimals that keep the labels unique.
+
+    Parameters
+    ----------
+    wavelengths : sequence of float
+        nm.
+
+    Returns
+    -------
+    labels : list of str
+
+    Raises
+    ------
+    Refused
+        Where two wavelengths are the same number.
+
+    Examples
+    --------
+    >>> band_labels([400, 410.0])
+    ['400 nm', '410 nm']
+    >>> band_labels([366.551, 366.56])
+    ['366.55 nm', '366.56 nm']
+    """
+    values = [float(w) for w in wavelengths]
+    for decimals in range(7):
+        labels = [f"{w:.{decimals}f} nm" for w in values]
+        if len(set(labels)) == len(labels):
+            return labels
+    twice = sorted({w for w in values if values.count(w) > 1})
+    raise Refused(
+        Problem(
+            "E_BAND_TWICE",
+            "two bands have the same wavelength",
+            field="wavelengths",
+            found=f"{twice[:3]} nm twice" if twice else "wavelengths closer than 1e-6 nm",
+            expected="one band per wavelength",
+        )
+    )
+
+
+def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = ()) -> int:
+    """Return the index of the band that `text` names: ``"550 nm"``, ``"550nm"``, ``"550"``, ``"R1"``.
+
+    A wavelength with more decimals than the labels have is found among `wavelengths`, nm.
+
+    Raises
+    ------
+    Refused
+        Where no band, or more than one, is meant.
+
+    Examples
+    --------
+    >>> find_band(["540 nm", "550 nm"], "550nm")
+    1
+    """
+    if text in labels:
+        return list(labels).index(text)
+    number = _wavelength(str(text))
+    for known in ([_wavelength(label) for label in labels], wavelengths):
+        hits = [i for i, wavelength in enumerate(known) if abs(wavelength - number) < 5e-4]
+        if len(hits) == 1:
+            return hits[0]
+    raise Refused(
+        Problem(
+            "E_BAND_MISSING",
+            f"there is no band {text!r}",
+            field="band",
+            found=str(text),
+            expected=", ".join(labels) if len(labels) <= 12 else f"{labels[0]} … {labels[-1]}",
+            fix="Name a band as it stands in the list.",
+        )
+    )
+
+
+def _wavelength(text: str) -> float:
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(?:nm)?\s*", text)
+    return float(found.group(1)) if found else nan

@@ -1,0 +1,87 @@
+"""The disk: how much room it has, and its failures as refusals that say what to do."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG}
+REFUSED = {
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR),
+    *(errno.EISDIR, errno.ENOENT, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP),
+}
+DISK_CODES = frozenset({"E_DISK_FULL", "E_IO", "E_UNWRITABLE"})
+"""Of the problems of a `WriteRefused`."""
+
+
+class WriteRefused(Refused):
+    """Something could not be written; nothing half-written stands under its name."""
+
+
+def require_space(folder: str | Path, bytes_needed: int, *, path: str | Path | None = None) -> None:
+    """Refuse with ``E_DISK_FULL`` where `folder`'s file system has not `bytes_needed` free."""
+    free = _free_bytes(Path(folder))
+    if free is not None and free < bytes_needed:
+        raise WriteRefused(_disk_full(Path(path or folder), bytes_needed, free))
+
+
+def _free_bytes(folder: Path) -> int | None:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
+
+
+@contextlib.contextmanager
+def refusing(
+    path: Path, bytes_needed: int | None, *, only_of: Path | None = None
+) -> Iterator[None]:
+    """Turn OSErrors into refusals; with `only_of`, those alone that surely are of this writing."""
+    try:
+        yield
+    except OSError as error:
+        ours = only_of is None or error.errno in DISK_FULL
+        if not ours and not str(error.filename or "").startswith(str(only_of)):
+            raise
+        raise WriteRefused(_problem(path, error, bytes_needed)) from error
+
+
+def _problem(path: Path, error: OSError, bytes_needed: int | None) -> Problem:
+    if error.errno in DISK_FULL:
+        return _disk_full(path, bytes_needed, _free_bytes(path.parent))
+    reason = error.strerror or type(error).__name__
+    if error.errno in REFUSED:
+        return Problem(
+            "E_UNWRITABLE",
+            f"{path.name} cannot be written: {reason}",
+            file=str(path),
+            expected="a folder that can be written to",
+            fix="Give another output folder, or change its permissions.",
+        )
+    return Problem(
+        "E_IO",
+        f"the disk failed while {path.name} was written: {reason}",
+        file=str(path),
+        fix="Check the disk; the build can then be run again and goes on where it was.",
+    )
+
+
+def _disk_full(path: Path, bytes_needed: int | None, free: int | None) -> Problem:
+    return Problem(
+        "E_DISK_FULL",
+        f"the disk is full: {path.name} was not written",
+        file=str(path),
+        found=None if free is None else f"{free} bytes free",
+        expected=None if bytes_needed is None else f"{bytes_needed} bytes",
+        fix="Free some space, or give another output folder; then run the build again.",
+    )

@@ -1,0 +1,633 @@
+"""All writing of the package: nothing stands under a final name before it is whole and on the disk.
+
+A file is written under a temporary name in its own folder, synced, renamed, and the folder synced.
+A folder is built aside under `name.partial-…`, synced once as a whole, and renamed. What belongs
+`together` takes its names when all of it is on the disk. What a killed run leaves behind bears a
+partial name with our own name in it, is never read, and `sweep` takes it away.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import glob
+import hashlib
+import io
+import os
+import re
+import secrets
+import shutil
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas.core.disk import WriteRefused, refusing, require_space
+from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+try:
+    import fcntl
+except ImportError:  # Windows has no advisory locks of this kind: nothing is swept there
+    fcntl = None  # type: ignore[assignment]
+
+PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
+"""Names of what is not finished, by whomever."""
+OURS = re.compile(r".*\.levkas\.partial-[0-9a-f]{8}")
+"""Those that Levkas gives, and alone takes away."""
+BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
+LONGEST_NAME = 200
+PATIENCE = 20
+"""Times that a folder is taken away again where something comes into it meanwhile."""
+
+
+def _no_fault(step: str, path: Path) -> None:
+    """Do nothing: the fault of every day."""
+
+
+fault: Callable[[str, Path], None] = _no_fault
+"""Told (step, path) before each step on the disk; a test puts a function here that raises or kills.
+
+The steps: ``open``, ``write``, ``fsync``, ``rename``, ``folder`` (make one), ``sync`` (a folder's
+entries, or a whole file system), ``remove``.
+"""
+
+
+# --- whole files ------------------------------------------------------------------------------
+
+
+def write_bytes(path: str | Path, data: bytes | bytearray | memoryview) -> None:
+    """Write `data` as the whole of `path`, or leave what was there.
+
+    Raises
+    ------
+    WriteRefused
+        ``E_UNWRITABLE``, ``E_DISK_FULL`` (with bytes needed and free) or ``E_IO``.
+    """
+    with replacing(path, bytes_needed=memoryview(data).nbytes) as handle:
+        handle.write(data)
+
+
+def write_changed(path: str | Path, data: bytes) -> None:
+    """Write `data` as `write_bytes` does, unless the file says just that already."""
+    try:
+        if Path(path).read_bytes() == data:
+            return
+    except OSError:
+        pass
+    write_bytes(path, data)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` as UTF-8 with its line ends as they are."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: str | Path, record: Any) -> None:
+    """Write `record` as `to_json` spells it."""
+    write_text(path, to_json(record))
+
+
+def copy_file(source: str | Path, path: str | Path) -> None:
+    """Copy the bytes of `source` to `path`, whole or not at all."""
+    with (
+        Path(source).open("rb") as origin,
+        replacing(path, bytes_needed=os.fstat(origin.fileno()).st_size) as handle,
+    ):
+        shutil.copyfileobj(origin, handle, BUFFER_BYTES)
+
+
+@contextlib.contextmanager
+def replacing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[io.BufferedRandom]:
+    """Open a temporary file that becomes `path` when the block ends well.
+
+    Parameters
+    ----------
+    path : path
+        Its folder is made where it is missing.
+    bytes_needed : int, optional
+        Checked against the free space before anything is written, and told when the disk is full.
+
+    Yields
+    ------
+    handle : binary file, seekable, for reading and writing
+        `handle.name` is the temporary path, for libraries that open files themselves.
+
+    Raises
+    ------
+    WriteRefused
+        On any failure of the disk; other exceptions of the block pass as they are. Either way
+        `path` is what it was and the temporary file is gone.
+    """
+    path = Path(path)
+    if (ask := _asked.get()) is not None:
+        ask(path)
+    make_folder(path.parent)
+    if bytes_needed is not None:
+        require_space(path.parent, bytes_needed, path=path)
+    raw = _open_partial(path, bytes_needed)
+    handle = io.BufferedRandom(raw, BUFFER_BYTES)
+    # What stands in a folder that is partial itself needs no patience.
+    within = any(PARTIAL.fullmatch(part) for part in path.parent.parts)
+    waiting = None if within else _waiting.get()
+    try:
+        with refusing(path, bytes_needed, only_of=Path(raw.name)):
+            yield handle
+        with refusing(path, bytes_needed):
+            handle.flush()
+            fault("fsync", path)
+            os.fsync(raw.fileno())
+            if waiting is None:
+                fault("rename", path)
+                Path(raw.name).replace(path)
+            else:
+                waiting.append(_Waiting(path, Path(raw.name), os.dup(raw.fileno())))
+    except BaseException:
+        raw.discarding = True
+        with contextlib.suppress(OSError):
+            Path(raw.name).unlink()
+        raise
+    finally:
+        handle.close()
+    if waiting is None:
+        _sync_folder(path.parent)
+
+
+_asked: ContextVar[Callable[[Path], object] | None] = ContextVar("asked", default=None)
+
+
+@contextlib.contextmanager
+def before_writing(ask: Callable[[Path], object]) -> Iterator[None]:
+    """Call `ask` with the final path of every file that this thread writes in the block, before it is.
+
+    What it raises ends the writing; nothing has been touched then.
+    """
+    token = _asked.set(ask)
+    try:
+        yield
+    finally:
+        _asked.reset(token)
+
+
+@contextlib.contextmanager
+def spooling(folder: str | Path, name: str) -> Iterator[io.BufferedRandom]:
+    """Open a file for what is needed meanwhile; it bears a partial name and goes with the block.
+
+    Raises WriteRefused as `replacing` does.
+    """
+    path = Path(folder) / name
+    make_folder(path.parent)
+    raw = _open_partial(path, None)
+    handle = io.BufferedRandom(raw, BUFFER_BYTES)
+    try:
+        with refusing(path, None, only_of=Path(raw.name)):
+            yield handle
+    finally:
+        raw.discarding = True
+        handle.close()
+        with contextlib.suppress(OSError):
+            Path(raw.name).unlink()
+
+
+class _Watched(io.FileIO):
+    """A file that announces its writes and turns their failures into refusals."""
+
+    def __init__(self, descriptor: int, path: Path, final: Path, bytes_needed: int | None) -> None:
+        super().__init__(descriptor, "r+b")
+        self.final, self.bytes_needed, self.discarding = final, bytes_needed, False
+        self.name = str(path)
+
+    def write(self, data: Any) -> int:
+        if self.discarding:
+            return memoryview(data).nbytes
+        with refusing(self.final, self.bytes_needed):
+            fault("write", self.final)
+            return super().write(data)
+
+
+def _open_partial(path: Path, bytes_needed: int | None) -> _Watched:
+    with refusing(path, bytes_needed):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "a folder stands there", str(path))
+        while True:
+            fault("open", path)
+            partial = _partial(path)
+            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+            descriptor = os.open(partial, flags, 0o666)
+            if _hold(descriptor, partial):
+                return _Watched(descriptor, partial, path, bytes_needed)
+            os.close(descriptor)
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(f"{path.name[:LONGEST_NAME]}.levkas.partial-{secrets.token_hex(4)}")
+
+
+# --- whole folders ----------------------------------------------------------------------------
+
+
+class Folder:
+    """A folder being built under a partial name.
+
+    `path` is where it stands meanwhile. What is written here is not synced file by file: the
+    whole folder is, once, before it takes its name.
+    """
+
+    def __init__(self, path: Path, final: Path) -> None:
+        self.path, self.final = path, final
+
+    def write_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
+        """Write one file of the folder; `name` is relative, with its folders made as needed.
+
+        Raises WriteRefused, as `copy_file` does, also where a name leads out of the folder.
+        """
+        target, final = self._places(name)
+        with refusing(final, memoryview(data).nbytes):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            fault("open", final)
+            with target.open("wb", buffering=0) as handle:
+                view = memoryview(data).cast("B")
+                while view:
+                    fault("write", final)
+                    view = view[handle.write(view) :]
+
+    def copy_file(self, source: str | Path, name: str) -> str:
+        """Copy a file into the folder and return the SHA-256 of what was read."""
+        target, final = self._places(name)
+        digest = hashlib.sha256()
+        with Path(source).open("rb") as origin, refusing(final, None):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            fault("open", final)
+            with target.open("wb", buffering=0) as handle:
+                while block := origin.read(COPY_BYTES):
+                    digest.update(block)
+                    fault("write", final)
+                    handle.write(block)
+        return digest.hexdigest()
+
+    def _places(self, name: str) -> tuple[Path, Path]:
+        """Where a file stands meanwhile, and in the end."""
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            problem = Problem(
+                "E_UNWRITABLE", "a name leads out of the folder", str(self.final), found=name
+            )
+            raise WriteRefused(problem)
+        return self.path / name, self.final / name
+
+
+@contextlib.contextmanager
+def publishing(path: str | Path, *, bytes_needed: int | None = None) -> Iterator[Folder]:
+    """Build a folder aside that becomes `path`, in place of what was there, when the block ends well.
+
+    Yields
+    ------
+    folder : Folder
+
+    Raises
+    ------
+    WriteRefused
+        As `replacing` does. The old folder stands until the new one is whole.
+    """
+    path = Path(path)
+    make_folder(path.parent)
+    if bytes_needed is not None:
+        require_space(path.parent, bytes_needed, path=path)
+    partial, descriptor = _make_partial(path)
+    waiting = _waiting.get()
+    try:
+        with refusing(path, bytes_needed, only_of=partial):
+            yield Folder(partial, path)
+        with refusing(path, bytes_needed):
+            fault("sync", path)
+            _sync_file_system(descriptor)
+            if waiting is None:
+                _take_place(partial, path)
+            else:
+                waiting.append(_Waiting(path, partial, os.dup(descriptor), is_folder=True))
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    finally:
+        os.close(descriptor)
+    if waiting is None:
+        _sync_folder(path.parent)
+
+
+def _make_partial(path: Path) -> tuple[Path, int]:
+    with refusing(path, None):
+        while True:
+            fault("folder", path)
+            partial = _partial(path)
+            partial.mkdir()
+            descriptor = os.open(partial, os.O_RDONLY)
+            if _hold(descriptor, partial):
+                return partial, descriptor
+            os.close(descriptor)
+
+
+def _take_place(partial: Path, path: Path) -> None:
+    # Another builder may publish the same folder meanwhile: both are whole, the last one stays.
+    while True:
+        fault("rename", path)
+        try:
+            partial.rename(path)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise
+        if _exchange(partial, path):
+            _sync_folder(path.parent)  # or a loss of power may undo the exchange, not the removal
+            _discard(partial)
+            return
+        old = _partial(path)
+        with contextlib.suppress(FileNotFoundError):
+            path.rename(old)
+            partial.rename(path)
+            _sync_folder(path.parent)
+            _discard(old)
+            return
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Swap two names in one step, so that no moment is without either; False where it cannot be."""
+    call = (
+        getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name != "nt" else None
+    )
+    here, exchange = -100, 2
+    return call is not None and call(here, bytes(one), here, bytes(other), exchange) == 0
+
+
+# --- what belongs together --------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """What waits for its name, or, without a partial path, for its end.
+
+    The descriptor holds the lock that keeps `sweep` away.
+    """
+
+    path: Path
+    partial: Path | None = None
+    descriptor: int | None = None
+    is_folder: bool = False
+
+    def settle(self) -> None:
+        with refusing(self.path, None):
+            if self.partial is None:
+                remove(self.path)
+            elif self.is_folder:
+                _take_place(self.partial, self.path)
+            else:
+                fault("rename", self.path)
+                self.partial.replace(self.path)
+
+    def drop(self) -> None:
+        if self.partial is not None and self.is_folder:
+            shutil.rmtree(self.partial, ignore_errors=True)
+        elif self.partial is not None:
+            with contextlib.suppress(OSError):
+                self.partial.unlink()
+
+    def close(self) -> None:
+        if self.descriptor is not None:
+            os.close(self.descriptor)
+
+
+_waiting: ContextVar[list[_Waiting] | None] = ContextVar("waiting", default=None)
+
+
+@contextlib.contextmanager
+def together(before: Callable[[], object] | None = None) -> Iterator[None]:
+    """Let what this thread writes in the block take its names only when the block ends well.
+
+    Whatever may fill the disk is then done: where a file of several fails, all are what they were.
+    What `remove` is given in the block goes then too.
+
+    Parameters
+    ----------
+    before : callable, optional
+        Called once when all is on the disk and nothing has its name: the place to drop a record of
+        what stands there until then.
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses the block, or a name.
+
+    Notes
+    -----
+    A process that ends while names are taken leaves some of the new and some of the old files.
+    """
+    waiting: list[_Waiting] = []
+    token = _waiting.set(waiting)
+    done = 0
+    try:
+        try:
+            yield
+        finally:
+            _waiting.reset(token)
+        if before is not None:
+            before()
+        for done, one in enumerate(waiting, 1):  # noqa: B007 -- how far it came
+            one.settle()
+        for folder in sorted({one.path.parent for one in waiting}):
+            _sync_folder(folder)
+    except BaseException:
+        for one in waiting[max(done - 1, 0) :]:
+            one.drop()
+        raise
+    finally:
+        for one in waiting:
+            one.close()
+
+
+def _discard(path: Path) -> None:
+    fault("remove", path)
+    for last in (*[False] * PATIENCE, True):
+        if not path.is_dir() or path.is_symlink():
+            break
+        try:
+            shutil.rmtree(path)
+        except FileNotFoundError:  # another builder sweeps it too
+            continue
+        except OSError as error:  # a thread of the run that left it may put one more file there
+            if error.errno != errno.ENOTEMPTY or last:
+                raise
+    path.unlink(missing_ok=True)
+
+
+def make_folder(path: str | Path) -> None:
+    """Make a folder and those above it, and sync the entries, so that they outlast a power loss."""
+    path = Path(path)
+    missing = []
+    while not path.is_dir():
+        missing.append(path)
+        path = path.parent
+    for folder in reversed(missing):
+        with refusing(folder, None):
+            fault("folder", folder)
+            folder.mkdir(exist_ok=True)
+        _sync_folder(folder.parent)
+
+
+def remove(path: str | Path) -> None:
+    """Take a file or a folder away; nothing happens where there is none."""
+    path = Path(path)
+    if (waiting := _waiting.get()) is not None:
+        waiting.append(_Waiting(path))
+        return
+    with refusing(path, None):
+        if path.is_dir() and not path.is_symlink():
+            gone = _partial(path)
+            fault("rename", path)
+            with contextlib.suppress(FileNotFoundError):
+                path.rename(gone)
+                _sync_folder(path.parent)
+                _discard(gone)
+        else:
+            _discard(path)
+    _sync_folder(path.parent)
+
+
+def rename_file(path: str | Path, new: str | Path) -> None:
+    """Give a file another name in its folder, over what bears it; nothing happens where there is none."""
+    path = Path(path)
+    with refusing(path, None), contextlib.suppress(FileNotFoundError):
+        fault("rename", path)
+        path.replace(new)
+        _sync_folder(path.parent)
+
+
+def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> list[str]:
+    """Move files from one folder to another on the same disk; folders that are empty then go.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Relative to both folders; what is not there is left out.
+
+    Returns
+    -------
+    moved : list of str
+
+    Raises
+    ------
+    WriteRefused
+        Where the disk refuses; each file is then in one of the two.
+    """
+    source, target = Path(source), Path(target)
+    moved = []
+    for name in sorted(names):
+        if not (source / name).is_file():
+            continue
+        make_folder((target / name).parent)
+        with refusing(target / name, None), contextlib.suppress(FileNotFoundError):
+            fault("rename", target / name)
+            (source / name).replace(target / name)
+            moved.append(name)
+    for folder in sorted({(root / name).parent for name in moved for root in (target, source)}):
+        _sync_folder(folder)
+    for folder in {(source / name).parent for name in moved}:
+        while folder != source:
+            fault("remove", folder)
+            try:
+                folder.rmdir()
+            except OSError:  # other files are in it
+                break
+            folder = folder.parent
+    return moved
+
+
+def sweep(folder: str | Path) -> list[Path]:
+    """Take away what killed runs of Levkas left under partial names, in `folder` and below.
+
+    A partial file that a living process still writes is locked by it and stays. `folder` must be
+    one that Levkas made.
+
+    Returns
+    -------
+    removed : list of Path
+    """
+    removed: list[Path] = []
+    for place, folders, names in os.walk(folder):
+        partial = [n for n in (*folders, *names) if OURS.fullmatch(n)]
+        folders[:] = sorted(set(folders) - set(partial))
+        for name in sorted(partial):
+            path = Path(place, name)
+            if _abandoned(path):
+                with refusing(path, None):
+                    _discard(path)
+                removed.append(path)
+    return removed
+
+
+def sweep_beside(path: str | Path) -> list[Path]:
+    """Take away what killed runs left of one file or folder, beside it; as `sweep` does."""
+    path = Path(path)
+    removed = []
+    start = glob.escape(path.name[:LONGEST_NAME])
+    for left in sorted(path.parent.glob(f"{start}.levkas.partial-*")):
+        if OURS.fullmatch(left.name) and _abandoned(left):
+            with refusing(left, None):
+                _discard(left)
+            removed.append(left)
+    return removed
+
+
+def _abandoned(path: Path) -> bool:
+    if fcntl is None:
+        return False
+    try:
+        descriptor = os.open(
+            path, os.O_RDONLY | os.O_NONBLOCK
+        )  # a pipe of that name keeps none waiting
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def _hold(descriptor: int, path: Path) -> bool:
+    # A sweep may come between the making of a partial file and this lock: then it is made anew.
+    if fcntl is None:
+        return True
+    with contextlib.suppress(OSError):  # a file system without locks has nothing swept either
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    try:
+        return path.stat().st_ino == os.fstat(descriptor).st_ino
+    except FileNotFoundError:
+        return False
+
+
+# --- the disk ---------------------------------------------------------------------------------
+
+
+def _sync_folder(folder: Path) -> None:
+    with refusing(folder, None):
+        fault("sync", folder)
+        if os.name == "nt":
+            return
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _sync_file_system(descriptor: int) -> None:
+    call = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None) if os.name != "nt" else None
+    if call is None:
+        getattr(os, "sync", lambda: None)()
+    elif call(descriptor) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))

@@ -1,0 +1,42 @@
+"""Records as JSON text: the same text for the same record, and no number that JSON has no word for."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+
+def to_json(record: Any) -> str:
+    """Return `record` as JSON text: keys in their own order, NaN and infinities as null.
+
+    Numpy numbers and arrays, tuples and paths become plain; anything else is a TypeError.
+
+    Examples
+    --------
+    >>> print(to_json({"b": 1.0, "a": float("nan")}), end="")
+    {
+     "b": 1.0,
+     "a": null
+    }
+    """
+    return json.dumps(plain(record), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """Return `value` with numpy numbers and arrays, tuples and paths plain, NaN and infinities None."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, os.PathLike):
+        return Path(value).as_posix()
+    if isinstance(value, int) and not isinstance(value, bool):
+        return int(value)
+    return value

@@ -1,0 +1,250 @@
+"""What Levkas made: only that is ever replaced or taken away, and only what bears its mark is taken for it.
+
+A database bears `MARK` in the first line of its database.toml, which a build writes before anything
+else; a finished one also in its manifest, as a publication does; a bag in its bag-info.txt. Of files
+that are written into a folder of somebody else's, such as an export, a record beside them says which.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+from levkas.core.digests import hash_file
+from levkas.core.disk import WriteRefused
+from levkas.core.problems import Problem, Refused
+from levkas.readers.text import read_json, what_stands_at
+
+Kind = Literal["database", "publication", "bag"]
+
+MARK = "# Written by Levkas. A build goes on only in a folder that bears this line.\n"
+"""First line of database.toml."""
+RECORD = "levkas-files.json"
+"""Beside files that were written one by one: name → SHA-256, null while it is being written."""
+LONGEST_MARK = 4096
+"""Bytes of a file that a mark is looked for in."""
+_MANIFEST = re.compile(rb"# levkas manifest 1: ")
+_BAG = re.compile(rb"^Bag-Software-Agent: levkas ", re.MULTILINE)
+_DATABASE = re.compile(re.escape(MARK.encode()))
+
+
+def made(folder: str | Path) -> Kind | None:
+    """Return what of ours a folder is, by its mark; None where it has none."""
+    folder = Path(folder)
+    if _BAG.search(_head(folder / "bag-info.txt")):
+        return "bag"
+    if _MANIFEST.match(_head(folder / "manifest-sha256.txt")):
+        return "publication" if (folder / "ro-crate-metadata.json").is_file() else "database"
+    return "database" if _DATABASE.match(_head(folder / "database.toml")) else None
+
+
+def stands_in(folder: Path) -> str:
+    """Return in words what stands at a folder's name; ``""`` for nothing, and for an empty folder.
+
+    What a killed run of ours left in it counts for nothing, nor does what file browsers leave.
+    """
+    from levkas.core.files import OURS
+    from levkas.database.manifest import DROPPINGS
+
+    if not os.path.lexists(folder):
+        return ""
+    found = what_stands_at(folder)
+    if found == "a folder" and all(
+        path.name in DROPPINGS or OURS.fullmatch(path.name) for path in folder.iterdir()
+    ):
+        return ""
+    return found
+
+
+def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
+    """Refuse to write a folder where anything stands but what Levkas made of that kind, all of it.
+
+    Parameters
+    ----------
+    folder : Path
+        One that is not there, or is empty, is free.
+    kind : "publication" or "bag"
+        A publication or a bag is replaced whole: a file in it that its manifest does not list is
+        somebody else's.
+    fix : str
+
+    Raises
+    ------
+    WriteRefused
+        ``E_UNWRITABLE`` with what stands there.
+    """
+    require_outside(folder, fix=fix)
+    found = stands_in(folder)
+    if not found:
+        return
+    ours = made(folder) if found == "a folder" else None
+    strangers = _strangers(folder, kind) if ours == kind else []
+    if ours == kind and not strangers:
+        return
+    if strangers:
+        found = f"{len(strangers)} files that Levkas did not write, the first: {strangers[0]}"
+    elif ours:
+        found = f"a {ours} by Levkas"
+    elif found == "a folder":
+        found = "a folder that Levkas did not write"
+    raise _refusal(f"the {kind} cannot be written to this folder", folder, kind, found, fix)
+
+
+def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
+    """Refuse to write a file where anything stands already, unless that is asked for.
+
+    Raises
+    ------
+    WriteRefused
+        ``E_UNWRITABLE``; with `overwrite`, only where no file stands there, or in a database.
+    """
+    path = Path(path)
+    require_outside(path, fix="Give another name: a database holds only what a build writes.")
+    found = what_stands_at(path) if os.path.lexists(path) else ""
+    if found and not (overwrite and found == "a file"):
+        fix = "Give another name" + (", or --overwrite." if found == "a file" else ".")
+        raise _refusal(f"{path.name} stands there already", path, "new file", found, fix)
+    return path
+
+
+def require_outside(path: Path, *, fix: str) -> None:
+    """Refuse what would stand in a database, a publication or a bag; raises WriteRefused."""
+    for folder in Path(path).resolve().parents:
+        if ours := made(folder):
+            what = f"a {ours}: {folder}"
+            raise _refusal("this would stand in what Levkas made", path, "folder apart", what, fix)
+
+
+class OwnFiles:
+    """Files that are written into a folder one by one, beside whatever else stands there.
+
+    Parameters
+    ----------
+    folder : path
+    overwrite : bool
+        Whether files that are not ours, or were changed since, may be replaced.
+    """
+
+    def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
+        self.folder, self.overwrite = Path(folder), overwrite
+        require_outside(self.folder / RECORD, fix="Give another folder with -o.")
+        found = stands_in(self.folder)
+        if found not in ("", "a folder"):
+            raise _refusal("no folder can be made here", self.folder, "folder", found, "")
+        self._files = _record(self.folder / RECORD)
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """Let what this thread writes in the block replace only files of ours.
+
+        Raises
+        ------
+        WriteRefused
+            Before a file is replaced that the record does not have, or that is not what it says.
+        """
+        from levkas.core.files import before_writing
+
+        touched: list[Path] = []
+
+        def ask(path: Path) -> None:
+            if path.name != RECORD and path not in touched:
+                self.claim(path)
+                touched.append(path)
+
+        try:
+            with before_writing(ask):
+                yield
+        finally:
+            self.keep(*touched)
+
+    def claim(self, path: Path) -> None:
+        """Take the name of a file that is about to be written; raises WriteRefused as `writing`."""
+        name = self._name(path)
+        self._require(path, name)
+        self._files[name] = None
+        self._save()
+
+    def keep(self, *paths: Path) -> None:
+        """Record files whose names were claimed as they are now; those that were not written go."""
+        for path in paths:
+            self._files.pop(name := self._name(path), None)
+            if path.is_file():
+                self._files[name] = hash_file(path)
+        if paths:
+            self._save()
+
+    def _require(self, path: Path, name: str) -> None:
+        if name.startswith("../") or Path(name).is_absolute():
+            raise _refusal("a name leads out of the folder", self.folder, "file in it", name, "")
+        if self.overwrite or not os.path.lexists(path):
+            require_free(path, overwrite=True)
+        elif name not in self._files or self._files[name] not in (None, _hash(path)):
+            why = "was changed since" if name in self._files else "was not written by it"
+            fix = "Give another folder with -o, or --overwrite."
+            raise _refusal(f"{name} {why}", path, "file that Levkas wrote", "another", fix)
+
+    def _name(self, path: Path) -> str:
+        return Path(os.path.relpath(path, self.folder)).as_posix()
+
+    def _save(self) -> None:
+        from levkas.core.files import write_json
+
+        write_json(self.folder / RECORD, {"files": dict(sorted(self._files.items()))})
+
+
+def _head(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            return b""
+        with path.open("rb") as file:
+            return file.read(LONGEST_MARK)
+    except OSError:
+        return b""
+
+
+def _strangers(folder: Path, kind: Kind) -> list[str]:
+    """Files that the manifests of a folder do not list."""
+    from levkas.database.manifest import NAME, list_files, plain, read_manifest
+
+    listed = {NAME}
+    if kind == "bag":
+        listed |= {
+            "tagmanifest-sha256.txt",
+            *read_manifest(folder / "tagmanifest-sha256.txt").files,
+        }
+    manifest = read_manifest(folder / NAME)
+    if manifest.problems:
+        return [NAME]  # what it lists cannot be relied on
+    listed |= {plain(name) for name in manifest.files}
+    return [name for name in list_files(folder) if plain(name) not in listed]
+
+
+def _record(path: Path) -> dict[str, str | None]:
+    if not os.path.lexists(path):
+        return {}
+    try:
+        return {str(name): digest for name, digest in dict(read_json(path)["files"]).items()}
+    except (Refused, KeyError, TypeError, ValueError):
+        what = "another file of that name"
+        raise _refusal(f"{RECORD} is none of ours", path, "record by Levkas", what, "") from None
+
+
+def _hash(path: Path) -> str:
+    return hash_file(path) if path.is_file() else ""
+
+
+def _refusal(message: str, path: Path, expected: str, found: str, fix: str) -> WriteRefused:
+    return WriteRefused(
+        Problem(
+            "E_UNWRITABLE",
+            message,
+            file=str(path),
+            found=found,
+            expected=f"a {expected}",
+            fix=fix or "Give another folder with -o.",
+        )
+    )

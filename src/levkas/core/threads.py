@@ -1,0 +1,82 @@
+"""Work shared by threads that stay: rows of one picture, or bands side by side.
+
+Threads of our own around kernels without the interpreter's lock: numba's parallel loops take four times
+as long to compile, and the first run on a fresh machine is one that people wait for.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextvars import copy_context
+from functools import cache
+from itertools import pairwise
+from typing import Any, TypeVar
+
+import numpy as np
+
+from levkas.core.machine import count_threads
+
+MOST_THREADS = 4
+WORTH_THREADS = 200_000
+
+Made = TypeVar("Made")
+
+_here = threading.local()
+
+
+def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any) -> None:
+    """Run ``kernel(start, stop, …)`` on bands of rows; each row is written by one thread only.
+
+    Within `each` there is one thread for all of them: the others have bands of their own.
+    """
+    workers = count_threads(MOST_THREADS)
+    largest = max(a.size for a in arguments if isinstance(a, np.ndarray))
+    if rows < 4 * workers or workers == 1 or largest < WORTH_THREADS or _is_one_of_several():
+        kernel(0, rows, *arguments)
+        return
+    edges = np.linspace(0, rows, 2 * workers + 1).astype(int).tolist()
+    jobs = [_pool(workers).submit(kernel, a, b, *arguments) for a, b in pairwise(edges)]
+    for job in jobs:
+        job.result()
+
+
+def each(work: Callable[..., Made], *items: Iterable[Any]) -> list[Made]:
+    """Return ``list(map(work, *items))``; several at a time, a thread each.
+
+    Of several exceptions the one of the first item that has one is raised, once all threads are done.
+
+    Examples
+    --------
+    >>> each(pow, [-2, 3], [2, 3])
+    [4, 27]
+    """
+    rows, workers = list(zip(*items, strict=True)), count_threads(MOST_THREADS)
+    if workers == 1 or len(rows) < 2 or _is_one_of_several():
+        return [work(*row) for row in rows]
+
+    def alone(*row: Any) -> Made:
+        _here.one_of_several = True
+        try:
+            return work(*row)
+        finally:
+            _here.one_of_several = False
+
+    jobs = [_pool(workers).submit(copy_context().run, alone, *row) for row in rows]
+    try:
+        return [job.result() for job in jobs]
+    finally:
+        for job in jobs:
+            job.cancel()
+        wait(jobs)
+
+
+def _is_one_of_several() -> bool:
+    return getattr(_here, "one_of_several", False)
+
+
+@cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    """Threads that stay: a registration asks for them thousands of times."""
+    return ThreadPoolExecutor(workers, thread_name_prefix="registration")

@@ -1,0 +1,348 @@
+"""A database opened: objects, their layers as lazy labelled arrays, and what stands beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from math import nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import xarray
+from xarray.core import indexing
+
+from levkas.core.cube import Band, band_labels
+from levkas.core.problems import Problem
+from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
+from levkas.database.containment import check_inside, check_plain_names
+from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
+from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
+from levkas.database.store import DIMENSIONS, layer_name
+from levkas.database.tiff_pages import TiffPages, open_pages
+from levkas.readers.text import parse_bounded
+
+if TYPE_CHECKING:
+    from levkas.geometry.pixel_frames import FrameMap
+
+KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
+
+
+class Database(Mapping[str, "Object"]):
+    """A published database, object by object.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    path : Path
+    catalogue : tuple of Entry
+        Empty where the folder has none; the layers are then found by their files.
+
+    Raises
+    ------
+    DatabaseRefused
+        Where the folder holds no database.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        listed = (self.path / NAME).is_file()
+        if not listed and not (self.path / "objects").is_dir():
+            raise DatabaseRefused(
+                Problem(
+                    "E_UNREADABLE",
+                    "there is no database here",
+                    file=str(path),
+                    expected=f"a folder with {NAME} and objects/",
+                    fix="Give the folder of a database, or build the campaign first.",
+                )
+            )
+        self.catalogue: tuple[Entry, ...] = read_catalogue(self.path) if listed else ()
+
+    def __getitem__(self, name: str) -> Object:
+        if name not in list(self):
+            raise KeyError(f"no object {name!r}; there are: {', '.join(self) or 'none'}")
+        layers = [(e.camera, e.setup) for e in self.catalogue if e.object == name]
+        return Object(self.path, name, tuple(layers) or _layers_found(self.path, name))
+
+    def __iter__(self) -> Iterator[str]:
+        if self.catalogue:
+            return iter(dict.fromkeys(entry.object for entry in self.catalogue))
+        return iter(sorted(p.name for p in (self.path / "objects").iterdir() if p.is_dir()))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+    def __repr__(self) -> str:
+        return f"<levkas database {self.path}: {', '.join(self) or 'empty'}>"
+
+
+@dataclass(frozen=True, repr=False)
+class Object(Mapping[Any, "LayerArray"]):
+    """One object: ``object["lctf-vis"]``, and under another setup ``object["d80", "45-degree"]``."""
+
+    path: Path
+    name: str
+    layers: tuple[tuple[str, str], ...]
+
+    def __getitem__(self, key: str | tuple[str, str]) -> LayerArray:
+        return self._layer(key, "values")
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter([(camera, setup) if setup else camera for camera, setup in self.layers])
+
+    def __len__(self) -> int:
+        return len(self.layers)
+
+    def __repr__(self) -> str:
+        layers = ", ".join(layer_name(*layer) for layer in self.layers)
+        return f"<levkas object {self.name}: {layers or 'no layers'}>"
+
+    def flags(self, camera: str, setup: str = "") -> LayerArray:
+        """Return the flags of a layer, uint8 (y, x, band)."""
+        return self._layer((camera, setup), "flags")
+
+    def sigma(self, camera: str, setup: str = "") -> LayerArray | None:
+        """Return sigma of a layer, float32 (y, x, band), or None where it is not known."""
+        try:
+            return self._layer((camera, setup), "sigma")
+        except DatabaseRefused:
+            return None
+
+    def position_sigma(
+        self, camera: str, band: str | None = None, setup: str = ""
+    ) -> xarray.DataArray | None:
+        """Return how well the position of a band is known in every pixel of the grid, (y, x).
+
+        Parameters
+        ----------
+        camera, setup : str
+        band : str, optional
+            The camera's reference channel without it.
+
+        Returns
+        -------
+        sigma : xarray.DataArray, (y, x), float32, or None
+            One standard deviation of either axis, reference px: nine of ten positions lie within
+            2.146 of them. None where the method of registration does not know.
+        """
+        from levkas.geometry.pixel_frames import find_position_sigma
+
+        values = find_position_sigma(self.path, self.name, camera, setup, band)
+        if values is None:
+            return None
+        facts = {"units": "reference px", "long_name": "one standard deviation of the position"}
+        return xarray.DataArray(values, dims=("y", "x"), name="position_sigma", attrs=facts)
+
+    def transform(self, source: str, target: str) -> FrameMap:
+        """Return the map between two frames of pixels, as `levkas.geometry.pixel_frames.find_map` does."""
+        from levkas.geometry.pixel_frames import find_map
+
+        return find_map(self.path, self.name, source, target)
+
+    def _layer(self, key: str | tuple[str, str], kind: str) -> LayerArray:
+        camera, setup = (key, "") if isinstance(key, str) else key
+        if (camera, setup) not in self.layers:
+            there = ", ".join(layer_name(*layer) for layer in self.layers)
+            raise KeyError(
+                f"{self.name} has no layer {layer_name(camera, setup)!r}; it has: {there}"
+            )
+        return Origin(self.path, self.name, camera, setup).open(kind)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a layer's array comes from, and what has been selected of it since."""
+
+    path: Path
+    object: str
+    camera: str
+    setup: str
+    selections: tuple[tuple[str, dict[str, Any]], ...] = field(default=())
+
+    def open(self, kind: str) -> LayerArray:
+        """Open the values, flags or sigma of the layer, selected as the array was."""
+        group = self.path / "zarr" / f"{self.object}.zarr" / layer_name(self.camera, self.setup)
+        if (group / "zarr.json").is_file():
+            array = _from_zarr(group, kind, self.path)
+        else:
+            check_inside(self.path, tiff := self._tiff(kind))
+            array = open_pixels(tiff)
+        array._origin = Origin(self.path, self.object, self.camera, self.setup)
+        for method, arguments in self.selections:
+            array = getattr(array, method)(**arguments)
+        return array
+
+    def _tiff(self, kind: str) -> Path:
+        stem = "_".join(part for part in (self.object, self.camera, self.setup) if part)
+        return self.path / "objects" / self.object / (stem + KINDS[kind])
+
+
+class LayerArray(xarray.DataArray):
+    """A `xarray.DataArray` (y, x, band), read when asked for, that knows what stands beside it.
+
+    `flags`, `sigma` and `transform` follow selections (`isel`, `sel`, ``[…]``); the result of
+    arithmetic is an array like any other and has them no more.
+    """
+
+    __slots__ = ("_origin",)
+
+    @property
+    def flags(self) -> LayerArray:
+        """The flags of these pixels, uint8: bits of `levkas.core.cube.Flag`."""
+        return self._beside.open("flags")
+
+    @property
+    def sigma(self) -> LayerArray | None:
+        """One standard deviation of these pixels' random part; None where it is not known."""
+        try:
+            return self._beside.open("sigma")
+        except DatabaseRefused:
+            return None
+
+    def transform(self, source: str, target: str) -> FrameMap:
+        """Return the map between two frames of pixels of the object, for whole images."""
+        from levkas.geometry.pixel_frames import find_map
+
+        return find_map(self._beside.path, self._beside.object, source, target)
+
+    def isel(self, *args: Any, **kwargs: Any) -> LayerArray:
+        """Select by position, as xarray does."""
+        return self._followed(super().isel(*args, **kwargs), "isel", args, kwargs)
+
+    def sel(self, *args: Any, **kwargs: Any) -> LayerArray:
+        """Select by label, as xarray does."""
+        return self._followed(super().sel(*args, **kwargs), "sel", args, kwargs)
+
+    @property
+    def _beside(self) -> Origin:
+        origin: Origin | None = getattr(self, "_origin", None)
+        if origin is None:
+            raise ValueError(  # an AttributeError would send xarray looking for a coordinate
+                "this array was computed; take flags, sigma and transform of the layer as it was opened"
+            )
+        return origin
+
+    def _followed(
+        self, result: LayerArray, method: str, args: tuple[Any, ...], kwargs: dict[str, Any]
+    ) -> LayerArray:
+        origin: Origin | None = getattr(self, "_origin", None)
+        if origin is not None and isinstance(result, LayerArray):
+            arguments = {**({"indexers": args[0]} if args else {}), **kwargs}
+            chosen = (*origin.selections, (method, arguments))
+            result._origin = Origin(origin.path, origin.object, origin.camera, origin.setup, chosen)
+        return result
+
+
+def _from_zarr(group: Path, kind: str, root: Path) -> LayerArray:
+    check_inside(root, *group.glob("*/zarr.json"), *group.glob("*/c/0"))
+    facts = read_group(group)
+    if kind not in facts.arrays:
+        raise _missing(group / kind, kind)
+    return _array(ZarrPixels(group / kind, root), facts.bands, facts.attributes[kind], kind)
+
+
+@dataclass(frozen=True)
+class Described:
+    """What a layer's TIFF says of itself: its bands, and its other facts."""
+
+    bands: tuple[Band, ...]
+    facts: dict[str, Any]
+
+    @property
+    def quantity(self) -> str:
+        """``"reflectance"``, ``"counts"``, ``"flags"`` …; ``"values"`` where it is not said."""
+        return str(self.facts.get("quantity", "values"))
+
+
+def open_tiff(path: Path) -> Described:
+    """Read what the spectral TIFF of a layer says of its bands; raises TiffRefused."""
+    return describe_pages(open_pages(path))
+
+
+def open_pixels(path: Path) -> LayerArray:
+    """Open one spectral TIFF, lazily, (y, x, band)."""
+    if not path.is_file():
+        raise _missing(path, path.name)
+    pages = open_pages(path)
+    described = describe_pages(pages)
+    kind = described.quantity.split(" ")[0]
+    name = kind if kind in KINDS else "values"
+    return _array(TiffPixels(pages), described.bands, described.facts, name)
+
+
+def describe_pages(pages: TiffPages) -> Described:
+    """Return what the pages' tags say."""
+    text = next((t for t in pages.tags(METADATA) if t), "")
+    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
+    record = _json(decode_text(str(text)))
+    labels, widths = record.pop("bands", None), record.pop("fwhm", None) or [None] * len(pages)
+    known = record.pop("wavelength", None)
+    if not labels or len(labels) != len(pages):
+        values = [centres] if isinstance(centres, float) else list(centres or range(len(pages)))
+        labels, known = band_labels(values), values
+    bands = [
+        Band(str(label), nan if wavelength is None else wavelength, nan if width is None else width)
+        for label, wavelength, width in zip(labels, known, widths, strict=True)
+    ]
+    return Described(tuple(bands), record)
+
+
+def _array(
+    pixels: Any, bands: tuple[Band, ...], attributes: dict[str, Any], name: str
+) -> LayerArray:
+    coordinates = {
+        "band": [band.label for band in bands],
+        "wavelength": ("band", [band.wavelength for band in bands], {"units": "nm"}),
+        "fwhm": ("band", [band.fwhm for band in bands], {"units": "nm"}),
+    }
+    if len(pixels.shape) != 3 or pixels.shape[2] != len(bands):
+        raise DatabaseRefused(
+            Problem(
+                "E_SIZE",
+                f"the {name} are not of as many bands as the layer has",
+                str(pixels.path),
+                found=" x ".join(map(str, pixels.shape)),
+                expected=f"rows, columns and {len(bands)} bands",
+                fix="Copy the database anew, or build it again.",
+            )
+        )
+    lazy = indexing.LazilyIndexedArray(pixels)
+    return LayerArray(lazy, coordinates, DIMENSIONS, name=name, attrs=attributes)
+
+
+def _layers_found(path: Path, name: str) -> tuple[tuple[str, str], ...]:
+    """Find the layers of an object in a database without a catalogue, by its TIFFs."""
+    found = []
+    for tiff in sorted((path / "objects" / name).glob("*.tif")):
+        if tiff.name.endswith((".flags.tif", ".sigma.tif")):
+            continue
+        check_inside(path, tiff)
+        text = next((t for t in open_pages(tiff).tags(METADATA) if t), "")
+        record = _json(decode_text(str(text)))
+        camera = str(record.get("camera") or tiff.stem.removeprefix(f"{name}_"))
+        setup = str(record.get("setup", ""))
+        try:
+            check_plain_names(camera, setup or "-")
+        except ValueError as error:
+            raise DatabaseRefused(
+                Problem("E_VALUE", str(error), str(tiff), f"tag {METADATA}")
+            ) from None
+        found.append((camera, setup))
+    return tuple(found)
+
+
+def _json(text: str) -> dict[str, Any]:
+    try:
+        record = parse_bounded(text)
+    except ValueError:
+        return {"metadata": text} if text else {}
+    return record if isinstance(record, dict) else {"metadata": text}
+
+
+def _missing(path: Path, what: str) -> DatabaseRefused:
+    return DatabaseRefused(
+        Problem("E_UNREADABLE", f"the database has no {what}", str(path), fix="Build it again.")
+    )

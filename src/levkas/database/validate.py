@@ -1,0 +1,281 @@
+"""Every damage of a database found, and the file named.
+
+With a manifest every file is hashed and compared; without one, or with a damaged one, files are
+decoded and held against one another, which finds less: a flipped bit in an uncompressed TIFF that
+no catalogue has the hash of is seen by nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from levkas.core.digests import hash_file
+from levkas.core.machine import count_threads
+from levkas.core.problems import Problem
+from levkas.database.catalogue import NAME as CATALOGUE
+from levkas.database.catalogue import DatabaseRefused, read_catalogue
+from levkas.database.consistency import stem_of
+from levkas.database.containment import find_escapes
+from levkas.database.manifest import (
+    NAME,
+    Listed,
+    Manifest,
+    list_files,
+    plain,
+    read_manifest,
+)
+from levkas.database.manifest_check import (
+    hash_or_reason,
+    problem_of,
+    still_told,
+    unlisted,
+    what_happened,
+)
+
+BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
+
+
+@dataclass(frozen=True)
+class Checked:
+    """One file that was checked; `done` of `total` files are."""
+
+    name: str
+    problems: tuple[Problem, ...] = ()
+    done: int = 0
+    total: int = 0
+    label: str = "checking"
+    finished: bool = True
+
+    @property
+    def line(self) -> str:
+        """One line for a log."""
+        return f"{self.name}: {'damaged' if self.problems else 'whole'}"
+
+    @property
+    def state(self) -> str:
+        """``"done"``, or ``"failed"`` where the file is damaged."""
+        return "failed" if self.problems else "done"
+
+
+@dataclass(frozen=True)
+class ValidationReport:
+    """What a validation found.
+
+    Parameters
+    ----------
+    root : Path
+    checked : int
+        Files.
+    problems : tuple of Problem
+        At most one or two a file; empty where all is as it was published.
+    manifest : bool
+        Whether hashes were compared; without, only structure was.
+    """
+
+    root: Path
+    checked: int
+    problems: tuple[Problem, ...] = field(default=())
+    manifest: bool = True
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is damaged."""
+        return not self.problems
+
+    @property
+    def text(self) -> str:
+        """Two lines for people."""
+        how = "hashes compared" if self.manifest else "no manifest: structure only"
+        files = len({p.file for p in self.problems})
+        end = "all whole" if self.ok else f"{files} damaged, missing or not of the database"
+        return f"{self.root}: {self.checked} files checked ({how}), {end}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `--json` adds to the problems."""
+        return {"checked": self.checked, "manifest": self.manifest}
+
+
+def validate(
+    database: str | Path,
+    *,
+    threads: int | None = None,
+    draw: Callable[[Iterable[Checked]], list[Checked]] = list,
+) -> ValidationReport:
+    """Check a whole database.
+
+    Parameters
+    ----------
+    database : path
+        A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag.
+    threads : int, optional
+        For hashing; default: `levkas.core.machine.count_threads`.
+    draw : callable
+        Consumes the steps; the command line draws them.
+
+    Returns
+    -------
+    report : ValidationReport
+
+    Raises
+    ------
+    DatabaseRefused
+        Where there is no database at all.
+
+    Examples
+    --------
+    >>> validate("no/such/folder")
+    Traceback (most recent call last):
+    levkas.database.catalogue.DatabaseRefused: there is no database here...
+    """
+    root = Path(database)
+    manifest = _find_manifest(root)
+    steps = draw(check_files(root, threads=threads))
+    problems = _once(p for step in steps for p in step.problems)
+    trusted = manifest is not None and not manifest.problems
+    return ValidationReport(root, len([s for s in steps if s.name]), tuple(problems), trusted)
+
+
+def check_files(database: str | Path, *, threads: int | None = None) -> Iterator[Checked]:
+    """Yield every file as it is checked, then what is missing, too many, or does not agree.
+
+    Raises DatabaseRefused where there is no database at all.
+    """
+    root = Path(database)
+    manifest = _find_manifest(root)
+    names = list_files(root)
+    count = threads or count_threads()
+    escapes = {str(p.file): p for p in find_escapes(root, names)}
+    for name in (n for n in names if str(root / n) in escapes):
+        yield Checked(name, (escapes[str(root / name)],), total=len(names))
+    names = [name for name in names if str(root / name) not in escapes]
+    if manifest is not None:
+        files = {n: f for n, f in manifest.files.items() if str(root / n) not in escapes}
+        manifest = replace(manifest, files=files)
+    if manifest is not None and not manifest.problems:
+        yield from _by_hash(root, manifest, names, count)
+    else:
+        yield from _by_structure(root, manifest, names, count)
+
+
+def _find_manifest(root: Path) -> Manifest | None:
+    """Read the manifest, that of a bag with its tag files; refuse a folder that is no database."""
+    found = (root / NAME).is_file()
+    if not found and not (root / CATALOGUE).is_file() and not (root / "objects").is_dir():
+        raise DatabaseRefused(
+            Problem(
+                "E_UNREADABLE",
+                "there is no database here",
+                file=str(root),
+                expected=f"a folder with {CATALOGUE}, {NAME} or objects/",
+                fix="Give the folder of a database, or build the campaign first.",
+            )
+        )
+    if not found:
+        return None
+    manifest = read_manifest(root / NAME)
+    if not (root / BAG).is_file() or not (root / TAGS).is_file():
+        return manifest
+    tags = read_manifest(root / TAGS)
+    files = {**{n: f for n, f in tags.files.items() if n != NAME}, **manifest.files}
+    problems = (*manifest.problems, *tags.problems)
+    if (own := tags.files.get(NAME)) and hash_file(root / NAME) != own.sha256:
+        problems += (
+            problem_of(root, NAME, "E_DAMAGED", "it is not what the bag's tag manifest says"),
+        )
+    return Manifest(manifest.path, files, manifest.bytes, problems)
+
+
+# --- by hash ----------------------------------------------------------------------------------
+
+
+def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> Iterator[Checked]:
+    """Compare every file with the manifest."""
+    listed = {plain(name): entry for name, entry in manifest.files.items()}
+    own = {NAME, TAGS} if (root / BAG).is_file() else {NAME}
+    there = {plain(name): name for name in names if name not in own}
+    missing = [listed[key] for key in listed if key not in there]
+    extra = [there[key] for key in there if key not in listed]
+    total = len(names) + len(missing)
+    found: dict[str, str] = {}
+    damaged: dict[str, Listed] = {}
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        hashes = pool.map(lambda name: hash_or_reason(root / name), there.values())
+        for done, (key, digest) in enumerate(zip(there, hashes, strict=True), 1):
+            found[key] = digest
+            if key in listed and digest != listed[key].sha256:
+                damaged[key] = listed[key]
+            else:
+                yield Checked(there[key], done=done, total=total)
+    for name in (n for n in names if n in own):
+        yield Checked(name, done=len(there) + 1, total=total)
+    for key, entry in damaged.items():
+        problem = what_happened(root, there[key], entry, found[key], listed, found)
+        yield Checked(there[key], (problem,), total, total)
+    for entry in missing:
+        where = [there[key] for key, digest in found.items() if digest == entry.sha256]
+        more = {"found": f"its content stands under {where[0]}"} if where else {}
+        yield Checked(
+            "", (problem_of(root, entry.name, "E_MISSING", "it is missing", **more),), total, total
+        )
+    for name in extra:
+        yield Checked(name, (unlisted(root, name),), total, total)
+    if not (missing or damaged):
+        stale = tuple(_check_catalogue(root, listed))
+        yield Checked("", stale, total, total)
+
+
+def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]:
+    """The catalogue's own hashes against the manifest's, which were just found to be true."""
+    base = root / "data" if (root / BAG).is_file() else root
+    if not (base / CATALOGUE).is_file():
+        return
+    try:
+        entries = read_catalogue(base)
+    except DatabaseRefused as refused:
+        yield from refused.problems
+        return
+    for entry in entries:
+        name = f"{'data/' if base != root else ''}{stem_of(entry)}.tif"
+        file = listed.get(plain(name))
+        if file is None:
+            yield problem_of(root, name, "E_MISSING", f"{CATALOGUE} lists it, and there is none")
+        elif file.sha256 != entry.sha256.lower():
+            told = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
+            yield problem_of(base, CATALOGUE, "E_DAMAGED", "a hash in it is not the file's", **told)
+
+
+# --- by structure -----------------------------------------------------------------------------
+
+
+def _by_structure(
+    root: Path, manifest: Manifest | None, names: list[str], threads: int
+) -> Iterator[Checked]:
+    """Decode what there is, and use what a damaged manifest still says."""
+    from levkas.database.layout_check import check_structure
+
+    done, total, kept = 0, len(names), frozenset(names) - ({NAME} if manifest else frozenset())
+    ours = False
+    for step in check_structure(root, kept):
+        done, ours = done + bool(step.name), step.ours or ours
+        yield Checked(step.name, step.problems, done, total)
+    if manifest is not None:
+        more = manifest.problems + tuple(still_told(root, manifest, names, threads))
+        yield Checked(NAME, more, total, total)
+    elif ours:
+        gone = [name for name in (CATALOGUE, NAME) if name not in names]
+        why = "it is missing; what it would tell could not be checked"
+        missing = tuple(problem_of(root, name, "E_MISSING", why) for name in gone)
+        yield Checked("", missing, total, total)
+
+
+def _once(problems: Iterable[Problem]) -> Iterator[Problem]:
+    """Leave out what was said of a file before in other words."""
+    seen: set[str | None] = set()
+    for problem in problems:
+        if problem.file not in seen:
+            yield problem
+        seen.add(problem.file)

@@ -1,0 +1,7 @@
+"""Layers of a database in the formats of other programs: ``levkas export DATABASE --for imagej``."""
+
+from __future__ import annotations
+
+from levkas.export.run import FORMS, Exported, export
+
+__all__ = ["FORMS", "Exported", "export"]

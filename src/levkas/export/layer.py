@@ -1,0 +1,161 @@
+"""One layer of a database as the formats take it: its planes, its bands, and what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from levkas.core.cube import Band
+from levkas.core.problems import Problem, Refused
+from levkas.database.containment import check_inside
+
+KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
+
+
+class ExportRefused(Refused):
+    """A layer cannot be handed on in the format that was asked for."""
+
+
+def load_library(name: str) -> ModuleType:
+    """Return a library of the extra ``export``; raises ExportRefused where it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise ExportRefused(
+            Problem(
+                "E_MISSING",
+                f"this format needs {name}, which is not installed",
+                fix="Run: pip install 'levkas[export]'",
+            )
+        ) from None
+
+
+@dataclass(frozen=True)
+class ExportLayer:
+    """One layer, read from its TIFFs.
+
+    Parameters
+    ----------
+    object, camera, setup : str
+    bands : tuple of Band
+    facts : dict
+        What the TIFF says of itself: quantity, px_per_mm and others.
+    path : Path
+        Of the TIFF with the values; flags and sigma stand beside it.
+    """
+
+    object: str
+    camera: str
+    setup: str
+    bands: tuple[Band, ...]
+    facts: dict[str, Any]
+    path: Path
+
+    @classmethod
+    def read(cls, database: Path, name: str, camera: str, setup: str) -> ExportLayer:
+        """Open a layer; raises TiffRefused."""
+        from levkas.database.reader import open_tiff
+
+        stem = "_".join(part for part in (name, camera, setup) if part)
+        path = database / "objects" / name / f"{stem}.tif"
+        if not path.is_file():
+            raise ExportRefused(
+                Problem(
+                    "E_MISSING", f"the layer {stem} has no TIFF", str(path), fix="Build it again."
+                )
+            )
+        check_inside(
+            database, path, *(path.with_name(f"{stem}{ending}.tif") for ending in KINDS.values())
+        )
+        described = open_tiff(path)
+        return cls(name, camera, setup, described.bands, described.facts, path)
+
+    @property
+    def stem(self) -> str:
+        """Name of its files without an ending."""
+        return self.path.stem
+
+    @property
+    def quantity(self) -> str:
+        """``"reflectance"`` or ``"counts"``."""
+        return str(self.facts.get("quantity", "values"))
+
+    @property
+    def px_per_mm(self) -> float | None:
+        """Sampling of the grid, where it is known."""
+        scale = self.facts.get("px_per_mm")
+        return float(scale) if scale else None
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of the bands."""
+        return [band.label for band in self.bands]
+
+    @property
+    def wavelengths(self) -> list[float] | None:
+        """Centres in nm; None where the channels are broad."""
+        centres = [band.wavelength for band in self.bands]
+        return None if any(c != c for c in centres) else centres
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(height, width, bands)."""
+        from levkas.database.tiff_pages import open_pages
+
+        return open_pages(self.path).shape
+
+    @property
+    def kinds(self) -> list[str]:
+        """Which of values, flags and sigma there are."""
+        return [kind for kind in KINDS if self.file(kind).is_file()]
+
+    def file(self, kind: str) -> Path:
+        """Path of the TIFF with values, flags or sigma."""
+        return self.path.with_name(f"{self.path.stem}{KINDS[kind]}.tif")
+
+    def planes(self, kind: str = "values") -> Iterator[np.ndarray]:
+        """Yield band after band, (height, width): float32, of flags uint8."""
+        from levkas.database.tiff_pages import open_pages
+
+        pages = open_pages(self.file(kind))
+        for index in range(len(pages)):
+            yield pages.read_page(index)
+
+    def rows(self, kind: str, most: int) -> Iterator[np.ndarray]:
+        """Yield blocks of rows, (rows, width, bands), of at most `most` bytes where a row is no longer."""
+        from levkas.database.tiff_pages import open_pages
+
+        pages = open_pages(self.file(kind))
+        height, width, count = pages.shape
+        step = max(1, most // (pages.dtype.itemsize * width * count))
+        for start in range(0, height, step):
+            yield pages.read(start, start + step)
+
+    def whole(self, kind: str = "values") -> np.ndarray:
+        """Return all bands, (height, width, bands)."""
+        from levkas.database.tiff_pages import open_pages
+
+        pages = open_pages(self.file(kind))
+        return pages.read().reshape(pages.shape)
+
+    def limit_bytes(self, most: int, form: str, instead: str) -> None:
+        """Refuse a layer that the format cannot hold."""
+        height, width, count = self.shape
+        size = 4 * height * width * count
+        if size > most:
+            raise ExportRefused(
+                Problem(
+                    "E_SIZE",
+                    f"{self.stem} is too large for {form}",
+                    file=str(self.path),
+                    found=f"{size / 1e9:.1f} GB",
+                    expected=f"at most {most / 1e9:.1f} GB",
+                    fix=f"Use --for {instead}, or publish the medium edition and export that.",
+                )
+            )

@@ -1,0 +1,149 @@
+"""An export: every layer that was chosen, in one format, into one folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from levkas.core.problems import Problem
+from levkas.export.layer import ExportLayer, ExportRefused
+
+FORMS = {
+    "imagej": "levkas.export.imagej:write_imagej",
+    "envi": "levkas.export.envi:write_envi",
+    "matlab": "levkas.export.matlab:write_matlab",
+    "ntire": "levkas.export.ntire:write_ntire",
+    "qgis": "levkas.export.qgis:write_qgis",
+    "netcdf": "levkas.export.netcdf:write_netcdf",
+    "csv-spectra": "levkas.export.spectra:write_spectra",
+}
+"""Name of a format → where the function is that writes one layer into a folder and returns its files."""
+
+Writer = Callable[[ExportLayer, Path], list[Path]]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """One layer that was written; `done` of `total` are."""
+
+    name: str
+    files: tuple[Path, ...]
+    done: int
+    total: int
+    finished: bool = True
+    state: str = "done"
+
+    @property
+    def label(self) -> str:
+        """The layer."""
+        return self.name
+
+    @property
+    def line(self) -> str:
+        """One line for a log."""
+        return f"{self.name}: {', '.join(path.name for path in self.files)}"
+
+
+def export(
+    database: str | Path,
+    form: str,
+    *,
+    output: str | Path | None = None,
+    objects: Sequence[str] = (),
+    cameras: Sequence[str] = (),
+    overwrite: bool = False,
+) -> Iterator[Exported]:
+    """Write layers of a database as another program wants them, yielding layer after layer.
+
+    Parameters
+    ----------
+    database : path
+        A database, also a published one or its medium edition.
+    form : str
+        One of `FORMS`.
+    output : path, optional
+        Folder; default ``DATABASE.FORM`` beside the database. Other files in it stay.
+    objects, cameras : sequence of str
+        Only these; default all.
+    overwrite : bool
+        Whether a file may be replaced that no export wrote, or that was changed since.
+
+    Raises
+    ------
+    ExportRefused
+        Where nothing of that name is in the database, or a layer does not fit the format.
+    WriteRefused
+        Where such a file stands in the way, or the disk refuses.
+    """
+    from levkas.core.ownership import OwnFiles
+    from levkas.database.reader import Database
+
+    root = Path(database).resolve()
+    opened = Database(root)
+    layers = [
+        (name, *key)
+        for name in opened
+        for key in opened[name].layers
+        if (not objects or name in objects) and (not cameras or key[0] in cameras)
+    ]
+    _check_names(root, opened, objects, cameras)
+    writer = load_writer(form)
+    folder = Path(output).resolve() if output else root.with_name(f"{root.name}.{form}")
+    if folder == root or root in folder.parents:
+        raise ExportRefused(
+            Problem(
+                "E_UNWRITABLE",
+                "an export cannot stand in the database: its manifest would not fit it any more",
+                file=str(folder),
+                fix="Give another folder with -o.",
+            )
+        )
+    own = OwnFiles(folder, overwrite=overwrite)
+    for done, (name, camera, setup) in enumerate(layers, 1):
+        layer = ExportLayer.read(root, name, camera, setup)
+        with own.writing():
+            files = writer(layer, folder)
+        yield Exported(layer.stem, tuple(files), done, len(layers))
+    finish = getattr(import_module(FORMS[form].partition(":")[0]), "finish", None)
+    if finish is not None:
+        with own.writing():
+            files = finish([ExportLayer.read(root, *layer) for layer in layers], folder)
+        yield Exported(form, tuple(files), len(layers), len(layers))
+
+
+def load_writer(form: str) -> Writer:
+    """Return the function of a format."""
+    if form not in FORMS:
+        raise ExportRefused(
+            Problem("E_VALUE", "there is no such format", None, "--for", form, ", ".join(FORMS))
+        )
+    module, _, function = FORMS[form].partition(":")
+    writer: Writer = getattr(import_module(module), function)
+    return writer
+
+
+def _check_names(
+    root: Path, opened: object, objects: Sequence[str], cameras: Sequence[str]
+) -> None:
+    from levkas.database.reader import Database
+
+    assert isinstance(opened, Database)
+    there = {camera for name in opened for camera, _ in opened[name].layers}
+    for field, wanted, known in (
+        ("--object", objects, list(opened)),
+        ("--camera", cameras, sorted(there)),
+    ):
+        if missing := [name for name in wanted if name not in known]:
+            found, expected = ", ".join(missing), ", ".join(known)
+            raise ExportRefused(
+                Problem(
+                    "E_VALUE",
+                    "the database has none of this name",
+                    str(root),
+                    field,
+                    found,
+                    expected,
+                )
+            )

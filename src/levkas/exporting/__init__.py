@@ -1,7 +1,0 @@
-"""Layers of a database in the formats of other programs: ``levkas export DATABASE --for imagej``."""
-
-from __future__ import annotations
-
-from levkas.exporting.run import FORMS, Exported, export
-
-__all__ = ["FORMS", "Exported", "export"]

@@ -1,1 +1,0 @@
-"""From names of files to captures: patterns, folders, frames, sensors, bands."""

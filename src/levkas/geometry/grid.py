@@ -1,0 +1,170 @@
+"""The published grid: the reference frame mirrored, turned, cropped and scaled, as one map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import ceil, cos, radians, sin
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+from levkas.geometry.transforms import Affine
+
+QUARTERS: dict[float, tuple[float, float]] = {
+    0: (1.0, 0.0),
+    90: (0.0, 1.0),
+    180: (-1.0, 0.0),
+    270: (0.0, -1.0),
+}
+MOST_FRAMES = 4
+"""Of the turned frame a side, that a region may be; more is nothing but margin, and memory for it."""
+
+
+class GridRefused(Refused):
+    """A grid that shows nothing of the reference."""
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class Grid:
+    """Pixel grid of an object, and the map from it to the reference band's native pixels.
+
+    Parameters
+    ----------
+    size : (width, height)
+        Of the reference frame, native px.
+    mirror : bool
+        x flips, first of all.
+    rotate : float
+        Degrees clockwise as seen, next. Multiples of 90 map whole pixels to whole pixels.
+    region : (x, y, width, height), optional
+        In the turned frame at native scale, origin at the top left of its bounding box; may reach
+        beyond it. Default: the whole bounding box, rounded up to whole pixels.
+    output : (width, height), optional
+        Of the grid. Default: the region's, rounded. The scales along x and y are output / region,
+        each on its own, where the two have not the same proportions.
+
+    Attributes
+    ----------
+    transform : Affine
+        Grid px → reference px.
+    turned : Affine
+        Px of the turned frame, before cropping and scaling, → reference px.
+    size : (width, height) of the grid
+    region : (x, y, width, height) of the turned frame that the grid shows
+
+    Raises
+    ------
+    GridRefused
+        Where a side is not positive, or the region lies outside the turned frame.
+
+    Examples
+    --------
+    A frame 4 wide and 3 high, turned by 90 degrees: its bottom left pixel comes to the top left.
+
+    >>> grid = Grid((4, 3), rotate=90)
+    >>> grid.size, grid.transform(np.array([[0.0, 0], [2, 0], [2, 3]])).tolist()
+    ((3, 4), [[0.0, 2.0], [0.0, 0.0], [3.0, 0.0]])
+    """
+
+    transform: Affine
+    turned: Affine
+    size: tuple[int, int]
+    region: tuple[float, float, float, float]
+    bounds: tuple[float, float] = field(repr=False)
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        *,
+        mirror: bool = False,
+        rotate: float = 0.0,
+        region: tuple[float, float, float, float] | None = None,
+        output: tuple[int, int] | None = None,
+    ) -> None:
+        _check_sides("size", size)
+        forward, bounds = _turn(size, mirror, rotate)
+        back = np.linalg.inv(forward) if rotate % 90 else _inverse(forward)
+        whole = (0.0, 0.0, *(float(ceil(side - 1e-6)) for side in bounds))
+        x, y, width, height = whole if region is None else (float(v) for v in region)
+        _check_sides("grid.region", (width, height))
+        if x >= bounds[0] or y >= bounds[1] or x + width <= 0 or y + height <= 0:
+            raise GridRefused(
+                Problem(
+                    "E_VALUE",
+                    "the region of the grid lies outside the turned frame",
+                    field="grid.region",
+                    found=[x, y, width, height],
+                    expected=f"within {bounds[0]:.6g} x {bounds[1]:.6g} px",
+                    fix="Give the region in the frame after mirror and rotate, at native scale.",
+                )
+            )
+        if max(width / bounds[0], height / bounds[1]) > MOST_FRAMES:
+            raise GridRefused(
+                Problem(
+                    "E_SIZE",
+                    "the region of the grid is far larger than the turned frame",
+                    field="grid.region",
+                    found=[x, y, width, height],
+                    expected=f"at most {MOST_FRAMES} times {bounds[0]:.6g} x {bounds[1]:.6g} px a side",
+                    fix="Give the region in the frame after mirror and rotate, at native scale.",
+                )
+            )
+        columns, rows = output or (max(1, round(width)), max(1, round(height)))
+        _check_sides("grid.size", (columns, rows))
+        step_x, step_y = width / columns, height / rows
+        crop = np.array(
+            [[step_x, 0, step_x / 2 - 0.5 + x], [0, step_y, step_y / 2 - 0.5 + y], [0, 0, 1]]
+        )
+        values = {
+            "transform": Affine((back @ crop)[:2] + 0.0),
+            "turned": Affine(back[:2]),
+            "size": (int(columns), int(rows)),
+            "region": (x, y, width, height),
+            "bounds": bounds,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the grid."""
+        return self.size[1], self.size[0]
+
+
+def _turn(
+    size: tuple[int, int], mirror: bool, rotate: float
+) -> tuple[np.ndarray, tuple[float, float]]:
+    """Return the (3, 3) matrix, reference px → turned px, and the sides of the bounding box."""
+    width, height = size
+    angle = rotate % 360
+    c, s = QUARTERS.get(angle) or (cos(radians(angle)), sin(radians(angle)))
+    # y points down: a positive angle turns x towards y, which is clockwise as seen.
+    turn = np.array([[c, -s], [s, c]])
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]]) @ turn.T
+    low, high = corners.min(0), corners.max(0)
+    matrix = np.eye(3)
+    matrix[:2, :2] = turn
+    matrix[:2, 2] = turn @ (0.5, 0.5) - low - 0.5
+    flip = np.array([[-1.0, 0, width - 1], [0, 1, 0], [0, 0, 1]]) if mirror else np.eye(3)
+    return matrix @ flip, (float(high[0] - low[0]), float(high[1] - low[1]))
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Invert a map of whole pixels without rounding: its linear part is its own transpose."""
+    result = np.eye(3)
+    result[:2, :2] = matrix[:2, :2].T
+    result[:2, 2] = -matrix[:2, :2].T @ matrix[:2, 2] + 0.0
+    return result
+
+
+def _check_sides(name: str, sides: tuple[float, float]) -> None:
+    if not all(np.isfinite(side) and side > 0 for side in sides):
+        raise GridRefused(
+            Problem(
+                "E_VALUE",
+                "a frame needs positive sides",
+                field=name,
+                found=list(sides),
+                expected="[width, height] above 0",
+            )
+        )

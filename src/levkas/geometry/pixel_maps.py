@@ -1,0 +1,380 @@
+"""Where every grid pixel falls in the source, from a few places at which the maps are evaluated.
+
+A map is evaluated on a lattice of nodes, interpolated to order 5 down the rows, and laid as
+cubics along segments of them; the middles of its cells are checked against the map itself, and the
+lattice is made finer until the largest error is below `TOLERANCE_PX`, or where the map steps at a ledge
+below `LEDGE_SHARE` of that step. Maps that no lattice follows (folds, places without an answer) are
+evaluated at every pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import groupby
+from math import ceil, floor, inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.core.machine import count_threads
+from levkas.geometry.depth_step import LedgeShift
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
+
+TOLERANCE_PX = 1e-4
+LEDGE_SHARE = 1 / 400
+"""Where a ledge lies is known to pixels: what it displaces need not be laid out more exactly."""
+LADDER = ((128, 32), (32, 16), (8, 8), (4, 4), (2, 2))
+"""Distance of nodes and length of segments, grid px."""
+NODES = 6
+LANES = 16
+CHECKS = 400
+"""Check points on either axis, at most: fewer would miss the slope of a ledge."""
+FEW = 50
+"""Of these few tell already that most lattices do not serve."""
+COARSE, COARSER = 1.1, 1.5
+"""Source px per grid px: from the first on the kernel is widened against aliasing, from the second
+on by the whole scale; between them gradually, so that bands of nearly one scale are treated alike."""
+SMALL = 4096
+"""Grids of at most so many pixels are evaluated whole."""
+BLOCK = 16
+"""Rows evaluated at once where no lattice serves: always the same ones, so that a tile's bytes
+do not depend on where it begins."""
+FAR = -float(1 << 30)
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """A run of bands whose maps are laid out alike.
+
+    Parameters
+    ----------
+    first : int
+    count : int or None
+        The bands; None: one map for however many there are.
+    transforms : tuple of Transform
+        One for all bands, or one each.
+    table : ndarray or None
+        (rows, segments, 10), for bands with maps of their own (rows, segments, 10, count):
+        coefficients of 1, t, t², t³ of x and of y along a segment, source px, and the scales along
+        x and y, source px per grid px. None: the maps are evaluated at every pixel.
+    segment : int
+        Grid px.
+    error : float
+        Largest distance to the map at the check points, px; 0 where every pixel is evaluated.
+    coarsest : float
+        Largest scale.
+    """
+
+    first: int
+    count: int | None
+    transforms: tuple[Transform, ...]
+    table: np.ndarray | None
+    segment: int
+    error: float
+    coarsest: float
+
+    @property
+    def widest(self) -> float:
+        """Scale that kernels are never widened beyond: what a lattice may lie above its nodes."""
+        return self.coarsest * (2.0 if self.table is None else 1.1)
+
+
+@dataclass(frozen=True, eq=False)
+class PixelMap:
+    """Maps of all bands on a grid, laid out for resampling; made by `lay`.
+
+    Parameters
+    ----------
+    shape : (height, width) of the grid
+    bands : int or None
+        None: one map for however many bands there are.
+    lattices : tuple of Lattice
+    """
+
+    shape: tuple[int, int]
+    bands: int | None
+    lattices: tuple[Lattice, ...]
+
+    @property
+    def error(self) -> float:
+        """Largest distance of the lattices to the maps at the check points, px."""
+        return max(lattice.error for lattice in self.lattices)
+
+
+def lay(transforms: Transform | Sequence[Transform], shape: tuple[int, int]) -> PixelMap:
+    """Lay maps out on a grid.
+
+    Parameters
+    ----------
+    transforms : Transform or sequence of Transform
+        Grid px → source px: one for all bands, or one each.
+    shape : (height, width) of the grid
+
+    Returns
+    -------
+    pixel_map : PixelMap
+
+    Examples
+    --------
+    >>> from levkas.geometry.transforms import Affine
+    >>> lay(Affine.scaling(0.5), (800, 600)).lattices[0].table.shape
+    (8, 19, 10)
+    """
+    height, width = (int(n) for n in shape)
+    if height < 1 or width < 1:
+        raise ValueError(f"a grid of {width} x {height} px has no pixel")
+    bands = len(transforms) if isinstance(transforms, Sequence) else None
+    return PixelMap((height, width), bands, tuple(lay_runs(transforms, (height, width))))
+
+
+def lay_runs(
+    transforms: Transform | Sequence[Transform],
+    shape: tuple[int, int],
+    most_bytes: float = inf,
+) -> Iterator[Lattice]:
+    """Yield the lattices of `lay`, a new one wherever those held take more than `most_bytes`."""
+    if not isinstance(transforms, Sequence):
+        yield _lay_band(transforms, shape, 0)
+        return
+    if not transforms:
+        raise ValueError("there is no transform: give one for all bands, or one for each")
+    if all(t is transforms[0] for t in transforms):
+        yield _lay_band(transforms[0], shape, 0)
+        return
+    run: list[Lattice] = []
+    with ThreadPoolExecutor(count_threads()) as pool:
+        for first in range(0, len(transforms), LANES):
+            some = range(first, min(first + LANES, len(transforms)))
+            run.extend(pool.map(lambda band: _lay_band(transforms[band], shape, band), some))
+            held = sum(one.table.nbytes for one in run if one.table is not None)
+            if held > most_bytes:
+                yield from _joined(run, pool)
+        yield from _joined(run, pool)
+
+
+def _joined(bands: list[Lattice], pool: Executor) -> Iterator[Lattice]:
+    """Yield runs of bands laid alike; `bands` is empty after that, and holds no table meanwhile."""
+    runs = [
+        list(run) for _, run in groupby(bands, key=lambda one: (one.segment, one.coarsest > COARSE))
+    ]
+    bands.clear()
+    while runs:
+        yield _join(runs.pop(0), pool)
+
+
+def _lay_band(transform: Transform, shape: tuple[int, int], band: int) -> Lattice:
+    height, width = shape
+    coarsest = 1.0
+    for step, segment in LADDER:
+        counts = [max(NODES, ceil((n - 1) / step) + 1) for n in shape]
+        y, x = (np.linspace(0, n - 1, count) for n, count in zip(shape, counts, strict=True))
+        nodes = _asked(transform, x, y).reshape(*counts, 2)
+        coarsest = max(1.0, _coarsest(nodes, x, y))
+        if height * width <= SMALL or min(shape) < NODES:
+            break
+        if not _is_near(nodes):
+            continue
+        table = _table(nodes, shape, segment)
+        error = _error(transform, table, shape, segment, (x, y), _tolerance(transform, coarsest))
+        if error is not None:
+            coarsest = max(coarsest, float(table[..., 8:].max()))
+            return Lattice(band, None, (transform,), table, segment, error, coarsest)
+    return Lattice(band, None, (transform,), None, 1, 0.0, coarsest)
+
+
+def _asked(transform: Transform, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return where the places of a raster lie, (rows x columns, 2)."""
+    places = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    with np.errstate(all="ignore"):
+        return np.asarray(transform(places), float)
+
+
+def _is_near(found: np.ndarray) -> bool:
+    return bool(np.isfinite(found).all() and np.abs(found).max() <= -FAR / 4)
+
+
+def _error(
+    transform: Transform,
+    table: np.ndarray,
+    shape: tuple[int, int],
+    segment: int,
+    nodes: tuple[np.ndarray, np.ndarray],
+    tolerance: float,
+) -> float | None:
+    """Return the largest error of a table at the middles of cells; None where it is too large.
+
+    Few of them are asked first: most tables that do not serve show it there.
+    """
+    x, y = (_checks(n) for n in nodes)
+    for every in (CHECKS // FEW, 1):
+        few = x[::every], y[::every]
+        found = _asked(transform, *few)
+        if not _is_near(found):
+            return None
+        error = float(np.abs(_evaluate(table, shape, segment, *few) - found).max())
+        if error > tolerance:
+            return None
+    return error
+
+
+def _tolerance(transform: Transform, scale: float) -> float:
+    """Return how far a lattice may lie from a map, source px."""
+    steps = getattr(transform, "steps", (transform,))
+    ledges = [step.most for step in steps if isinstance(step, LedgeShift)]
+    return max([TOLERANCE_PX, *(LEDGE_SHARE * most * scale for most in ledges)])
+
+
+def _join(run: list[Lattice], pool: Executor) -> Lattice:
+    tables = [one.table for one in run if one.table is not None]
+    return Lattice(
+        run[0].first,
+        len(run),
+        tuple(one.transforms[0] for one in run),
+        _stacked(tables, pool) if tables else None,
+        run[0].segment,
+        max(one.error for one in run),
+        max(one.coarsest for one in run),
+    )
+
+
+def _stacked(tables: list[np.ndarray], pool: Executor) -> np.ndarray:
+    """Return the bands' tables beside one another, copied a row at a time: what a row takes stays in the cache."""
+    whole = np.empty((*tables[0].shape, len(tables)))
+
+    def copy(row: int) -> None:
+        for band, table in enumerate(tables):
+            whole[row, ..., band] = table[row]
+
+    for _ in pool.map(copy, range(len(whole))):
+        pass
+    return whole
+
+
+def _checks(nodes: np.ndarray) -> np.ndarray:
+    """Whole px at the middle of cells, the outermost ones among them: there the error is largest."""
+    middles = np.unique(np.round((nodes[1:] + nodes[:-1]) / 2))
+    chosen = np.unique(np.linspace(0, len(middles) - 1, CHECKS).round().astype(int))
+    return middles[chosen]
+
+
+def _coarsest(nodes: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
+    scale = 0.0
+    for axis in range(2):
+        steps = [
+            np.diff(nodes[..., axis], axis=k) / (n[1] - n[0] if n[1] > n[0] else np.inf)
+            for k, n in enumerate((y, x))
+        ]
+        along, down = (float(np.nanmax(np.abs(s))) if np.isfinite(s).any() else 0.0 for s in steps)
+        scale = max(scale, float(np.hypot(along, down)))
+    return scale
+
+
+def lagrange(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return first node, (n,), and weights, (n, 6), for `places` among `count` equidistant nodes."""
+    first = np.clip(np.floor(places).astype(int) - NODES // 2 + 1, 0, count - NODES)
+    weights = np.ones((len(places), NODES))
+    for i in range(NODES):
+        for j in range(NODES):
+            if j != i:
+                weights[:, i] *= (places - first - j) / (i - j)
+    return first, weights
+
+
+def _table(nodes: np.ndarray, shape: tuple[int, int], segment: int) -> np.ndarray:
+    """Lay cubics along the segments of each row of nodes, through four places of each."""
+    from levkas.geometry.pixel_maps_kernel import segments
+
+    (height, width), (rows, columns) = shape, nodes.shape[:2]
+    count = ceil(width / segment)
+    places = np.arange(3 * count + 1) * (segment / 3) * ((columns - 1) / (width - 1))
+    first, weights = lagrange(places, columns)
+    table = np.empty((rows, count, 10))
+    segments(np.ascontiguousarray(nodes), first, weights, segment, (height - 1) / (rows - 1), table)
+    return table
+
+
+def _evaluate(
+    table: np.ndarray, shape: tuple[int, int], segment: int, x: np.ndarray, y: np.ndarray
+) -> np.ndarray:
+    """Return what a band's table says at a raster of whole grid px, (rows x columns, 2)."""
+    from levkas.geometry.pixel_maps_kernel import follow
+
+    rows = table.shape[0]
+    first, weights = lagrange(y * ((rows - 1) / (shape[0] - 1)), rows)
+    found = np.empty((len(y), len(x), 2))
+    follow(table, first, weights, *np.divmod(x.astype(int), segment), found)
+    return found.reshape(-1, 2)
+
+
+def exact_table(lattice: Lattice, shape: tuple[int, int], start: int, stop: int) -> np.ndarray:
+    """Evaluate the maps at every pixel of rows `start` to `stop`, blocks of `BLOCK` rows.
+
+    Returns
+    -------
+    table : ndarray, (stop - start, width, 10, maps), or without the last axis for one shared map
+        As `Lattice.table`, a segment a pixel; far away where there is no answer.
+    """
+    width = shape[1]
+    maps = len(lattice.transforms)
+    table = np.zeros((stop - start, width, 10, maps))
+    for low in range(start - start % BLOCK, stop, BLOCK):
+        high = min(low + BLOCK, shape[0])
+        above, below = max(low - 1, 0), min(high + 1, shape[0])
+        y, x = np.mgrid[above:below, :width]
+        points = np.stack([x.ravel(), y.ravel()], 1).astype(float)
+        here = slice(max(low, start) - start, min(high, stop) - start)
+        part = slice(max(low, start) - above, min(high, stop) - above)
+        for m, transform in enumerate(lattice.transforms):
+            with np.errstate(all="ignore"):
+                places = np.asarray(transform(points), float).reshape(*x.shape, 2)
+                far = ~(np.abs(places) < -FAR / 4).all(-1)
+                for axis in range(2):
+                    p = places[..., axis]
+                    slopes = [np.gradient(p, axis=k) if p.shape[k] > 1 else 0 * p for k in (0, 1)]
+                    scale = np.nan_to_num(np.hypot(*slopes), nan=1.0, posinf=1.0)
+                    table[here, :, 8 + axis, m] = scale[part]
+                    table[here, :, 4 * axis, m] = np.where(far, FAR, p)[part]
+    return table[..., 0] if maps == 1 else table
+
+
+def widths(scales: np.ndarray) -> np.ndarray:
+    """Return how many times as wide a kernel is to be at `scales`, source px per grid px.
+
+    >>> widths(np.array([0.5, 1.1, 1.3, 1.5, 2.8])).tolist()
+    [1.0, 1.0, 1.25, 1.5, 2.8]
+    """
+    between = 1 + (scales - COARSE) * ((COARSER - 1) / (COARSER - COARSE))
+    return np.maximum(1.0, np.minimum(scales, between))
+
+
+def row_reach(
+    lattice: Lattice, shape: tuple[int, int], start: int, stop: int
+) -> tuple[float, float]:
+    """Return least and largest source y of the grid rows `start` to `stop`; NaN where there is none."""
+    if lattice.table is None:
+        y = exact_table(lattice, shape, start, stop)[:, :, 4]
+        y = y[y != FAR]
+        return (float(y.min()), float(y.max())) if y.size else (np.nan, np.nan)
+    rows = len(lattice.table)
+    first, weights = lagrange(np.arange(start, stop) * ((rows - 1) / (shape[0] - 1)), rows)
+    least, most = np.inf, -np.inf
+    for f, w in zip(first, weights, strict=True):
+        a, b, c, d = np.tensordot(w, lattice.table[f : f + NODES, :, 4:8], 1).swapaxes(0, 1)
+        n = lattice.segment
+        # A cubic stays between the least and the largest of its Bézier points.
+        ends = (a, a + b * n / 3, a + 2 * b * n / 3 + c * n**2 / 3, a + n * (b + n * (c + n * d)))
+        least = min(least, *(float(e.min()) for e in ends))
+        most = max(most, *(float(e.max()) for e in ends))
+    return least, most
+
+
+def tap_rows(least: float, most: float, reach: float, height: int) -> tuple[int, int]:
+    """Return the source rows, first and one past the last, that taps around y can stand on."""
+    if not least <= most:
+        return 0, 0
+    low, high = max(floor(least - reach) - 1, 0), min(ceil(most + reach) + 2, height)
+    return (low, high) if low < high else (0, 0)

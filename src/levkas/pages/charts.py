@@ -1,0 +1,157 @@
+"""The part of a report that a chart fills: where it was sampled, Figure 15 of the paper, colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.pages.page import Figure, embed_png
+from levkas.pages.plots import Line, picture_with_areas, plot
+from levkas.pages.radiometry import channel_colours
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.quality.targets.measuring import ChartMeasure, Sighting
+
+LONGEST = 640
+MOST_LINES = 33
+
+
+@dataclass(frozen=True)
+class ChartSection:
+    """One chart by one camera, ready to be shown."""
+
+    name: str
+    summary: str
+    notes: Sequence[str]
+    pictures: Sequence[Figure]
+    figures: Sequence[Figure]
+    indicators: Sequence[Sequence[str]]
+    columns: Sequence[str]
+    patches: Sequence[Sequence[str]]
+
+
+def describe_chart(measure: ChartMeasure) -> ChartSection:
+    """Return the section of a chart that was measured."""
+    agreement = min(s.located.agreement for s in measure.sightings)
+    noise = "the difference of two shots" if measure.table.temporal else "the spread in each patch"
+    summary = (
+        f"{measure.chart.name}, rank correlation with the published patches {agreement:.3f}; "
+        f"noise from {noise}, {int(measure.table.pixels.min())} pixels a patch or more."
+    )
+    indicators = [
+        [row.name, f"{row.value:.2f} {row.unit}", row.fadgi, row.iso] for row in measure.rows
+    ]
+    if measure.colours is not None:
+        summary += f" Colours (D65, 2°) {measure.colours.how}."
+    return ChartSection(
+        measure.name,
+        summary,
+        [*_blur_notes(measure), *measure.notes],
+        [_sampled(seen, measure) for seen in measure.sightings],
+        [f for f in (_over_signal(measure), _over_wavelength(measure)) if f is not None],
+        indicators,
+        ("mean", "SNR, median band", "dB", "ΔE2000"),
+        _patch_rows(measure),
+    )
+
+
+def _blur_notes(measure: ChartMeasure) -> list[str]:
+    found = [
+        f"{band.label} (lag-1 correlation {max(p.lag1):.2f}, σ times {p.factor:.2f})"
+        for band, p in zip(measure.bands, measure.preblurs, strict=True)
+        if p is not None and p.found
+    ]
+    if not found:
+        return []
+    return [
+        "Neighbouring pixels share their noise, for the camera blurs or a mosaic was interpolated: "
+        + ", ".join(found[:8])
+        + (f" and {len(found) - 8} more" if len(found) > 8 else "")
+        + ". Its SNR is corrected for that."
+    ]
+
+
+def _sampled(seen: Sighting, measure: ChartMeasure) -> Figure:
+    from levkas.database.preview import encode_png
+    from levkas.quality.targets.locating import pictures_of
+
+    shown = pictures_of(seen.cube.values)[-1][..., 0]
+    step = max(1, -(-max(shown.shape) // LONGEST))
+    small = np.ascontiguousarray(shown[::step, ::step])
+    src = embed_png(encode_png(small))
+    size = (small.shape[1], small.shape[0])
+    svg = picture_with_areas(
+        src, size, (seen.located.areas + 0.5) / step - 0.5, measure.chart.patches
+    )
+    where = f"sensor {seen.sensor}: " if seen.sensor else ""
+    return Figure(svg, f"{where}the sampled areas, on the root of the mean of all bands.")
+
+
+def _over_signal(measure: ChartMeasure) -> Figure | None:
+    """SNR of the greys over the channel's own signal, with luminance as second axis (Figure 15a–c)."""
+    greys = list(measure.chart.greys)
+    snr = measure.snr_db[greys]
+    signal = measure.table.mean[greys]
+    labels = [band.label for band in measure.bands]
+    step = max(1, -(-len(labels) // MOST_LINES))
+    colours = channel_colours(labels)
+    lines = [
+        Line(labels[i], list(signal[:, i]), list(snr[:, i]), colours[i])
+        for i in range(0, len(labels), step)
+        if np.isfinite(snr[:, i]).any()
+    ]
+    middle = np.median(signal, axis=1)
+    luminance = 100 * measure.chart.luminances[greys]
+    order = np.argsort(middle)[:: max(1, len(greys) // 6)]
+    marks = [(float(middle[i]), f"{luminance[i]:.0f}") for i in order if middle[i] > 0]
+    svg = plot(
+        lines, x="signal of the channel", y="SNR, dB (10·log10)", log=True,
+        top_axis=("luminance Y, %", marks),
+    )  # fmt: skip
+    caption = (
+        "SNR of the grey patches over each channel's own signal, logarithmic (the paper's Figure 15a–c), after "
+        "flat-fielding. Above: luminance of the patches, at the median signal of the channels."
+    )
+    return Figure(svg, caption) if svg else None
+
+
+def _over_wavelength(measure: ChartMeasure) -> Figure | None:
+    """SNR of every grey patch over wavelength, measured and corrected (Figure 15d)."""
+    wavelengths = measure.wavelengths
+    if np.isfinite(wavelengths).sum() < 5:
+        return None
+    greys = list(measure.chart.greys)
+    snr, corrected = measure.table.snr_db, measure.snr_db
+    moved = any(p is not None and p.found for p in measure.preblurs)
+    lines = []
+    for place, patch in enumerate(greys):
+        share = place / max(len(greys) - 1, 1)
+        grey = f"hsl(0 0% {72 - 50 * share:.0f}%)"
+        name = measure.chart.patches[patch]
+        lines.append(Line(name, list(wavelengths), list(snr[patch]), grey))
+        if moved:
+            line = Line(
+                f"{name}, corrected", list(wavelengths), list(corrected[patch]), "#c62828", True
+            )
+            lines.append(line)
+    svg = plot(lines, x="wavelength, nm", y="SNR, dB (10·log10)")
+    caption = "The same, patch by patch over wavelength (the paper's Figure 15d)."
+    if moved:
+        caption += " Red: without the camera's own blur."
+    return Figure(svg, caption) if svg else None
+
+
+def _patch_rows(measure: ChartMeasure) -> list[list[str]]:
+    rows = []
+    snr, snr_db = measure.table.snr, measure.snr_db
+    for i, patch in enumerate(measure.chart.patches):
+        good = np.isfinite(snr[i])
+        middle = f"{np.median(snr[i][good]):.0f}" if good.any() else "–"
+        decibels = f"{np.median(snr_db[i][good]):.1f}" if good.any() else "–"
+        colour = "–" if measure.colours is None else f"{measure.colours.difference[i]:.2f}"
+        rows.append([patch, f"{np.nanmean(measure.table.mean[i]):.3g}", middle, decibels, colour])
+    return rows

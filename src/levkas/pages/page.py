@@ -1,0 +1,145 @@
+"""The report page of one object: what was registered to what, how well, and what to do next."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field
+from importlib.resources import files as resources
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+DECISIONS = {
+    "accept": "accepted",
+    "warn": "accepted with a warning",
+    "refuse": "refused",
+    "reference": "reference",
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing as SVG text, with what a reader should see in it."""
+
+    svg: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class LayerReport:
+    """What the page says of one camera under one setup; texts are plain, the page escapes them."""
+
+    name: str
+    bands: Sequence[str]
+    quantity: str
+    decision: str
+    method: str
+    model: str = ""
+    reasons: Sequence[str] = ()
+    next_step: str = ""
+    warnings: Sequence[str] = ()
+    error: str = "–"
+    checks: str = ""
+    ssim: str = "–"
+    flags: str = ""
+    preview: str = ""
+    description: str = ""
+    figures: Sequence[Figure] = ()
+    ssim_map: str = ""
+    columns: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
+
+    @property
+    def decision_text(self) -> str:
+        """The decision in a user's word."""
+        return DECISIONS.get(self.decision, self.decision)
+
+    @property
+    def anchor(self) -> str:
+        """A name that is safe in a link."""
+        return "layer-" + "".join(c if c.isalnum() else "-" for c in self.name)
+
+
+@dataclass(frozen=True)
+class CloseUpRow:
+    """One setup's close-ups, as data addresses."""
+
+    name: str
+    pictures: Sequence[str]
+
+
+@dataclass(frozen=True)
+class CloseUps:
+    """Close-ups of one camera under all its setups."""
+
+    camera: str
+    places: Sequence[str]
+    rows: Sequence[CloseUpRow]
+
+
+@dataclass(frozen=True)
+class ObjectReport:
+    """Everything on the page of one object."""
+
+    title: str
+    facts: Sequence[str]
+    reference: str
+    layers: Sequence[LayerReport]
+    problems: Sequence[dict[str, str]] = ()
+    mm_per_px: str = ""
+    footer: str = ""
+    views: Sequence[dict[str, str]] = field(default=())
+    radiometry: Sequence[Any] = ()
+    setups: Sequence[CloseUps] = ()
+
+
+def render_report(page: Any, template: str = "report.html") -> str:
+    """Return a page as HTML by one of the templates here; every text from outside is escaped."""
+    import jinja2
+
+    def read(name: str) -> str:
+        return resources("levkas.pages").joinpath(name).read_text(encoding="utf-8")
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(template).render(page=page)
+
+
+def embed_png(data: bytes) -> str:
+    """Return PNG bytes as a data address that an image tag can show."""
+    return "data:image/png;base64," + base64.b64encode(data).decode("ascii")
+
+
+def describe_flags(shares: dict[str, float]) -> str:
+    """Say the share of pixels under each flag: ``saturated 0.4 %``; shares below 0.005 % are left out.
+
+    >>> describe_flags({"saturated": 0.004, "outside": 0.0})
+    'saturated 0.40 %'
+    """
+    told = [f"{name} {100 * share:.2f} %" for name, share in shares.items() if share >= 5e-5]
+    return ", ".join(told) or "none"
+
+
+def describe_model(model: dict[str, Any]) -> str:
+    """Say the model of a registration in words.
+
+    >>> describe_model({"kind": "levkas", "sensors": [{"base": "cubic", "chromatic": "affine"}]})
+    'cubic, bands apart by affine'
+    """
+    told = []
+    for sensor in model.get("sensors", []):
+        if not isinstance(sensor, dict):
+            continue
+        base, apart = sensor.get("base"), sensor.get("chromatic")
+        if isinstance(base, str) and base.startswith("rig"):
+            base = base.replace("rig", "one map with other captures", 1)
+        name = f"{sensor['sensor']}: " if sensor.get("sensor") else ""
+        told.append(name + (f"{base}, " if base else "") + f"bands apart by {apart}")
+    mask = model.get("mask") or {}
+    if mask.get("automatic"):
+        told.append(
+            f"only the object is compared, told from its background: {mask['share']:.0%} of the frame"
+        )
+    return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")

@@ -1,0 +1,357 @@
+"""Exposure advice from frames: a white, or the object, taken once, tells which time to set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isnan, log10
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.calibration.blocks import block_statistics
+from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
+from levkas.calibration.noise_model import Sensor
+from levkas.calibration.patterns import channel_names, channel_table, split
+from levkas.calibration.templates import Template
+from levkas.core.problems import Problem, Refused
+from levkas.planning.advice_frames import Shot, files_at, gather_shots
+from levkas.planning.exposure_levels import (
+    Advice,
+    Reading,
+    advise,
+    judge_iso,
+    limiting,
+    read_channel,
+    snr_at,
+)
+from levkas.planning.full_scale import FullScale, find_full_scale, not_known
+from levkas.readers.frames import read_facts
+
+TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
+FAINT = 0.002  # of saturation: less tells no time
+PRNU = 0.01  # where nothing tells it
+NO_WHITE = 1.0  # (brightest − darkest)/mean, above which no evenly lit white was shown
+LIT, FEWEST_BLOCKS = 0.1, 16  # share of saturation from which a white tells it, on so many blocks
+
+
+class NoAdvice(Refused):
+    """Frames from which no exposure can be told."""
+
+
+@dataclass(frozen=True)
+class Coached:
+    """Advice for one band or one camera.
+
+    Parameters
+    ----------
+    shot : Shot
+        The longest that does not clip.
+    advices : list of Advice
+        One a channel.
+    sensor : Sensor
+        As fitted, or assumed, for the SNR.
+    iso_advice : str
+    notes : list of str
+    is_white : bool
+        Whether the frames show a white.
+    prnu_known : bool
+        Whether the sensor's PRNU was measured on them, or 1 % is assumed.
+    full, full_from : float, str
+        Counts at which a sensel is full, and where that is known from.
+    """
+
+    shot: Shot
+    advices: list[Advice]
+    sensor: Sensor
+    iso_advice: str
+    notes: list[str]
+    is_white: bool = True
+    prnu_known: bool = False
+    full: float = float("nan")
+    full_from: str = ""
+
+    @property
+    def first(self) -> Advice:
+        """The channel that saturates first; its time is everyone's."""
+        return limiting(self.advices)[0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for `--json`."""
+        first, poorest = limiting(self.advices)
+        return {
+            "name": self.shot.name,
+            "wavelength": None if isnan(self.shot.wavelength) else self.shot.wavelength,
+            "exposure_s": self.shot.exposure_s,
+            "recommended_s": first.time_s,
+            "recommended_factor": first.factor,
+            "target": first.target,
+            "saturates_first": first.reading.channel,
+            "poorest": poorest.reading.channel,
+            "iso": self.iso_advice,
+            "channels": [self._channel(advice) for advice in self.advices],
+            "prnu": self.sensor.prnu,
+            "prnu_known": self.prnu_known,
+            "full_scale": self.full,
+            "full_scale_from": self.full_from,
+            "notes": self.notes,
+        }
+
+    def _channel(self, advice: Advice) -> dict[str, Any]:
+        reading = advice.reading
+        then = snr_at(advice, self.sensor, self.first.factor)
+        return {
+            "channel": reading.channel,
+            "mean": reading.mean,
+            "peak": reading.peak,
+            "stops_to_saturation": reading.stops_left,
+            "clipped": reading.clipped,
+            "unevenness": reading.unevenness,
+            "histogram": reading.histogram.tolist(),
+            "snr_now": advice.snr_now,
+            "snr_at_recommended": then,
+            "snr_at_recommended_db": 10 * log10(then) if then > 0 else None,
+            "own_time_s": advice.time_s,
+        }
+
+
+def coach(
+    frames: Sequence[str | Path],
+    darks: Sequence[str | Path] = (),
+    *,
+    pattern: str | Sequence[Sequence[str]] | None = None,
+    black: float | None = None,
+    bits: int | None = None,
+    saturation: float | None = None,
+    exposure_s: float | None = None,
+    is_white: bool = True,
+) -> list[Coached]:
+    """Say how long to expose, from frames of a white or of the object itself.
+
+    Parameters
+    ----------
+    frames : sequence of path
+        Files or folders. Those that name one wavelength are one band; of several exposures the
+        longest unclipped counts; equal ones are a stack, and tell the noise.
+    darks : sequence of path
+        Of any exposures: to each band those of its size that come nearest to its time.
+    pattern : str or rows of names, optional
+        Of a mosaic; default the file's own.
+    black : float, optional
+        Counts; default that of the campaign that the frames belong to, else the file's own, else 0.
+    bits, saturation : int, float, optional
+        Bits of the converter, or counts at which a sensel is full; default as `find_full_scale` finds it.
+    exposure_s : float, optional
+        Of every frame, where neither names (25ms, 0.5s) nor headers tell.
+    is_white : bool
+        False: the frames show the object, and its peak is kept below saturation.
+
+    Returns
+    -------
+    coached : list of Coached
+        By wavelength, then name.
+
+    Raises
+    ------
+    NoAdvice
+        E_WHITE_SATURATED where every exposure of a band clips, E_WHITE_DARK where none stands above
+        black, with the time to try; E_WHITE_UNEVEN where the frames show no white; E_BITS where nothing
+        tells the full scale, or codes lie beyond the bits.
+    Refused
+        UnreadableCapture.
+    """
+    files = [f for path in frames for f in files_at(Path(path))]
+    if not files:
+        raise NoAdvice(
+            Problem(
+                "E_NO_FRAMES", "there is no frame", expected="frames of a white, or of the object"
+            )
+        )
+    facts = read_facts(files[0])
+    without = [f for path in darks for f in files_at(Path(path))]
+    dim = gather_shots(without, np.inf, None)
+    scale = find_full_scale(files, facts, bits=bits, saturation=saturation)
+    if scale is None:
+        raise NoAdvice(not_known(files[0], facts))
+    level = next((b for b in (black, scale.black, facts.black) if b is not None), 0.0)
+    pattern = pattern or facts.pattern
+    bands: dict[tuple[float, str], list[Shot]] = {}
+    for shot in gather_shots(files, scale.counts, exposure_s):
+        _check_bits(shot, scale, str(files[0]))
+        bands.setdefault((shot.wavelength, shot.name), []).append(shot)
+    order = sorted(
+        bands, key=lambda key: (isnan(key[0]), key[0] if key[0] == key[0] else 0, key[1])
+    )
+    return [_coach_band(bands[key], dim, level, scale, pattern, is_white) for key in order]
+
+
+def _check_bits(shot: Shot, scale: FullScale, file: str) -> None:
+    """Refuse frames with codes beyond the bits: 12 bits may stand at the upper end of 16."""
+    if scale.bits is not None and (top := float(shot.stack.mean.max())) > scale.counts:
+        raise NoAdvice(
+            Problem(
+                "E_BITS",
+                f"{shot.name}: codes are larger than {scale.bits} bits can hold",
+                file,
+                "bits",
+                f"{top:.0f}",
+                f"at most {scale.counts:.0f} ({scale.source})",
+                "Give the code at which the camera saturates, --saturation 65520 where 12 bits stand at the "
+                "upper end of 16.",
+            )
+        )
+
+
+def _dark_of(shot: Shot, darks: list[Shot]) -> Template | None:
+    """Return the dark that is nearest in time to a shot, of its size where there is one."""
+    alike = [d for d in darks if d.stack.mean.shape == shot.stack.mean.shape] or darks
+    if not alike:
+        return None
+
+    def apart(dark: Shot) -> float:
+        if not dark.exposure_s or not shot.exposure_s:
+            return float("inf")
+        return abs(log10(dark.exposure_s / shot.exposure_s))
+
+    return min(alike, key=apart).stack
+
+
+def _coach_band(
+    shots: list[Shot],
+    darks: list[Shot],
+    black: float,
+    scale: FullScale,
+    pattern: str | Sequence[Sequence[str]] | None,
+    is_white: bool,
+) -> Coached:
+    full = scale.counts
+    under = {shot.exposure_s: _dark_of(shot, darks) for shot in shots}
+    levels = {t: float(np.median(dark.mean)) if dark else black for t, dark in under.items()}
+    readings = [(s, _readings(s, levels[s.exposure_s], full, pattern)) for s in shots]
+    clear = [(s, r) for s, r in readings if max(c.clipped for c in r) <= TOLERATED]
+    if not clear:
+        raise NoAdvice(_clipped(min(readings, key=lambda item: item[0].exposure_s or 0.0)))
+    shot, channels = max(clear, key=lambda item: item[1][0].mean)
+    dark, black = under[shot.exposure_s], levels[shot.exposure_s]
+    if max(c.peak for c in channels) < FAINT * (full - black):
+        raise NoAdvice(_too_faint(shot, channels))
+    if is_white and min(c.unevenness for c in channels) > NO_WHITE:
+        raise NoAdvice(_no_white(shot, channels))
+    noise, notes = _noise(shot, dark, black, pattern)
+    prnu = _prnu(shot, black, full, pattern) if is_white else None
+    sensor = Sensor(
+        dark=0.0,
+        read=float(np.sqrt(noise.read_variance)) / noise.gain,
+        prnu=PRNU if prnu is None else prnu,
+        dsnu=0.0,
+        gain=noise.gain,
+    )
+    advices = [
+        advise(c, sensor, exposure_s=shot.exposure_s, is_white=is_white, wavelength=shot.wavelength)
+        for c in channels
+    ]
+    iso = judge_iso(
+        limiting(advices)[0].stops, dark_noise_dn=float(np.sqrt(noise.read_variance)), iso=shot.iso
+    )
+    if shot.exposure_s is None:
+        notes.append("the exposure is not known: multiply the one that was set")
+    return Coached(
+        shot, advices, sensor, iso, notes, is_white, prnu is not None, full, scale.source
+    )
+
+
+def _prnu(
+    shot: Shot, black: float, full: float, pattern: str | Sequence[Sequence[str]] | None
+) -> float | None:
+    """Return the PRNU that a stack of a white shows, its texture included; None where it cannot."""
+    if shot.stack.count < 2 or shot.stack.mean.ndim != 2:
+        return None
+    blocks = block_statistics(shot.stack, pattern).values()
+    signal = np.concatenate([b.mean - black for b in blocks])
+    fixed = np.concatenate([b.spatial - b.temporal / b.shots for b in blocks])
+    used = np.isfinite(signal + fixed) & (signal > LIT * (full - black))
+    if np.count_nonzero(used) < FEWEST_BLOCKS:
+        return None
+    squared = float(np.sum(fixed[used]) / np.sum(signal[used] ** 2))
+    return float(np.sqrt(max(squared, 0.0)))
+
+
+def _readings(
+    shot: Shot, black: float, full: float, pattern: str | Sequence[Sequence[str]] | None
+) -> list[Reading]:
+    """Read each channel; of several phases of one, the brighter counts."""
+    values = np.where(shot.stack.saturated, np.maximum(shot.stack.mean, full), shot.stack.mean)
+    if values.ndim == 3:
+        names = "RGB" if values.shape[2] == 3 else [str(i) for i in range(values.shape[2])]
+        planes = [(name, values[..., i]) for i, name in enumerate(names)]
+    elif pattern is None:
+        planes = [("", values)]
+    else:
+        table, known = channel_table(pattern), channel_names(pattern)
+        phases = zip(table.ravel(), split(values, *table.shape), strict=True)
+        planes = [(known[channel], phase) for channel, phase in phases]
+    found: dict[str, Reading] = {}
+    for name, plane in planes:
+        reading = read_channel(plane, black=black, saturation=full, channel=name)
+        if name not in found or reading.peak > found[name].peak:
+            found[name] = reading
+    return list(found.values())
+
+
+def _noise(
+    shot: Shot, dark: Template | None, black: float, pattern: str | Sequence[Sequence[str]] | None
+) -> tuple[NoiseModel, list[str]]:
+    """Fit the noise to what is there; from one shot only an upper bound can be had."""
+    if dark is not None and dark.mean.shape != shot.stack.mean.shape:
+        dark = None
+    stacks = [s for s in (shot.stack, dark) if s is not None and s.count > 1]
+    noise = fit_noise(stacks, dark, black=black) if shot.stack.count > 1 else None
+    if noise is not None and noise.gain > 0:
+        return noise, []
+    single = None
+    if shot.stack.mean.ndim == 2:
+        single = fit_noise_single([shot.stack], [None], dark, black=black, pattern=pattern)
+    if single is None or single.gain <= 0:
+        # 8 bits of a usual sensor; the advice on time does not hang on it, the SNR does.
+        top = float(np.max(shot.stack.mean))
+        assumed = NoiseModel(max(top, 1.0) / 20_000, 1.0, "spatial")
+        return assumed, ["noise could not be told: 20,000 electrons are assumed at the peak"]
+    note = "one shot only: the SNR is a lower bound, for texture counts as noise; two shots tell it"
+    return single, [note]
+
+
+def _clipped(reading: tuple[Shot, list[Reading]]) -> Problem:
+    shot, channels = reading
+    worst = max(channels, key=lambda c: c.clipped)
+    time = f"{shot.exposure_s / 4:g} s" if shot.exposure_s else "a quarter of the time"
+    return Problem(
+        "E_WHITE_SATURATED",
+        f"{shot.name}: every exposure clips",
+        field=worst.channel or None,
+        found=f"{worst.clipped:.1%} of the pixels at saturation in the shortest",
+        expected=f"at most {TOLERATED:.1%}",
+        fix=f"Capture it at {time} and ask again: where it clips, how far is not seen.",
+    )
+
+
+def _too_faint(shot: Shot, channels: list[Reading]) -> Problem:
+    return Problem(
+        "E_WHITE_DARK",
+        f"{shot.name}: nothing stands above black",
+        found=f"peak {max(c.peak for c in channels):.1f} counts above it",
+        expected=f"{FAINT * channels[0].room:.0f} or more",
+        fix="Look whether the lamp was on, then capture it ten times longer.",
+    )
+
+
+def _no_white(shot: Shot, channels: list[Reading]) -> Problem:
+    least = min(c.unevenness for c in channels)
+    return Problem(
+        "E_WHITE_UNEVEN",
+        f"{shot.name}: this is no evenly lit white",
+        found=f"it varies by {least:.0%} over the field",
+        expected=f"at most {NO_WHITE:.0%}",
+        fix="Add --object where the frames show the object, --pattern where the sensor is a mosaic; "
+        "else fill the field with the white board and move the lamps back.",
+    )

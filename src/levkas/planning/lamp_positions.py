@@ -1,0 +1,257 @@
+"""Lamps as they hang: the plan of a lighting fitted to a white as it was captured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.planning.framing import plan_framing
+from levkas.planning.irradiance import drop, illuminate
+from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
+from levkas.planning.measured_flat_field import (
+    Box,
+    average_whites,
+    check_region,
+    files_of,
+    thin_white,
+)
+from levkas.planning.refusals import PlanRefused, wrong
+from levkas.planning.setup import Setup, load_setup
+
+if TYPE_CHECKING:
+    from levkas.planning.setup import Lamp, Lighting
+
+EXPLAINED = 0.015  # rms that a white board, its noise and dust leave beside the lamps
+
+
+@dataclass(frozen=True, eq=False)
+class HungLamps:
+    """A plan beside what a white shows of it.
+
+    Parameters
+    ----------
+    fitted : FittedLamps
+    measured_drop : float
+        Of the white, vignetting of the lens included.
+    size_mm : (width, height)
+        Of the part of the board that the frame shows.
+    frames : int
+    notes : tuple of str
+        What to doubt, and what to do.
+    """
+
+    fitted: FittedLamps
+    measured_drop: float
+    size_mm: tuple[float, float]
+    frames: int
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for `--json`."""
+        return {
+            "setup": self.fitted.lighting.name,
+            "residual": self.fitted.residual,
+            "explained": self.fitted.residual <= EXPLAINED,
+            "drop": self.fitted.drop,
+            "planned_drop": self.fitted.planned_drop,
+            "measured_drop": self.measured_drop,
+            "size_mm": list(self.size_mm),
+            "frames": self.frames,
+            "lamps": lamp_rows(self.fitted.lighting.lamps),
+            "uncertainties": [asdict(error) for error in self.fitted.errors],
+            "light_at_middle": light_at_middle(self.fitted.lighting.lamps),
+            "moved": list(self.fitted.moved),
+            "notes": list(self.notes),
+        }
+
+
+def lamp_rows(lamps: Sequence[Lamp]) -> list[dict[str, Any]]:
+    """Return lamps as a setup file would place them; shares are of the strongest."""
+    strongest = max(lamp.candela for lamp in lamps)
+    rows = []
+    for lamp in lamps:
+        target = lamp.place - lamp.axis * lamp.place[2] / min(lamp.axis[2], -1e-6)
+        rows.append(
+            {
+                "lamp": lamp.name.rpartition(" ")[0],
+                "angle_deg": round(lamp.angle_deg, 1),
+                "azimuth_deg": round(lamp.azimuth_deg, 1),
+                "distance_mm": round(lamp.distance_mm),
+                "aim": [round(float(target[0])), round(float(target[1]))],
+                "share": round(lamp.candela / strongest, 3),
+            }
+        )
+    return rows
+
+
+def light_at_middle(lamps: Sequence[Lamp]) -> list[float]:
+    """Return the light of each lamp at the board's middle, over that of the strongest there.
+
+    A white tells this well, also where it cannot tell power from distance.
+    """
+    middle, facing = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
+    given = [float(illuminate([lamp], middle, facing)[0]) for lamp in lamps]
+    return [round(g / max(given), 3) for g in given]
+
+
+def fit_white(
+    setup: str | Path | Setup,
+    whites: Sequence[str | Path],
+    name: str | None = None,
+    *,
+    darks: Sequence[str | Path] = (),
+    camera: str | None = None,
+    lamp: int | None = None,
+    region: Box | None = None,
+    black: float | None = None,
+    saturation: float | None = None,
+    bits: int | None = None,
+    bent: bool = False,
+) -> HungLamps:
+    """Fit the lamps of a lighting to captured whites.
+
+    Parameters
+    ----------
+    setup : path or Setup
+    whites : sequence of path
+        Frames of one camera, or folders of them; averaged.
+    name : str, optional
+        Of the lighting that was hung; the first without one.
+    darks : sequence of path
+        Frames or folders; without them `black` is subtracted.
+    camera : str, optional
+        Whose planned field the frame shows; without it the region shows just the object's size.
+    lamp : int, optional
+        The only one of the lighting's lamps that shone, from 1: its place is then told far better.
+    region : (x, y, width, height), optional
+        Native pixels that show the board; the whole frame without it.
+    black, saturation : float, optional
+        Counts; default as the file or its campaign declare them, black else 0.
+    bits : int, optional
+        Of the converter; default as `levkas.planning.full_scale.find_full_scale` finds the full scale.
+    bent : bool
+        Whether the board is bent as the object is.
+
+    Raises
+    ------
+    WhiteRefused
+        E_BITS where nothing tells the full scale; E_NO_FRAMES, E_REGION, E_WHITE_SATURATED, E_WHITE_DARK.
+    PlanRefused
+        Where setup, lighting or camera are not there or cannot be planned.
+    """
+    setup = setup if isinstance(setup, Setup) else load_setup(setup)
+    lighting = _shining(setup, setup.lighting(name), lamp)
+    files = files_of(whites)
+    stack, floor = average_whites(files, files_of(darks), black, saturation, bits)
+    box = check_region(region, stack.mean.shape, str(files[0]))
+    light = thin_white(stack, floor, box, str(files[0]))
+    size, centre, doubts = _shown(setup, camera, stack.mean.shape, box)
+    thing = setup.object.model_copy(update={"size_mm": size})
+    fitted = fit_lamps(light, lighting, thing, bent=bent, centre_mm=centre)
+    notes = (*doubts, *_notes(lighting, fitted))
+    return HungLamps(fitted, drop(light), size, len(files), notes)
+
+
+def _shining(setup: Setup, lighting: Lighting, lamp: int | None) -> Lighting:
+    """Return a lighting with the one lamp that shone."""
+    if lamp is None:
+        return lighting
+    count = len(lighting.lamps)
+    if not 1 <= lamp <= count:
+        place = f"setups.{lighting.name}.lamps"
+        raise PlanRefused(
+            wrong(str(setup.path), place, "there is no such lamp", lamp, f"1 to {count}")
+        )
+    return replace(lighting, lamps=(lighting.lamps[lamp - 1],))
+
+
+def hung_text(found: HungLamps) -> str:
+    """Return what a white shows in lines, the lamps as a setup file would have them."""
+    fitted = found.fitted
+    lines = [
+        f"{fitted.lighting.name}: the light drops by {100 * fitted.drop:.1f} % over the board, planned "
+        f"{100 * fitted.planned_drop:.1f} %; the white itself by {100 * found.measured_drop:.1f} %, lens included",
+        f"  lamps and lens explain the white to {100 * fitted.residual:.2f} % rms "
+        f"({found.frames} frame{'s' if found.frames > 1 else ''})",
+        *(f"  {words}" for words in fitted.moved),
+        *(f"  {words}" for words in found.notes),
+        "",
+        "As they hang, for the setup file:",
+    ]
+    for row in lamp_rows(fitted.lighting.lamps):
+        keys = ", ".join(
+            f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}" for k, v in row.items()
+        )
+        lines.append(f"  {{ {keys} }},")
+    return "\n".join(lines)
+
+
+def _notes(plan: Lighting, fitted: FittedLamps) -> list[str]:
+    notes = []
+    if fitted.residual > EXPLAINED:
+        notes.append(
+            f"More than {100 * EXPLAINED:.1f} % is left: other light in the room, a board that is not flat, "
+            "clean or whole in the frame, or another lighting than this one."
+        )
+    lamps = fitted.lighting.lamps
+    given = light_at_middle(lamps)
+    if min(given) < 0.95:
+        notes.append(
+            f"{lamps[int(np.argmin(given))].name} gives the middle {100 * (1 - min(given)):.0f} % "
+            "less light than the strongest: bring it nearer, or dim the other."
+        )
+    for planned, lamp in zip(plan.lamps, lamps, strict=True):
+        turned = abs(lamp.angle_deg - planned.angle_deg)
+        if turned > 2.5 * SPREAD["angle"]:
+            notes.append(
+                f"{lamp.name} would stand {turned:.0f}° from its plan, which is hardly so: measure the angle. "
+                "The lens, or a white that is not flat, may be taken for light."
+            )
+    if len(lamps) > 1:
+        notes.append(
+            "One white cannot tell a strong far lamp from a weak near one: where it is silent, the plan is kept. "
+            "A white under each lamp alone (--lamp 1, --lamp 2) tells each one's place two or three times better."
+        )
+    return notes
+
+
+def _shown(
+    setup: Setup, camera: str | None, shape: tuple[int, ...], box: Box
+) -> tuple[tuple[float, float], tuple[float, float], list[str]]:
+    """Return size and centre, mm, of what the box shows, and what to doubt."""
+    x, y, width, height = box
+    rows, columns = shape[:2]
+    whole = setup.object.size_mm
+    if camera is None:
+        ratio = width / height / (whole[0] / whole[1])
+        doubts = []
+        if not 0.85 < ratio < 1.18:
+            doubts.append(
+                f"The white is {width} x {height} pixels, the object {whole[0]:g} x {whole[1]:g} mm: name the "
+                "camera, or give the region that the object takes."
+            )
+        return whole, (0.0, 0.0), doubts
+    if camera not in setup.cameras:
+        raise PlanRefused(
+            wrong(
+                str(setup.path),
+                "cameras",
+                "there is no such camera",
+                camera,
+                ", ".join(setup.cameras),
+            )
+        )
+    field = next(f.field_mm for f in plan_framing(setup) if f.camera == camera)
+    doubts = []
+    if not 0.9 < columns / rows / (field[0] / field[1]) < 1.11:
+        doubts.append(
+            f"The frame is {columns} x {rows} pixels, the field of {camera} {field[0]:.0f} x {field[1]:.0f} mm: "
+            "is it this camera's, and not turned?"
+        )
+    scale = field[0] / columns, field[1] / rows
+    centre = (x + width / 2 - columns / 2) * scale[0], (y + height / 2 - rows / 2) * scale[1]
+    return (width * scale[0], height * scale[1]), centre, doubts

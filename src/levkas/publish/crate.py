@@ -1,0 +1,258 @@
+"""ro-crate-metadata.json: the folder described by RO-Crate 1.1, every file and every step of its making.
+
+Spelled by the `rocrate` package from plain entities. Dates are those of the captures and of the
+publication, never the clock's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from levkas.core.json_safe import to_json
+from levkas.publish.actions import describe_steps, describe_tools
+from levkas.publish.crate_rules import check_crate
+from levkas.publish.describing import describe_dataset
+from levkas.publish.facts import DOI, ORCID, Facts, Person
+from levkas.publish.publication import PublishRefused
+
+if TYPE_CHECKING:
+    from levkas.publish.publication import Publication
+
+NAME = "ro-crate-metadata.json"
+VERSION = "1.1"
+TERMS = {"sha256": "https://w3id.org/ro/terms/workflow-run#sha256"}
+"""Words that RO-Crate 1.1 has not, and where they are explained."""
+WHOLE = ("zarr", "iiif", "viewer")
+"""Folders of many small files, described as one thing each."""
+FORMATS = {
+    ".tif": "image/tiff",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".csv": "text/csv",
+    ".json": "application/json",
+    ".html": "text/html",
+    ".md": "text/markdown",
+    ".txt": "text/plain",
+    ".toml": "application/toml",
+    ".cff": "application/yaml",
+}
+KINDS = {
+    ".flags.tif": "flags of every pixel and band",
+    ".sigma.tif": "one standard deviation of every value's random part",
+    ".matches.csv": "matches of the registration",
+}
+
+Entity = dict[str, Any]
+
+
+def write_crate(publication: Publication) -> Iterator[str]:
+    """Write ro-crate-metadata.json for all that stands in the folder, and check it by its rules.
+
+    Raises
+    ------
+    PublishRefused
+        Where the rules of RO-Crate are not kept.
+    """
+    yield "describing every file"
+    publication.write_text(NAME, to_json(describe_crate(publication)))
+    yield "checking the description"
+    if problems := check_crate(publication.folder):
+        here, final = str(publication.folder), str(publication.out.final)
+        told = [replace(p, file=(p.file or "").replace(here, final)) for p in problems]
+        raise PublishRefused(*told[:10])
+
+
+def describe_crate(publication: Publication) -> dict[str, Any]:
+    """Return the metadata document of a publication."""
+    from rocrate.rocrate import ROCrate
+
+    crate = ROCrate(version=VERSION)
+    crate.metadata.extra_terms.update(TERMS)
+    entities: dict[str, Entity] = {}
+    root = _describe_root(publication, entities)
+    for entity in entities.values():
+        crate.add_jsonld(dict(entity))
+    for key, value in root.items():
+        crate.root_dataset[key] = value
+    document: dict[str, Any] = crate.metadata.generate()
+    document["@graph"] = [_singled(e) for e in sorted(document["@graph"], key=_order)]
+    return document
+
+
+def _singled(entity: Entity) -> Entity:
+    """Return an entity whose lists of one are that one, as the specification recommends."""
+    return {k: v[0] if isinstance(v, list) and len(v) == 1 else v for k, v in entity.items()}
+
+
+def _order(entity: Entity) -> tuple[int, str]:
+    first = [NAME, "./"]
+    return (first.index(entity["@id"]) if entity["@id"] in first else len(first), entity["@id"])
+
+
+def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Entity:
+    """Fill `entities` by their ids, and return the properties of the root."""
+    facts = publication.facts
+    files = _describe_files(publication, entities)
+    _nest(entities, files)
+    actions = describe_steps(publication, entities)
+    describe_tools(publication, entities)
+    people = [_person(entities, person, i) for i, person in enumerate(facts.creators)]
+    root: Entity = {
+        "name": facts.title,
+        "description": describe_dataset(publication),
+        "datePublished": facts.published,
+        "license": _licence(entities, facts),
+        "author": people,
+        "hasPart": [{"@id": i} for i in sorted(entities) if _is_top(i, entities)],
+        "mentions": actions,
+    }
+    if facts.publisher:
+        entities["#publisher"] = {
+            "@id": "#publisher",
+            "@type": "Organization",
+            "name": facts.publisher,
+        }
+        root["publisher"] = {"@id": "#publisher"}
+    if facts.doi:
+        root["identifier"] = DOI + facts.doi
+    if facts.contact:
+        kind = "email" if "@" in facts.contact else "name"
+        entities["#contact"] = {
+            "@id": "#contact",
+            "@type": "ContactPoint",
+            "contactType": "about the data",
+            kind: facts.contact,
+        }
+        root["contactPoint"] = {"@id": "#contact"}
+    for address in facts.related:
+        entities.setdefault(address, {"@id": address, "@type": "ScholarlyArticle", "name": address})
+    told = {
+        "citation": [{"@id": address} for address in dict.fromkeys(facts.related)],
+        "keywords": ", ".join(facts.keywords),
+        "version": facts.version,
+        "url": facts.url or publication.url,
+        "dateCreated": facts.date,
+    }
+    return root | {key: value for key, value in told.items() if value}
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def _describe_files(publication: Publication, entities: dict[str, Entity]) -> list[str]:
+    """Describe each file, folders of many small ones as a whole; return the ids."""
+    from levkas.database.manifest import list_files
+
+    root, found = publication.folder, []
+    for name in list_files(root):
+        whole = _whole_of(name)
+        if whole is None:
+            entity = _file(publication, root, name)
+        else:
+            entity = {"@id": f"{quote(whole)}/", "@type": "Dataset", "name": _name_of_whole(whole)}
+            if whole.split("/")[-1].endswith(".zarr"):
+                entity["encodingFormat"] = "application/vnd+zarr"
+        if entity["@id"] not in entities:
+            entities[entity["@id"]] = entity
+            found.append(entity["@id"])
+    return found
+
+
+def _whole_of(name: str) -> str | None:
+    """Return the folder that is described as one thing, for a file that is in one."""
+    parts = name.split("/")
+    for depth in (0, 1):  # the medium edition is a folder below
+        if len(parts) > depth + 1 and parts[depth] in WHOLE:
+            return "/".join(parts[: depth + 2 if parts[depth] == "zarr" else depth + 1])
+    return None
+
+
+def _name_of_whole(folder: str) -> str:
+    last = folder.split("/")[-1]
+    names = {
+        "iiif": "IIIF manifests and tiles",
+        "viewer": "Viewer: open index.html in a browser",
+    }
+    return names.get(last, f"{last.removesuffix('.zarr')}: all layers as Zarr v3")
+
+
+def _file(publication: Publication, root: Path, name: str) -> Entity:
+    path = root / name
+    ending = next((e for e in KINDS if name.endswith(e)), path.suffix)
+    entity: Entity = {
+        "@id": quote(name),
+        "@type": "File",
+        "name": path.name,
+        "contentSize": str(path.stat().st_size),
+        "encodingFormat": FORMATS.get(path.suffix, "application/octet-stream"),
+    }
+    if ending in KINDS:
+        entity["description"] = KINDS[ending]
+    if name in publication.hashes:
+        entity["sha256"] = publication.hashes[name]
+    return entity
+
+
+def _nest(entities: dict[str, Entity], files: list[str]) -> None:
+    """Put files into their folders, and folders into theirs, so that all hang below the root."""
+    parents: dict[str, list[str]] = {}
+    for identifier in files:
+        inner = identifier
+        while "/" in inner.rstrip("/"):
+            outer = inner.rstrip("/").rpartition("/")[0] + "/"
+            parents.setdefault(outer, [])
+            if inner in parents[outer]:
+                break
+            parents[outer].append(inner)
+            inner = outer
+    for folder, parts in parents.items():
+        entity = entities.setdefault(
+            folder, {"@id": folder, "@type": "Dataset", "name": folder.rstrip("/")}
+        )
+        entity["hasPart"] = [{"@id": part} for part in sorted(parts)]
+
+
+def _is_top(identifier: str, entities: dict[str, Entity]) -> bool:
+    """Whether an entity is data, and stands in the root folder itself."""
+    data = entities[identifier]["@type"] in ("File", "Dataset")
+    return data and "/" not in identifier.rstrip("/") and not identifier.startswith("#")
+
+
+# --- people and licence ---------------------------------------------------------------------------
+
+
+def _person(entities: dict[str, Entity], person: Person, number: int) -> Entity:
+    identifier = ORCID + person.orcid if person.orcid else f"#creator-{number + 1}"
+    entity: Entity = {
+        "@id": identifier,
+        "@type": "Organization" if person.organisation else "Person",
+        "name": person.name,
+    }
+    given, family = person.parts
+    if not person.organisation and given:
+        entity |= {"givenName": given, "familyName": family}
+    if person.affiliation:
+        known = [e for e in entities.values() if e["@id"].startswith("#affiliation")]
+        same = [e["@id"] for e in known if e["name"] == person.affiliation]
+        home = same[0] if same else f"#affiliation-{len(known) + 1}"
+        entities[home] = {"@id": home, "@type": "Organization", "name": person.affiliation}
+        entity["affiliation"] = {"@id": home}
+    entities[identifier] = entity
+    return {"@id": identifier}
+
+
+def _licence(entities: dict[str, Entity], facts: Facts) -> Entity:
+    licence = facts.licence
+    assert licence is not None, "publish refuses a database without a licence"
+    identifier = licence.url or "#licence"
+    entities[identifier] = {
+        "@id": identifier,
+        "@type": "CreativeWork",
+        "name": licence.name,
+        "description": f"The licence of these data: {licence.spdx or licence.name}",
+    }
+    return {"@id": identifier}

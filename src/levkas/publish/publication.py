@@ -1,0 +1,96 @@
+"""One publication while it is being made: from which database, whereto, with what."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from levkas.core.problems import Refused
+
+if TYPE_CHECKING:
+    from levkas.core.files import Folder
+    from levkas.database.catalogue import Entry
+    from levkas.database.manifest import Manifest
+    from levkas.publish.facts import Facts
+
+MEDIUM = "medium"
+"""Folder of the medium edition where both are published."""
+
+Editions = Literal["full", "medium", "both"]
+
+
+class PublishRefused(Refused):
+    """A database cannot be published as it is; every reason is listed."""
+
+
+@dataclass(frozen=True)
+class Publication:
+    """What the parts of a publication share.
+
+    Parameters
+    ----------
+    source : Path
+        The database, which is only read.
+    manifest : Manifest
+        Of the database.
+    out : Folder
+        Where the publication stands while it is made; it takes its name when it is whole.
+    facts : Facts
+        Who, what, under which licence.
+    editions : "full", "medium" or "both"
+        A single edition is the folder itself; of both, the medium one is the folder ``medium`` in it.
+    url : str
+        Address under which the folder will be found, with ``/`` at its end; empty where not known.
+    iiif : bool
+        Whether tiles are wanted.
+    hashes : dict
+        SHA-256 of files that were hashed while they were written, by relative path.
+    """
+
+    source: Path
+    manifest: Manifest
+    out: Folder
+    facts: Facts
+    editions: Editions = "both"
+    url: str = ""
+    iiif: bool = True
+    hashes: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def folder(self) -> Path:
+        """Path of the folder that is being made."""
+        return self.out.path
+
+    @property
+    def roots(self) -> dict[str, Path]:
+        """Folder of each edition: every one is a database of its own."""
+        if self.editions == "both":
+            return {"full": self.folder, "medium": self.folder / MEDIUM}
+        return {self.editions: self.folder}
+
+    @property
+    def root(self) -> Path:
+        """Folder of the larger edition that is there: what pictures are made from."""
+        return self.folder
+
+    def write_bytes(self, name: str, data: bytes | memoryview) -> None:
+        """Write a file of the folder; all are synced together in the end. Raises WriteRefused."""
+        self.out.write_bytes(name, data)
+        self.hashes[name] = hashlib.sha256(data).hexdigest()
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write text as UTF-8; raises WriteRefused."""
+        self.write_bytes(name, text.encode("utf-8"))
+
+    def copy_file(self, source: Path, name: str) -> str:
+        """Copy a file and return its SHA-256; raises WriteRefused."""
+        self.hashes[name] = self.out.copy_file(source, name)
+        return self.hashes[name]
+
+    def entries(self) -> tuple[Entry, ...]:
+        """Return the rows of the catalogue of `root`."""
+        from levkas.database.catalogue import read_catalogue
+
+        return read_catalogue(self.root)

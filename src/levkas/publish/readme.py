@@ -1,0 +1,155 @@
+"""README.md of a published database: what it is, how to cite it, how to read it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from levkas.core.flags import MARKS
+from levkas.publish.citation import cite
+from levkas.publish.describing import describe_dataset
+
+if TYPE_CHECKING:
+    from levkas.database.catalogue import Entry
+    from levkas.publish.publication import Publication
+
+NAME = "README.md"
+PARTS = {
+    "catalogue.csv": "one row a layer: object, camera, setup, bands, size, sampling, quantity, verdict",
+    "database.toml": "title, creators, licence, cameras and lightings",
+    "splits.csv": "which objects to learn from, to choose with and to test on",
+    "objects/": "one folder an object: spectral TIFFs with flags and sigma, previews, registration, report",
+    "zarr/": "the same layers as Zarr v3, one store an object",
+    "cameras/": "sensors, sensitivities, report of each camera",
+    "setups/": "spectra of the light",
+    "charts/": "calibrated colour charts",
+    "medium/": "the same database at no more than 640 x 480 pixels, and complete in itself",
+    "colour/": "the CIELAB gamut of the database",
+    "iiif/": "tiles and manifests for IIIF viewers",
+    "viewer/": "open `index.html` in a browser: no server is needed",
+    "ro-crate-metadata.json": "RO-Crate: every file and every step of its making",
+    "datacite.json": "DataCite metadata",
+    "CITATION.cff": "how to cite",
+    "manifest-sha256.txt": "SHA-256 of every file",
+}
+
+
+def write_readme(publication: Publication) -> Iterator[str]:
+    """Write README.md; of both editions each has its own."""
+    yield NAME
+    for root in publication.roots.values():
+        place = root.relative_to(publication.folder)
+        publication.write_text((place / NAME).as_posix(), spell_readme(publication, root))
+
+
+def spell_readme(publication: Publication, root: Path) -> str:
+    """Return the text of README.md of one edition."""
+    from levkas.database.catalogue import read_catalogue
+
+    facts, entries = publication.facts, read_catalogue(root)
+    licence = facts.licence
+    parts = [f"# {plain(facts.title)}", plain(describe_dataset(publication))]
+    if licence:
+        parts.append(
+            f"Licence: {plain(licence.name)}" + (f", <{licence.url}>" if licence.url else "")
+        )
+    parts += ["Please cite:", f"> {plain(cite(facts))}"]
+    parts += [f"See also <{address}>." for address in facts.related]
+    if facts.contact:
+        parts.append(f"Questions: {plain(facts.contact)}")
+    parts += ["## Objects", _objects(publication), "## Layers", _layers(entries)]
+    parts += ["## Files", _files(publication, root), _reading(entries), _values(), _keeping()]
+    return "\n\n".join(parts) + "\n"
+
+
+def plain(text: str) -> str:
+    """Spell text so that Markdown takes nothing in it for its own marks or for HTML.
+
+    >>> plain("<b>*x*</b> | y")
+    '&lt;b&gt;\\\\*x\\\\*&lt;/b&gt; \\\\| y'
+    """
+    text = re.sub(r"([\\`*_{}\[\]#|~])", r"\\\1", text)
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _objects(publication: Publication) -> str:
+    rows = ["| object | title | by | date | medium | size, mm | owner |", "|---" * 7 + "|"]
+    for name in dict.fromkeys(e.object for e in publication.entries()):
+        facts = publication.facts.objects.get(name, {})
+        size = " x ".join(f"{side:g}" for side in facts.get("size_mm", ()))
+        cells = [facts.get(k, "") for k in ("title", "creator", "date", "medium")]
+        cells += [size, facts.get("owner", "")]
+        rows.append(
+            "| " + " | ".join(plain(" ".join(str(c).split())) for c in [name, *cells]) + " |"
+        )
+    return "\n".join(rows)
+
+
+def _layers(entries: tuple[Entry, ...]) -> str:
+    rows = ["| object | camera | setup | bands | width x height | px per mm | quantity | verdict |"]
+    rows.append("|---" * 8 + "|")
+    for e in entries:
+        scale = "" if e.px_per_mm != e.px_per_mm else f"{e.px_per_mm:.3g}"
+        cells = [e.object, e.camera, e.setup or "–", str(e.bands), f"{e.width} x {e.height}"]
+        rows.append("| " + " | ".join(map(plain, [*cells, scale, e.quantity, e.verdict])) + " |")
+    return "\n".join(rows)
+
+
+def _files(publication: Publication, root: Path) -> str:
+    later = {"ro-crate-metadata.json", "manifest-sha256.txt"}
+    if root != publication.folder:
+        later.discard("ro-crate-metadata.json")
+    here = [n for n in PARTS if (root / n).exists() or n in later]
+    return "\n".join(f"- `{name}`: {PARTS[name]}" for name in here)
+
+
+def _reading(entries: tuple[Entry, ...]) -> str:
+    first = entries[0]
+    layer = f"{first.camera}@{first.setup}" if first.setup else first.camera
+    key = f'"{first.camera}", "{first.setup}"' if first.setup else f'"{first.camera}"'
+    return f"""## How to read it
+
+In Python with Levkas, which brings flags, sigma and maps between the pixels of all cameras:
+
+```python
+import levkas
+
+cube = levkas.open(".")["{first.object}"][{key}]  # xarray.DataArray (y, x, band)
+spectrum, flags = cube[80, 40], cube.flags[80, 40]
+```
+
+Without it:
+
+```python
+import xarray
+
+layer = xarray.open_zarr("zarr/{first.object}.zarr", group="{layer}")
+```
+
+Or with any program that reads TIFF: page 0 is a picture in sRGB, each further page one band in 32-bit
+floats. Tag 65000 holds the centre wavelengths in nm (for broad channels the centroids of their
+sensitivities, or 0, 1, 2 …), tag 65111 a JSON text with labels and widths."""
+
+
+def _values() -> str:
+    rows = "\n".join(f"| {int(flag)} | {mark.meaning} |" for flag, mark in sorted(MARKS.items()))
+    return f"""## What the numbers mean
+
+Reflectance: 1.0 is a perfect diffuser; gold and gloss exceed it. `.sigma.tif` holds one standard deviation
+of each value's random part. `.flags.tif` holds a sum of bits for every pixel and band:
+
+| bit | meaning |
+|---|---|
+{rows}
+
+All layers of an object lie on one pixel grid; `objects/OBJECT/registration/` says how well, and
+`report.html` shows it."""
+
+
+def _keeping() -> str:
+    return """## Is it whole?
+
+`sha256sum -c manifest-sha256.txt` (`shasum -a 256 -c` on a Mac), or `levkas validate .`, which also
+names what happened to a file."""

@@ -1,0 +1,377 @@
+"""A publication from beginning to end: made aside, read again and compared, then given its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas.core.problems import Problem
+from levkas.publish.crate_rules import NAME as CRATE
+from levkas.publish.facts import NAME as FACTS
+from levkas.publish.facts import Facts, facts_of, missing_facts, read_facts
+from levkas.publish.parts import PARTS, load_part
+from levkas.publish.publication import Editions, Publication, PublishRefused
+
+if TYPE_CHECKING:
+    from levkas.database.manifest import Manifest
+
+SPACE = 1.6
+"""Of the database: with a medium edition, tiles and pages beside it."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is to be published: a database, and the campaign it was built from where that was given."""
+
+    database: Path
+    campaign: Path | None = None
+
+    @property
+    def default_output(self) -> Path:
+        """Folder of the publication where none is given: ``NAME.published`` beside the database."""
+        return self.database.with_name(self.database.name + ".published")
+
+
+@dataclass(frozen=True)
+class PublishStep:
+    """One thing that a part does; the last one of a part is `finished`."""
+
+    part: str
+    what: str = ""
+    done: int = 0
+    total: int = 0
+    finished: bool = False
+    state: str = "running"
+    report: PublishReport | None = None
+    """Of the very last step."""
+
+    @property
+    def label(self) -> str:
+        """The part, and what it is doing."""
+        return f"{self.part} {self.what}".strip()[:60]
+
+    @property
+    def line(self) -> str:
+        """One line for a log."""
+        return f"{self.part}: {self.state}"
+
+
+@dataclass(frozen=True)
+class PublishReport:
+    """The end of a publication."""
+
+    output: Path
+    files: int
+    bytes: int
+    editions: str
+    bag: Path | None = None
+
+    @property
+    def text(self) -> str:
+        """What a person wants to know."""
+        text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
+        return text + (f"\nBag, checked: {self.bag}" if self.bag else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `--json` adds to the problems."""
+        return {
+            "output": str(self.output),
+            "files": self.files,
+            "bytes": self.bytes,
+            "editions": self.editions,
+            "bag": str(self.bag) if self.bag else None,
+        }
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What a database lacks before it is published: what must be there, and what should be."""
+
+    problems: tuple[Problem, ...]
+    advice: tuple[Problem, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing that is required is missing."""
+        return not self.problems
+
+    @property
+    def text(self) -> str:
+        """What a person wants to know."""
+        lines = [f"Advised: {problem}" for problem in self.advice]
+        end = "Nothing that is required is missing." if self.ok else ""
+        count = len(self.problems)
+        end = end or f"{count} thing{'s are' if count > 1 else ' is'} required and missing."
+        return "\n".join([*lines, end])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `--json` adds to the problems."""
+        return {"advice": [problem.to_dict() for problem in self.advice]}
+
+
+def check(path: str | Path) -> CheckReport:
+    """Say what is missing before a database can be published and get a DOI; nothing is written.
+
+    Parameters
+    ----------
+    path : path
+        A database, or its campaign, which need not have been built since its facts were mended.
+
+    Returns
+    -------
+    report : CheckReport
+        Each problem with file, field and what to write there.
+    """
+    from levkas.publish.datacite import check_datacite
+
+    subject = find_subject(path, fresh=False)
+    problems: list[Problem] = []
+    try:
+        find_manifest(subject.database)
+    except PublishRefused as refused:
+        if subject.campaign is None and not (subject.database / FACTS).is_file():
+            return CheckReport(refused.problems, ())
+        problems += refused.problems
+    required, advice = check_datacite(facts_of_subject(subject))
+    return CheckReport((*problems, *required), tuple(advice))
+
+
+def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
+    """Tell a campaign from a database.
+
+    Parameters
+    ----------
+    path : path
+    fresh : bool
+        Whether the database must be what its campaign says now.
+
+    Raises
+    ------
+    Refused
+        Where a campaign cannot be read, or has not been built to the end.
+    """
+    path = Path(path)
+    if path.name != "campaign.toml" and not (path / "campaign.toml").is_file():
+        return Subject(path)
+    from levkas.building import status
+    from levkas.campaign.campaign import load_campaign
+
+    campaign = load_campaign(path)
+    stages = status(path).stages if fresh else ()
+    stale = [step for step in stages if step.state == "stale"]
+    if stale:
+        raise PublishRefused(
+            Problem(
+                "E_STALE",
+                "the database is not what its campaign says now",
+                file=str(campaign.output),
+                found=f"{len(stale)} stages are stale, the first: {stale[0].line}",
+                fix=f"Run levkas build {campaign.root} first, or give the database to publish it as it is.",
+            )
+        )
+    return Subject(campaign.output, campaign.path)
+
+
+def publish(
+    path: str | Path,
+    *,
+    output: str | Path | None = None,
+    editions: Editions = "both",
+    url: str = "",
+    iiif: bool = True,
+    bag: str | Path | None = None,
+) -> Iterator[PublishStep]:
+    """Publish a database, yielding what is done, and in the end a report.
+
+    Parameters
+    ----------
+    path : path
+        A database, or a campaign that has been built.
+    output : path, optional
+        Default: ``NAME.published`` beside the database. An earlier publication there is replaced
+        when the new one is whole.
+    editions : "full", "medium" or "both"
+    url : str, optional
+        Address under which the folder will be found.
+    iiif : bool
+        Whether tiles and IIIF manifests are made.
+    bag : path, optional
+        Folder for a BagIt bag, a copy of the publication.
+
+    Raises
+    ------
+    PublishRefused
+        Where facts are missing, the database is not whole, or `output` holds it, or lies in it.
+    WriteRefused
+        Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
+        publication still stands then.
+    """
+    from levkas.core.files import publishing, sweep_beside
+    from levkas.database.manifest import write_manifest
+    from levkas.publish.bagging import check_target, write_bag
+
+    subject = find_subject(path)
+    manifest = find_manifest(subject.database)
+    facts = facts_of_subject(subject)
+    if problems := missing_facts(facts):
+        raise PublishRefused(*problems)
+    final = Path(output).resolve() if output else subject.default_output.resolve()
+    _check_output(final, subject)
+    if bag is not None:
+        for root in (subject.database.resolve(), final):
+            check_target(root, Path(bag).resolve())
+    if final.parent.is_dir():
+        sweep_beside(final)
+    with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
+        publication = Publication(
+            subject.database.resolve(), manifest, folder, facts, editions, _with_slash(url), iiif
+        )
+        yield from _run(publication)
+        made = write_manifest(folder.path, publication.hashes)
+        _check_whole(publication)
+    if bag is not None:
+        for what in write_bag(final, bag, facts):
+            yield PublishStep("bag", what, len(PARTS), len(PARTS))
+        yield PublishStep("bag", "", len(PARTS), len(PARTS), True, "done")
+    report = PublishReport(
+        final, len(made.files) + 1, made.bytes, editions, Path(bag).resolve() if bag else None
+    )
+    yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
+
+
+def facts_of_subject(subject: Subject) -> Facts:
+    """Return the facts of a database, as its campaign says them now where that is known."""
+    facts = read_facts(subject.database)
+    if subject.campaign is None:
+        return facts
+    from levkas.building.imprint import imprint_of
+    from levkas.campaign.campaign import load_campaign
+    from levkas.database.catalogue import DatabaseRefused, read_catalogue
+
+    try:
+        entries = read_catalogue(subject.database)
+    except DatabaseRefused:
+        entries = ()
+    record = imprint_of(load_campaign(subject.campaign), entries)
+    return facts_of(record, file=str(subject.campaign), objects=facts.objects)
+
+
+def find_manifest(database: Path) -> Manifest:
+    """Read the manifest of a database that is to be published.
+
+    Raises
+    ------
+    PublishRefused
+        Where there is none, it is damaged, lists too little, or something leads out of the database.
+    DatabaseRefused
+        Where the catalogue cannot be read, or names in it are paths.
+    """
+    from levkas.database.catalogue import NAME as CATALOGUE
+    from levkas.database.catalogue import read_catalogue
+    from levkas.database.containment import find_escapes
+    from levkas.database.manifest import NAME, is_partial, list_files, read_manifest
+
+    path = database / NAME
+    if not path.is_file():
+        found = "a file" if database.exists() else "no such folder"
+        found = "a folder without one" if database.is_dir() else found
+        raise PublishRefused(
+            Problem(
+                "E_UNREADABLE",
+                "there is no finished database here: the build writes its manifest last",
+                file=str(path),
+                found=found,
+                fix="Give a database that was built to its end, or its campaign's folder.",
+            )
+        )
+    manifest = read_manifest(path)
+    if manifest.problems:
+        raise PublishRefused(*manifest.problems)
+    if CRATE in manifest.files:
+        raise PublishRefused(
+            Problem(
+                "E_VALUE",
+                "this folder is a publication already",
+                file=str(database),
+                found=CRATE,
+                expected="the database that it was made of",
+                fix="Give that database, or its campaign's folder.",
+            )
+        )
+    names = list_files(database)
+    if escapes := list(find_escapes(database, names)):
+        raise PublishRefused(*escapes[:10])
+    listed = {*manifest.files, NAME}
+    extra = [name for name in names if name not in listed and not is_partial(name)]
+    if extra:
+        raise PublishRefused(
+            Problem(
+                "E_EXTRA",
+                "the database holds files that its manifest does not list",
+                file=str(database / extra[0]),
+                found=f"{len(extra)} files",
+                fix="Take them away, or run levkas build again, which brings the manifest up to date.",
+            )
+        )
+    if CATALOGUE in manifest.files:
+        read_catalogue(database)
+    return manifest
+
+
+def _run(publication: Publication) -> Iterator[PublishStep]:
+    total = len(PARTS)
+    for done, name in enumerate(PARTS):
+        for what in load_part(name)(publication):
+            yield PublishStep(name, what, done, total)
+        yield PublishStep(name, "", done + 1, total, True, "done")
+
+
+def _check_output(final: Path, subject: Subject) -> None:
+    """Refuse a folder that is none of ours, and one that holds, or lies in, what is published."""
+    from levkas.core.ownership import require_ours, stands_in
+    from levkas.database.catalogue import DatabaseRefused, read_catalogue
+
+    database = subject.database.resolve()
+    if final == database or database in final.parents or final in database.parents:
+        raise PublishRefused(_not_there(final, "it holds the database, or lies in it"))
+    require_ours(final, "publication", fix="Give another folder with -o.")
+    if not stands_in(final):
+        return
+    try:
+        one, other = ({entry.object for entry in read_catalogue(f)} for f in (database, final))
+    except DatabaseRefused:
+        return
+    if one and other and not one & other:
+        raise PublishRefused(_not_there(final, f"it holds that of {', '.join(sorted(other)[:3])}"))
+
+
+def _not_there(final: Path, why: str) -> Problem:
+    return Problem(
+        "E_UNWRITABLE",
+        f"the publication cannot be written to this folder: {why}",
+        file=str(final),
+        expected="a new folder, or an earlier publication of this database",
+        fix="Give another folder with -o.",
+    )
+
+
+def _check_whole(publication: Publication) -> None:
+    """Read everything that was written again, and compare; every edition by its own manifest."""
+    from levkas.database.validate import check_files
+
+    found = [
+        p for root in publication.roots.values() for s in check_files(root) for p in s.problems
+    ]
+    if found:
+        raise PublishRefused(*found[:10])
+
+
+def _with_slash(url: str) -> str:
+    return url if not url or url.endswith("/") else url + "/"
+
+
+def summarise(steps: Iterable[PublishStep]) -> PublishReport:
+    """Return the report that ends the steps."""
+    return next(step.report for step in steps if step.report)

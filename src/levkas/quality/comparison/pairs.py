@@ -1,0 +1,120 @@
+"""What every compared method is given: one grey picture of either camera, and a start by scale alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.geometry.transforms import Affine
+from levkas.registration.images import area_average
+from levkas.registration.mirhashemi2019 import Camera, scale_only
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from levkas.registration.images import BandImage
+
+    Map = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two grey pictures of one scene at about one sampling.
+
+    Parameters
+    ----------
+    reference, target : ndarray, (h, w), float32
+        Mean of all bands; the reference cut to the object's region, the target area-averaged to the
+        sampling of the reference.
+    reference_valid, target_valid : ndarray of bool
+    start : Affine
+        Scale alone, centre upon centre: px of `reference` → px of `target`.
+    origin : (x, y)
+        Of `reference` in reference px.
+    back : Affine
+        px of `target` → native px of the target's first sensor.
+    """
+
+    reference: np.ndarray
+    reference_valid: np.ndarray
+    target: np.ndarray
+    target_valid: np.ndarray
+    start: Affine
+    origin: tuple[int, int]
+    back: Affine
+
+    def moved(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the target on the reference's pixels by `start` alone, and what of it is valid.
+
+        What the intensity-based peers are given; pixels without a value are the mean of the rest.
+        """
+        from levkas.geometry.resample import warp
+
+        filled = np.where(self.target_valid, self.target, np.float32(np.nan))
+        values = warp(filled.astype(np.float32), self.start, self.reference.shape).values
+        valid = np.isfinite(values)
+        level = float(values[valid].mean()) if valid.any() else 0.0
+        return np.where(valid, values, np.float32(level)), valid
+
+    def whole(self, found: Map) -> Map:
+        """Return a map between the pictures as one from reference px to native px of the target."""
+        shift = np.array(self.origin, float)
+        return lambda points: self.back(found(np.asarray(points, float) - shift))
+
+
+def pair_of(
+    reference: Sequence[BandImage],
+    target: Sequence[BandImage],
+    reference_band: str,
+    region: Sequence[float] | None = None,
+) -> tuple[Pair, Camera]:
+    """Make the pair of two cameras; the target's other sensors are aligned to its first.
+
+    Returns
+    -------
+    pair : Pair
+    target : Camera
+        With the alignment of every sensor.
+    """
+    sensor = next(image.sensor for image in reference if image.label == reference_band)
+    ours = Camera.of([i for i in reference if i.sensor == sensor], sensor, None)
+    theirs = Camera.of(target, target[0].sensor, None)
+    x, y, w, h = _cut(region, ours.size)
+    pull = scale_only(ours.size, theirs.size)  # target → reference
+    scale = min(1.0, float(pull.matrix[0, 0]))
+    values, valid, back = area_average(theirs.values, theirs.valid, scale)
+    corners = np.array([[0, 0], [w, 0], [0, h]], float)
+    start = Affine.fit(corners, back.inverse(pull.inverse(corners + np.array([x, y]))))
+    box = np.s_[y : y + h, x : x + w]
+    pair = Pair(
+        np.ascontiguousarray(ours.values[box], np.float32),
+        np.ascontiguousarray(ours.valid[box]),
+        np.ascontiguousarray(values, np.float32),
+        np.ascontiguousarray(valid),
+        start,
+        (x, y),
+        back,
+    )
+    return pair, theirs
+
+
+def spread(camera: Camera, found: Map) -> dict[str, Map]:
+    """Give every band the map of its camera's first sensor, then that of its own sensor."""
+    maps: dict[str, Map] = {}
+    for image in camera.images:
+        own: Any = camera.alignments[image.sensor]
+        same = image.sensor == camera.sensor
+        maps[image.label] = found if same else _after(found, own)
+    return maps
+
+
+def _after(first: Map, then: Map) -> Map:
+    return lambda points: then(first(points))
+
+
+def _cut(region: Sequence[float] | None, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    x, y, w, h = (round(float(v)) for v in region or (0, 0, *size))
+    left, top = min(max(x, 0), size[0] - 1), min(max(y, 0), size[1] - 1)
+    return left, top, min(x + w, size[0]) - left, min(y + h, size[1]) - top

@@ -1,0 +1,21 @@
+"""What the cameras of a campaign are: raw facts of frames, photon transfer of sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from levkas.quality.emva1288.reports import Examination
+
+
+def examine_with_seed(
+    path: str | Path, *, cameras: Sequence[str] | None = None, seed: int = 1
+) -> Examination:
+    """Do as `examining.examine` does, with a generator of random numbers made from a seed."""
+    import numpy as np
+
+    from levkas.quality.emva1288.examining import examine
+
+    return examine(path, cameras=cameras, rng=np.random.default_rng(seed))

@@ -1,0 +1,279 @@
+"""Raw facts: what frames are before anything is done to them, from headers and from their codes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.campaign.discovery.file_index import Folders, too_deep, walk
+from levkas.core.problems import Problem, Refused
+from levkas.quality.emva1288.code_spacing import MOST_CODES, Levels, count_codes, find_levels
+from levkas.readers.frames import Facts, kind_of, read_facts, read_frame
+from levkas.readers.tiff import read_tiff_pages
+
+MOST_FRAMES = 400
+SIDECARS = (".hdr",)
+
+
+class NothingToDescribe(Refused):
+    """A path at which no frame stands."""
+
+
+@dataclass(frozen=True)
+class FrameFacts:
+    """One frame.
+
+    Parameters
+    ----------
+    file : str
+    kind, size, dtype : str
+    bits : int or None
+        Declared in the file; else what the top code needs, of all frames of a folder.
+    black, white : float or None
+        Levels that the file declares, counts.
+    pattern : str or None
+    exposure_s, iso : float or None
+    model, captured : str or None
+    levels : Levels or None
+        Of whole codes; None for real numbers.
+    clipped, zeros : float or None
+        Share of pixels at the white level (else at the full scale), and at 0.
+    """
+
+    file: str
+    kind: str
+    size: str
+    dtype: str
+    bits: int | None
+    black: float | None
+    white: float | None
+    pattern: str | None
+    exposure_s: float | None
+    iso: float | None
+    model: str | None
+    captured: str | None
+    levels: Levels | None
+    clipped: float | None
+    zeros: float | None
+
+    @property
+    def curve(self) -> str:
+        """What the codes betray, in words."""
+        return describe_levels(self.levels, self.full) if self.levels else "real numbers"
+
+    @property
+    def full(self) -> float:
+        """White level, else the full scale of the bits."""
+        return float(self.white or 2 ** (self.bits or 16) - 1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values; `levels` with the curve it betrays."""
+        found = {**asdict(self), "curve": self.curve}
+        if self.levels is not None and not self.levels.curved:
+            found["levels"]["knee"] = None
+        return found
+
+
+def describe_frame(path: str | Path) -> FrameFacts:
+    """Read one file, all its pages, and describe it.
+
+    Raises
+    ------
+    UnreadableCapture
+    """
+    return _facts(*_read(Path(path)))
+
+
+Codes = tuple[np.ndarray, np.ndarray]
+"""The codes of a frame, and how often each occurs."""
+
+
+def _read(path: Path) -> tuple[Facts, Codes | None]:
+    told = read_facts(path)
+    if told.dtype not in ("uint8", "uint16"):
+        read_frame(path)
+        return told, None
+    histogram = count_codes(read_tiff_pages(path) if told.pages > 1 else [read_frame(path)])
+    codes = np.flatnonzero(histogram)
+    return told, (codes, histogram[codes])
+
+
+def _whole(codes: Codes) -> np.ndarray:
+    histogram = np.zeros(MOST_CODES, np.int64)
+    histogram[codes[0]] = codes[1]
+    return histogram
+
+
+def _bits(told: Facts, top: int) -> int:
+    """Bits that the file declares, where that is more than how it is stored; else what `top` needs."""
+    if told.bits and told.bits != 8 * np.dtype(told.dtype).itemsize:
+        return told.bits
+    return max(8, top.bit_length())
+
+
+def _facts(told: Facts, codes: Codes | None, top: int = 0) -> FrameFacts:
+    """Describe a frame; `top` is the highest code of its whole folder."""
+    levels, clipped, zeros, bits = None, None, None, told.bits
+    if codes is not None:
+        values, counts = codes
+        levels = find_levels(_whole(codes))
+        bits = _bits(told, max(top, levels.highest))
+        full = told.saturation or 2**bits - 1
+        pixels = float(counts.sum())
+        clipped = float(counts[values >= full].sum()) / pixels
+        zeros = float(counts[values == 0].sum()) / pixels
+    size = " x ".join(str(n) for n in (told.shape[1], told.shape[0], *told.shape[2:]))
+    return FrameFacts(
+        str(told.path),
+        told.kind,
+        size + (f" x {told.pages} pages" if told.pages > 1 else ""),
+        told.dtype,
+        bits,
+        told.black,
+        told.saturation,
+        told.pattern,
+        told.exposure_s,
+        told.iso,
+        told.model,
+        told.captured,
+        levels,
+        clipped,
+        zeros,
+    )
+
+
+def describe_levels(levels: Levels, full: float) -> str:
+    """Say how many codes there are, and on which curve they lie.
+
+    >>> describe_levels(Levels(683, 0, 4095, 1.0, 215.0, 0.01565), 4095)
+    '683 codes seen of 683 on a compression curve: 1 apart up to 215, 15.6 apart at 4095'
+    >>> describe_levels(Levels(256, 0, 4095, 16.0), 4095)
+    '256 codes seen, 16 apart: 256 of the 4096 there could be'
+    """
+    possible = levels.between(0, full)
+    if levels.curved:
+        return (
+            f"{levels.count} codes seen of {max(possible, levels.count)} on a compression curve: "
+            f"{levels.spacing:g} apart up to {levels.knee:.0f}, {float(levels.step(full)):.1f} apart "
+            f"at {full:.0f}"
+        )
+    if levels.spacing > 1:
+        return f"{levels.count} codes seen, {levels.spacing:g} apart: {possible} of the {full + 1:.0f} there could be"
+    return f"{levels.count} codes seen of {full + 1:.0f}"
+
+
+def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, list[Problem]]:
+    """Describe a frame, or every frame of a folder and those below it.
+
+    Returns
+    -------
+    frames : list of FrameFacts
+        By name; at most 400 of a folder.
+    levels : Levels or None
+        Of all together, where they are of one dtype: single frames fill few of the codes.
+    problems : list of Problem
+        Frames that cannot be read, and how many were left out.
+
+    Raises
+    ------
+    NothingToDescribe
+        E_NO_FRAMES where no frame stands there.
+    """
+    path = Path(path)
+    files = frames_below(path) if path.is_dir() else [path]
+    read: list[tuple[Facts, Codes | None]] = []
+    problems: list[Problem] = []
+    for file in files[:MOST_FRAMES]:
+        try:
+            read.append(_read(file))
+        except Refused as refused:
+            problems += refused.problems
+    if not files:
+        raise NothingToDescribe(
+            Problem(
+                "E_NO_FRAMES",
+                "no frame stands here",
+                file=str(path),
+                expected="a campaign, a frame, or a folder of frames (TIFF, PNG, camera raw, ENVI)",
+                fix="Name the folder that holds the frames.",
+            )
+        )
+    if len(files) > MOST_FRAMES:
+        left = len(files) - MOST_FRAMES
+        problems.append(
+            Problem(
+                "E_TOO_MANY", f"{left} frames were not looked at", file=str(path), found=len(files)
+            )
+        )
+    counted = [codes for _, codes in read if codes is not None]
+    one_kind = len({(told.dtype, told.model) for told, _ in read}) == 1
+    if not counted or not one_kind:
+        return [_facts(*each) for each in read], None, problems
+    top = int(max(values[-1] for values, _ in counted))
+    total = np.zeros(MOST_CODES, np.int64)
+    for values, counts in counted:
+        total[values] += counts
+    return [_facts(*each, top) for each in read], find_levels(total), problems
+
+
+def frames_below(folder: Path) -> list[Path]:
+    """Return the files below a folder that are frames by name and first bytes."""
+    found = []
+    for above, names in walk(folder, Folders()):
+        if names is None:
+            raise too_deep(folder.joinpath(*above))
+        for file in (folder.joinpath(*above, name) for name in names):
+            if file.suffix.lower() in SIDECARS:
+                continue
+            try:
+                kind_of(file)
+            except Refused:
+                continue
+            found.append(file)
+    return sorted(found)
+
+
+def facts_table(frames: Sequence[FrameFacts], root: Path) -> str:
+    """Return a table of frames for people, a line each."""
+    head = (
+        "file",
+        "size",
+        "bits",
+        "black",
+        "white",
+        "pattern",
+        "codes",
+        "clipped",
+        "zeros",
+        "time",
+        "ISO",
+    )
+    rows = [head, *(_row(frame, root) for frame in frames)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+    return "\n".join(
+        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
+def _row(frame: FrameFacts, root: Path) -> tuple[str, ...]:
+    def told(value: float | None, form: str = "g") -> str:
+        return "–" if value is None else format(value, form)
+
+    file = Path(frame.file)
+    return (
+        str(file.relative_to(root)) if root in file.parents else file.name,
+        frame.size,
+        told(frame.bits),
+        told(frame.black),
+        told(frame.white),
+        frame.pattern or "–",
+        told(frame.levels.count if frame.levels else None),
+        "–" if frame.clipped is None else f"{100 * frame.clipped:.2f} %",
+        "–" if frame.zeros is None else f"{100 * frame.zeros:.1f} %",
+        "–" if frame.exposure_s is None else f"{frame.exposure_s:g} s",
+        told(frame.iso),
+    )

@@ -1,0 +1,352 @@
+"""Photon transfer: what a sensor is, from darks and lit stacks, in the terms of EMVA 1288.
+
+Noise over time grows with the light, var = K·(mean − dark) + var of the dark, so that its slope K is
+counts per electron and turns all else into electrons. What stays from shot to shot is fixed pattern:
+DSNU in the dark, PRNU in the light. Intervals are those of a bootstrap over blocks of pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from levkas.calibration.blocks import Blocks
+from levkas.calibration.clipping import DarkLevel
+from levkas.calibration.estimates import SLOPE_TO, DarkModel, Moved, estimate
+from levkas.calibration.templates import CalibrationRefused
+from levkas.core.problems import Problem
+from levkas.quality.emva1288.code_spacing import Levels
+
+DRAWS = 200
+LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise
+FEWEST_BLOCKS = 8
+POINTS = 24
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number and the range in which it lies with 95 % confidence.
+
+    >>> print(Interval(5.0, 4.9, 5.1))
+    5 (4.9–5.1)
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} ({self.low:.4g}–{self.high:.4g})"
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Counts without light at one exposure.
+
+    Parameters
+    ----------
+    level, temporal, fixed : ndarray, (blocks,), or float
+        Mean, variance of one shot with rounding, variance from sensel to sensel; NaN if not known.
+    exposure_s : float, optional
+    errors : tuple of float
+        Standard errors of the three where they are no blocks.
+    spread : ndarray, (blocks,), or float
+        Of a single shot: variance from sensel to sensel, noise over time included.
+    band : str, optional
+        Of a tunable filter; None: it serves all.
+    """
+
+    level: np.ndarray | float
+    temporal: np.ndarray | float
+    fixed: np.ndarray | float
+    exposure_s: float | None = None
+    errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    spread: np.ndarray | float = float("nan")
+    band: str | None = None
+
+    @classmethod
+    def of_blocks(cls, blocks: Blocks) -> Dark:
+        """Return a dark that was not clipped, without the blocks that hold hot sensels."""
+        sound = np.where(np.isfinite(blocks.spatial), 0.0, np.nan)
+        fixed = blocks.spatial - blocks.temporal / blocks.shots
+        spread = blocks.spatial if blocks.shots == 1 else float("nan")
+        level, temporal = blocks.mean + sound, blocks.temporal + sound
+        return cls(level, temporal, fixed, blocks.exposure_s, spread=spread, band=blocks.band)
+
+    @classmethod
+    def of_clipped(cls, level: DarkLevel, exposure_s: float | None = None) -> Dark:
+        """Return a dark that was clipped and fitted as censored; of a single shot the noise over time stays open."""
+        if np.isnan(level.fixed):
+            spread = level.noise**2 + 1 / 12
+            return cls(level.black, np.nan, np.nan, exposure_s, (level.black_error, 0, 0), spread)
+        errors = (
+            level.black_error,
+            2 * level.noise * level.noise_error,
+            2 * level.fixed * level.fixed_error,
+        )
+        return cls(level.black, level.noise**2 + 1 / 12, level.fixed**2, exposure_s, errors)
+
+
+@dataclass(frozen=True)
+class PhotonTransfer:
+    """A sensor, or one colour of it; None is what these stacks cannot say.
+
+    Parameters
+    ----------
+    gain : Interval
+        Counts per electron: EMVA's overall system gain K.
+    black : Interval
+        Counts of a dark, at no time where the darks have several.
+    dark_noise : Interval, optional
+        Temporal dark noise, electrons, rounding taken out; at no time where the darks have several.
+    dark_current : Interval, optional
+        Electrons a second.
+    dsnu : Interval, optional
+        Electrons: EMVA's DSNU₁₂₈₈, of the shortest dark.
+    prnu : Interval, optional
+        Share of the signal: PRNU₁₂₈₈. Texture of the white counts.
+    full_well : Interval, optional
+        Electrons at saturation: the saturation capacity.
+    linearity_error : Interval, optional
+        Deviation from EMVA's line, rms over 5–95 % of saturation, relative.
+    dynamic_range : Interval, optional
+        Full well over the signal whose SNR is one.
+    snr : Interval, optional
+        At saturation, shot noise alone: the root of the full well.
+    levels : int
+        Stacks of light that took part.
+    notes : tuple of str
+    points : tuple of (signal, variance)
+        Of the photon transfer curve, counts above dark and counts², rounding taken out.
+    """
+
+    gain: Interval
+    black: Interval
+    dark_noise: Interval | None
+    dark_current: Interval | None
+    dsnu: Interval | None
+    prnu: Interval | None
+    full_well: Interval | None
+    linearity_error: Interval | None
+    dynamic_range: Interval | None
+    snr: Interval | None
+    levels: int
+    notes: tuple[str, ...] = ()
+    points: tuple[tuple[float, float], ...] = ()
+
+
+def measure_sensor(
+    darks: Sequence[Dark],
+    whites: Sequence[Blocks],
+    scenes: Sequence[Blocks] = (),
+    *,
+    saturation: float,
+    rng: np.random.Generator,
+    levels: Levels | None = None,
+    reached: bool = True,
+    draws: int = DRAWS,
+) -> PhotonTransfer:
+    """Fit one channel of a sensor to its stacks.
+
+    Parameters
+    ----------
+    darks : sequence of Dark
+        Of one exposure, or of several for the dark current.
+    whites : sequence of Blocks
+        An even, lit surface; at several exposures for linearity.
+    scenes : sequence of Blocks
+        Anything still: it adds levels to the gain.
+    saturation : float
+        Counts.
+    rng : Generator
+        Of the bootstrap.
+    levels : Levels, optional
+        Of the raw codes: rounding on a compression curve is taken out.
+    reached : bool
+        Whether any frame saturates; else the full well is a lower bound, and said to be.
+    draws : int
+
+    Returns
+    -------
+    found : PhotonTransfer
+
+    Raises
+    ------
+    CalibrationRefused
+        E_TEMPLATE_MISSING without a dark, E_SIZE where sizes differ or frames are too small, E_SHOTS without two shots of anything lit,
+        E_WHITE_SATURATED where nothing lit is below 70 % of saturation, E_WHITE_DARK where it is no
+        brighter than the dark, E_NOISE where noise does not grow with the light.
+
+    Notes
+    -----
+    Gain: line through the shortest dark's own point, weighted by 1/variance², over 0–70 % of saturation
+    (EMVA 1288, 6.5). Noise, DSNU and PRNU within blocks, so that shading is no non-uniformity.
+    """
+    lit = [*whites, *scenes]
+    _check(darks, lit, saturation)
+    rounding = levels or Levels(0, 0, 0)
+    count = len(lit[0].mean)
+
+    def draw(weights: np.ndarray, shift: np.ndarray) -> dict[str, float]:
+        return estimate(darks, whites, scenes, saturation, rounding, weights, shift)
+
+    best = draw(np.ones(count), np.zeros((len(darks), 3)))
+    if not best["gain"] > 0:
+        raise _refusal(
+            "E_NOISE",
+            "noise over time does not grow with the light",
+            f"gain {best['gain']:.3g} DN/e⁻",
+            "more than 0",
+            "Capture an evenly lit white twice at half of saturation, nothing moved, and two darks at its exposure.",
+        )
+    drawn: dict[str, list[float]] = {name: [] for name in best}
+    for _ in range(draws):
+        weights = rng.multinomial(count, np.full(count, 1 / count)).astype(float)
+        again = draw(weights, rng.standard_normal((len(darks), 3)))
+        for name, value in again.items():
+            drawn[name].append(value)
+    found = {name: _interval(value, drawn[name]) for name, value in best.items()}
+    notes = _notes(best, model_darks(darks), lit, whites, reached)
+    wanted = {f.name for f in fields(PhotonTransfer)}
+    given = {name: value for name, value in found.items() if name in wanted}
+    points = _points(darks, lit, rounding)
+    return PhotonTransfer(**given, levels=len(lit), notes=notes, points=points)  # type: ignore[arg-type]
+
+
+def model_darks(darks: Sequence[Dark]) -> DarkModel:
+    """Return the level and fixed pattern without light over exposures, of all blocks alike."""
+    return DarkModel([Moved(dark, np.ones(np.size(dark.level)), np.zeros(3)) for dark in darks])
+
+
+def without_full_scale(found: PhotonTransfer) -> PhotonTransfer:
+    """Leave out what hangs on the code at which a sensel is full, where nobody declares it."""
+    told = tuple(note for note in found.notes if not note.startswith("no shot saturates"))
+    return replace(found, full_well=None, snr=None, dynamic_range=None, notes=told)
+
+
+def _points(
+    darks: Sequence[Dark], lit: Sequence[Blocks], rounding: Levels
+) -> tuple[tuple[float, float], ...]:
+    """Return means of groups of blocks of like signal, dark current included, over all lit stacks."""
+    model = model_darks(darks)
+    repeated = [b for b in lit if b.shots > 1]
+    above = model.first.level - model.black
+    signal = np.concatenate([model.signal(b) + model.dark_signal(b) + above for b in repeated])
+    variance = np.concatenate([b.temporal - rounding.quantisation(b.mean) for b in repeated])
+    order = np.argsort(signal)
+    order = order[np.isfinite(signal + variance)[order]]
+    parts = np.array_split(order, min(POINTS, max(1, len(order) // 4)))
+    return tuple((float(signal[p].mean()), float(variance[p].mean())) for p in parts if len(p))
+
+
+def _interval(value: float, drawn: Sequence[float]) -> Interval | None:
+    if not np.isfinite(value):
+        return None
+    half = 1.96 * float(np.nanstd(drawn))
+    return Interval(value, value - half, value + half)
+
+
+def _notes(
+    best: dict[str, float],
+    model: DarkModel,
+    lit: Sequence[Blocks],
+    whites: Sequence[Blocks],
+    reached: bool,
+) -> tuple[str, ...]:
+    told = []
+    if lacking := sorted({b.exposure_s or 0.0 for b in whites if model.lacks(b)}):
+        had = sorted({d.exposure_s for d in model.darks if d.exposure_s})
+        told.append(
+            f"no dark of {_seconds(lacking)}, the exposure of the white, and those of {_seconds(had)} tell no dark "
+            "current: PRNU, DSNU and linearity are doubtful where there is one. Capture darks at the exposure of "
+            "the white"
+        )
+    if not reached:
+        told.append("no shot saturates: the full well is what the converter's top code would hold")
+    if best["dark_variance"] < LEAST_QUANTISED:
+        told.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
+    if whites and not any(np.isfinite(b.mean).any() for b in whites):
+        told.append(
+            "the white is saturated everywhere, and tells nothing: capture it with its peak at 85 %"
+        )
+    elif len({b.exposure_s for b in whites}) < 3:
+        told.append("linearity needs whites of three exposures or more")
+    if (levels := sum(b.shots > 1 for b in lit)) < 5:
+        told.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 asks for more")
+    return tuple(told)
+
+
+def _seconds(times: Sequence[float]) -> str:
+    return ", ".join(f"{time:g} s" for time in times)
+
+
+def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> None:
+    """Refuse stacks that cannot tell a gain, with what to capture instead."""
+    if not darks:
+        raise _refusal(
+            "E_TEMPLATE_MISSING",
+            "there is no dark",
+            0,
+            "two shots or more",
+            "Capture two darks with the lens covered, at the exposure of the white.",
+        )
+    sizes = {np.size(b.mean) for b in lit}
+    sizes |= {np.size(d.level) for d in darks if isinstance(d.level, np.ndarray)}
+    if len(sizes) > 1:
+        raise _refusal(
+            "E_SIZE",
+            "darks, whites and scenes are of different sizes",
+            f"{', '.join(map(str, sorted(sizes)))} blocks",
+            "as many blocks in each",
+            "Capture all in one mode; crops of other sessions do not fit.",
+        )
+    repeated = [b for b in lit if b.shots > 1]
+    if not repeated:
+        raise _refusal(
+            "E_SHOTS",
+            "noise over time cannot be told from one shot of each scene",
+            f"{len(lit)} lit scenes, one shot each" if lit else "nothing lit",
+            "two shots or more of one scene, nothing moved between them",
+            "Capture the white twice or more at one exposure, and two darks.",
+        )
+    dark = float(np.nanmean(darks[0].level)) if np.any(np.isfinite(darks[0].level)) else np.nan
+    means = np.concatenate([b.mean for b in repeated])
+    if means.size < FEWEST_BLOCKS:
+        raise _refusal(
+            "E_SIZE",
+            "the frames are too small for statistics",
+            f"{means.size} blocks of one channel",
+            f"{FEWEST_BLOCKS} or more",
+            "Capture dark and white over the whole sensor, or over more samples of the line.",
+        )
+    if np.count_nonzero(np.isfinite(means)) < FEWEST_BLOCKS:
+        raise _refusal(
+            "E_WHITE_SATURATED",
+            "no part of what is lit is free of saturated pixels",
+            f"{np.count_nonzero(np.isfinite(means))} usable blocks",
+            f"{FEWEST_BLOCKS} or more",
+            "Capture the white with a shorter exposure: its peak at 85 % of saturation.",
+        )
+    if np.nanmedian(means) <= dark:
+        raise _refusal(
+            "E_WHITE_DARK",
+            "the white is no brighter than the dark",
+            f"median {np.nanmedian(means):.1f} counts lit, {dark:.1f} dark",
+            "more light than none",
+            "Look whether dark and white are swapped, or the lamp was off.",
+        )
+    below = np.count_nonzero(means - dark < SLOPE_TO * (saturation - dark))
+    if below < FEWEST_BLOCKS:
+        raise _refusal(
+            "E_WHITE_SATURATED",
+            "everything lit lies above 70 % of saturation",
+            f"{below} usable blocks",
+            f"{FEWEST_BLOCKS} or more",
+            "Capture the white at half the exposure too.",
+        )
+
+
+def _refusal(code: str, message: str, found: object, expected: str, fix: str) -> CalibrationRefused:
+    return CalibrationRefused(Problem(code, message, found=found, expected=expected, fix=fix))

@@ -1,0 +1,310 @@
+"""Evaluation of a whole database: every band of every layer against truth, points and SSIM."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+from levkas.database.containment import check_inside
+from levkas.database.registrations import read_registrations
+from levkas.geometry.transforms import from_dict
+from levkas.quality.evaluation.similarity import (
+    BandError,
+    Truth,
+    inside,
+    position_errors,
+    read_truth,
+    summarise_errors,
+)
+from levkas.readers.text import read_json
+
+if TYPE_CHECKING:
+    from levkas.registration.control_points.points import Size
+
+    Checks = dict[tuple[str, str, str], np.ndarray]
+
+
+class EvaluationRefused(Refused):
+    """There is nothing here that can be evaluated."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Results a layer, as `evaluate --json` gives them, and what was wrong on the way."""
+
+    results: list[dict[str, Any]]
+    problems: list[Problem] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """A table for people: a line a layer, errors in reference pixels."""
+        head = f"{'layer':28} {'verdict':8} {'bands':>5} {'mean px':>8} {'worst band':>11} {'max px':>8} {'checks':>8} {'SSIM':>6}"
+        lines = [head]
+        for result in self.results:
+            errors = [b for b in result["bands"] if b["error_mean"] is not None]
+            mean = np.mean([b["error_mean"] for b in errors]) if errors else np.nan
+            worst = max((b["error_mean"] for b in errors), default=np.nan)
+            most = max((b["error_max"] for b in errors), default=np.nan)
+            checks = [c["error_mean"] * c["points"] for c in result["check_points"]]
+            count = sum(c["points"] for c in result["check_points"])
+            check = sum(checks) / count if count else np.nan
+            ssim = np.nan if result["ssim"] is None else result["ssim"]
+            lines.append(
+                f"{result['layer']:28} {result['verdict']:8} {len(result['bands']):5d} "
+                f"{_number(mean):>8} {_number(worst):>11} {_number(most):>8} {_number(check):>8} {_number(ssim):>6}"
+            )
+        return "\n".join(lines)
+
+
+def _number(value: float) -> str:
+    return "–" if not np.isfinite(value) else f"{value:.3f}"
+
+
+def assess(
+    database: str | Path,
+    *,
+    truth: str | Path | None = None,
+    points: str | Path | None = None,
+    frame: str | None = None,
+    maps: str | Path | None = None,
+    overwrite: bool = False,
+) -> Assessment:
+    """Evaluate every layer of a database.
+
+    Parameters
+    ----------
+    database : path
+        A database, or the campaign (folder or campaign.toml) that it was built from.
+    truth : path, optional
+        Folder ``truth`` of a simulated campaign; by default the one beside campaign.toml or
+        beside the database.
+    points : path, optional
+        Check points: CSV with columns object, camera, band, reference_x, reference_y, x, y, or a
+        file of any program that `levkas.registration.control_points` reads.
+    frame : str, optional
+        OBJECT/CAMERA[@SETUP][:BAND] that such a file is of; not needed where there is one layer.
+    maps : path, optional
+        Folder that receives a PNG of each layer's SSIM map.
+    overwrite : bool
+        Whether files may be replaced there that were not written so, or were changed since.
+
+    Raises
+    ------
+    EvaluationRefused
+        Where there is no database, or the points cannot be read.
+    WriteRefused
+        Where a file of somebody else's stands in the way of a map, or the disk refuses.
+    """
+    from levkas.core.ownership import OwnFiles
+
+    own = OwnFiles(maps, overwrite=overwrite) if maps else None
+    output, beside = locate(Path(database))
+    folder = Path(truth) if truth else beside / "truth"
+    if truth and not (folder / "truth.json").is_file():
+        raise EvaluationRefused(
+            Problem(
+                "E_UNREADABLE",
+                "there is no truth in this folder",
+                file=str(folder),
+                expected="truth.json and OBJECT_CAMERA_px.npy",
+                fix="Give the folder `truth` of a simulated campaign.",
+            )
+        )
+    checks = read_check_points(Path(points), output, frame) if points else {}
+    results = []
+    for _, record in read_registrations(output):
+        with own.writing() if own else contextlib.nullcontext():
+            results.append(
+                _assess_layer(output, record, folder, checks, Path(maps) if maps else None)
+            )
+    return Assessment(results)
+
+
+def locate(path: Path) -> tuple[Path, Path]:
+    """Return (database, folder where its truth may lie) for a database or a campaign."""
+    if (path / "catalogue.csv").is_file():
+        return path, path.parent
+    if path.name == "campaign.toml" or (path / "campaign.toml").is_file():
+        from levkas.campaign.campaign import load_campaign
+
+        campaign = load_campaign(path)
+        if (campaign.output / "catalogue.csv").is_file():
+            return campaign.output, campaign.root
+        path = campaign.output
+    raise EvaluationRefused(
+        Problem(
+            "E_UNREADABLE",
+            "there is no database here",
+            file=str(path),
+            expected="a folder with catalogue.csv",
+            fix="Build the campaign first: levkas build CAMPAIGN.",
+        )
+    )
+
+
+def read_check_points(path: Path, database: Path | None = None, frame: str | None = None) -> Checks:
+    """Read check points: {(object, layer, band): (n, 4) of reference x, y and native x, y}.
+
+    Parameters
+    ----------
+    path : Path
+        A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of any
+        program that `levkas.registration.control_points` knows.
+    database : Path, optional
+        Says which layers there are and how large their pictures; for a file of another program.
+    frame : str, optional
+        OBJECT/CAMERA[@SETUP][:BAND] of such a file.
+
+    Raises
+    ------
+    EvaluationRefused
+    """
+    from levkas.registration.control_points import PointsRefused
+    from levkas.registration.control_points.layers import read_frames, used_pairs
+
+    try:
+        found = read_frames(path, frame, _sizes(database) if database else {})
+    except PointsRefused as refused:
+        raise EvaluationRefused(*refused.problems) from None
+    return {key: used_pairs(points) for key, points in found.items()}
+
+
+def _sizes(database: Path) -> dict[tuple[str, str], tuple[Size, Size]]:
+    """Sizes of the reference and of the target of every layer that was registered to another camera."""
+    sizes = {}
+    for path, record in read_registrations(database):
+        band = next(iter(record.get("bands", {}).values()), None)
+        if band and (record["camera"] != record["reference"]["camera"] or record.get("setup")):
+            ours, theirs = record["reference"]["size"], band["size"]
+            sizes[record["object"], path.stem] = ((ours[0], ours[1]), (theirs[0], theirs[1]))
+    return sizes
+
+
+def _by_band(checks: Checks, record: dict[str, Any], layer: str) -> dict[str, np.ndarray]:
+    """Check points of a layer by band; those of no band are of the camera's reference channel."""
+    channel = str((record.get("target") or {}).get("band", ""))
+    found: dict[str, np.ndarray] = {}
+    for (name, here, band), pairs in checks.items():
+        if (name, here) == (record["object"], layer):
+            label = band or channel
+            found[label] = np.concatenate([found[label], pairs]) if label in found else pairs
+    return found
+
+
+def _assess_layer(
+    output: Path,
+    record: dict[str, Any],
+    truth_folder: Path,
+    checks: Checks,
+    maps: Path | None,
+) -> dict[str, Any]:
+    name, camera, setup = record["object"], record["camera"], record.get("setup", "")
+    layer = f"{camera}@{setup}" if setup else camera
+    decision = record["verdict"]["decision"]
+    truth = read_truth(truth_folder, name, camera)
+    own = _by_band(checks, record, layer)
+    bands = [
+        _band_error(label, band, record, truth, own.get(label))
+        for label, band in record.get("bands", {}).items()
+    ]
+    ssim = None
+    if decision != "refuse":
+        ssim = layer_ssim(output, record, maps)
+    return {
+        "object": name,
+        "camera": camera,
+        "setup": setup,
+        "layer": f"{name}/{layer}",
+        "verdict": decision,
+        "bands": [b.to_dict() for b in bands],
+        "check_points": _checked(record, own),
+        "ssim": ssim,
+        "seconds": _seconds(output, name, layer),
+        "method": record.get("method", ""),
+    }
+
+
+def _checked(record: dict[str, Any], own: dict[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Errors at check points: those of the evaluation, and those that the campaign named."""
+    bands = record.get("bands", {})
+    told = []
+    for label, pairs in own.items():
+        if label in bands:
+            errors = position_errors(
+                from_dict(bands[label]["transform"]), pairs[:, :2], pairs[:, 2:]
+            )
+            told.append({"of": "evaluation", **summarise_errors(label, errors).to_dict()})
+    declared: dict[str, list[float]] = {}
+    for one in (record.get("errors") or {}).get("check_points", []):
+        error = one["error"]
+        declared.setdefault(one["band"], []).append(np.nan if error is None else error)
+    for label, errors_ in declared.items():
+        told.append({"of": "campaign", **summarise_errors(label, np.array(errors_)).to_dict()})
+    return told
+
+
+def _band_error(
+    label: str,
+    band: dict[str, Any],
+    record: dict[str, Any],
+    truth: Truth | None,
+    check: np.ndarray | None,
+) -> BandError:
+    """Errors of one band at the points that lie on the grid: all of the truth, else the check points."""
+    transform = from_dict(band["transform"])
+    if truth is not None and label in truth.bands:
+        reference, target = truth.reference, truth.bands[label]
+    elif check is not None:
+        reference, target = check[:, :2], check[:, 2:]
+    else:
+        return summarise_errors(label, np.array([]))
+    on_grid = inside(
+        from_dict(record["grid"]["transform"]).inverse(reference), record["grid"]["size"]
+    )
+    keep = on_grid & np.isfinite(target).all(1) & inside(target, band["size"])
+    return summarise_errors(label, position_errors(transform, reference[keep], target[keep]))
+
+
+def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float | None:
+    """SSIM of one published layer against the reference camera's; None where there is none."""
+    from levkas.quality.evaluation.similarity import structural_similarity
+
+    reference, ours = record["reference"], _grey(output, record["object"], record)
+    base = _grey(output, record["object"], {"camera": reference["camera"], "setup": ""})
+    if ours is None or base is None:
+        return None
+    score, full = structural_similarity(base[0], ours[0], base[1] & ours[1])
+    if maps is not None:
+        from levkas.core.files import make_folder, write_bytes
+        from levkas.database.preview import encode_png
+
+        make_folder(maps)
+        layer = "_".join(
+            p for p in (record["object"], record["camera"], record.get("setup", "")) if p
+        )
+        shown = np.nan_to_num(np.clip(full, 0, 1) * 255).astype(np.uint8)
+        write_bytes(maps / f"{layer}_ssim.png", encode_png(shown))
+    return None if np.isnan(score) else score
+
+
+def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Mean of the registered bands, and the pixels that every band saw."""
+    from levkas.building.resampling import read_grey
+    from levkas.database.layout import Places
+
+    path = Places(output).layer(name, record["camera"], record.get("setup", ""))
+    check_inside(output, path, path.with_name(f"{path.stem}.flags.tif"))
+    return read_grey(path) if path.is_file() else None
+
+
+def _seconds(output: Path, name: str, layer: str) -> float | None:
+    path = output.with_name(output.name + ".kept") / name / layer / "register.json"
+    try:
+        return float(read_json(path)["notes"]["seconds"])
+    except (Refused, ValueError, KeyError, TypeError):
+        return None

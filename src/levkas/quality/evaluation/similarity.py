@@ -1,0 +1,181 @@
+"""How well a registration fits: errors against truth or check points, and SSIM with its map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+from levkas.readers.text import read_json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from levkas.geometry.transforms import Transform
+
+SSIM_SIGMA = 1.5
+SSIM_WINDOW = 11
+RANGE_PERCENTILES = (0.1, 99.9)
+
+
+class TruthRefused(Refused):
+    """Truth that does not fit the layout of a simulated campaign."""
+
+
+@dataclass(frozen=True)
+class BandError:
+    """Errors of one band in reference pixels, over the points that lie on the grid."""
+
+    band: str
+    mean: float
+    p95: float
+    max: float
+    points: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of `evaluate --json`."""
+        return {
+            "band": self.band,
+            "error_mean": self.mean,
+            "error_p95": self.p95,
+            "error_max": self.max,
+            "points": self.points,
+        }
+
+
+def position_errors(transform: Transform, reference: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Distance between where a map puts target points and where they are, in reference px.
+
+    Parameters
+    ----------
+    transform : Transform
+        Reference px to native px of the band.
+    reference, target : ndarray, (n, 2)
+        The same points of the scene in either frame.
+
+    Returns
+    -------
+    errors : ndarray, (n,)
+        Reference px; NaN where the map has no inverse.
+
+    Examples
+    --------
+    >>> from levkas.geometry.transforms import Affine
+    >>> twice = Affine(np.array([[2.0, 0, 0], [0, 2, 0]]))
+    >>> position_errors(twice, np.array([[1.0, 1]]), np.array([[2.0, 4]]))
+    array([1.])
+    """
+    return np.linalg.norm(transform.inverse(target) - reference, axis=1)
+
+
+def summarise_errors(band: str, errors: np.ndarray) -> BandError:
+    """Return mean, 95th percentile and maximum of `errors`, NaN (no answer) counting as infinite."""
+    if not len(errors):
+        nan = float("nan")
+        return BandError(band, nan, nan, nan, 0)
+    worst = np.where(np.isnan(errors), np.inf, errors)
+    with np.errstate(invalid="ignore"):
+        p95 = float(np.sort(worst)[min(len(worst) - 1, int(np.ceil(0.95 * len(worst))) - 1)])
+    return BandError(band, float(worst.mean()), p95, float(worst.max()), len(worst))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where points of the reference band lie in every band of one camera.
+
+    Parameters
+    ----------
+    reference : ndarray, (n, 2)
+        Reference px.
+    bands : dict of str to ndarray, (n, 2)
+        Native px of each band.
+    """
+
+    reference: np.ndarray
+    bands: dict[str, np.ndarray]
+
+
+def read_truth(folder: Path, name: str, camera: str) -> Truth | None:
+    """Read the truth of one object and camera; None where there is none.
+
+    Raises
+    ------
+    TruthRefused
+        Where the arrays do not fit `truth.json`.
+    """
+    reference, target = folder / f"{name}_ref_px.npy", folder / f"{name}_{camera}_px.npy"
+    if not (reference.is_file() and target.is_file() and (folder / "truth.json").is_file()):
+        return None
+    record = read_json(folder / "truth.json")
+    labels = list(record.get("cameras", {}).get(camera, {}).get("bands", []))
+    points = np.load(reference, allow_pickle=False)
+    rows = np.load(target, allow_pickle=False)
+    if rows.shape != (1 + len(labels), len(points), 2):
+        raise TruthRefused(
+            Problem(
+                "E_SIZE",
+                "truth does not fit truth.json",
+                file=str(target),
+                found=str(rows.shape),
+                expected=str((1 + len(labels), len(points), 2)),
+            )
+        )
+    return Truth(points, dict(zip(labels, rows[1:], strict=True)))
+
+
+def inside(points: np.ndarray, size: Sequence[int]) -> np.ndarray:
+    """Tell which points, (n, 2), lie in a picture of size (width, height); NaN lies in none.
+
+    >>> inside(np.array([[-0.5, 3.4], [4.0, 1.0]]), (4, 4)).tolist()
+    [True, False]
+    """
+    with np.errstate(invalid="ignore"):
+        return np.all((points >= -0.5) & (points <= np.array(size) - 0.5), axis=1)
+
+
+def structural_similarity(
+    reference: np.ndarray, target: np.ndarray, valid: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """SSIM of two registered grey images, as [wang2004]_ through scikit-image.
+
+    The target is brought to the reference's mean and spread over `valid` first; the range is the
+    joint 0.1 to 99.9 percentile range; the mean is over `valid`.
+
+    Parameters
+    ----------
+    reference, target : ndarray, (h, w)
+    valid : ndarray of bool, (h, w)
+        Pixels seen by both.
+
+    Returns
+    -------
+    ssim : float
+        NaN where fewer than 121 pixels are valid or an image is flat.
+    map : ndarray, (h, w), float32
+        NaN outside `valid`.
+    """
+    from skimage.metrics import structural_similarity as ssim
+
+    nothing = np.full(reference.shape, np.nan, np.float32)
+    if valid.sum() < SSIM_WINDOW**2 or min(reference.shape) < SSIM_WINDOW:
+        return float("nan"), nothing
+    a, b = (np.asarray(image, np.float64) for image in (reference, target))
+    spread = b[valid].std()
+    if spread == 0 or a[valid].std() == 0:
+        return float("nan"), nothing
+    b = (b - b[valid].mean()) * (a[valid].std() / spread) + a[valid].mean()
+    a, b = (np.where(valid, image, a[valid].mean()) for image in (a, b))
+    low, high = np.percentile(np.concatenate([a[valid], b[valid]]), RANGE_PERCENTILES)
+    _, full = ssim(
+        a,
+        b,
+        data_range=high - low,
+        gaussian_weights=True,
+        sigma=SSIM_SIGMA,
+        win_size=SSIM_WINDOW,
+        full=True,
+    )
+    return float(full[valid].mean()), np.where(valid, full, np.nan).astype(np.float32)

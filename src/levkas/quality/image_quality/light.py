@@ -1,0 +1,173 @@
+"""The light on the object's plane, from a measured white: map, contours, profiles (Figure 6b)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from levkas.core.problems import Problem, Refused
+
+LONGEST = 48
+"""Blocks along the longer side of a map."""
+DROP = 0.1
+"""The paper's: inside the highlighted area the light drops by 10 %."""
+
+
+class LightRefused(Refused):
+    """A white that says nothing of the light."""
+
+
+class LightField(NamedTuple):
+    """How even the light is.
+
+    Parameters
+    ----------
+    levels : ndarray, (rows, columns)
+        White above dark in blocks of `step` px, over its greatest.
+    step : int
+        Side of a block, native px.
+    size : (width, height)
+        Of the white, native px.
+    rectangle : (x, y, width, height)
+        Largest upright one in which no block is below 1 − `drop` of the brightest block in it,
+        native px.
+    drop : float
+    uniformity : float
+        Least over greatest level of the whole field, 0 … 1.
+    peak : float
+        White above dark in the brightest block, counts.
+    """
+
+    levels: np.ndarray
+    step: int
+    size: tuple[int, int]
+    rectangle: tuple[int, int, int, int]
+    drop: float
+    uniformity: float
+    peak: float = float("nan")
+
+    @property
+    def bits(self) -> tuple[float, float]:
+        """Bits between black and white in the brightest block, and in the darkest.
+
+        The flat field stretches the corners to the same white: it leaves them that many levels.
+        """
+        return float(np.log2(self.peak)), float(np.log2(self.peak * max(self.uniformity, 1e-9)))
+
+    @property
+    def share(self) -> float:
+        """Of the field that the rectangle takes."""
+        return self.rectangle[2] * self.rectangle[3] / (self.size[0] * self.size[1])
+
+    @property
+    def profiles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Levels along the middle row and the middle column."""
+        rows, columns = self.levels.shape
+        return self.levels[rows // 2], self.levels[:, columns // 2]
+
+
+def light_field(
+    white: np.ndarray, *, saturated: np.ndarray | None = None, drop: float = DROP
+) -> LightField:
+    """Return the light field that a white shows.
+
+    Parameters
+    ----------
+    white : ndarray, (h, w)
+        Counts above dark of one channel; of a mosaic one phase, or all. One line of a line
+        scanner is a field one block high.
+    saturated : ndarray of bool like `white`, optional
+    drop : float, 0 … 1
+        How much the light may drop inside the rectangle.
+
+    Raises
+    ------
+    LightRefused
+        ``E_WHITE_SATURATED`` where more than 1 % of the white is saturated: the light would look
+        flatter than it is. ``E_WHITE_DARK`` where the white is not above dark.
+
+    Notes
+    -----
+    What is seen is light times vignetting of the lens, which flat-fielding divides out together.
+
+    Examples
+    --------
+    >>> field = light_field(np.tile(np.linspace(0.8, 1.0, 480), (240, 1)))
+    >>> field.levels.shape, field.rectangle, round(field.uniformity, 2)
+    ((24, 48), (150, 0, 240, 240), 0.8)
+    """
+    plane = np.asarray(white, np.float64)
+    if saturated is not None and np.mean(saturated) > 0.01:
+        raise LightRefused(
+            Problem(
+                "E_WHITE_SATURATED",
+                "the white is saturated: it does not show how even the light is",
+                found=f"{100 * float(np.mean(saturated)):.1f} % of the pixels",
+                expected="at most 1 %",
+                fix="Capture the white with less exposure: its peak at 85 % of saturation.",
+            )
+        )
+    step = max(1, -(-max(plane.shape) // LONGEST))
+    levels = _blocks(plane, step)
+    if not np.isfinite(levels).all() or levels.min() <= 0:
+        raise LightRefused(
+            Problem(
+                "E_WHITE_DARK",
+                "the white is not above dark everywhere",
+                found=f"{np.nanmin(levels):.3g} counts in the darkest block",
+                fix="Capture a white board that fills the frame, with the lamps on.",
+            )
+        )
+    peak = float(levels.max())
+    levels = levels / peak
+    x, y, width, height = _largest_rectangle(levels, 1 - drop)
+    right, bottom = min((x + width) * step, plane.shape[1]), min((y + height) * step, len(plane))
+    rectangle = (x * step, y * step, right - x * step, bottom - y * step)
+    size = (plane.shape[1], plane.shape[0])
+    return LightField(levels, step, size, rectangle, drop, float(levels.min()), peak)
+
+
+def _blocks(plane: np.ndarray, step: int) -> np.ndarray:
+    """Means of blocks; those of the last row and column may be smaller."""
+    starts = [np.arange(0, n, step) for n in plane.shape]
+    sums = np.add.reduceat(np.add.reduceat(plane, starts[0], 0), starts[1], 1)
+    sizes = [np.minimum(step, n - s) for n, s in zip(plane.shape, starts, strict=True)]
+    return np.asarray(sums / np.outer(*sizes))
+
+
+@njit(cache=True)
+def _largest_rectangle(levels, least):  # type: ignore[no-untyped-def]
+    """Return the largest rectangle (x, y, width, height) in which min >= least · max.
+
+    Exact and brute: rows from `top` to `bottom` are folded into their least and greatest, and the
+    longest run of columns follows with two pointers.
+    """
+    rows, columns = levels.shape
+    best, found = 0, (0, 0, 0, 0)
+    for top in range(rows):
+        if (rows - top) * columns <= best:
+            break
+        low, high = levels[top].copy(), levels[top].copy()
+        for bottom in range(top, rows):
+            low, high = np.minimum(low, levels[bottom]), np.maximum(high, levels[bottom])
+            tall = bottom - top + 1
+            if tall * columns <= best:
+                continue
+            left, wide = _longest_run(low, high, least)
+            if wide * tall > best:
+                best, found = wide * tall, (left, top, wide, tall)
+    return found
+
+
+@njit(cache=True)
+def _longest_run(low, high, least):  # type: ignore[no-untyped-def]
+    """Return (start, length) of the longest run of columns with min(low) >= least · max(high)."""
+    best, where, start = 0, 0, 0
+    for end in range(len(low)):
+        while start <= end and low[start : end + 1].min() < least * high[start : end + 1].max():
+            start += 1
+        if end - start + 1 > best:
+            best, where = end - start + 1, start
+    return where, best

@@ -1,0 +1,361 @@
+"""Colour charts: how their patches lie, what these reflect, and where they are in a picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+NAMES = {
+    "ColorChecker24": ("colorchecker24", "colorcheckerclassic", "classic", "macbeth", "cc24"),
+    "ColorCheckerSG": ("colorcheckersg", "sg", "ccsg", "sg140", "digitalsg"),
+}
+SAMPLED = 0.5
+"""Side of the sampled area over the pitch of the patches."""
+LEAST_SIDE = 6.0
+"""Of a sampled area, px: fewer pixels say nothing of noise."""
+
+
+class ChartRefused(Refused):
+    """A chart that cannot be measured: not there, cut off, too small, or another one."""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """The layout of a chart.
+
+    Parameters
+    ----------
+    name : str
+    columns, rows : int
+    greys : tuple of int
+        Indices of the grey scale, brightest first.
+    """
+
+    name: str
+    columns: int
+    rows: int
+    greys: tuple[int, ...]
+
+    @property
+    def patches(self) -> tuple[str, ...]:
+        """Names, row by row from the top left: letter of the column, number of the row."""
+        return tuple(f"{chr(65 + c)}{r + 1}" for r in range(self.rows) for c in range(self.columns))
+
+    @property
+    def centres(self) -> np.ndarray:
+        """(n, 2) places in units of the pitch; the first patch is (0, 0)."""
+        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        return np.stack([x.ravel(), y.ravel()], -1).astype(float)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(4, 2) places of the corner patches, clockwise from the first."""
+        right, bottom = self.columns - 1.0, self.rows - 1.0
+        return np.array([[0, 0], [right, 0], [right, bottom], [0, bottom]])
+
+    @cached_property
+    def luminances(self) -> np.ndarray:
+        """(n,) relative luminances as published, for telling the chart and its orientation."""
+        # colour-science sets numpy's printing back to that of version 1.13 for the whole process.
+        with np.printoptions():
+            from colour import CCS_COLOURCHECKERS
+
+        kind = "ColorCheckerSG" if self.rows == 10 else "ColorChecker24"
+        published = CCS_COLOURCHECKERS[f"{kind} - After November 2014"].data.values()
+        return np.array([xyy[2] for xyy in published])
+
+
+CHARTS = {
+    "ColorChecker24": Chart("ColorChecker24", 6, 4, (18, 19, 20, 21, 22, 23)),
+    # E5 to J5 and E6 to J6 by brightness: E5 is the white, E6 the black.
+    "ColorCheckerSG": Chart("ColorCheckerSG", 14, 10, (60, 79, 61, 78, 62, 77, 63, 76, 64, 75, 65, 74)),
+}  # fmt: skip
+
+
+def chart_of(name: str) -> Chart:
+    """Return a chart by its name; spaces, hyphens and case do not matter.
+
+    Raises
+    ------
+    ChartRefused
+        ``E_CHART_KIND``.
+
+    Examples
+    --------
+    >>> chart_of("ColorChecker Classic").patches[:2]
+    ('A1', 'B1')
+    """
+    plain = "".join(c for c in name.lower() if c.isalnum())
+    for kind, others in NAMES.items():
+        if plain in others:
+            return CHARTS[kind]
+    raise ChartRefused(
+        Problem(
+            "E_CHART_KIND",
+            "there is no such chart",
+            field="targets.charts",
+            found=name,
+            expected=", ".join(CHARTS),
+            fix="Name one of these; others may be measured by hand as objects.",
+        )
+    )
+
+
+class Reference(NamedTuple):
+    """Reflectances of a chart's patches.
+
+    `wavelengths` (m,) nm, `spectra` (n, m), `source` for captions, and what was mended in `note`.
+    """
+
+    wavelengths: np.ndarray
+    spectra: np.ndarray
+    source: str
+    note: str = ""
+
+    def at(self, wavelengths: np.ndarray) -> np.ndarray:
+        """Return reflectances at some wavelengths, (n, k); NaN beyond what was measured."""
+        rows = [np.interp(wavelengths, self.wavelengths, s) for s in self.spectra]
+        inside = (wavelengths >= self.wavelengths[0] - 5) & (
+            wavelengths <= self.wavelengths[-1] + 5
+        )
+        return np.where(inside, np.array(rows), np.nan)
+
+
+def reference_of(chart: Chart) -> Reference | None:
+    """Return the published spectra of a chart: BabelColor's average of 30; of the SG there are none."""
+    if chart.rows != 4:
+        return None
+    with np.printoptions():
+        from colour import SDS_COLOURCHECKERS
+
+    patches = list(SDS_COLOURCHECKERS["BabelColor Average"].values())
+    spectra = np.array([sd.values for sd in patches])
+    return Reference(np.asarray(patches[0].wavelengths, float), spectra, "BabelColor average")
+
+
+def parse_reference(text: str, chart: Chart, *, file: str = "") -> Reference:
+    """Read a chart's spectra from CSV: wavelength in nm, then a column a patch.
+
+    Parameters
+    ----------
+    text : str
+        The header names patches by column and row: ``A:1`` or ``A1``. A name that stands twice
+        where another is missing is taken by its place, and told. Per cent are known by their size.
+    chart : Chart
+    file : str
+        For messages.
+
+    Raises
+    ------
+    ChartRefused
+        ``E_CHART_REFERENCE`` where patches are missing or numbers are none.
+    """
+    try:
+        lines = csv.reader(io.StringIO(text, newline=""))
+        rows = [row for row in lines if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise _bad_reference(file, str(error), "a table") from None
+    if len(rows) < 3:
+        raise _bad_reference(file, f"{len(rows)} rows", "a header and two wavelengths or more")
+    names = ["".join(c for c in cell if c.isalnum()).upper() for cell in rows[0][1:]]
+    names, note = _mended(names, chart)
+    missing = [patch for patch in chart.patches if patch not in names]
+    if missing:
+        raise _bad_reference(
+            file,
+            f"no {', '.join(missing[:5])}",
+            f"a column for each of {len(chart.patches)} patches",
+        )
+    try:
+        table = np.array([[float(cell) for cell in row] for row in rows[1:]])
+    except ValueError as error:
+        raise _bad_reference(file, str(error), "numbers") from None
+    if table.shape[1] != len(names) + 1 or not np.isfinite(table).all():
+        raise _bad_reference(file, "rows of several lengths, or NaN", "a number a patch")
+    table = table[np.argsort(table[:, 0])]
+    if not table[0, 0] > 0 or not (np.diff(table[:, 0]) > 0).all():
+        raise _bad_reference(file, "wavelengths that stand twice, or are none", "each once, in nm")
+    spectra = table[:, 1:].T[[names.index(patch) for patch in chart.patches]]
+    spectra = spectra / 100 if spectra.max() > 2 else spectra
+    return Reference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV", note)
+
+
+def _mended(names: list[str], chart: Chart) -> tuple[list[str], str]:
+    """Put right a patch that was named twice where the order says which one was meant."""
+    twice = {name for name in names if names.count(name) > 1}
+    if not twice or len(names) != len(chart.patches):
+        return names, ""
+    by_column = [f"{chr(65 + c)}{r + 1}" for c in range(chart.columns) for r in range(chart.rows)]
+    for order in (by_column, list(chart.patches)):
+        wrong = [i for i, name in enumerate(names) if name != order[i]]
+        if all(names[i] in twice and order[i] not in names for i in wrong):
+            told = ", ".join(f"{names[i]} in column {i + 2} read as {order[i]}" for i in wrong)
+            return order, told
+    return names, ""
+
+
+def _bad_reference(file: str, found: str, expected: str) -> ChartRefused:
+    return ChartRefused(
+        Problem(
+            "E_CHART_REFERENCE",
+            "the chart's reference spectra cannot be used",
+            file=file or None,
+            found=found,
+            expected=expected,
+            fix="Write wavelength,A:1,A:2,… in the header, and a row a wavelength.",
+        )
+    )
+
+
+# --- places in a picture ------------------------------------------------------------------------
+
+
+def place_patches(
+    corners: np.ndarray, chart: Chart, size: tuple[int, int], *, sampled: float = SAMPLED
+) -> np.ndarray:
+    """Return the sampled area of every patch.
+
+    Parameters
+    ----------
+    corners : (4, 2), px
+        Centres of the four corner patches, clockwise from the first: dark skin, bluish green,
+        black and white of the Classic.
+    chart : Chart
+    size : (width, height) of the picture
+    sampled : float
+        Side of an area over the pitch.
+
+    Returns
+    -------
+    areas : ndarray, (n, 4, 2), px
+
+    Raises
+    ------
+    ChartRefused
+        ``E_VALUE`` where the corners make no convex figure, ``E_CHART_FRAME`` where a patch lies
+        beyond the frame, ``E_CHART_SIZE`` where the areas are too small.
+
+    Examples
+    --------
+    >>> areas = place_patches([[50, 50], [550, 50], [550, 350], [50, 350]], CHARTS["ColorChecker24"], (600, 400))
+    >>> areas.shape, areas[0].tolist()
+    ((24, 4, 2), [[25.0, 25.0], [75.0, 25.0], [75.0, 75.0], [25.0, 75.0]])
+    """
+    corners = np.asarray(corners, float).reshape(4, 2)
+    _check_convex(corners)
+    matrix = _homography(chart.corners, corners)
+    half = sampled / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    areas = _project(matrix, (chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
+    beyond = np.any((areas < 0) | (areas > np.array(size) - 1.0), axis=(1, 2))
+    if beyond.any():
+        names = [chart.patches[i] for i in np.flatnonzero(beyond)]
+        raise ChartRefused(
+            Problem(
+                "E_CHART_FRAME",
+                "the chart is partly out of the frame",
+                found=f"{len(names)} patches beyond it: {', '.join(names[:6])}",
+                expected=f"all {len(chart.patches)} patches inside",
+                fix="Capture the whole chart, with a hand's breadth around it.",
+            )
+        )
+    side = float(np.linalg.norm(areas - np.roll(areas, 1, axis=1), axis=2).min())
+    if side < LEAST_SIDE:
+        raise ChartRefused(
+            Problem(
+                "E_CHART_SIZE",
+                "the chart is too small in the picture",
+                found=f"{side:.1f} px a sampled area",
+                expected=f"{LEAST_SIDE:g} px or more",
+                fix="Capture the chart from nearer, or by a camera that resolves it.",
+            )
+        )
+    return areas
+
+
+def parse_corners(text: str) -> np.ndarray:
+    """Return four corners from ``x,y,x,y,x,y,x,y``, (4, 2).
+
+    Raises
+    ------
+    ChartRefused
+        ``E_VALUE``.
+
+    Examples
+    --------
+    >>> parse_corners("0,0,10,0,10,8,0,8").tolist()[2]
+    [10.0, 8.0]
+    """
+    try:
+        corners = np.array([float(part) for part in text.replace(";", ",").split(",")])
+        return corners.reshape(4, 2)
+    except ValueError:
+        raise ChartRefused(
+            Problem(
+                "E_VALUE",
+                "the corners cannot be read",
+                field="--corners",
+                found=text,
+                expected="eight numbers: x,y,x,y,x,y,x,y",
+                fix="Centres of the corner patches, clockwise from the first: dark skin, bluish "
+                "green, black, white of the Classic.",
+            )
+        ) from None
+
+
+def _check_convex(corners: np.ndarray) -> None:
+    edges = np.roll(corners, -1, 0) - corners
+    turns = edges[:, 0] * np.roll(edges, -1, 0)[:, 1] - edges[:, 1] * np.roll(edges, -1, 0)[:, 0]
+    if not (np.all(turns > 0) or np.all(turns < 0)) or not np.isfinite(corners).all():
+        raise ChartRefused(
+            Problem(
+                "E_VALUE",
+                "the four corners make no chart",
+                field="--corners",
+                found="; ".join(f"{x:g},{y:g}" for x, y in corners),
+                expected="centres of the corner patches, clockwise from the first (dark skin)",
+            )
+        )
+
+
+def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    rows = []
+    for (x, y), (u, v) in zip(source, target, strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+    solved = np.linalg.solve(np.array(rows), target.ravel())
+    return np.append(solved, 1.0).reshape(3, 3)
+
+
+def _project(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    mapped = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def pixels_of(area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (rows, columns) of the pixels whose centres lie in a convex area, (4, 2) px.
+
+    >>> rows, columns = pixels_of(np.array([[0, 0], [2, 0], [2, 1], [0, 1.0]]))
+    >>> len(rows), int(columns.max())
+    (6, 2)
+    """
+    low, high = np.ceil(area.min(0)).astype(int), np.floor(area.max(0)).astype(int)
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+    edges = np.roll(area, -1, 0) - area
+    sides = [ex * (y - ay) - ey * (x - ax) for (ax, ay), (ex, ey) in zip(area, edges, strict=True)]
+    inside = np.all([s >= -1e-9 for s in sides], 0) | np.all([s <= 1e-9 for s in sides], 0)
+    return y[inside], x[inside]
+
+
+def turned_corners(corners: np.ndarray) -> Sequence[np.ndarray]:
+    """Return the eight ways to name four corners of a rectangle: turned, and mirrored."""
+    forward = [np.roll(corners, -k, axis=0) for k in range(4)]
+    return [*forward, *(c[[1, 0, 3, 2]] for c in forward)]

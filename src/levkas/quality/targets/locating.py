@@ -1,0 +1,240 @@
+"""Where a chart lies in a cube: found by OpenCV's `mcc`, and believed only where its patches agree."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from levkas.core.problems import Problem
+from levkas.quality.targets.charts import (
+    Chart,
+    ChartRefused,
+    Reference,
+    pixels_of,
+    place_patches,
+    turned_corners,
+)
+
+LEAST_AGREEMENT = 0.9
+"""Rank correlation of patch values with the published ones."""
+LONG_SIDES = (900, 1400, 2000)
+"""Sizes, px, at which the detector is tried: it wants patches 30 px apart or more."""
+STEPS = (0.1, 0.05, 0.02)
+"""Of the refinement, in pitches."""
+NEARLY_ALL = 0.75
+"""Side of the areas that are made even, over the pitch: most of a patch, so that edges show."""
+
+
+class Located(NamedTuple):
+    """A chart in a picture.
+
+    `corners` (4, 2) px: centres of the corner patches clockwise from the first; `areas` (n, 4, 2)
+    px; `agreement`: rank correlation with the published values; `means` (n, bands).
+    """
+
+    corners: np.ndarray
+    areas: np.ndarray
+    agreement: float
+    means: np.ndarray
+
+
+def locate_chart(
+    values: np.ndarray,
+    wavelengths: np.ndarray,
+    chart: Chart,
+    reference: Reference | None = None,
+    *,
+    corners: np.ndarray | None = None,
+) -> Located:
+    """Find a chart, or check the corners that are given.
+
+    Parameters
+    ----------
+    values : ndarray, (h, w, bands)
+        Reflectance, or counts above dark.
+    wavelengths : ndarray, (bands,), nm
+        NaN for broad channels.
+    chart : Chart
+    reference : Reference, optional
+        Spectra to compare with, band by band where wavelengths are known.
+    corners : (4, 2), optional
+        Centres of the corner patches, px, clockwise from the first patch.
+
+    Raises
+    ------
+    ChartRefused
+        ``E_CHART_MISSING`` where none is found, ``E_CHART_ORDER`` where patches do not rank as
+        those of the chart (another chart, or corners in another order), ``E_CHART_FRAME``,
+        ``E_CHART_SIZE``; ``E_CHART_DETECTOR`` where this OpenCV has no detector.
+    """
+    size = (values.shape[1], values.shape[0])
+    known = corners is not None
+    found = np.asarray(corners, float).reshape(4, 2) if known else find_corners(values, chart)
+    best: Located | None = None
+    # Grey pictures do not say which way up a chart lies; its patches do.
+    for way in [found] if known else turned_corners(found):
+        areas = place_patches(way, chart, size)
+        means = patch_means(values, areas)
+        agreement = rank_agreement(means, wavelengths, chart, reference)
+        if best is None or agreement > best.agreement:
+            best = Located(way, areas, agreement, means)
+    assert best is not None  # there is one way at least
+    if not known and best.agreement >= LEAST_AGREEMENT:
+        better = refine_corners(values, best.corners, chart)
+        areas = place_patches(better, chart, size)
+        means = patch_means(values, areas)
+        best = Located(better, areas, rank_agreement(means, wavelengths, chart, reference), means)
+    if not best.agreement >= LEAST_AGREEMENT:
+        raise ChartRefused(_disagrees(best.agreement, chart, known))
+    return best
+
+
+def _disagrees(agreement: float, chart: Chart, known: bool) -> Problem:
+    return Problem(
+        "E_CHART_ORDER",
+        f"what was {'given' if known else 'found'} does not look like a {chart.name}",
+        field="--corners" if known else None,
+        found=f"rank correlation {agreement:.2f} of its patches with the published ones",
+        expected=f"{LEAST_AGREEMENT} or more",
+        fix=(
+            "Give the centres of the corner patches clockwise from the first: dark skin, bluish "
+            "green, black, white of the Classic."
+            if known
+            else "Give its four corners with --corners x,y,x,y,x,y,x,y, or capture the chart "
+            "flat, whole and free of glare."
+        ),
+    )
+
+
+def refine_corners(values: np.ndarray, corners: np.ndarray, chart: Chart) -> np.ndarray:
+    """Move the four corners until the patches are as even within as they can be.
+
+    The detector is off by up to a fifth of the pitch on charts of many small patches.
+    """
+    grey = np.sqrt(np.maximum(values.mean(2, dtype=np.float32), 0))[..., None]
+    size = (grey.shape[1], grey.shape[0])
+    pitch = float(np.linalg.norm(corners[1] - corners[0])) / (chart.columns - 1)
+    best, least = corners.copy(), _unevenness(grey, corners, chart, size)
+    for step in STEPS:
+        for _ in range(2):
+            for corner, axis, sign in np.ndindex(4, 2, 2):
+                tried = best.copy()
+                tried[corner, axis] += step * pitch * (1 if sign else -1)
+                found = _unevenness(grey, tried, chart, size)
+                if found < least:
+                    best, least = tried, found
+    return best
+
+
+def _unevenness(
+    grey: np.ndarray, corners: np.ndarray, chart: Chart, size: tuple[int, int]
+) -> float:
+    """Mean variance within areas that nearly fill the patches; infinite where these leave the frame."""
+    try:
+        areas = place_patches(corners, chart, size, sampled=NEARLY_ALL)
+    except ChartRefused:
+        return float("inf")
+    return float(np.mean([grey[pixels_of(area)].var() for area in areas]))
+
+
+def patch_means(values: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """Return the mean of every area and band, (n, bands)."""
+    return np.array([values[pixels_of(area)].mean(0) for area in areas], float)
+
+
+def rank_agreement(
+    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: Reference | None
+) -> float:
+    """Return the rank correlation of patches with what is published, -1 … 1.
+
+    Band by band with the reference where wavelengths are known, the mean over bands; else of the
+    mean of the bands with the patches' luminance.
+    """
+    wanted = None if reference is None else reference.at(wavelengths)
+    if wanted is not None and np.isfinite(wanted).all(0).any():
+        use = np.flatnonzero(np.isfinite(wanted).all(0))
+        return float(np.mean([_rank_correlation(means[:, i], wanted[:, i]) for i in use]))
+    # Infrared channels see other things than the eye does: the best of channels and mean.
+    tried = [means.mean(1), *means.T]
+    return max(_rank_correlation(column, chart.luminances) for column in tried)
+
+
+def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
+    from scipy.stats import rankdata
+
+    if not np.isfinite(a).all() or np.ptp(a) == 0:
+        return -1.0
+    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+
+
+def find_corners(values: np.ndarray, chart: Chart) -> np.ndarray:
+    """Return the centres of the corner patches as OpenCV's detector sees them, in some order.
+
+    Raises
+    ------
+    ChartRefused
+        ``E_CHART_DETECTOR``, ``E_CHART_MISSING``.
+    """
+    import cv2
+
+    if not hasattr(cv2, "mcc"):
+        raise ChartRefused(
+            Problem(
+                "E_CHART_DETECTOR",
+                "this OpenCV cannot find charts",
+                found=f"OpenCV {cv2.__version__} without mcc",
+                expected="OpenCV 5, or 4 with contrib",
+                fix="Give the chart's four corners with --corners x,y,x,y,x,y,x,y.",
+            )
+        )
+    for picture in pictures_of(values):
+        for side in LONG_SIDES:
+            if (found := _detected(picture, side, chart)) is not None:
+                return found
+    raise ChartRefused(
+        Problem(
+            "E_CHART_MISSING",
+            f"no {chart.name} was found in the picture",
+            found="nothing like it",
+            expected=f"a {chart.columns} x {chart.rows} chart, whole, patches 30 px apart or more",
+            fix="Capture the whole chart flat and evenly lit, or give its corners with "
+            "--corners x,y,x,y,x,y,x,y.",
+        )
+    )
+
+
+def pictures_of(values: np.ndarray) -> list[np.ndarray]:
+    """Return what the detector is shown, (h, w, 3) uint8 each: pseudo-colour, and the mean, as square roots."""
+    bands = values.shape[2]
+    thirds = [values[..., part].mean(2) for part in np.array_split(np.arange(bands), min(3, bands))]
+    grey = np.repeat(values.mean(2)[..., None], 3, 2)
+    shown = [np.stack(thirds, -1)] if bands >= 3 else []
+    return [_eight_bits(picture) for picture in (*shown, grey)]
+
+
+def _eight_bits(picture: np.ndarray) -> np.ndarray:
+    picture = np.nan_to_num(picture)
+    white = np.maximum(np.percentile(picture, 99.5, axis=(0, 1)), 1e-9)
+    level = np.sqrt(np.clip(picture / white, 0, 1))
+    return np.ascontiguousarray(np.round(255 * level), dtype=np.uint8)
+
+
+def _detected(picture: np.ndarray, side: int, chart: Chart) -> np.ndarray | None:
+    import cv2
+
+    scale = side / max(picture.shape[:2])
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    shown = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=how)
+    detector = cv2.mcc.CCheckerDetector.create()
+    kind = cv2.mcc.SG140 if chart.rows == 10 else cv2.mcc.MCC24
+    detector.setColorChartType(kind)
+    if not detector.process(shown, 1):
+        return None
+    quads = np.asarray(detector.getBestColorChecker().getColorCharts(), float).reshape(-1, 4, 2)
+    if len(quads) != len(chart.patches):
+        return None
+    centres = quads.mean(1)
+    last = chart.columns * (chart.rows - 1)
+    corners = centres[[0, chart.columns - 1, last + chart.columns - 1, last]]
+    return (corners + 0.5) / scale - 0.5

@@ -1,0 +1,253 @@
+"""A chart measured: where it was seen, signal and noise of its patches, blur, colours, indicators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.core.cube import Band, Cube, Flag
+from levkas.quality.targets.charts import (
+    Chart,
+    ChartRefused,
+    Reference,
+    place_patches,
+    turned_corners,
+)
+from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patches, noise_planes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.quality.image_quality.indicators import Colours, Row
+    from levkas.quality.image_quality.noise_correlation import Preblur
+    from levkas.quality.targets.locating import Located
+
+NEAR = 0.5
+"""How far, in pitches, one sensor of a camera may see a chart from where another does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A chart as one sensor saw it; `steps` and `count` as in `patches.measure_patches`."""
+
+    sensor: str
+    located: Located
+    cube: Cube
+    shots: tuple[np.ndarray, np.ndarray] | None = None
+    steps: tuple[float, ...] | None = None
+    count: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ChartMeasure:
+    """What a chart says of one camera under one setup.
+
+    Parameters
+    ----------
+    name : str
+        What it was called: target and layer, or a file.
+    chart : Chart
+    sightings : tuple of Sighting
+        A sensor each.
+    bands : tuple of Band
+    table : PatchTable
+        Over all bands.
+    preblurs : tuple of Preblur or None
+        A band each; None where it cannot be looked for: on demosaiced values.
+    colours : Colours or None
+        None where there are no reference spectra, or no visible band.
+    rows : tuple of Row
+        Indicators.
+    notes : tuple of str
+    """
+
+    name: str
+    chart: Chart
+    sightings: tuple[Sighting, ...]
+    bands: tuple[Band, ...]
+    table: PatchTable
+    preblurs: tuple[Preblur | None, ...]
+    colours: Colours | None = None
+    rows: tuple[Row, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def wavelengths(self) -> np.ndarray:
+        """Of the bands, nm; NaN where a channel is broad."""
+        return np.array([band.wavelength for band in self.bands], float)
+
+    @property
+    def snr_db(self) -> np.ndarray:
+        """(patches, bands), dB of Eq. (1), what a camera's own blur hides taken off."""
+        return self.table.corrected_db(list(self.preblurs))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record for `--json`."""
+        snr, snr_db, corrected = self.table.snr, self.table.snr_db, self.snr_db
+        patches = [
+            {
+                "patch": patch,
+                "pixels": int(self.table.pixels[i]),
+                "mean": _digits(self.table.mean[i]),
+                "noise": _digits(self.table.noise[i]),
+                "snr": _digits(snr[i]),
+                "snr_db": _digits(snr_db[i]),
+                "snr_db_corrected": _digits(corrected[i]),
+                "saturated": _digits(self.table.saturated[i]),
+                "delta_e_2000": None
+                if self.colours is None
+                else _digits(self.colours.difference[i]),
+            }
+            for i, patch in enumerate(self.chart.patches)
+        ]
+        return {
+            "name": self.name,
+            "chart": self.chart.name,
+            "bands": [band.label for band in self.bands],
+            "sensors": [
+                {
+                    "sensor": s.sensor,
+                    "corners": np.round(s.located.corners, 2).tolist(),
+                    "agreement": float(s.located.agreement),
+                }
+                for s in self.sightings
+            ],
+            "noise_from": "difference of shots" if self.table.temporal else "spread in the patch",
+            "preblurred": [
+                {"band": b.label, "lag1": _digits(p.lag1), "factor": float(p.factor)}
+                for b, p in zip(self.bands, self.preblurs, strict=True)
+                if p is not None and p.found
+            ],
+            "colours": None if self.colours is None else self.colours.how,
+            "indicators": [row.to_dict() for row in self.rows],
+            "patches": patches,
+            "notes": list(self.notes),
+        }
+
+
+def _digits(values: Any) -> Any:
+    if np.ndim(values):
+        return [_digits(v) for v in values]
+    return float(f"{float(values):.5g}")
+
+
+def sight(
+    sensor: str,
+    cube: Cube,
+    chart: Chart,
+    reference: Reference | None,
+    *,
+    corners: np.ndarray | None = None,
+    near: np.ndarray | None = None,
+    shots: tuple[np.ndarray, np.ndarray] | None = None,
+    steps: tuple[float, ...] | None = None,
+    count: int = 1,
+) -> Sighting:
+    """Find a chart in one cube; `near` is where another sensor of the camera saw it."""
+    from levkas.quality.targets.locating import Located, find_corners, patch_means
+    from levkas.quality.targets.locating import locate_chart as locate
+
+    wavelengths = np.array([band.wavelength for band in cube.bands], float)
+    try:
+        found = locate(cube.values, wavelengths, chart, reference, corners=corners)
+    except ChartRefused as refused:
+        if near is None or corners is not None or refused.problems[0].code != "E_CHART_ORDER":
+            raise
+        # An infrared channel ranks the patches otherwise than the eye: the place must be the same.
+        ways = turned_corners(find_corners(cube.values, chart))
+        way = min(ways, key=lambda c: float(np.abs(c - near).max()))
+        pitch = float(np.linalg.norm(near[1] - near[0])) / (chart.columns - 1)
+        if float(np.abs(way - near).max()) > NEAR * pitch:
+            raise
+        areas = place_patches(way, chart, (cube.values.shape[1], cube.values.shape[0]))
+        found = Located(way, areas, 1.0, patch_means(cube.values, areas))
+    return Sighting(sensor, found, cube, shots, steps, count)
+
+
+def measure(
+    name: str,
+    chart: Chart,
+    seen: Sequence[Sighting],
+    reference: Reference | None,
+    *,
+    mosaics: frozenset[str] = frozenset(),
+    uniformity: float | None = None,
+    notes: Sequence[str] = (),
+) -> ChartMeasure:
+    """Measure a chart where it was seen."""
+    from levkas.quality.image_quality.indicators import compare_colours, rate
+
+    tables = [
+        measure_patches(
+            *(s.cube.values, s.cube.flags, s.located.areas),
+            shots=s.shots,
+            steps=s.steps,
+            count=s.count,
+        )
+        for s in seen
+    ]
+    mean, noise, saturated = (
+        np.concatenate([getattr(t, part) for t in tables], 1)
+        for part in ("mean", "noise", "saturated")
+    )
+    temporal = all(t.temporal for t in tables)
+    table = PatchTable(mean, noise, saturated, tables[0].pixels, temporal)
+    bands = tuple(band for s in seen for band in s.cube.bands)
+    preblurs = [p for s in seen for p in _preblurs(s, s.sensor in mosaics)]
+    wavelengths = np.array([band.wavelength for band in bands], float)
+    told = [*notes, *_doubts(table, chart, bands, seen)]
+    if reference is not None and reference.note:
+        told.append(f"reference: {reference.note}")
+    colours, rows = None, []
+    reflective = all(s.cube.quantity == "reflectance" for s in seen)
+    visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
+    clean = table.saturated.max() <= SATURATED
+    if reference is None:
+        told.append("no reference spectra: give --reference for colour differences")
+    elif not reflective:
+        told.append("the cube is in counts: colours need a white")
+    elif visible.sum() >= 3 and clean:
+        colours = compare_colours(table.mean, wavelengths, chart, reference)
+        rows = rate(colours, chart, uniformity=uniformity)
+    elif not clean:
+        told.append("colours are not compared where patches saturate")
+    return ChartMeasure(
+        name, chart, tuple(seen), bands, table, tuple(preblurs), colours, tuple(rows), tuple(told)
+    )
+
+
+def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
+    """What the noise says of every band; nothing of demosaiced ones, whose neighbours are alike."""
+    from levkas.quality.image_quality.noise_correlation import find_preblur
+
+    if mosaic:
+        return [None] * len(seen.cube.bands)
+    found: list[Preblur | None] = []
+    for planes in noise_planes(seen.cube.values, seen.located.areas, shots=seen.shots):
+        try:
+            found.append(find_preblur(planes, fitted=3))
+        except ValueError:  # patches too small for that
+            found.append(None)
+    return found
+
+
+def _doubts(
+    table: PatchTable, chart: Chart, bands: Sequence[Band], seen: Sequence[Sighting]
+) -> list[str]:
+    doubts = []
+    full = table.saturated.max(0)
+    if full.max() > SATURATED:
+        where = [b.label for b, share in zip(bands, full, strict=True) if share > SATURATED]
+        doubts.append(
+            f"patches saturate in {', '.join(where[:6])}: no SNR there; capture the chart with less exposure"
+        )
+    glared = np.concatenate([(s.cube.flags & Flag.GLARE).max((0, 1)) for s in seen]).max()
+    if glared:
+        doubts.append("glare lies on the picture of the chart")
+    if not table.temporal:
+        doubts.append("one shot: the noise holds the chart's own texture; two shots would not")
+    if int(table.pixels.min()) < 100:
+        doubts.append(f"only {int(table.pixels.min())} pixels a patch: SNR within 10 % at best")
+    return doubts

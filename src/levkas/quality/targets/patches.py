@@ -1,0 +1,160 @@
+"""Signal and noise of a chart's patches: Figure 15 of [mirhashemi2019]_."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.core.cube import Flag
+from levkas.quality.targets.charts import pixels_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.quality.image_quality.noise_correlation import Preblur
+
+SATURATED = 0.01
+"""Share of a patch's pixels that may saturate: single hot sensels do."""
+
+
+@dataclass(frozen=True, eq=False)
+class PatchTable:
+    """What the patches of a chart gave, band by band.
+
+    Parameters
+    ----------
+    mean, noise : ndarray, (patches, bands)
+        In the unit of the cube; `noise` is the standard deviation of a pixel.
+    saturated : ndarray, (patches, bands)
+        Share of pixels that are.
+    pixels : ndarray, (patches,)
+    temporal : bool
+        Whether the noise is that of the difference of two shots; else what a fitted plane leaves,
+        which holds the chart's own texture, too.
+    """
+
+    mean: np.ndarray
+    noise: np.ndarray
+    saturated: np.ndarray
+    pixels: np.ndarray
+    temporal: bool
+
+    @property
+    def snr(self) -> np.ndarray:
+        """Mean over noise, linear; NaN where over 1 % of a patch saturates, or it is not above dark."""
+        good = (self.mean > 0) & (self.noise > 0) & (self.saturated <= SATURATED)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(good, self.mean / self.noise, np.nan)
+
+    @property
+    def snr_db(self) -> np.ndarray:
+        """The same in dB of Eq. (1), 10·log10: half of EMVA 1288's."""
+        return np.asarray(10 * np.log10(self.snr))
+
+    def corrected_db(self, preblurs: list[Preblur | None]) -> np.ndarray:
+        """Return `snr_db` with what a camera's own blur has hidden taken off, band by band."""
+        lost = np.array([p.decibels if p is not None and p.found else 0.0 for p in preblurs])
+        return self.snr_db - lost
+
+
+def measure_patches(
+    values: np.ndarray,
+    flags: np.ndarray,
+    areas: np.ndarray,
+    *,
+    shots: tuple[np.ndarray, np.ndarray] | None = None,
+    steps: Sequence[float] | None = None,
+    count: int = 1,
+) -> PatchTable:
+    """Measure every patch in every band.
+
+    Parameters
+    ----------
+    values : ndarray, (h, w, bands)
+        Reflectance, or counts above dark.
+    flags : ndarray like `values`, uint8
+        Defects are left out, saturation is told.
+    areas : ndarray, (n, 4, 2), px
+        From `charts.place_patches`.
+    shots : two ndarrays like `values`, optional
+        Independent halves whose mean is `values`: the noise is then that of half their difference.
+    steps : sequence of float, (bands,), optional
+        What a step from code to code is of the values; 0 where that is not known.
+    count : int
+        Shots that `values` are the mean of.
+
+    Notes
+    -----
+    A plane is fitted to each patch first: shading is no noise. Rounding that a patch of hardly any noise
+    does not show, being the same code all over, is added: `noise_fit.hidden_rounding`.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> shot = 0.5 + 0.01 * np.arange(60)[None, :, None] / 60 + 0.02 * rng.standard_normal((60, 60, 1))
+    >>> area = np.array([[[5, 5], [54, 5], [54, 54], [5, 54.0]]])
+    >>> table = measure_patches(shot, np.zeros(shot.shape, np.uint8), area)
+    >>> round(float(table.snr[0, 0])), round(float(table.snr_db[0, 0]), 1)
+    (25, 14.0)
+    """
+    bands = values.shape[2]
+    mean, noise, saturated = (np.zeros((len(areas), bands)) for _ in range(3))
+    pixels = np.zeros(len(areas), int)
+    for i, area in enumerate(areas):
+        rows, columns = pixels_of(area)
+        pixels[i] = len(rows)
+        part, bits = values[rows, columns].astype(float), flags[rows, columns]
+        half = None if shots is None else (shots[0] - shots[1])[rows, columns].astype(float) / 2
+        good = (bits & (Flag.DEFECT | Flag.OUTSIDE)) == 0
+        saturated[i] = ((bits & Flag.SATURATED) != 0).mean(0)
+        for band in range(bands):
+            use = good[:, band] & np.isfinite(part[:, band])
+            if np.count_nonzero(use) < 9:
+                mean[i, band] = noise[i, band] = np.nan
+                continue
+            mean[i, band] = part[use, band].mean()
+            told = part[:, band] if half is None else half[:, band]
+            step = 0.0 if steps is None else float(steps[band])
+            noise[i, band] = _rounded(_spread(told[use], rows[use], columns[use]), step, count)
+    return PatchTable(mean, noise, saturated, pixels, shots is not None)
+
+
+def _spread(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> float:
+    """Standard deviation about a fitted plane."""
+    basis = np.column_stack([np.ones(len(values)), rows - rows.mean(), columns - columns.mean()])
+    left = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
+    return float(np.sqrt(left @ left / (len(values) - 3)))
+
+
+def _rounded(noise: float, step: float, count: int) -> float:
+    """Return the noise of a mean of shots with the rounding that all of them share."""
+    from levkas.calibration.noise_fit import whole_variance
+
+    shown = count * noise**2
+    return float(np.sqrt(noise**2 + whole_variance(shown, step) - shown))
+
+
+def noise_planes(
+    values: np.ndarray, areas: np.ndarray, *, shots: tuple[np.ndarray, np.ndarray] | None = None
+) -> list[list[np.ndarray]]:
+    """Return, band by band, the noise of every patch's upright inner rectangle, plane removed, one spread.
+
+    For `blur.find_preblur`.
+    """
+    found: list[list[np.ndarray]] = [[] for _ in range(values.shape[2])]
+    for area in areas:
+        low = np.ceil(np.sort(area, axis=0)[1]).astype(int)
+        high = np.floor(np.sort(area, axis=0)[2]).astype(int) + 1
+        inner = np.s_[low[1] : high[1], low[0] : high[0]]
+        block = values[inner] if shots is None else shots[0][inner] - shots[1][inner]
+        rows, columns = np.mgrid[: block.shape[0], : block.shape[1]]
+        basis = np.column_stack([np.ones(rows.size), rows.ravel(), columns.ravel()]).astype(float)
+        flat = block.reshape(rows.size, -1).astype(float)
+        if len(flat) <= 9:
+            continue
+        left = flat - basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]
+        for band in range(values.shape[2]):
+            found[band].append(left[:, band].reshape(rows.shape))
+    return found

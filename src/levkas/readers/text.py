@@ -1,0 +1,234 @@
+"""Text that people and programs wrote beside the frames, bounded before a parser sees it."""
+
+from __future__ import annotations
+
+import json
+import re
+import stat
+from math import isfinite
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from levkas.core.problems import Problem, Refused
+
+LARGEST_TABLE = 16 << 20
+"""Bytes of a CSV or a JSON record."""
+DEEPEST = 64
+"""Brackets within brackets of a JSON record; Python's parser calls itself for each."""
+MOST_TOKENS = 1_000_000
+"""Texts and brackets of a JSON record; those that Levkas writes have some thousands."""
+KINDS = (
+    (stat.S_ISREG, "a file"),
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)
+_BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+
+
+class TextRefused(Refused):
+    """A file of text that cannot be read, is too large, or is not of its format."""
+
+
+def check_file(path: Path, expected: str) -> None:
+    """Refuse what is no plain file: opening a pipe waits for ever, a device has no end.
+
+    Raises
+    ------
+    TextRefused
+        ``E_UNREADABLE`` with what stands there instead.
+    """
+    found = what_stands_at(path)
+    if found != "a file":
+        raise TextRefused(
+            Problem(
+                "E_UNREADABLE",
+                f"{path.name} cannot be read",
+                str(path),
+                found=found,
+                expected=expected,
+                fix="Put the file there, or mend its name.",
+            )
+        )
+
+
+def what_stands_at(path: Path) -> str:
+    """Return ``"a file"``, or in words what else a name leads to; nothing is opened.
+
+    >>> what_stands_at(Path("/nowhere/at/all"))
+    'no such file'
+    """
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return "a link that leads to no such file" if path.is_symlink() else "no such file"
+    except (OSError, ValueError) as error:  # a name that is too long, or holds a null byte
+        return getattr(error, "strerror", None) or str(error)
+    return next((words for is_one, words in KINDS if is_one(mode)), "no plain file")
+
+
+def read_text(path: Path, expected: str, *, most: int = LARGEST_TABLE) -> str:
+    """Read a text in UTF-8 of at most `most` bytes; line ends come as they are.
+
+    Parameters
+    ----------
+    path : Path
+    expected : str
+        What it should be, for the refusal: ``"a CSV in UTF-8"``.
+    most : int
+
+    Raises
+    ------
+    TextRefused
+        ``E_UNREADABLE``, or ``E_SIZE`` where it is too long; no more than `most` bytes are read.
+    """
+    check_file(path, expected)
+    try:
+        with path.open("rb") as file:
+            return read_stream(file, path.name, expected, file=str(path), most=most)
+    except OSError as error:
+        raise TextRefused(
+            Problem(
+                "E_UNREADABLE",
+                f"{path.name} cannot be read",
+                str(path),
+                found=error.strerror or str(error),
+                expected=expected,
+                fix="Make it readable, or copy it again.",
+            )
+        ) from error
+
+
+def read_stream(
+    stream: BinaryIO,
+    name: str,
+    expected: str,
+    *,
+    file: str | None = None,
+    most: int = LARGEST_TABLE,
+) -> str:
+    """Read a text in UTF-8 from an open file, such as standard input, as `read_text` does."""
+    data = stream.read(most + 1)
+    if len(data) > most:
+        raise TextRefused(
+            Problem(
+                "E_SIZE",
+                f"{name}: the file is too large",
+                file,
+                found=f"over {most >> 20} MiB",
+                expected=f"at most {most >> 20} MiB",
+                fix="Name the right file, or take out what does not belong in it.",
+            )
+        )
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise TextRefused(
+            Problem(
+                "E_UNREADABLE",
+                f"{name} cannot be read",
+                file,
+                found=str(error),
+                expected=expected,
+                fix="Save it again as text in UTF-8.",
+            )
+        ) from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object of at most 16 MiB, without NaN, infinities or a key twice.
+
+    Raises
+    ------
+    TextRefused
+        Also where it is nested deeper than `DEEPEST`, or is no object.
+    """
+    text = read_text(path, "a JSON table in UTF-8")
+    if too_much := _too_much(text):
+        what, found, expected = too_much
+        raise TextRefused(
+            Problem(
+                "E_SIZE",
+                f"{path.name}: it {what}",
+                str(path),
+                found=found,
+                expected=f"at most {expected}",
+                fix="Write the file again with the program that made it.",
+            )
+        )
+    try:
+        record = parse_json(text)
+        if not isinstance(record, dict):
+            raise ValueError("it is no table of keys and values")
+    except (ValueError, RecursionError) as error:
+        raise TextRefused(
+            Problem(
+                "E_UNREADABLE",
+                f"{path.name} is not valid JSON",
+                str(path),
+                found=str(error)[:200],
+                expected="a JSON table, each key once, finite numbers",
+                fix="Write the file again with the program that made it.",
+            )
+        ) from error
+    return record
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON without NaN, infinities or a key twice; raises ValueError.
+
+    Examples
+    --------
+    >>> parse_json('{"a": 1, "a": 2}')
+    Traceback (most recent call last):
+    ValueError: the key 'a' stands twice
+    """
+    return json.loads(
+        text, object_pairs_hook=_unique, parse_constant=_no_number, parse_float=_finite
+    )
+
+
+def parse_bounded(text: str) -> Any:
+    """Parse JSON of an unknown origin, such as a tag of a TIFF, within the bounds of `read_json`; raises ValueError."""
+    if too_much := _too_much(text):
+        what, found, expected = too_much
+        raise ValueError(f"it {what}: {found}, at most {expected}")
+    try:
+        return parse_json(text)
+    except RecursionError as error:
+        raise ValueError(str(error)) from error
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    record = dict(pairs)
+    if len(record) != len(pairs):
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {twice!r} stands twice")
+    return record
+
+
+def _no_number(name: str) -> Any:
+    raise ValueError(f"{name} is no number in JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not isfinite(value):
+        raise ValueError(f"{text[:40]} is no finite number")
+    return value
+
+
+def _too_much(text: str) -> tuple[str, str, str] | None:
+    """Return what is too much for the parser, what was found of it, and how much may be; None where all fits."""
+    depth = 0
+    for number, token in enumerate(_BRACKET.finditer(text)):
+        if number == MOST_TOKENS:
+            return "holds too much", f"over {number}", f"{number} texts and brackets"
+        if (letter := token[0][0]) != '"':
+            depth += 1 if letter in "[{" else -1
+            if depth > DEEPEST:
+                return "is nested too deeply", f"over {DEEPEST} levels", f"{DEEPEST} levels"
+    return None

@@ -1,0 +1,26 @@
+"""Control points that people set, read and written as their programs do."""
+
+from levkas.registration.control_points.dialects import (
+    DIALECTS,
+    Dialect,
+    format_points,
+    losses,
+    parse_points,
+    sniff,
+)
+from levkas.registration.control_points.points import ControlPoints, PointsRefused, parse_size
+from levkas.registration.control_points.reading import read_points, write_points
+
+__all__ = [
+    "DIALECTS",
+    "ControlPoints",
+    "Dialect",
+    "PointsRefused",
+    "format_points",
+    "losses",
+    "parse_points",
+    "parse_size",
+    "read_points",
+    "sniff",
+    "write_points",
+]

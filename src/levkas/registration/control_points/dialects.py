@@ -1,0 +1,215 @@
+"""Dialects of control points: who writes them, what they can hold, and which one a file is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from levkas.core.problems import Problem
+from levkas.readers.text import LARGEST_TABLE
+from levkas.registration.control_points import (
+    bigwarp,
+    butterfly,
+    cpselect,
+    elastix,
+    hugin,
+    napari,
+    qgis,
+    table,
+)
+from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
+from levkas.registration.control_points.text import check_lines
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How one program writes control points.
+
+    Parameters
+    ----------
+    title : str
+        The program, for people.
+    suffixes : tuple of str
+        End of the name of each file that is written: one, or one a picture, reference first.
+    origin : str
+        A key of `levkas.registration.control_points.conventions.ORIGINS`.
+    keeps : frozenset of str
+        What it holds beyond the places: names, weights, enabled, check, frames, sizes.
+    module : module
+        With `recognises(data)`, `read(data, …)` and `write(points)`.
+    needs_sizes : bool
+        Reading asks for the sizes of both pictures.
+    """
+
+    title: str
+    suffixes: tuple[str, ...]
+    origin: str
+    keeps: frozenset[str]
+    module: Any
+    needs_sizes: bool = False
+
+    @property
+    def recognises(self) -> Callable[[bytes], bool]:
+        """Tell from its content whether a file is of this dialect."""
+        return self.module.recognises
+
+
+def _holds(*what: str) -> frozenset[str]:
+    return frozenset(what)
+
+
+ALL = _holds("names", "weights", "enabled", "check")
+PAIR = (".reference", ".target")
+DIALECTS: dict[str, Dialect] = {
+    "levkas": Dialect("Levkas", (".csv",), "centre", ALL, table),
+    "bigwarp": Dialect("BigWarp", (".csv",), "centre", _holds("names", "enabled"), bigwarp),
+    "qgis": Dialect("QGIS georeferencer", (".points",), "corner, y up", _holds("enabled"), qgis),
+    "hugin": Dialect("Hugin", (".pto",), "centre", _holds("frames", "sizes"), hugin),
+    "elastix": Dialect(
+        "ITK, elastix", tuple(p + ".txt" for p in PAIR), "centre", _holds(), elastix
+    ),
+    "napari": Dialect("napari", tuple(p + ".csv" for p in PAIR), "centre", ALL, napari),
+    "butterfly": Dialect(
+        "Butterfly Registrator", (".csv",), "corner", _holds("frames"), butterfly, needs_sizes=True
+    ),
+    "cpselect": Dialect("MATLAB cpselect", (".mat",), "one", ALL, cpselect),
+}
+
+
+def sniff(data: bytes) -> str:
+    """Return the dialect of a file from its content.
+
+    Raises
+    ------
+    PointsRefused
+        Where it is of none, or has more lines than points could need.
+
+    Examples
+    --------
+    >>> sniff(b'"Pt-0","true","1","2","3","4"\\n')
+    'bigwarp'
+    """
+    check_lines(data)
+    for name, dialect in DIALECTS.items():
+        try:
+            if dialect.recognises(data):
+                return name
+        except PointsRefused:
+            continue
+    if qgis_without_header(data):
+        return "qgis"
+    raise PointsRefused(
+        Problem(
+            "E_UNREADABLE",
+            "these are no control points that are known",
+            found=repr(data[:40]),
+            expected=", ".join(d.title for d in DIALECTS.values()),
+            fix="Export the points again, or write a CSV: reference_x,reference_y,x,y.",
+        )
+    )
+
+
+def qgis_without_header(data: bytes) -> bool:
+    """Tell whether rows are the five to eight numbers of an old `.points` file, y upwards.
+
+    >>> qgis_without_header(b"10.5 -3 99.25 -18 1\\n")
+    True
+    """
+    words = data[:4096].split(b"\n")[0].replace(b",", b" ").split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return False
+    return 5 <= len(values) <= 8 and values[3] <= 0
+
+
+def parse_points(
+    files: list[bytes],
+    *,
+    dialect: str | None = None,
+    reference_size: Size | None = None,
+    target_size: Size | None = None,
+) -> ControlPoints:
+    """Read control points from the content of one file, or of two, reference first.
+
+    Parameters
+    ----------
+    files : list of bytes
+    dialect : str, optional
+        A key of `DIALECTS`; else it is told from the content.
+    reference_size, target_size : (width, height), px, optional
+        Of both pictures, where the dialect asks for them and does not say them.
+
+    Raises
+    ------
+    PointsRefused
+    """
+    for data in files:
+        if len(data) > LARGEST_TABLE:
+            raise PointsRefused(
+                Problem(
+                    "E_SIZE",
+                    "a file of points is too large",
+                    found=f"{len(data) >> 20} MiB",
+                    expected=f"at most {LARGEST_TABLE >> 20} MiB",
+                )
+            )
+    name = dialect or sniff(files[0])
+    row = _known(name)
+    if len(files) > len(row.suffixes):
+        raise PointsRefused(
+            Problem("E_VALUE", f"{row.title} writes one file for both pictures", found=len(files))
+        )
+    sizes = (reference_size, target_size)
+    points = row.module.read(*files, **({"sizes": sizes} if row.needs_sizes else {}))
+    return points.sized(*sizes)
+
+
+def format_points(points: ControlPoints, dialect: str) -> tuple[bytes, ...]:
+    """Return the content of one file, or of two, reference first.
+
+    Raises
+    ------
+    PointsRefused
+        Where the dialect needs sizes that `points` does not have.
+    """
+    return _known(dialect).module.write(points)
+
+
+def losses(points: ControlPoints, dialect: str) -> list[str]:
+    """Say what a dialect cannot hold of these points.
+
+    Examples
+    --------
+    >>> losses(ControlPoints([[0, 0]], [[1, 1]], enabled=[False]), "hugin")
+    ['1 pair that is not enabled is left out']
+    """
+    keeps, said = _known(dialect).keeps, []
+    off = int((~points.enabled).sum())
+    if "enabled" not in keeps and off:
+        said.append(
+            f"{off} pair{'s' * (off > 1)} that {'are' if off > 1 else 'is'} not enabled {'are' if off > 1 else 'is'} left out"
+        )
+    for what, number in (
+        ("names", sum(map(bool, points.names))),
+        ("weights", int((points.weights != 1).sum())),
+        ("check", int(points.check.sum())),
+    ):
+        if what not in keeps and number:
+            said.append(f"{number} {'marks as check point' if what == 'check' else what} not kept")
+    return said
+
+
+def _known(dialect: str) -> Dialect:
+    if dialect not in DIALECTS:
+        raise PointsRefused(
+            Problem(
+                "E_VALUE",
+                f"there is no dialect {dialect!r}",
+                field="dialect",
+                found=dialect,
+                expected=", ".join(DIALECTS),
+            )
+        )
+    return DIALECTS[dialect]

@@ -1,0 +1,201 @@
+"""Pairs that a person gave: what every method has to keep, may not use, or is measured by.
+
+A pair is known by where it lies: four coordinates, rounded to 0.01 px. A rebuild finds the same
+places again, numbers of rows it does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.registration.record import Matches
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
+
+DECIMALS = 2
+NEAR_PX = 0.011
+FEW = 64
+"""Pairs up to which a tree costs more than it saves."""
+LEAST_TO_START = 4
+"""Pairs by hand from which a registration can begin where key points give no start."""
+HAND_PX = 0.5
+"""Standard deviation of a place that a person points at, native px of either picture."""
+REASONS = {
+    "added": "added by hand",
+    "pinned": "pinned by hand",
+    "restored": "restored by hand",
+    "deleted": "deleted by hand",
+    "checks": "measures, is not fitted",
+}
+UNUSED = (REASONS["deleted"], REASONS["checks"])
+
+
+def _none() -> np.ndarray:
+    return np.empty((0, 4))
+
+
+@dataclass(frozen=True)
+class Given:
+    """Pairs given by hand for one sensor; each an (n, 4) array of reference x, y and target x, y.
+
+    Parameters
+    ----------
+    added, pinned, restored : ndarray, (n, 4)
+        Pairs that are never removed; `added` are a person's own, the others were found by a method.
+    deleted : ndarray, (n, 4)
+        Pairs that no fit may rest on.
+    checks : ndarray, (n, 4)
+        Pairs that measure and are never fitted.
+    placed : tuple of str
+        Band of the sensor in which each check point was placed, whose map measures it; where it is empty, or
+        one of its names is, the sensor's first band.
+
+    Examples
+    --------
+    >>> given = Given(added=np.array([[1.0, 2.0, 3.0, 4.0]]))
+    >>> len(given.sure), bool(given)
+    (1, True)
+    """
+
+    added: np.ndarray = field(default_factory=_none)
+    pinned: np.ndarray = field(default_factory=_none)
+    restored: np.ndarray = field(default_factory=_none)
+    deleted: np.ndarray = field(default_factory=_none)
+    checks: np.ndarray = field(default_factory=_none)
+    placed: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(len(self.sure) + len(self.deleted) + len(self.checks))
+
+    @property
+    def sure(self) -> np.ndarray:
+        """All pairs that are never removed, (n, 4)."""
+        return np.concatenate([self.added, self.pinned, self.restored])
+
+    def reduced(self, factor: int) -> Given:
+        """Return the pairs with target px of pictures that are smaller by a whole factor."""
+        if factor == 1:
+            return self
+        middle = (factor - 1) / 2
+        names = ("added", "pinned", "restored", "deleted", "checks")
+        parts = {name: getattr(self, name).copy() for name in names}
+        for pairs in parts.values():
+            pairs[:, 2:] = (pairs[:, 2:] - middle) / factor
+        return replace(self, **parts)
+
+    def mark(self, reference: np.ndarray, target: np.ndarray) -> Marked:
+        """Find the given pairs among those of a method, (n, 2) each, and append those it lacks."""
+        found = np.hstack([reference, target]).reshape(-1, 4)
+        reason = np.full(len(found), "", object)
+        reason[near(found, self.deleted) >= 0] = REASONS["deleted"]
+        reason[near(found, self.checks) >= 0] = REASONS["checks"]
+        more, why = [], []
+        for name in ("restored", "pinned", "added"):
+            pairs = getattr(self, name)
+            at = near(pairs, found)
+            reason[at[at >= 0]] = REASONS[name]
+            more.append(pairs[at < 0])
+            why += [REASONS[name]] * int((at < 0).sum())
+        pairs = np.concatenate([found, *more])
+        reasons = np.concatenate([reason, np.array(why, object)])
+        return Marked(pairs[:, :2].copy(), pairs[:, 2:].copy(), reasons)
+
+
+@dataclass(frozen=True)
+class Marked:
+    """Pairs of a method and given ones together, and what was said of each.
+
+    Parameters
+    ----------
+    reference, target : ndarray, (n, 2)
+    reason : ndarray of str, (n,)
+        A value of `REASONS`; empty where nothing was said.
+    """
+
+    reference: np.ndarray
+    target: np.ndarray
+    reason: np.ndarray
+
+    @cached_property
+    def dropped(self) -> np.ndarray:
+        """Mask of the pairs that no fit may rest on, (n,) bool."""
+        return np.asarray(np.logical_or.reduce([self.reason == word for word in UNUSED]), bool)
+
+    @cached_property
+    def sure(self) -> np.ndarray:
+        """Mask of the pairs that are never removed, (n,) bool."""
+        return np.asarray((self.reason != "") & ~self.dropped, bool)
+
+
+def name_of(pair: np.ndarray) -> str:
+    """Return the name of a pair: its coordinates, rounded.
+
+    >>> name_of(np.array([1.004, 2.0, 33.256, 4.5]))
+    '1.00,2.00,33.26,4.50'
+    """
+    return ",".join(f"{v + 0.0:.{DECIMALS}f}" for v in np.round(np.asarray(pair, float), DECIMALS))
+
+
+def near(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Return for each of `pairs`, (n, 4), the row of `among`, (m, 4), at the same place; -1 for none.
+
+    >>> near(np.array([[1.0, 2, 3, 4.004], [1, 2, 3, 5]]), np.array([[1.0, 2, 3, 4]])).tolist()
+    [0, -1]
+    """
+    if not len(pairs) or not len(among):
+        return np.full(len(pairs), -1)
+    if len(among) <= FEW:
+        return _near_few(pairs, among)
+    from scipy.spatial import cKDTree
+
+    reach = np.nextafter(NEAR_PX, 1)
+    distance, row = cKDTree(among).query(pairs, p=np.inf, distance_upper_bound=reach)
+    return np.where(np.isfinite(distance), row, -1)
+
+
+def _near_few(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """`near` without a tree: few pairs lie beside those that are looked for even in x alone."""
+    order = np.argsort(pairs[:, 0], kind="stable")
+    along = pairs[order, 0]
+    begin = np.searchsorted(along, among[:, 0] - NEAR_PX)
+    end = np.searchsorted(along, among[:, 0] + NEAR_PX, side="right")
+    at, best = np.full(len(pairs), -1), np.full(len(pairs), np.inf)
+    for row, (i, j) in enumerate(zip(begin.tolist(), end.tolist(), strict=True)):
+        beside = order[i:j]
+        apart = np.abs(pairs[beside] - among[row]).max(1, initial=0)
+        closer = (apart <= NEAR_PX) & (apart < best[beside])
+        at[beside[closer]], best[beside[closer]] = row, apart[closer]
+    return at
+
+
+def measure_checks(checks: np.ndarray, transform: Transform) -> np.ndarray:
+    """Return how far check points, (n, 4), are off, (n,), reference px; `transform` maps the reference."""
+    miss = checks[:, 2:] - transform(checks[:, :2])
+    jacobian = transform.jacobian(checks[:, :2])
+    with np.errstate(invalid="ignore"):
+        good = np.isfinite(jacobian).all((1, 2)) & (np.abs(np.linalg.det(jacobian)) > 1e-12)
+    errors = np.full(len(checks), np.nan)
+    if good.any():
+        moved = np.linalg.solve(jacobian[good], miss[good][..., None])[..., 0]
+        errors[good] = np.hypot(*moved.T)
+    return errors
+
+
+def with_checks(matches: Matches, checks: np.ndarray, errors: np.ndarray) -> Matches:
+    """Append check points to matches, state ``"check"``, weight 0; those that are pairs become it."""
+    at = near(checks, np.hstack([matches.reference, matches.target]).reshape(-1, 4))
+    names = Matches.__dataclass_fields__
+    n = int((at < 0).sum())
+    more = Matches.of(checks[at < 0, :2], checks[at < 0, 2:], weight=np.zeros(n))
+    columns = {k: np.concatenate([getattr(matches, k), getattr(more, k)]) for k in names}
+    rows = np.where(at < 0, 0, at)
+    rows[at < 0] = len(matches) + np.arange(n)
+    for name, value in (("residual", errors), ("leave_one_out", errors), ("weight", 0.0),
+                        ("state", "check"), ("reason", REASONS["checks"]), ("round", -1)):  # fmt: skip
+        columns[name][rows] = value
+    return Matches(**columns)

@@ -1,0 +1,271 @@
+"""What the reference would look like in any band: its registered bands, condensed.
+
+A painting has few pigments in any one place, so that a handful of images span what every band
+shows there. A target band is predicted as their linear combination, with gains of its own in each
+window: near infrared is predicted from the visible as well as the overlap of pigments allows.
+Paint is mixed neither as light is added nor as absorption is: images of the square root of
+reflectance are predicted from combinations of reflectance and of its logarithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from levkas.core.threads import each, in_threads
+from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.registration.local_shifts import RIDGE, Predictor, Windows
+from levkas.registration.sampling import highpass, reduce, warp
+
+LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
+LEAST_SHARE = 1e-6
+TOE = 0.02
+SAMPLED_PX = 100_000
+LINES = 32
+#: Light that far beyond the outermost of some bands is predicted by them as well as what lies between.
+NEAR_NM, LEAST_BANDS = 20.0, 3
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Images from which others are predicted.
+
+    Parameters
+    ----------
+    images : ndarray, (k, h, w), float32
+        Principal images in their natural size, so that a ridge weighs on what varies little.
+    loadings : ndarray, (k, bands)
+        Share of each band in each image.
+    groups : ndarray of int, (k,)
+        Images of one group are principal images of one stack.
+    """
+
+    images: np.ndarray
+    loadings: np.ndarray
+    groups: np.ndarray
+
+    def ready(self) -> Palette:
+        """Return the images without their slow parts, blurred copies of the first ones appended.
+
+        A combination of an image and its blurred copy is as sharp or as soft as the target is.
+        """
+        sharp = np.stack([highpass(image) for image in self.images])
+        soft = soften(soften(sharp[:BLURRED]))
+        return Palette(
+            np.concatenate([sharp, soft]),
+            np.concatenate([self.loadings, self.loadings[:BLURRED]]),
+            np.concatenate([self.groups, np.full(len(soft), self.groups.max() + 1)]),
+        )
+
+    def leaning(self, seen: Windows) -> np.ndarray:
+        """Return how a prediction's position hangs on that of each band, (bands,); sums to one."""
+        weights = np.trace(seen.information, axis1=1, axis2=2)
+        if not weights.any():
+            return np.zeros(self.loadings.shape[1])
+        mean = np.einsum("n,nij->ij", weights / weights.sum(), seen.leaning)
+        mean = np.where(self.groups[:, None] == self.groups, mean, 0.0)
+        shares = np.einsum("ij,ib,jb->b", mean, self.loadings, self.loadings)
+        return shares / shares.sum() if abs(shares.sum()) > 0.1 else np.zeros(len(shares))
+
+
+def condense(stack: np.ndarray, counts: tuple[int, int] = (LINEAR, LOGARITHMIC)) -> Palette:
+    """Return the principal images of reflectance and of its logarithm.
+
+    Parameters
+    ----------
+    stack : ndarray, (bands, h, w), float32
+        Square roots of reflectance as `rooted` gives them; NaN where invalid in a band.
+    counts : (int, int)
+        At most so many images of reflectance, and of its logarithm.
+    """
+    skip = 1 + int(np.sqrt(stack[0].size / SAMPLED_PX))
+    far, near = stack[:, ::skip, 4::skip], stack[:, ::skip, :-4:skip]
+    loadings = [
+        _principal(measure(far) - measure(near), count)
+        for measure, count in ((np.square, counts[0]), (_logarithm, counts[1]))
+    ]
+    images = np.empty((sum(map(len, loadings)), *stack.shape[1:]), np.float32)
+    shares = [vectors.astype(np.float32) for vectors in loadings]
+    in_threads(_mix, stack.shape[1], stack, *shares, images)
+    groups = np.repeat([0, 1], [len(vectors) for vectors in loadings])
+    for group in (0, 1):
+        part = images[groups == group]
+        images[groups == group] = part / max(float(np.nanstd(part[0, ::4, ::4])), 1e-12)
+    return Palette(images, np.concatenate(loadings), groups)
+
+
+def _mix(
+    start: int, stop: int, stack: np.ndarray, linear: np.ndarray, bent: np.ndarray, out: np.ndarray
+) -> None:
+    """Mix the bands of some rows; what a mean adds is slow and goes with the slow part."""
+    for top in range(start, stop, LINES):
+        rows = slice(top, min(top + LINES, stop))
+        part = stack[:, rows].reshape(len(stack), -1)
+        shape = (-1, *stack[0, rows].shape)
+        out[: len(linear), rows] = (linear @ np.square(part)).reshape(shape)
+        out[len(linear) :, rows] = (bent @ _logarithm(part)).reshape(shape)
+
+
+def _logarithm(values: np.ndarray) -> np.ndarray:
+    return np.asarray(np.log(np.maximum(values, np.float32(1e-3))))
+
+
+def _principal(rough: np.ndarray, count: int) -> np.ndarray:
+    """Return orthonormal loadings, (<= count, bands), of differences between neighbours."""
+    flat = rough[:, np.isfinite(rough).all(0)].astype(np.float64)
+    values, vectors = np.linalg.eigh(flat @ flat.T)
+    order = np.argsort(-values)[:count]
+    order = order[values[order] > LEAST_SHARE * max(values[order[0]], 1e-300)]
+    if not len(order):
+        order = np.argsort(-values)[:1]
+    vectors = vectors[:, order]
+    return (vectors * np.sign(vectors[np.abs(vectors).argmax(0), np.arange(len(order))])).T
+
+
+def rooted(image: np.ndarray) -> np.ndarray:
+    """Return square roots of an image in units of its 99th percentile; shot noise becomes even.
+
+    Counts below zero are the noise of the dark; an image that is negative for good is shifted.
+    """
+    image = np.ascontiguousarray(image, np.float32)
+    known = _some(image, SAMPLED_PX)
+    if not len(known):
+        return image
+    low, high = np.percentile(known, (2, 99))
+    low = min(float(low), 0.0)
+    scale = 1.0 / max(float(high) - low, 1e-12)
+    return np.asarray(_roots(image, np.float32(low), np.float32(scale)))
+
+
+@njit(nogil=True, cache=True)
+def _some(image, most):  # type: ignore[no-untyped-def]
+    """Return every n-th finite value, at least `most` of them where there are as many."""
+    count = 0
+    for value in image.flat:
+        count += np.isfinite(value)
+    every = max(count // most, 1)
+    picked = np.empty((count + every - 1) // every, np.float32)
+    place = 0
+    for value in image.flat:
+        if np.isfinite(value):
+            if place % every == 0:
+                picked[place // every] = value
+            place += 1
+    return picked
+
+
+@njit(nogil=True, cache=True)
+def _roots(image, low, scale):  # type: ignore[no-untyped-def]
+    out = np.empty(image.shape, np.float32)
+    toe, least = np.float32(TOE), np.float32(-0.5 * TOE)
+    flat, into = image.reshape(-1), out.reshape(-1)
+    for i in range(len(flat)):
+        scaled = (flat[i] - low) * scale
+        into[i] = np.sqrt((least if scaled < least else scaled) + toe)
+    return out
+
+
+def registered(
+    images: Mapping[str, np.ndarray], transforms: Mapping[str, Transform], shape: tuple[int, int]
+) -> np.ndarray:
+    """Return the bands in the reference frame, (bands, h, w), in the order of `transforms`."""
+    there = [images[label] for label in transforms]
+    return np.stack(all_sampled(there, list(transforms.values()), shape, 1))
+
+
+def sampled(
+    image: np.ndarray, transform: Transform, size: tuple[int, int], step: int, *, block: int = 1
+) -> np.ndarray:
+    """Warp one band on to a grid of `step` reference px, averaged over blocks of the target."""
+    factor = max(1, block * step)
+    if factor == 1:
+        return warp(image, transform, size, step=step)
+    return warp(
+        reduce(image, factor), Composed(transform, Affine.scaling(1 / factor)), size, step=step
+    )
+
+
+def all_sampled(
+    images: Sequence[np.ndarray], transforms: Sequence[Transform], size: tuple[int, int], step: int
+) -> list[np.ndarray]:
+    """Return `sampled` of every band through a map of its own, several at a time."""
+    return each(lambda image, t: sampled(image, t, size, step), images, transforms)
+
+
+def compared(predictor: Predictor, image: np.ndarray, *, ridge: float = RIDGE) -> Windows:
+    """Return the shifts of `image`, sampled in the predictor's frame, once its slow part is out."""
+    return predictor.compare(highpass(image), ridge=ridge)
+
+
+def soften(images: np.ndarray) -> np.ndarray:
+    """Blur (k, h, w) images by (1 4 6 4 1)/16 on both axes: one pixel of sigma; NaN spreads."""
+    return _convolved(images, (1, 4, 6, 4, 1))
+
+
+def _convolved(images: np.ndarray, taps: Sequence[int]) -> np.ndarray:
+    reach = len(taps) // 2
+    for axis in (1, 2):
+        padding = [(reach, reach) if a == axis else (0, 0) for a in range(3)]
+        padded, n = np.pad(images, padding, mode="edge"), images.shape[axis]
+        cuts = [
+            padded[:, k : k + n] if axis == 1 else padded[:, :, k : k + n] for k in range(len(taps))
+        ]
+        total = np.zeros_like(images)
+        for tap, cut in zip(taps, cuts, strict=True):
+            total += np.float32(tap / sum(taps)) * cut
+        images = total
+    return images
+
+
+def cell_px(shape: Sequence[int]) -> int:
+    """Return the cell of the windows for a frame: 12 px for small frames, 16 for large ones."""
+    return 12 if min(shape) < 600 else 16
+
+
+class Scene:
+    """The reference's bands in the reference frame, as predictors at any step.
+
+    Parameters
+    ----------
+    stack : ndarray, (bands, h, w)
+        Registered bands, `rooted`; NaN where invalid.
+    wavelengths : sequence of float
+        Of the bands, nm; NaN where not known.
+    """
+
+    def __init__(self, stack: np.ndarray, wavelengths: Sequence[float] = ()) -> None:
+        self.palette = condense(stack)
+        self._wavelengths, self.count = tuple(wavelengths), len(stack)
+        self._ready: dict[int, Predictor] = {}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the reference frame."""
+        return self.palette.images.shape[1], self.palette.images.shape[2]
+
+    def sees(self, wavelength: float) -> bool:
+        """Tell whether a wavelength, nm, lies among those of the reference's bands; not where any is unknown."""
+        if len(self._wavelengths) < LEAST_BANDS or not np.isfinite(self._wavelengths).all():
+            return False
+        low, high = min(self._wavelengths) - NEAR_NM, max(self._wavelengths) + NEAR_NM
+        return bool(low <= wavelength <= high)
+
+    def forget(self) -> None:
+        """Let go of the predictors, which are larger than what they are made of."""
+        self._ready.clear()
+
+    def predictor(self, step: int = 1) -> Predictor:
+        """Return the predictor on a grid of `step` reference px."""
+        if step not in self._ready:
+            palette = self.palette
+            if step > 1:
+                # The target's samples are averages seen through the spline; so are these.
+                small = np.stack([reduce(image, step) for image in palette.images])
+                small = _convolved(small, (1, 4, 1))
+                palette = Palette(small, palette.loadings, palette.groups)
+            images = palette.ready().images
+            self._ready[step] = Predictor(images, step=step, cell=cell_px(images.shape[1:]))
+        return self._ready[step]

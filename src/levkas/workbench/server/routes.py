@@ -1,0 +1,364 @@
+"""The routes: read, one library call, shape the answer. Ids come in, never paths."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import wraps
+from secrets import compare_digest
+from typing import Any
+
+import numpy as np
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Route
+
+from levkas.campaign.edits import EditsConflict
+from levkas.core.locks import Taken
+from levkas.core.problems import Problem, Refused
+from levkas.pages.screen import read_built
+from levkas.workbench.answer import describe, to_bytes
+from levkas.workbench.frame import SIDES, Frame
+from levkas.workbench.library import FrameMissing, Library
+from levkas.workbench.maps import KINDS, MapMissing, find_kinds
+from levkas.workbench.operations import OperationRefused, refused
+from levkas.workbench.sensor_view import SensorView
+from levkas.workbench.server.pages import PAGE
+from levkas.workbench.server.rebuilding import Busy, Rebuild
+
+STATUS: dict[type[Refused], int] = {
+    FrameMissing: 404,
+    MapMissing: 404,
+    Busy: 409,
+    EditsConflict: 409,
+    Taken: 409,
+}
+ASSETS = {"workbench.js": "text/javascript", "workbench.css": "text/css"}
+MOST_FILES = 2
+MOST_BANDS = 3
+LONGEST_NUMBER = 9
+"""Digits of a whole number in an address or a request."""
+FARTHEST_PX = 1000.0
+"""How far from where a map puts it a partner is looked for at most."""
+
+Answer = Callable[[Request, dict[str, Any]], Response]
+
+
+def answering(handler: Callable[..., Response]) -> Callable[[Request], Any]:
+    """Give a handler the body, read as JSON, run it in a thread, and turn refusals into answers."""
+
+    @wraps(handler)
+    async def answer(request: Request) -> Response:
+        from starlette.concurrency import run_in_threadpool
+
+        try:
+            body = await _body(request) if request.method == "POST" else {}
+            return await run_in_threadpool(handler, request, body)
+        except Refused as refusal:
+            status = next((s for kind, s in STATUS.items() if isinstance(refusal, kind)), 422)
+            told: dict[str, Any] = {"problems": [p.to_dict() for p in refusal.problems]}
+            if isinstance(refusal, EditsConflict):
+                told["present"] = asdict(refusal.present)
+            return JSONResponse({"ok": False, **told}, status)
+
+    return answer
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    try:
+        record = json.loads(
+            await request.body(), parse_constant=_no_constant, parse_int=_whole_number
+        )
+        json.dumps(record, ensure_ascii=False).encode()  # half a character is none
+    except (ValueError, RecursionError):
+        raise refused("the request is no JSON", "", "a JSON object") from None
+    if not isinstance(record, dict):
+        raise refused("the request is no JSON object", type(record).__name__, "an object")
+    return record
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(name)
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > LONGEST_NUMBER:
+        raise ValueError(text[:LONGEST_NUMBER])
+    return int(text)
+
+
+async def refuse_http(request: Request, error: Exception) -> Response:
+    """Answer for a path or a method that there is not, as every refusal is answered."""
+    status = getattr(error, "status_code", 404)
+    problem = Problem(
+        "E_NO_PAGE", "there is nothing here", found=f"{request.method} {request.url.path[:80]}"
+    )
+    return JSONResponse(
+        {"ok": False, "problems": [problem.to_dict()]}, status, getattr(error, "headers", None)
+    )
+
+
+def routes(
+    library: Library, *, token: str, cookie: str, entered: Callable[[], object] = lambda: None
+) -> list[Route]:
+    """Return every route; each but those of `guard.OPEN` is behind the token, which `cookie` carries.
+
+    `entered` is called whenever a browser has handed in the token.
+    """
+    rebuild = Rebuild(library)
+
+    def frame_of(request: Request) -> Frame:
+        return library.open(request.path_params["id"])
+
+    def page(request: Request, body: dict[str, Any]) -> Response:
+        return HTMLResponse(PAGE)
+
+    def asset(request: Request, body: dict[str, Any]) -> Response:
+        name = request.path_params["name"]
+        if name not in ASSETS:
+            raise FrameMissing(Problem("E_NO_FILE", "there is no such file"))
+        return Response(read_built(name), media_type=ASSETS[name])
+
+    def enter(request: Request, body: dict[str, Any]) -> Response:
+        given = str(body.get("token", ""))
+        if not compare_digest(given.encode(), token.encode()):
+            problem = {"code": "E_NOT_ALLOWED", "message": "the token is wrong"}
+            return JSONResponse({"ok": False, "problems": [problem]}, 401)
+        response = JSONResponse({"ok": True})
+        entered()
+        response.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
+        return response
+
+    def cameras(request: Request, body: dict[str, Any]) -> Response:
+        title = library.campaign.campaign.title
+        return JSONResponse({"ok": True, "campaign": title, "cameras": library.list()})
+
+    def camera(request: Request, body: dict[str, Any]) -> Response:
+        return JSONResponse({"ok": True, **describe_frame(frame_of(request))})
+
+    def pairs(request: Request, body: dict[str, Any]) -> Response:
+        frame = frame_of(request)
+        with frame.lock:
+            library.catch_up(frame)
+            return _told(describe(frame.session, packed=True))
+
+    def edit(request: Request, body: dict[str, Any]) -> Response:
+        frame = frame_of(request)
+        with frame.lock:
+            change(frame, body)
+            return _told(describe(frame.session, str(body.get("known", "")), packed=True))
+
+    def attempt(request: Request, body: dict[str, Any]) -> Response:
+        frame = frame_of(request)
+        to = _pair(body["to"]) if body.get("to") is not None else None
+        with frame.lock:
+            return JSONResponse({"ok": True, **frame.attempt(_pair(body.get("pair")), to)})
+
+    def partner(request: Request, body: dict[str, Any]) -> Response:
+        with (frame := frame_of(request)).lock:
+            return JSONResponse({"ok": True, **frame.partner(**_asked(request))})
+
+    def tile(request: Request, body: dict[str, Any]) -> Response:
+        which = request.path_params["which"]
+        level, column, row = (_digits(request.path_params[k]) for k in ("level", "column", "row"))
+        asked = request.query_params
+        more = {"map_": asked.get("map", ""), "tint": asked.get("tint", "")}
+        bands = _bands(asked.get("bands", ""))
+        try:
+            data, kind = frame_of(request).tile(which, (level, column, row), bands=bands, **more)
+        except IndexError:
+            raise FrameMissing(Problem("E_NO_TILE", "there is no such tile")) from None
+        return Response(data, media_type=kind, headers={"cache-control": "private, max-age=900"})
+
+    def map_(request: Request, body: dict[str, Any]) -> Response:
+        kind = request.path_params["kind"]
+        if kind not in KINDS:
+            raise FrameMissing(
+                Problem("E_NO_MAP", "there is no such map", expected=", ".join(KINDS))
+            )
+        frame = frame_of(request)
+        with frame.lock:
+            drawn = frame.map(kind, request.query_params.get("map", ""))
+        return JSONResponse({"ok": True, "kind": kind, "meaning": KINDS[kind], **drawn})
+
+    def export(request: Request, body: dict[str, Any]) -> Response:
+        frame = frame_of(request)
+        files, losses = frame.export(str(body.get("dialect", "levkas")))
+        told = [{"name": n, "data": base64.b64encode(d).decode("ascii")} for n, d in files]
+        return JSONResponse({"ok": True, "files": told, "losses": losses})
+
+    def import_(request: Request, body: dict[str, Any]) -> Response:
+        frame = frame_of(request)
+        with frame.lock:
+            told = frame.take(_files(body.get("files")), str(body.get("dialect") or "") or None)
+            return _told({**told, **describe(frame.session, packed=True)})
+
+    def start_build(request: Request, body: dict[str, Any]) -> Response:
+        rebuild.start(request.path_params["id"])
+        return JSONResponse({"ok": True, **rebuild.to_dict()})
+
+    def build_state(request: Request, body: dict[str, Any]) -> Response:
+        return JSONResponse({"ok": True, **rebuild.to_dict()})
+
+    one = "/api/cameras/{id}"
+    table: list[tuple[str, Callable[..., Response], str]] = [
+        ("/", page, "GET"),
+        ("/assets/{name}", asset, "GET"),
+        ("/enter", enter, "POST"),
+        ("/api/cameras", cameras, "GET"),
+        (one, camera, "GET"),
+        (f"{one}/pairs", pairs, "GET"),
+        (f"{one}/edit", edit, "POST"),
+        (f"{one}/attempt", attempt, "POST"),
+        (f"{one}/partner", partner, "GET"),
+        (one + "/tiles/{which}/{level}/{column}/{row}", tile, "GET"),
+        (one + "/maps/{kind}", map_, "GET"),
+        (f"{one}/export", export, "POST"),
+        (f"{one}/import", import_, "POST"),
+        (f"{one}/build", start_build, "POST"),
+        ("/api/build", build_state, "GET"),
+    ]
+    return [Route(path, answering(handler), methods=[method]) for path, handler, method in table]
+
+
+def _told(told: dict[str, Any]) -> Response:
+    return Response(to_bytes({"ok": True, **told}), media_type="application/octet-stream")
+
+
+def change(frame: Frame, body: dict[str, Any]) -> None:
+    """Do what a request asks to the corrections of a camera.
+
+    Raises
+    ------
+    OperationRefused
+    """
+    session, name = frame.session, str(body.get("operation", ""))
+    if name in ("undo", "redo"):
+        getattr(session, name)()
+    elif name == "slide":
+        value = body.get("value")
+        session.slide(str(body.get("name")), None if value is None else _number(value))
+    elif name == "note":
+        session.note(str(body.get("text", "")))
+    elif name == "snap":
+        bands = {side: _bands(str(body.get(side, ""))) for side in SIDES}
+        frame.snap(_pair(body.get("pair")), bands)
+    else:
+        to = _pair(body["to"]) if body.get("to") is not None else None
+        session.apply(name, _pair(body.get("pair")), to)
+
+
+def describe_frame(frame: Frame) -> dict[str, Any]:
+    """Return what a screen needs to know of a camera before its pairs, JSON-ready."""
+    verdict = frame.record.get("verdict", {})
+    model = frame.record.get("model", {})
+    found = frame.session.found
+    told = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
+    told["reasons"] = reasons_of(frame, told["reasons"] or [])
+    sensors = [s for s in model.get("sensors", []) if isinstance(s, dict)]
+    sensors = [s for s in sensors if s.get("sensor") == frame.view.sensor.name] or sensors
+    return {
+        "id": frame.key,
+        "object": frame.capture.object,
+        "camera": frame.capture.layer,
+        "sensor": frame.view.sensor.name if len(frame.capture.sensors) > 1 else "",
+        "band": frame.band,
+        "bands": _told_bands(frame.view),
+        "reference": {
+            "camera": frame.reference.layer,
+            "band": frame.reference_band,
+            "bands": _told_bands(frame.main),
+        },
+        "is_reference": frame.view == frame.main,
+        "size": list(found.size),
+        "target_size": list(found.target_size),
+        "px_per_mm": frame.px_per_mm,
+        "built": frame.built is not None,
+        "builds": frame.builds,
+        "maps": find_kinds(frame.record, frame.band),
+        "method": frame.record.get("method", ""),
+        "verdict": told,
+        "ladder": [s.get("ladder", {}) for s in sensors[:1]],
+        "chosen": [s.get("base", "") for s in sensors[:1]],
+    }
+
+
+def reasons_of(frame: Frame, reasons: list[str]) -> list[str]:
+    """Return the reasons of a verdict but for those that speak of other sensors of the camera."""
+    names = [f"sensor {s.name}: " for s in frame.capture.sensors if s.name]
+    mine = f"sensor {frame.view.sensor.name}: "
+    others = tuple(name for name in names if name != mine)
+    kept = [r.removeprefix(mine) for r in reasons if not others or not r.startswith(others)]
+    return [r[:1].upper() + r[1:] for r in kept] or reasons
+
+
+def _told_bands(view: SensorView) -> list[dict[str, Any]]:
+    """Labels and wavelengths of a sensor's bands."""
+    return [
+        {"label": b.label, "wavelength": b.wavelength if np.isfinite(b.wavelength) else None}
+        for b in view.sensor.bands
+    ]
+
+
+def _asked(request: Request) -> dict[str, Any]:
+    asked = request.query_params
+    return {
+        "x": _number(asked.get("x")),
+        "y": _number(asked.get("y")),
+        "side": "target" if asked.get("from") == "target" else "reference",
+        "which": asked.get("map", ""),
+        "reach": None if asked.get("reach") is None else _reach(asked.get("reach")),
+        "bands": {side: _bands(asked.get(side, "")) for side in SIDES},
+    }
+
+
+def _bands(text: str) -> tuple[int, ...]:
+    """Numbers of bands, separated by commas."""
+    parts = text.split(",") if text else []
+    if len(parts) > MOST_BANDS or not all(part.isascii() and part.isdigit() for part in parts):
+        raise refused("bands are numbers", text[:40], "none, one, or three separated by commas")
+    return tuple(int(part[:LONGEST_NUMBER]) for part in parts)
+
+
+def _number(value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not np.isfinite(number) or isinstance(value, bool):
+        raise refused("a number is missing", str(value)[:40], "a finite number")
+    return number
+
+
+def _digits(text: str) -> int:
+    if not (text.isascii() and text.isdigit()) or len(text) > LONGEST_NUMBER:
+        raise FrameMissing(Problem("E_NO_TILE", "there is no such tile", found=text[:40]))
+    return int(text)
+
+
+def _reach(value: Any) -> float:
+    reach = _number(value)
+    if not 0 < reach <= FARTHEST_PX:
+        raise refused("no partner is looked for so far", reach, f"up to {FARTHEST_PX:g} px")
+    return reach
+
+
+def _pair(value: Any) -> list[float]:
+    if not isinstance(value, list) or len(value) != 4:
+        raise refused("a pair is four numbers", str(value)[:60], "[x, y, x, y]")
+    return [_number(v) for v in value]
+
+
+def _files(value: Any) -> list[bytes]:
+    good = isinstance(value, list) and 0 < len(value) <= MOST_FILES
+    try:
+        if good:
+            return [base64.b64decode(str(text), validate=True) for text in value]
+    except (binascii.Error, ValueError):
+        pass
+    raise OperationRefused(
+        Problem("E_VALUE", "no file came", expected=f"one or {MOST_FILES} files, base64")
+    )

@@ -1,0 +1,195 @@
+import time
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from levkas.campaign.discovery.file_index import find
+from levkas.campaign.discovery.patterns import Pattern, _compiled, _pieces, match_pieces, natural
+from levkas.core.problems import Refused
+
+
+def read(pattern, path, **known):
+    return Pattern.parse(pattern).read(path, known)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("250ms", 0.25),
+        ("3s", 3.0),
+        ("0.5", 0.5),
+        ("40us", 4e-5),
+        ("40µs", 4e-5),
+        ("2min", 120.0),
+        ("1.5sec", 1.5),
+    ],
+)
+def test_the_exposure_takes_its_unit_from_the_letters_behind_it(text, seconds):
+    unit = text.lstrip("0123456789.")
+    assert read("{target}_{exposure}" + unit + ".tif", f"a_{text}.tif")["exposure_s"] == seconds
+
+
+def test_letters_that_are_no_unit_leave_seconds():
+    assert read("{target}_{exposure}exp.tif", "a_2exp.tif")["exposure_s"] == 2.0
+
+
+def test_what_stands_twice_must_agree():
+    pattern = "{target}/{target}_{wavelength}nm.tif"
+    assert read(pattern, "icon1/icon1_550nm.tif") == {"target": "icon1", "wavelength": 550.0}
+    assert read(pattern, "icon1/icon2_550nm.tif") is None
+
+
+def test_a_wavelength_has_decimals_and_is_never_the_tail_of_a_number():
+    assert read("{target}_{wavelength}nm.tif", "a_366.55nm.tif")["wavelength"] == 366.55
+    assert read("{target}*{wavelength}nm.tif", "a_1550nm.tif")["wavelength"] == 1550.0
+    assert read("{target}_{wavelength}nm.tif", "a_550.nm.tif") is None
+
+
+def test_literal_text_is_literal_and_only_the_suffix_ignores_case():
+    assert read("a+b(1)/{target}.tif", "a+b(1)/x.TIF") == {"target": "x"}
+    assert read("a+b(1)/{target}.tif", "aab1/x.tif") is None
+    assert read("Raw/{target}.tif", "raw/x.tif") is None
+    assert read("{target}.tif", "xxtif") is None
+
+
+def test_a_declared_target_is_no_part_of_a_longer_name():
+    known = {"target": ("icon1", "dark")}
+    assert read("{target}*.tif", "icon10.tif", **known)["target"] == "icon10"
+    assert read("{target}*.tif", "darkroom.tif", **known)["target"] == "darkroom"
+    assert read("{target}*.tif", "icon1_003.tif", **known)["target"] == "icon1"
+    assert read("*{target}.tif", "semidark.tif", **known)["target"] != "dark"
+
+
+def test_a_target_takes_as_much_as_it_can_where_nothing_is_declared():
+    assert read("{target}_{shot}.tif", "my_icon_001.tif") == {"target": "my_icon", "shot": "001"}
+    assert read("{target}_{band}.tif", "my_icon_red_1.tif", band=("red_1",)) == {
+        "target": "my_icon",
+        "band": "red_1",
+    }
+
+
+def test_two_stars_are_any_number_of_folders():
+    for path in ("raw/x.tif", "raw/a/x.tif", "raw/a/b/x.tif"):
+        assert read("raw/**/{target}.tif", path) == {"target": "x"}
+    assert read("raw/**/{target}.tif", "other/x.tif") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{traget}.tif", "{target}"),
+        ("{target.tif", "brace"),
+        ("target}.tif", "brace"),
+        ("a**/{target}.tif", "whole folders"),
+        ("{target}/", "folder"),
+        ("{target}/**", "folders"),
+        ("", "folder"),
+    ],
+)
+def test_a_pattern_that_cannot_be_read_says_why(text, told):
+    with pytest.raises(ValueError, match=told):
+        Pattern.parse(text)
+
+
+@given(st.lists(st.text(alphabet="ab019²é_", max_size=6), max_size=8), st.randoms())
+def test_natural_order_is_total_and_does_not_depend_on_the_order_given(names, random):
+    shuffled = list(names)
+    random.shuffle(shuffled)
+    key = lambda n: (natural(n), n)  # noqa: E731
+    assert sorted(names, key=key) == sorted(shuffled, key=key)
+
+
+@given(
+    st.text(alphabet="abcXYZ-", min_size=1, max_size=8),
+    st.integers(100, 2500),
+    st.text(alphabet="0123456789", max_size=4),
+)
+def test_what_is_written_is_what_is_read(target, wavelength, shot):
+    found = read(
+        "raw/{target}/{wavelength}nm_{shot}.tif", f"raw/{target}/{wavelength}nm_{shot}.tif"
+    )
+    assert found == {"target": target, "wavelength": float(wavelength), "shot": shot}
+
+
+PARTS = st.sampled_from(
+    [
+        "*",
+        "{target}",
+        "{shot}",
+        "{band}",
+        "{wavelength}",
+        "{exposure}",
+        "a",
+        "_",
+        "1",
+        ".b",
+        "/",
+        "**/",
+    ]
+)
+NAMES = st.text(alphabet="aAbB1_./", max_size=12)
+
+
+@given(
+    st.lists(PARTS, min_size=1, max_size=8),
+    NAMES,
+    st.sampled_from([{}, {"target": ("a", "a1", "ab")}]),
+)
+@settings(max_examples=400)
+def test_a_pattern_of_many_wildcards_says_what_a_regular_expression_does(parts, name, known):
+    text = "".join(parts)
+    try:
+        text = "/".join(Pattern.parse(text).segments)
+    except ValueError:
+        assume(False)
+    told = tuple((key, tuple(sorted(values))) for key, values in known.items())
+    for named in (True, False):
+        if not named and "/" in text:
+            continue
+        expected = _compiled(text, told, named, True).fullmatch(name)
+        found = match_pieces(_pieces(text, told, named, True), name)
+        assert found == (expected and expected.groupdict())
+
+
+STARS = {
+    "twelve stars": ("*a" * 12 + "{target}b.tif", "a" * 200 + "c.tif"),
+    "every placeholder": (
+        "*{target}*{setup}*{band}*{sensor}*{shot}*{wavelength}*{exposure}*x.tif",
+        "a1_" * 70 + "c.tif",
+    ),
+    "one placeholder over and over": ("{shot}" * 12 + "x.tif", "a" * 200 + "c.tif"),
+    "a name that stands twice": ("{target}" + "*{target}" * 6 + "x.tif", "ab" * 30 + "c.tif"),
+    "three in a long name": ("{shot}a{target}a{band}a.tif", "a" * 250 + "c.tif"),
+    "folders over and over": ("**/a/" * 12 + "{target}b.tif", "a/" * 50 + "c.tif"),
+}
+
+
+@pytest.mark.parametrize("what", STARS)
+def test_many_stars_end_soon(what, tmp_path):
+    pattern, name = STARS[what]
+    path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    began = time.process_time()
+    try:
+        assert find(tmp_path, [pattern]) == []
+    except Refused as refused:
+        assert "too many ways" in str(refused)
+    assert time.process_time() - began < 2
+
+
+def test_many_stars_find_what_is_there(tmp_path):
+    (tmp_path / ("xa" * 12 + "icon1b.tif")).touch()
+    (found,) = find(tmp_path, ["*a" * 12 + "{target}b.tif"])
+    assert found.target == "icon1"
+    deep = tmp_path.joinpath(*"a" * 12, "icon1b.tif")
+    deep.parent.mkdir(parents=True)
+    deep.touch()
+    (found,) = find(tmp_path, ["**/a/" * 12 + "{target}b.tif"])
+    assert found.target == "icon1"
+
+
+def test_a_pattern_longer_than_any_path_is_refused():
+    with pytest.raises(ValueError, match="longer"):
+        Pattern.parse("*a" * 3000)

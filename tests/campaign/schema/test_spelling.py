@@ -1,0 +1,41 @@
+import tomllib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from levkas.campaign.schema.toml import to_toml
+from levkas.campaign.schema.values import _doi, _orcid
+
+KEYS = st.text(min_size=1, max_size=8)
+PLAIN = (
+    st.text(min_size=1).filter(lambda t: not any("\ud800" <= c <= "\udfff" for c in t))
+    | st.integers(-(2**40), 2**40)
+    | st.floats(allow_nan=False)
+    | st.booleans()
+)
+LISTS = st.lists(PLAIN, min_size=1, max_size=3)
+INNER = st.dictionaries(KEYS, PLAIN | LISTS, min_size=1, max_size=3)
+
+
+@given(st.dictionaries(KEYS, PLAIN | LISTS | INNER | st.dictionaries(KEYS, INNER, min_size=1)))
+def test_what_is_spelled_is_what_is_read(record):
+    assert tomllib.loads(to_toml(record)) == record
+
+
+def test_what_is_empty_is_left_out():
+    told = to_toml({"a": "", "b": None, "c": {"d": []}, "e": [{"name": "x", "orcid": None}]})
+    assert tomllib.loads(told) == {"e": [{"name": "x"}]}
+
+
+def test_an_orcid_with_a_wrong_check_digit_is_refused():
+    assert _orcid("https://orcid.org/0000-0002-1825-0097") == "0000-0002-1825-0097"
+    assert _orcid("0000-0002-1694-233x") == "0000-0002-1694-233X"
+    with pytest.raises(ValueError, match="check digit"):
+        _orcid("0000-0002-1825-0098")
+
+
+def test_a_doi_is_taken_without_its_resolver():
+    assert _doi("https://doi.org/10.5281/zenodo.1") == "10.5281/zenodo.1"
+    with pytest.raises(ValueError, match="DOI"):
+        _doi("zenodo.1")

@@ -1,0 +1,96 @@
+"""edits.toml: what is written is read, what is wrong is said, and a build knows what it hangs on."""
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from levkas.campaign.edits import (
+    Edits,
+    EditsInvalid,
+    FrameEdits,
+    read_edits,
+    round_pair,
+    write_edits,
+)
+
+PX = st.integers(-5000, 500_000).map(lambda n: n / 100)
+PAIR = st.tuples(PX, PX, PX, PX)
+NAMES = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=20)
+
+
+def pairs(kind):
+    return st.lists(kind, max_size=4, unique=True).map(lambda rows: tuple(sorted(rows)))
+
+
+FRAMES = st.builds(
+    FrameEdits,
+    added=pairs(PAIR),
+    moved=pairs(st.tuples(*[PX] * 8)).map(lambda rows: tuple({r[:4]: r for r in rows}.values())),
+    reject=st.none() | st.floats(10, 500),
+    stop=st.none() | st.floats(0.01, 9),
+    note=st.text(max_size=30).filter(lambda s: s.isprintable()),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(name=NAMES, frame=NAMES.filter(lambda s: ":" not in s), edits=FRAMES)
+def test_what_is_written_is_read(tmp_path_factory, name, frame, edits):
+    path = tmp_path_factory.mktemp("edits") / "edits.toml"
+    assume(not {row[:4] for row in edits.moved} & set(edits.added))
+    written = Edits({}).with_frame(name, frame, edits)
+    write_edits(path, written)
+    read = read_edits(path)
+    assert set(read.frames) == set(written.frames)
+    for key, one in read.frames.items():
+        assert one.pairs()["added"].tolist() == written.frames[key].pairs()["added"].tolist()
+        assert one == written.frames[key]
+
+
+def test_the_order_of_corrections_does_not_matter(tmp_path):
+    rows = ((1.0, 2.0, 3.0, 4.0), (5.0, 6.0, 7.0, 8.0))
+    texts = set()
+    for order in (rows, rows[::-1]):
+        write_edits(tmp_path / "edits.toml", Edits({("icon", "nir"): FrameEdits(added=order)}))
+        texts.add((tmp_path / "edits.toml").read_bytes())
+        assert FrameEdits(added=order).told() == FrameEdits(added=rows).told()
+    assert len(texts) == 1
+
+
+def test_no_file_means_no_corrections(tmp_path):
+    assert read_edits(tmp_path / "edits.toml") == Edits()
+
+
+def test_everything_that_is_wrong_is_said_at_once(tmp_path):
+    path = tmp_path / "edits.toml"
+    path.write_text(
+        "version = 1\n"
+        "[objects.icon.cameras.nir]\n"
+        "adde = [[1, 2, 3, 4]]\n"
+        "deleted = [[1, 2, 3]]\n"
+        "stop = -1\n"
+        "pinned = [[1e9, 0, 0, 0]]\n"
+    )
+    with pytest.raises(EditsInvalid) as refused:
+        read_edits(path)
+    told = {p.field: p for p in refused.value.problems}
+    assert len(told) >= 4 and all(p.file == str(path) and p.fix for p in told.values())
+    assert told["objects.icon.cameras.nir.adde"].fix == "Did you mean 'added'?"
+
+
+def test_one_pair_cannot_be_deleted_and_pinned(tmp_path):
+    path = tmp_path / "edits.toml"
+    path.write_text(
+        "version = 1\n[objects.icon.cameras.nir]\n"
+        "deleted = [[1, 2, 3, 4]]\npinned = [[1.001, 2, 3, 4]]\nreject = 2.0\nstop = 3.0\n"
+    )
+    with pytest.raises(EditsInvalid) as refused:
+        read_edits(path)
+    assert len(refused.value.problems) == 2
+    assert "both deleted and pinned" in str(refused.value)
+
+
+def test_a_note_changes_no_build():
+    one = FrameEdits(added=(round_pair((1, 2, 3, 4)),))
+    assert one.told() == FrameEdits(added=one.added, note="seen under the microscope").told()
+    assert one.told() != FrameEdits(added=(round_pair((1, 2, 3, 4.01)),)).told()
+    assert FrameEdits(note="only a note").told() == ""

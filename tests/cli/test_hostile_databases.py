@@ -1,0 +1,281 @@
+"""Damaged and malicious databases through every command that reads them: a refusal, soon, in little memory."""
+
+import csv
+import io
+import json
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import levkas
+from levkas.cli import app
+from levkas.core.cube import Band, Cube
+from levkas.core.files import write_json
+from levkas.core.problems import Refused
+from levkas.database.catalogue import write_catalogue
+from levkas.database.layers import Layer, write_layer
+from levkas.database.manifest import NAME, list_files, write_manifest
+from levkas.database.store import write_index
+from levkas.geometry.transforms import Affine
+
+MOST_S = 5.0
+"""Of processor time, for all commands together."""
+BRACKETS = b"[" * (2 << 20)
+PAIRS = b'{"a":[' + b"[]," * (600_000) + b"[]]}"
+RECORD = "objects/icon1/registration/d80.json"
+VALUES = "zarr/icon1.zarr/d80/values/zarr.json"
+BAND = "zarr/icon1.zarr/d80/band/zarr.json"
+
+
+def record_of(camera, bands):
+    entry = {"transform": Affine.identity().to_dict(), "size": [50, 40]}
+    return {
+        **{"object": "icon1", "camera": camera, "setup": "", "method": "affine"},
+        "reference": {"camera": "vis", "band": "550 nm", "size": [50, 40]},
+        "target": {"camera": camera, "setup": "", "band": bands[1]},
+        "grid": {"transform": Affine.identity().to_dict(), "size": [50, 40], "px_per_mm": 2.5},
+        "verdict": {"decision": "accept", "reasons": [], "next_step": ""},
+        "errors": {},
+        "bands": {band: entry for band in bands},
+    }
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A database of one object by two cameras, as a build leaves it."""
+    root, rng = tmp_path_factory.mktemp("sound") / "db", np.random.default_rng(0)
+    cameras = {"vis": [Band(f"{n} nm", float(n), 7.0) for n in (450, 550, 650)],
+               "d80": [Band(c) for c in "RGB"]}  # fmt: skip
+    entries = []
+    for camera, bands in cameras.items():
+        values = rng.normal(0.5, 0.2, (40, 50, 3)).astype(np.float32)
+        cube = Cube(values, np.zeros(values.shape, np.uint8), 0.01 * np.abs(values), tuple(bands))
+        entries.append(write_layer(root, Layer("icon1", camera, px_per_mm=2.5), cube)[0])
+        write_json(
+            root / f"objects/icon1/registration/{camera}.json",
+            record_of(camera, [band.label for band in bands]),
+        )
+    write_index(root / "zarr/icon1.zarr")
+    write_catalogue(root, entries)
+    write_manifest(root)
+    points = root.parent / "points.csv"
+    points.write_text("x,y\n1,2\n")
+    seen = read_all(root)
+    assert seen == dict.fromkeys(seen, "done")  # and what they import is in no test's time
+    return root
+
+
+@pytest.fixture
+def database(sound, tmp_path):
+    shutil.copy(sound.parent / "points.csv", tmp_path)
+    return shutil.copytree(sound, tmp_path / "db")
+
+
+def opened(root):
+    database = levkas.open(root)["icon1"]
+    layer = database["d80"]
+    for array in (layer, layer.flags, layer.sigma):
+        if array is not None:
+            array[10, 10].values.tolist()
+    database.position_sigma("d80")
+
+
+ALL = ("open", "map", "export", "evaluate", "validate")
+
+
+def read_all(root, commands=ALL):
+    """Open a database and run commands that read it; return what came of each."""
+    seen = {}
+    try:
+        if "open" in commands:
+            opened(root)
+            seen["open"] = "done"
+    except Refused as refused:
+        seen["open"] = refused.problems[0].code
+    for name, *arguments in (
+        ("map", "map", root, "icon1", root.parent / "points.csv", "--from", "d80", "--to", "vis"),
+        ("export", "export", root, "--for", "envi", "-o", root.parent / "exported", "--overwrite"),
+        ("evaluate", "evaluate", root),
+        ("validate", "validate", root),
+    ):
+        if name not in commands:
+            continue
+        result = CliRunner().invoke(app, [str(a) for a in arguments])
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        seen[name] = "done" if result.exit_code == 0 else result.output.split(":")[0]
+    return seen
+
+
+def read_soon(root, commands=ALL):
+    before = time.process_time()
+    seen = read_all(root, commands)
+    taken = time.process_time() - before
+    assert taken < MOST_S, f"{taken:.1f} s of processor time"
+    return seen
+
+
+CONTENTS = (BRACKETS, PAIRS, b"", b"[1]", b'{"shape":' + b"9" * (2 << 20) + b"}", b"\xff", b"{}")
+
+
+@pytest.mark.parametrize(
+    "file, refusing",
+    [(RECORD, ("map", "evaluate", "open")), (VALUES, ("open",)), (BAND, ("open",)), ("catalogue.csv", ("open",))],
+)  # fmt: skip
+def test_records_of_a_database_that_are_none_are_refused(file, refusing, database):
+    for content in CONTENTS:
+        (database / file).write_bytes(content)
+        assert "done" not in read_soon(database, refusing).values(), content[:20]
+
+
+@pytest.mark.parametrize("content", [BRACKETS, PAIRS], ids=["brackets", "pairs"])
+@pytest.mark.parametrize("file", [RECORD, VALUES, "zarr/icon1.zarr/zarr.json"])
+def test_a_check_without_a_manifest_names_records_that_are_none(file, content, database):
+    (database / file).write_bytes(content)
+    (database / NAME).unlink()  # else every file would only be hashed
+    assert read_soon(database, ("validate",))["validate"] != "done"
+    assert Path(file).name in CliRunner().invoke(app, ["validate", str(database)]).output
+
+
+ODD = {
+    "object": "../../..",
+    "camera": 7,
+    "setup": "a/b",
+    "reference": [],
+    "reference/camera": "../x",
+    "grid": 3,
+    "grid/size": [1e9, 1e9],
+    "grid/transform": {"kind": "affine", "matrix": [[1, 0, 0]]},
+    "verdict": "accept",
+    "verdict/decision": [],
+    "bands": [1],
+    "bands/G": 1,
+    "bands/G/size": "large",
+    "bands/G/transform/matrix": "x",
+    "bands/G/transform/kind": "magic",
+    "bands/G/sigma": {"x": [0], "y": []},
+    "errors": {"check_points": [{"error": 1}]},
+}
+
+
+def test_a_registration_record_with_a_part_that_is_none_is_refused_by_its_name(database):
+    path = database / RECORD
+    whole = path.read_text()
+    for place, value in ODD.items():
+        record = json.loads(whole)
+        *above, last = place.split("/")
+        part = record
+        for name in above:
+            part = part[name]
+        part[last] = value
+        path.write_text(json.dumps(record))
+        seen = read_soon(database, ("map", "evaluate", "open"))
+        assert set(seen.values()) == {"E_VALUE"}, place
+        refused = CliRunner().invoke(app, ["evaluate", str(database)]).output
+        assert "d80.json" in refused
+        assert (above or [last])[0] in refused
+
+
+@pytest.mark.parametrize("file", [VALUES, BAND])
+@pytest.mark.parametrize("key", ["shape", "chunk"])
+def test_an_array_of_billions_is_refused_before_memory_is_taken(file, key, database):
+    path = database / file
+    record = json.loads(path.read_text())
+    large = [10**9] * len(record["shape"])
+    if key == "shape":
+        record["shape"] = large
+    else:
+        record["chunk_grid"]["configuration"]["chunk_shape"] = large
+    path.write_text(json.dumps(record))
+    (database / NAME).unlink()
+    seen = read_soon(database, ("open", "validate"))
+    assert seen["validate"] != "done"
+    assert seen["open"] != "done"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+@pytest.mark.parametrize(
+    "file, refusing",
+    [
+        ("catalogue.csv", ("open", "export")),
+        ("objects/icon1/icon1_d80.tif", ("export", "evaluate")),
+        ("objects/icon1/icon1_d80.flags.tif", ("export",)),
+        ("objects/icon1", ("export", "map", "evaluate", "open")),
+        (RECORD, ("map", "evaluate", "open")),
+        (VALUES, ("open",)),
+        ("zarr/icon1.zarr/d80/values", ("open",)),
+        ("zarr/icon1.zarr/d80/band/c", ("open",)),
+        ("zarr", ("open",)),
+    ],
+)
+def test_links_that_lead_out_are_not_followed(file, refusing, database):
+    outside = database.parent / "outside"
+    (database / file).rename(outside)
+    (database / file).symlink_to(outside)
+    seen = read_soon(database, (*refusing, "validate"))
+    assert set(seen.values()) == {"E_LINK"}, seen
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_shard_behind_a_link_is_not_read(database):
+    folder = database / "zarr/icon1.zarr/d80/values"
+    shard = next(p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "zarr.json")
+    shard.rename(database.parent / "shard")
+    shard.symlink_to(database.parent / "shard")
+    layer = levkas.open(database)["icon1"]["d80"]
+    with pytest.raises(Refused, match="leads out"):
+        layer[10, 10].values.tolist()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_database_that_is_itself_behind_a_link_is_read(database, tmp_path):
+    (tmp_path / "here").symlink_to(database)
+    assert set(read_soon(tmp_path / "here").values()) == {"done"}
+
+
+def test_folders_of_900_levels_are_listed_to_a_bound_and_named(database):
+    before = Path.cwd()
+    os.chdir(database / "zarr/icon1.zarr/d80/values")
+    for _ in range(900):
+        Path("d").mkdir()
+        os.chdir("d")
+    Path("end.txt").write_text("x")
+    os.chdir(before)
+    try:
+        assert max(name.count("/") for name in list_files(database)) == 64
+        refused = CliRunner().invoke(app, ["validate", str(database)])
+        assert refused.exit_code == 1
+        assert "d/d/d" in refused.output
+    finally:
+        most = sys.getrecursionlimit()
+        sys.setrecursionlimit(4000)  # Python 3.11 removes folders by calling itself once a level
+        shutil.rmtree(database / "zarr")
+        sys.setrecursionlimit(most)
+
+
+def test_a_small_tiff_that_decodes_to_much_is_not_decoded_by_a_check(database):
+    import tifffile
+
+    path = database / "objects/icon1/icon1_d80.tif"
+    tifffile.imwrite(path, np.zeros((8000, 8000), np.uint16), compression="zlib", metadata=None)
+    (database / NAME).unlink()
+    before = time.process_time()
+    refused = CliRunner().invoke(app, ["validate", str(database)])
+    assert time.process_time() - before < MOST_S
+    assert "a small file decodes to a large frame" in refused.output
+
+
+def test_a_table_whose_rows_differ_is_told_with_the_line_of_the_first(database):
+    (database / NAME).unlink()
+    text = (database / "catalogue.csv").read_text()
+    (database / "catalogue.csv").write_text(text + "a,b\n")
+    row = len(list(csv.reader(io.StringIO(text)))) + 1
+    refused = CliRunner().invoke(app, ["validate", str(database)]).output
+    assert f"row {row}" in refused
+    assert "2 cells" in refused

@@ -1,0 +1,224 @@
+import io
+
+import colour as science
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from levkas.colour.icc import srgb_profile
+from levkas.colour.observer import tables
+from levkas.colour.srgb import (
+    SRGB_TO_XYZ,
+    camera_matrix,
+    encode_srgb,
+    find_rendering,
+    observer_under_d65,
+    preview,
+    visible_coverage,
+    xyz_weights,
+)
+from levkas.core.cube import Band, Cube
+from levkas.database.preview import encode_png
+
+OBSERVER = science.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+D65 = science.SDS_ILLUMINANTS["D65"]
+CHECKER = science.SDS_COLOURCHECKERS["ISO 17321-1"]
+GRID = np.arange(380.0, 781.0)
+
+
+def spectra(step=1.0, low=380.0, high=780.0):
+    """ColorChecker reflectances, (patches, bands), and their wavelengths."""
+    nm = np.arange(low, high + 1e-9, step)
+    rows = [np.interp(nm, sd.wavelengths, sd.values) for sd in CHECKER.values()]
+    return np.array(rows), nm
+
+
+def reference_xyz(rows, nm):
+    shape = science.SpectralShape(380, 780, 1)
+    observer, light = OBSERVER.copy().align(shape), D65.copy().align(shape)
+    spectral = [science.SpectralDistribution(row, nm).align(shape) for row in rows]
+    options = {"cmfs": observer, "illuminant": light, "method": "Integration"}
+    return np.array([science.sd_to_XYZ(sd, **options) for sd in spectral]) / 100
+
+
+def delta_e(one, other):
+    lab = [
+        science.XYZ_to_Lab(
+            xyz, science.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+        )
+        for xyz in (one, other)
+    ]
+    return science.delta_E(*lab, method="CIE 2000")
+
+
+def bands(*wavelengths):
+    return [Band(f"{w:g} nm", w) for w in wavelengths]
+
+
+def test_the_tables_are_those_of_colour_science():
+    rows = tables()
+    places = (rows[:, 0] - 360).astype(int)
+    np.testing.assert_allclose(rows[:, 1:4], OBSERVER.values[places], rtol=1e-8)
+    np.testing.assert_array_equal(rows[:, 4], D65[rows[:, 0]])
+
+
+@pytest.mark.parametrize(
+    ("step", "low", "high", "limit"), [(1, 380, 780, 0.05), (10, 400, 720, 0.35)]
+)
+def test_xyz_of_colour_checker_is_that_of_colour_science(step, low, high, limit):
+    full, nm = spectra()
+    expected = reference_xyz(full, nm)
+    rows, wavelengths = spectra(step, low, high)
+    difference = delta_e(rows @ xyz_weights(wavelengths), expected)
+    # By 10 nm the straight lines between bands cost up to a third of a just visible difference.
+    assert difference.max() < limit
+
+
+def test_srgb_of_colour_checker_is_that_of_colour_science():
+    rows, nm = spectra()
+    shown = find_rendering(bands(*nm))(rows[:, None, :])[:, 0].astype(int)
+    expected = np.clip(science.XYZ_to_sRGB(reference_xyz(rows, nm)), 0, 1) * 255
+    assert np.abs(shown - expected).max() <= 1.5
+
+
+def test_encoding_is_that_of_colour_science():
+    x = np.linspace(0, 1, 5001)
+    exact = 255 * science.cctf_encoding(x, function="sRGB")
+    assert np.abs(encode_srgb(x) - exact).max() <= 0.501
+    assert encode_srgb(np.array([np.nan, -1, 2])).tolist() == [0, 0, 255]
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(350, 1100), min_size=3, max_size=40, unique=True), st.randoms())
+def test_white_is_white_and_the_order_of_bands_does_not_matter(wavelengths, random):
+    np.testing.assert_allclose(xyz_weights(wavelengths).sum(0), SRGB_TO_XYZ.sum(1), rtol=1e-9)
+    shuffled = random.sample(wavelengths, len(wavelengths))
+    places = [wavelengths.index(w) for w in shuffled]
+    np.testing.assert_allclose(xyz_weights(shuffled), xyz_weights(wavelengths)[places], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wavelengths", "colour", "text"),
+    [
+        (range(400, 721, 10), True, "sRGB under D65"),
+        (range(400, 1001, 5), True, "sRGB under D65"),
+        (range(420, 681, 10), True, "sRGB under D65, from 420–680 nm (9"),
+        (range(400, 701, 50), True, "sRGB under D65, interpolated between 7 bands"),
+        (range(650, 1101, 10), False, "pseudo-colour: 1100/880/650 nm as red/green/blue"),
+        ((600, 750, 900), False, "pseudo-colour: 900/750/600 nm as red/green/blue"),
+        ((475, 560, 668, 717, 840), False, "pseudo-colour: 668/560/475 nm as red/green/blue"),
+        ((1000,), False, "greyscale: 1000 nm"),
+    ],
+)
+def test_what_is_not_seen_is_not_called_colour(wavelengths, colour, text):
+    rendering = find_rendering(bands(*wavelengths))
+    assert rendering.colour is colour
+    assert rendering.description.startswith(text)
+
+
+def test_letters_of_channels_make_the_colours_of_figure_13():
+    names = ["R1", "G1", "B1", "R2", "G2", "B2", "IR"]
+    values = np.zeros((1, 1, 7), np.float32)
+    values[..., [0, 3]] = 0.5, 1.0
+    cube = Cube(values, np.zeros((1, 1, 7), np.uint8), None, tuple(map(Band, names)))
+    rgb, text = preview(cube)
+    assert rgb[0, 0].tolist() == [encode_srgb(np.array(0.75)), 0, 0]
+    assert text == "pseudo-colour: R1+R2 / G1+G2 / B1+B2 as red/green/blue"
+    assert (
+        find_rendering([Band(f"B{i}") for i in range(1, 10)]).description
+        == "greyscale: mean of 9 bands"
+    )
+    assert find_rendering([Band(c) for c in "RGB"]).description.endswith("taken for linear sRGB")
+
+
+def test_a_camera_that_sees_as_we_do_is_colorimetric():
+    nm, target = observer_under_d65()
+    light = np.interp(nm, D65.wavelengths, D65.values)
+    mixed = (target / light[:, None]) @ np.array([[1, 0.2, 0], [0.1, 1, 0.1], [0, 0.1, 1]])
+    matrix, missed = camera_matrix(nm, mixed)
+    rows, wavelengths = spectra()
+    seen = mixed * light[:, None]
+    channels = rows @ (seen / seen.sum(0))
+    assert missed < 1e-6
+    assert delta_e(channels @ matrix, reference_xyz(rows, wavelengths)).max() < 0.05
+
+
+def test_a_camera_with_bell_curves_is_near_in_colour_and_exact_in_white():
+    table = np.exp(-0.5 * ((GRID[:, None] - [600, 540, 460]) / [35, 40, 30]) ** 2)
+    matrix, missed = camera_matrix(GRID, table)
+    np.testing.assert_allclose(matrix.sum(0), SRGB_TO_XYZ.sum(1), rtol=1e-9)
+    rows, nm = spectra()
+    seen = table * np.interp(GRID, D65.wavelengths, D65.values)[:, None]
+    error = delta_e(rows @ (seen / seen.sum(0)) @ matrix, reference_xyz(rows, nm))
+    assert missed < 0.25
+    assert np.median(error) < 2.0
+    labels = [Band(c) for c in "RGB"]
+    assert find_rendering(labels, sensitivity=(GRID, table)).description.startswith(
+        "sRGB under D65, by"
+    )
+
+
+def test_an_infrared_camera_with_sensitivities_is_not_called_colour():
+    nm = np.arange(700.0, 1101.0)
+    table = np.exp(-0.5 * ((nm[:, None] - [800, 900, 1000]) / 40) ** 2)
+    assert not find_rendering([Band("a"), Band("b"), Band("c")], sensitivity=(nm, table)).colour
+
+
+def test_counts_are_scaled_and_this_is_said():
+    values = np.full((50, 50, 1), 3000, np.float32)
+    values[:25] = 30
+    cube = Cube(values, np.zeros(values.shape, np.uint8), None, (Band("xray"),), "counts")
+    rgb, text = preview(cube)
+    assert rgb[40, 0].tolist() == [255, 255, 255]
+    assert text == "greyscale: xray; counts, 3000 shown as white"
+    photo = Cube(
+        np.float32([[[10, 100, 255]]]),
+        np.zeros((1, 1, 3), np.uint8),
+        None,
+        tuple(map(Band, "RGB")),
+        "counts",
+    )
+    rgb, text = preview(photo, encoded=True, white=255)
+    assert (rgb[0, 0].tolist(), text) == ([10, 100, 255], "the camera's RGB as it is")
+
+
+def test_a_preview_in_blocks_is_the_whole_and_the_input_stays():
+    values = np.random.default_rng(0).random((40, 30, 33), dtype=np.float32)
+    before = values.copy()
+    rendering = find_rendering(bands(*range(400, 721, 10)))
+    whole = rendering(values)
+    np.testing.assert_array_equal(
+        np.vstack([rendering(values[y : y + 7]) for y in range(0, 40, 7)]), whole
+    )
+    np.testing.assert_array_equal(values, before)
+
+
+def test_coverage_is_the_least_of_the_three():
+    assert visible_coverage([380, 780]) == pytest.approx(1)
+    assert 0.3 < visible_coverage([450, 780]) < 0.75
+
+
+def test_the_profile_is_srgb_for_little_cms():
+    from PIL import Image, ImageCms
+
+    ours = ImageCms.ImageCmsProfile(io.BytesIO(srgb_profile()))
+    rgb = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    shown = ImageCms.profileToProfile(Image.fromarray(rgb), ours, ImageCms.createProfile("sRGB"))
+    assert np.abs(np.asarray(shown).astype(int) - rgb).max() <= 1
+    assert ImageCms.getProfileDescription(ours).strip() == "sRGB"
+
+
+def test_png_keeps_pixels_profile_and_text():
+    from PIL import Image
+
+    rgb = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    data = encode_png(rgb, description="pseudo-colour: é", px_per_mm=10)
+    assert data == encode_png(rgb, description="pseudo-colour: é", px_per_mm=10)
+    with Image.open(io.BytesIO(data)) as image:
+        np.testing.assert_array_equal(np.asarray(image), rgb)
+        assert image.info["icc_profile"] == srgb_profile()
+        assert image.text["Description"] == "pseudo-colour: é"
+        assert image.info["dpi"] == pytest.approx((254, 254), abs=0.1)
+    with Image.open(io.BytesIO(encode_png(rgb[..., 0]))) as image:
+        assert image.mode == "L"

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from levkas.colour.relighting import (
+    adaptation,
+    light_on_grid,
+    relight,
+    white_of,
+    xyz_weights_under,
+)
+from levkas.colour.srgb import SRGB_TO_XYZ, xyz_weights
+
+WAVES = np.arange(400, 721, 10.0)
+
+
+def test_whites_are_those_of_the_tables():
+    assert white_of("A") == pytest.approx([1.0985, 1.0, 0.3558], abs=2e-3)
+    assert white_of("D65") == pytest.approx([0.9505, 1.0, 1.0889], abs=2e-3)
+    assert white_of("E") == pytest.approx([1, 1, 1], abs=1e-3)
+
+
+def test_a_white_stays_white_to_an_eye_that_is_used_to_the_light_and_reddens_to_another():
+    white = np.ones((1, len(WAVES)))
+    for light in ("D65", "A", "E", "3200 K", (np.array([400.0, 700]), np.array([0.2, 1.0]))):
+        assert relight(white, WAVES, light).min() >= 254, light
+    red, _, blue = relight(0.4 * white, WAVES, "A", adapted=False)[0].astype(int)
+    assert red > blue + 60
+
+
+def test_under_d65_it_is_the_picture_of_the_build():
+    rng = np.random.default_rng(2)
+    values = rng.random((5, 7, len(WAVES)))
+    apart = xyz_weights_under(WAVES, "D65") / xyz_weights(WAVES)
+    assert np.abs(apart[8:-6] - 1).max() < 2e-3
+    from levkas.colour.srgb import find_rendering
+    from levkas.core.cube import Band
+
+    built = find_rendering([Band(f"{w:g} nm", w) for w in WAVES])(values)
+    assert np.abs(relight(values, WAVES, "D65").astype(int) - built).max() <= 1
+
+
+def test_colour_science_sees_the_same_colour_under_illuminant_a():
+    import colour
+
+    waves = np.arange(380, 781, 5.0)
+    spectrum = 0.2 + 0.6 / (1 + np.exp(-(waves - 590) / 15))
+    found = spectrum @ xyz_weights_under(waves, "A")
+    shape = colour.SpectralShape(380, 780, 5)
+    expected = colour.sd_to_XYZ(
+        colour.SpectralDistribution(dict(zip(waves, spectrum, strict=True))),
+        colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape),
+        colour.SDS_ILLUMINANTS["A"].copy().align(shape),
+    )
+    assert found * 100 == pytest.approx(expected, abs=0.05)
+
+
+def test_adaptation_takes_one_white_to_the_other_and_back():
+    there = adaptation(white_of("A"), SRGB_TO_XYZ.sum(1))
+    back = adaptation(SRGB_TO_XYZ.sum(1), white_of("A"))
+    assert np.allclose(there @ white_of("A"), SRGB_TO_XYZ.sum(1))
+    assert np.allclose(there @ back, np.eye(3))
+
+
+@pytest.mark.parametrize(
+    "light",
+    ["F99", "20 K", (np.array([400.0, 700]), np.zeros(2)), (np.array([1.0, 2]), -np.ones(2))],
+)
+def test_what_is_no_light_is_refused(light):
+    with pytest.raises(ValueError, match=r"light|power"):
+        light_on_grid(light)

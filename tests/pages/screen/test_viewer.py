@@ -1,0 +1,436 @@
+import io
+import re
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from levkas.core.cube import Flag
+from levkas.core.flags import MARKS
+from levkas.database.tiff_pages import open_pages
+from levkas.geometry.pixel_frames import find_map
+from levkas.viewer.pictures import shown_band
+
+from .database import CAMERAS
+
+SETTLED = (
+    "() => window.levkasViewer?.stage.viewer.world.getItemCount() > 0 && levkasViewer.stage.settled"
+)
+FLIGHTS = ["file", "http"]
+
+
+def open_object(browser, url, **options):
+    page = browser.open(url, **options)
+    page.wait_for_function(SETTLED)
+    return page
+
+
+def click_pixel(page, x, y):
+    """Click the middle of a pixel of the grid."""
+    where = page.evaluate(f"levkasViewer.stage.pointOf({{x: {x}, y: {y}}})")
+    page.mouse.click(where["x"], where["y"])
+    page.wait_for_selector(f'.place[data-pixel="{x},{y}"]')
+
+
+def shown_colour(page, x, y):
+    """Colour of the screen at the middle of a pixel of the grid."""
+    where = page.evaluate(f"levkasViewer.stage.pointOf({{x: {x}, y: {y}}})")
+    clip = {"x": round(where["x"]) - 1, "y": round(where["y"]) - 1, "width": 3, "height": 3}
+    image = Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")
+    return np.asarray(image, int)[1, 1]
+
+
+def rendered(viewer, camera, x, y):
+    return open_pages(viewer / f"objects/icon1/icon1_{camera}.tif").read_render()[y, x].astype(int)
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_three_chosen_bands_are_red_green_and_blue(browser, viewer, address, how):
+    page = open_object(browser, address(how))
+    page.get_by_label("Picture in A").select_option("mix")
+    for ink, band in zip(("red", "green", "blue"), (6, 3, 0), strict=True):
+        page.get_by_label(f"Band shown as {ink} in A").select_option(str(band))
+    page.wait_for_function("() => levkasViewer.layers.chosen.a.picture.key === 'mix-6-3-0'")
+    page.wait_for_function(SETTLED)
+    page.wait_for_timeout(400)
+    pages = open_pages(viewer / "objects/icon1/icon1_vis.tif")
+    shown = [shown_band(pages.read_page(band))[0] for band in (6, 3, 0)]
+    for x, y in ((25, 25), (95, 65), (105, 75)):
+        expected = [int(image[y, x]) for image in shown]
+        assert np.abs(shown_colour(page, x, y) - expected).max() < 40
+    assert "660 nm / 540 nm / 420 nm" in page.locator("#caption").inner_text()
+    # The address holds it.
+    page.wait_for_function("() => location.hash.includes('mix-6-3-0')")
+    again = open_object(browser, page.url)
+    assert again.get_by_label("Band shown as green in A").input_value() == "3"
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_the_contact_sheet_leads_to_every_object_and_back(browser, address, how):
+    page = browser.open(address(how, "index.html"))
+    assert page.locator(".card .title").all_inner_texts() == ["First icon", "Second icon"]
+    assert page.locator(".card .badge").all_inner_texts() == ["accepted", "1 of 3 refused"]
+    page.wait_for_function(
+        "() => [...document.images].every(i => i.complete && i.naturalWidth > 0)"
+    )
+    page.locator(".card a").nth(1).click()
+    page.wait_for_function(SETTLED)
+    assert page.locator("h1").inner_text() == "Second icon"
+    page.keyboard.press("[")
+    page.wait_for_url("**/icon1/index.html*")
+    page.wait_for_function(SETTLED)
+    page.locator("a.back").click()
+    page.wait_for_selector(".cards")
+
+
+def test_search_and_filters_leave_what_fits(browser, address):
+    page = browser.open(address("file", "index.html"))
+    page.locator("#search").fill("SECOND")
+    assert page.locator("#count").inner_text() == "1 of 2 objects"
+    assert page.locator(".card:visible .title").all_inner_texts() == ["Second icon"]
+    page.locator("#search").fill("nir")
+    assert page.locator(".card:visible").count() == 2
+    page.locator("#verdict").select_option("refuse")
+    assert page.locator(".card:visible .title").all_inner_texts() == ["Second icon"]
+    page.locator("#search").fill("no such thing")
+    page.locator("#clear").click()
+    assert page.locator(".card:visible").count() == 2
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_a_click_tells_the_native_pixel_of_every_camera(browser, address, viewer, how):
+    page = open_object(browser, address(how))
+    page.evaluate("levkasViewer.stage.look({x: 75, y: 60}, 6)")
+    for x, y in ((70, 55), (82, 66)):
+        click_pixel(page, x, y)
+        for camera in ("vis", "rgb", "nir"):
+            told = page.locator(f'.native[data-layer="{camera}"]')
+            native = [float(told.get_attribute(f"data-{axis}")) for axis in "xy"]
+            truth = find_map(viewer, "icon1", "grid", camera)(np.array([[x, y]], float))[0]
+            assert np.hypot(*(native - truth)) < 0.5, camera
+        page.keyboard.press("Escape")
+
+
+def test_a_place_between_pixels_is_mapped_to_a_hundredth_of_a_pixel(browser, address, viewer):
+    page = open_object(browser, address("file"))
+    points = np.random.default_rng(2).uniform([4, 1], [148, 128], (30, 2))
+    for camera in ("rgb", "nir"):
+        found = page.evaluate(
+            """async ([camera, points]) => {
+              const {readout} = levkasViewer;
+              const one = readout.sources.find(s => s.layer.name === camera);
+              const told = [];
+              for (const [x, y] of points) told.push(await one.lattice.find({x, y}, 1));
+              return told.map(p => p ? [p.x, p.y] : [NaN, NaN]);
+            }""",
+            [camera, points.tolist()],
+        )
+        truth = find_map(viewer, "icon1", "grid", camera)(points)
+        known = np.isfinite(truth[:, 0])
+        assert known.sum() > 15
+        np.testing.assert_allclose(np.array(found, float)[known], truth[known], atol=0.02)
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_spectra_and_sigma_under_the_cursor_are_the_very_numbers_of_the_file(
+    browser, address, viewer, how
+):
+    page = open_object(browser, address(how))
+    for x, y in ((63, 42), (64, 64), (147, 127)):
+        page.evaluate(f"levkasViewer.stage.look({{x: {x}, y: {y}}}, 8)")
+        click_pixel(page, x, y)
+        for camera in CAMERAS:
+            for kind, suffix in (("value", ""), ("sigma", ".sigma")):
+                body = page.locator(f'.numbers tbody[data-layer="{camera}"]')
+                shown = body.evaluate(
+                    f"b => [...b.querySelectorAll('[data-{kind}]')].map(c => c.dataset.{kind})"
+                )
+                pages = open_pages(viewer / f"objects/icon1/icon1_{camera}{suffix}.tif")
+                truth = pages.read(y, y + 1)[0, x]
+                np.testing.assert_array_equal(np.array(shown, np.float32), truth)
+        page.keyboard.press("Escape")
+
+
+def test_flags_are_told_in_words_and_unseen_pixels_have_no_numbers(browser, address):
+    page = open_object(browser, address("file"))
+    page.evaluate("levkasViewer.stage.look({x: 62, y: 41}, 8)")
+    click_pixel(page, 62, 41)
+    page.locator(".numbers-fold summary").click()
+    assert "saturated" in page.locator('.numbers tbody[data-layer="vis"] tr').nth(1).inner_text()
+    page.evaluate("levkasViewer.stage.look({x: 5, y: 41}, 8)")
+    click_pixel(page, 1, 41)
+    assert "outside" in page.locator('.numbers tbody[data-layer="vis"] tr').nth(1).inner_text()
+    value = page.locator('.numbers tbody[data-layer="vis"] td[data-value]').first
+    assert value.get_attribute("data-value") == "nan"
+
+
+def test_a_veiled_pixel_is_told_coloured_and_not_trusted(browser, address):
+    page = open_object(browser, address("file", fragment="#a=vis/flags"))
+    page.evaluate("levkasViewer.stage.look({x: 105, y: 103}, 8)")
+    page.wait_for_function(SETTLED)
+    page.wait_for_timeout(150)
+    colour = MARKS[Flag.VEILED].colour
+    assert np.abs(shown_colour(page, 103, 103) - colour).max() < 12
+    assert "veiled: brighter" in page.locator(".picker-a .legend").inner_text()
+    click_pixel(page, 105, 103)
+    page.locator(".numbers-fold summary").click()
+    row = page.locator('.numbers tbody[data-layer="vis"] tr').nth(1)
+    assert row.inner_text().endswith("veiled") and row.locator(".swatch").count() == 1
+    struck = "e => getComputedStyle(e).textDecorationLine"
+    assert row.locator(".n").first.evaluate(struck) == "line-through"
+    click_pixel(page, 113, 103)  # replaced from its neighbours: an estimate
+    assert row.inner_text().endswith("defect, replaced")
+    assert row.locator(".n").first.evaluate(struck) == "none"
+    # What the page's own table does not name is not to be trusted either.
+    page.evaluate("levkasViewer.readout.record.flags.pop()")
+    click_pixel(page, 105, 103)
+    assert "not to be trusted" in row.inner_text()
+    assert row.locator(".n").first.evaluate(struck) == "line-through"
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_the_picture_shows_the_render_at_any_zoom(browser, address, viewer, how):
+    page = open_object(browser, address(how))
+    assert page.evaluate("levkasViewer.stage.viewer.drawer.getType()") == "canvas"
+    for scale in (3.5, 12):
+        page.evaluate(f"levkasViewer.stage.look({{x: 75, y: 65}}, {scale})")
+        page.wait_for_function(SETTLED)
+        page.wait_for_timeout(150)
+        for x, y in ((75, 65), (65, 75), (85, 55)):
+            difference = np.abs(shown_colour(page, x, y) - rendered(viewer, "vis", x, y))
+            assert difference.max() < 40, (scale, x, y)
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_the_curtain_shows_a_left_and_b_right_of_a_visible_line(browser, address, viewer, how):
+    page = open_object(browser, address(how, fragment="#a=vis/colour&b=vis/flags"))
+    page.keyboard.press("c")
+    page.wait_for_function(SETTLED)
+    line = page.locator(".curtain")
+    assert line.is_visible()
+    page.wait_for_timeout(300)
+    left, right = (30, 90), (120, 90)
+    assert np.abs(shown_colour(page, *left) - rendered(viewer, "vis", *left)).max() < 40
+    assert shown_colour(page, *right).max() < 40  # no flag: nearly black
+    box = line.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 2000, box["y"] + 40, steps=3)
+    page.mouse.up()
+    page.wait_for_timeout(300)
+    assert line.get_attribute("aria-valuenow") == "100"
+    assert shown_colour(page, *right).max() > 60
+
+
+def test_a_page_opened_by_a_link_to_a_comparison_shows_it(browser, address, viewer):
+    link = "#a=vis/colour&b=vis/flags&mode=curtain&at=75.0,65.0&scale=4.0&pin=90,70"
+    page = open_object(browser, address("file", fragment=link))
+    page.wait_for_selector('.place[data-pixel="90,70"]')
+    page.wait_for_timeout(300)
+    assert page.evaluate("levkasViewer.stage.scale") == pytest.approx(4.0, abs=1e-3)
+    assert page.evaluate("levkasViewer.stage.centre.x") == pytest.approx(75.0, abs=0.06)
+    assert np.abs(shown_colour(page, 60, 60) - rendered(viewer, "vis", 60, 60)).max() < 40
+    assert shown_colour(page, 100, 60).max() < 40
+
+
+@pytest.mark.slow
+def test_webgl_draws_the_same_picture_and_the_same_difference(browser, address, viewer):
+    url = address("http").replace("index.html", "index.html?drawer=webgl")
+    page = open_object(browser, f"{url}#a=vis/colour&b=rgb/colour")
+    if page.evaluate("levkasViewer.stage.viewer.drawer.getType()") != "webgl":
+        pytest.skip("this Chromium has no WebGL")
+    for key, x, y in (("", 75, 65), ("d", 85, 55)):
+        if key:
+            page.keyboard.press(key)
+            page.evaluate("levkasViewer.stage.setTone(1, 1, 1)")
+        page.wait_for_function(SETTLED)
+        page.wait_for_timeout(400)
+        expected = rendered(viewer, "vis", x, y)
+        if key:
+            expected = np.abs(expected - rendered(viewer, "rgb", x, y))
+        assert np.abs(shown_colour(page, x, y) - expected).max() < 40
+
+
+def test_the_curtain_is_moved_with_the_arrow_keys(browser, address):
+    page = open_object(browser, address("file"))
+    page.keyboard.press("c")
+    page.locator(".curtain").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    assert page.locator(".curtain").get_attribute("aria-valuenow") == "54"
+
+
+@pytest.mark.parametrize("how", FLIGHTS)
+def test_space_held_flickers_between_two_preloaded_pictures(browser, address, how):
+    page = open_object(browser, address(how, fragment="#a=vis/colour&b=vis/flags"))
+    page.evaluate("levkasViewer.stage.flicker.rate = 4")
+    page.keyboard.down(" ")
+    page.wait_for_function(SETTLED)
+    before = len(browser.requests)
+    seen = page.evaluate(
+        """async () => {
+          const seen = new Set(), stage = levkasViewer.stage, from = performance.now();
+          while (seen.size < 2 && performance.now() - from < 10000) {
+            seen.add(stage.flicker.shown + stage.images.b.getOpacity());
+            await new Promise(requestAnimationFrame);
+          }
+          return [...seen].sort();
+        }"""
+    )
+    assert seen == ["a0", "b1"]
+    assert len(browser.requests) == before
+    page.keyboard.up(" ")
+    assert page.evaluate("levkasViewer.stage.flicker.running") is False
+
+
+def test_side_by_side_keeps_both_views_on_the_same_place(browser, address):
+    page = open_object(browser, address("file"))
+    page.keyboard.press("s")
+    page.wait_for_timeout(400)
+    page.evaluate("levkasViewer.stage.look({x: 100, y: 30}, 5)")
+    page.wait_for_timeout(300)
+    views = page.evaluate(
+        """() => [levkasViewer.stage.viewer, levkasViewer.stage.second].map(v => {
+          const c = v.viewport.getCenter(true); return [c.x, c.y, v.viewport.getZoom(true)]; })"""
+    )
+    np.testing.assert_allclose(*views, atol=1e-6)
+    page.locator(".pane.beside").hover()
+    page.mouse.wheel(0, -300)
+    page.wait_for_timeout(900)
+    views = page.evaluate(
+        """() => [levkasViewer.stage.viewer, levkasViewer.stage.second].map(v => {
+          const c = v.viewport.getCenter(true); return [c.x, c.y, v.viewport.getZoom(true)]; })"""
+    )
+    np.testing.assert_allclose(*views, rtol=1e-3, atol=1e-3)
+
+
+def test_a_picture_has_no_difference_from_itself(browser, address):
+    page = open_object(browser, address("file", fragment="#a=vis/colour&b=vis/colour"))
+    page.keyboard.press("d")
+    page.wait_for_function(SETTLED)
+    page.wait_for_timeout(300)
+    assert shown_colour(page, 75, 65).max() <= 2
+    page.keyboard.press("Shift+Digit3")
+    page.wait_for_function(SETTLED)
+    page.wait_for_timeout(300)
+    assert shown_colour(page, 75, 65).max() > 20
+
+
+def test_digits_choose_layers_and_the_address_remembers(browser, address):
+    page = open_object(browser, address("file"))
+    page.keyboard.press("3")
+    page.locator(".picker-a .picker-line select").select_option("band-2")
+    assert page.locator("#caption").inner_text() == "rgb, B"
+    page.keyboard.press("1")
+    page.locator(".picker-a .picker-line select").select_option("light-a")
+    page.wait_for_function("() => location.hash.includes('light-a')")
+    again = open_object(browser, page.url)
+    assert again.locator("#caption").inner_text() == "vis, A, incandescent lamp"
+
+
+def test_everything_is_done_with_the_keyboard_alone(browser, address):
+    page = open_object(browser, address("file"))
+    page.keyboard.press("r")
+    page.wait_for_selector(".place[data-pixel]")
+    first = page.locator(".place").get_attribute("data-pixel")
+    page.keyboard.press("Shift+ArrowRight")
+    page.wait_for_function(f"() => document.querySelector('.place').dataset.pixel !== '{first}'")
+    x, y = map(int, page.locator(".place").get_attribute("data-pixel").split(","))
+    assert (x - 1, y) == tuple(map(int, first.split(",")))
+    page.keyboard.press("?")
+    assert page.locator("dialog.help").is_visible()
+    page.keyboard.press("Escape")
+    assert not page.locator("dialog.help").is_visible()
+    reached = set()
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        reached.add(
+            page.evaluate("document.activeElement.className || document.activeElement.id || ''")
+        )
+    for part in ("layer", "second", "curve", "back", "stage"):
+        assert any(part in name for name in reached), part
+
+
+@pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon1/index.html"])
+def test_what_can_be_pressed_has_a_name_for_screen_readers(browser, address, name):
+    page = browser.open(address("file", name))
+    page.wait_for_timeout(300)
+    nameless = page.evaluate(
+        """() => [...document.querySelectorAll('button, a, input, select, [role=slider], [tabindex="0"]')]
+          .filter(e => e.checkVisibility() && !e.closest('.openseadragon-container'))
+          .filter(e => !(e.ariaLabel || e.textContent.trim() || e.title || e.labels?.length
+             || e.getAttribute('aria-label') || e.getAttribute('aria-labelledby') || e.getAttribute('aria-roledescription')))
+          .map(e => e.outerHTML)"""
+    )
+    assert nameless == []
+    assert page.locator("html").get_attribute("lang") == "en"
+    assert page.locator("main").count() == 1 and page.locator("h1").count() == 1
+
+
+@pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon1/index.html"])
+def test_light_and_dark_have_text_that_can_be_read(browser, address, name):
+    for scheme in ("light", "dark"):
+        page = browser.open(address("file", name), scheme=scheme)
+        page.wait_for_timeout(200)
+        assert _least_contrast(page) >= 4.5, scheme
+        page.locator("#theme").click()
+        assert _least_contrast(page) >= 4.5, f"{scheme}, changed"
+
+
+def _least_contrast(page):
+    """Least contrast ratio (WCAG) of body text, soft text and links to the page's ground."""
+    return page.evaluate(
+        """() => {
+          const light = c => { const [r, g, b] = c.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255)
+            .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+            return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+          const ground = light(getComputedStyle(document.body).backgroundColor);
+          const ratios = [...document.querySelectorAll('.soft, .badge, .colophon p, h1, h2, .subtitle, .maker')]
+            .filter(e => e.checkVisibility()).map(e => light(getComputedStyle(e).color))
+            .map(l => (Math.max(l, ground) + 0.05) / (Math.min(l, ground) + 0.05));
+          return Math.min(...ratios);
+        }"""
+    )
+
+
+@pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon2/index.html"])
+def test_every_page_says_licence_and_citation_and_links_stay_in_the_folder(
+    browser, address, viewer, name
+):
+    page = browser.open(address("file", name))
+    text = page.locator("footer").inner_text()
+    assert "CC BY 4.0" in text and "Painter, Ada (2019)" in text
+    links = page.evaluate("[...document.querySelectorAll('a[href]')].map(a => a.href)")
+    local = [link for link in links if link.startswith("file:")]
+    assert len(local) > 2
+    for link in local:
+        assert Path(unquote(urlsplit(link).path)).is_file(), link
+    if "icon2" in name:
+        assert any(link.endswith("report.html") for link in local)
+        assert page.locator(".reasons").inner_text().startswith("7 of 10 matches")
+
+
+def test_nothing_scrolls_sideways_on_a_narrow_screen(browser, address):
+    for name in ("index.html", "viewer/objects/icon1/index.html"):
+        page = browser.open(address("file", name), width=360, height=740)
+        page.wait_for_timeout(200)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360, name
+
+
+def test_pages_hold_no_inline_script_and_a_policy_forbids_one(viewer):
+    for path in [viewer / "index.html", *viewer.glob("viewer/objects/*/index.html")]:
+        text = path.read_text(encoding="utf-8")
+        assert "Content-Security-Policy" in text and "default-src &#39;none&#39;" in text
+        scripts = re.findall(r"<script\b([^>]*)>", text)
+        assert all("src=" in s or 'type="application/json"' in s for s in scripts)
+        assert not re.search(r"\son[a-z]+=|javascript:|\sstyle=", text)
+
+
+def test_the_predicted_error_of_every_registered_camera_can_be_shown(browser, address):
+    page = open_object(browser, address("file"))
+    for digit in "123":
+        page.keyboard.press(digit)
+        options = page.locator(".picker-a select").first.locator("option").all_inner_texts()
+        assert "Registration error" in options, digit

@@ -1,0 +1,165 @@
+"""What a publication replaces, and what of a foreign database it follows."""
+
+import contextlib
+import csv
+import hashlib
+import os
+import shutil
+
+import bagit
+import pytest
+
+from levkas.core.digests import hash_tree
+from levkas.core.problems import Refused
+from levkas.database.catalogue import DatabaseRefused
+from levkas.database.manifest import NAME, write_manifest
+from levkas.database.validate import validate
+from levkas.publish import run
+
+
+@pytest.fixture
+def published(database):
+    """Return a database and its publication, full and without tiles."""
+    return database, run.summarise(run.publish(database, editions="full", iiif=False)).output
+
+
+def refused(database, **options):
+    """Publish, and return the problems."""
+    with pytest.raises(Refused) as said:
+        list(run.publish(database, editions="full", iiif=False, **options))
+    return said.value.problems
+
+
+def a_database(folder, database):
+    shutil.copytree(database, folder)
+
+
+def a_bag_by_others(folder, database):
+    folder.mkdir()
+    (folder / "thesis.txt").write_text("three years")
+    bagit.make_bag(str(folder), checksums=["sha256"])
+
+
+def a_lone_manifest(folder, database):
+    folder.mkdir()
+    (folder / NAME).write_text(f"{hashlib.sha256(b'x').hexdigest()}  x\n")
+    (folder / "x").write_bytes(b"x")
+
+
+@pytest.mark.parametrize("make", [a_database, a_bag_by_others, a_lone_manifest])
+@pytest.mark.parametrize("option", ["output", "bag"])
+def test_a_folder_with_a_manifest_that_is_no_publication_is_not_replaced(
+    database, tmp_path, make, option
+):
+    make(tmp_path / "other", database)
+    before = hash_tree(tmp_path)
+    (problem,) = refused(database, **{option: tmp_path / "other"})
+    assert (problem.code, problem.file) == ("E_UNWRITABLE", str(tmp_path / "other"))
+    assert problem.found and problem.expected and problem.fix
+    assert hash_tree(tmp_path) == before
+
+
+def test_an_own_publication_and_an_own_bag_are_replaced(published, tmp_path):
+    database, output = published
+    first = hash_tree(output)
+    for _ in range(2):
+        list(run.publish(database, editions="full", iiif=False, bag=tmp_path / "bag"))
+    assert hash_tree(output) == first == hash_tree(tmp_path / "bag/data")
+
+
+def test_a_publication_with_notes_of_somebody_else_in_it_is_not_replaced(published):
+    database, output = published
+    (output / "notes.txt").write_text("three years")
+    (problem,) = refused(database)
+    assert "notes.txt" in problem.found
+    assert (output / "notes.txt").read_text() == "three years"
+
+
+def test_the_publication_of_other_objects_is_not_replaced(published, tmp_path):
+    database, output = published
+    table = (database / "catalogue.csv").read_text().replace("icon", "panel")
+    (database / "catalogue.csv").write_text(table)
+    write_manifest(database)
+    before = hash_tree(output)
+    (problem,) = refused(database)
+    assert "icon1" in problem.message
+    assert hash_tree(output) == before
+
+
+def test_a_folder_inside_a_database_or_a_publication_is_refused(published, tmp_path):
+    database, output = published
+    other = shutil.copytree(database, tmp_path / "other")
+    assert refused(other, output=output / "new")[0].code == "E_UNWRITABLE"
+    assert refused(other, output=database / "new")[0].code == "E_UNWRITABLE"
+    assert not (output / "new").exists()
+
+
+def test_a_leftover_that_another_program_named_alike_stays(database, tmp_path):
+    left = tmp_path / "database.published.partial-0123abcd"
+    left.mkdir()
+    (left / "thesis.txt").write_text("three years")
+    list(run.publish(database, editions="full", iiif=False))
+    assert (left / "thesis.txt").read_text() == "three years"
+
+
+@pytest.mark.parametrize(
+    ("column", "name"),
+    [("object", "../../../out"), ("object", ".."), ("camera", "/tmp"), ("setup", "a/b")],
+)
+def test_names_of_a_catalogue_that_lead_out_are_refused(database, column, name):
+    path = database / "catalogue.csv"
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    rows[0][column] = name
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, rows[0])
+        table.writeheader()
+        table.writerows(rows)
+    write_manifest(database)
+    assert {p.file for p in refused(database)} == {str(path)}
+    import levkas
+
+    with pytest.raises(DatabaseRefused, match="leads to another folder"):
+        levkas.open(database)
+    assert str(path) in {p.file for p in validate(database).problems}
+
+
+@pytest.mark.parametrize("what", ["file", "folder"])
+def test_links_that_lead_out_of_a_database_are_not_followed(database, tmp_path, what):
+    place = database / ("objects/icon1/object.toml" if what == "file" else "objects/icon1")
+    secret = tmp_path / "elsewhere"
+    place.rename(secret)
+    place.symlink_to(secret)
+    problems = refused(database)
+    assert {(p.code, p.file) for p in problems} == {("E_LINK", str(place))}
+    assert all(p.found == str(secret) and p.fix for p in problems)
+    found = validate(database).problems
+    assert ("E_LINK", str(place)) in {(p.code, p.file) for p in found}
+    (database / NAME).unlink()
+    assert ("E_LINK", str(place)) in {(p.code, p.file) for p in validate(database).problems}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.parametrize("place", ["objects/icon1/object.toml", "objects/icon1/new.tif"])
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_pipe_in_a_database_is_named_and_never_waited_for(database, place, listed):
+    path = database / place
+    path.unlink(missing_ok=True)
+    os.mkfifo(path)
+    if not listed:
+        (database / NAME).unlink()
+    report = validate(database)
+    assert ("E_UNREADABLE", "a pipe") in {
+        (p.code, p.found) for p in report.problems if p.file == str(path)
+    }
+    if listed:
+        assert [p.found for p in refused(database)] == ["a pipe"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.parametrize("name", ["database.toml", "catalogue.csv", "objects/icon1/object.toml"])
+def test_no_pipe_is_waited_for_by_a_check_before_publishing(database, name):
+    (database / name).unlink()
+    os.mkfifo(database / name)
+    with contextlib.suppress(Refused):
+        assert not run.check(database).ok
+    assert [p.file for p in refused(database)] == [str(database / name)]

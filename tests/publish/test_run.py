@@ -1,0 +1,163 @@
+import tomllib
+
+import pytest
+
+from levkas.core.digests import hash_tree
+from levkas.core.disk import WriteRefused
+from levkas.core.problems import Refused
+from levkas.database.manifest import NAME, write_manifest
+from levkas.database.validate import validate
+from levkas.publish import run
+from levkas.publish.facts import licence_of, read_facts
+from levkas.publish.publication import PublishRefused
+
+
+def codes(refused):
+    return [p.code for p in refused.value.problems]
+
+
+def test_every_file_of_the_database_stands_in_the_publication(database, publish):
+    folder = publish(database, editions="full")
+    published = hash_tree(folder)
+    assert {n: h for n, h in hash_tree(database).items() if n != NAME}.items() <= published.items()
+    assert folder == database.with_name("database.published")
+
+
+def test_the_published_folder_is_whole_and_opens(database, publish):
+    import levkas
+
+    folder = publish(database)
+    report = validate(folder)
+    assert report.ok and report.manifest
+    assert list(levkas.open(folder)) == ["icon1", "icon2"]
+
+
+@pytest.mark.slow
+def test_publishing_twice_and_elsewhere_gives_the_same_bytes(database, publish, tmp_path):
+    first = hash_tree(publish(database))
+    assert hash_tree(publish(database)) == first
+    assert hash_tree(publish(database, output=tmp_path / "deep/er/other")) == first
+
+
+def test_a_damaged_file_is_refused_by_name_and_the_old_publication_stays(database, publish):
+    before = hash_tree(publish(database))
+    file = database / "objects/icon1/icon1_vis.tif"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 4
+    file.write_bytes(data)
+    with pytest.raises(PublishRefused) as refused:
+        publish(database)
+    assert refused.value.problems[0].file == str(file)
+    assert hash_tree(database.with_name("database.published")) == before
+    assert not list(database.parent.glob("*.partial-*"))
+
+
+def test_a_database_whose_build_did_not_end_is_refused(database, publish):
+    (database / NAME).unlink()
+    with pytest.raises(PublishRefused) as refused:
+        publish(database)
+    assert codes(refused) == ["E_UNREADABLE"]
+
+
+def test_a_file_that_the_manifest_does_not_list_is_refused(database, publish):
+    (database / "objects/icon1/notes.txt").write_text("mine")
+    with pytest.raises(PublishRefused) as refused:
+        publish(database)
+    assert codes(refused) == ["E_EXTRA"]
+    assert refused.value.problems[0].file.endswith("notes.txt")
+
+
+def test_all_facts_that_are_missing_are_named_at_once(database, publish):
+    (database / "database.toml").write_text('title = "Icons"\n')
+    write_manifest(database)
+    with pytest.raises(PublishRefused) as refused:
+        publish(database)
+    assert [p.field for p in refused.value.problems] == [
+        "campaign.creator",
+        "campaign.licence",
+        "campaign.date",
+    ]
+    assert all(p.fix and p.file.endswith("database.toml") for p in refused.value.problems)
+    for problem in refused.value.problems:  # what it says to write can be pasted as it is
+        line = problem.fix.removeprefix("Write ").partition(" in [campaign]")[0]
+        assert tomllib.loads(line)
+
+
+@pytest.mark.parametrize("where", ["database", "database/inside", "."])
+def test_the_database_itself_is_never_written_over(database, publish, where):
+    before = hash_tree(database)
+    with pytest.raises(PublishRefused) as refused:
+        publish(database, output=database.parent / where)
+    assert codes(refused) == ["E_UNWRITABLE"]
+    assert hash_tree(database) == before
+
+
+def test_a_folder_of_somebody_else_is_never_replaced(database, publish, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/thesis.txt").write_text("three years")
+    with pytest.raises(WriteRefused, match="that Levkas did not write"):
+        publish(database, output=tmp_path / "mine")
+    assert (tmp_path / "mine/thesis.txt").read_text() == "three years"
+
+
+def test_a_target_that_cannot_be_written_is_refused(database, publish, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WriteRefused) as refused:
+        publish(database, output=tmp_path / "file/below")
+    assert codes(refused) == ["E_UNWRITABLE"]
+
+
+def test_hostile_facts_become_plain_lines(database):
+    (database / "database.toml").write_text('title = "<b>x</b>\\u0000\\u202e\\n\\u0007y"\n')
+    assert read_facts(database).title == "<b>x</b> \u202e y"
+
+
+def test_licences_are_known_by_identifier_address_or_in_other_spelling():
+    known = licence_of("CC-BY-4.0")
+    assert known == licence_of("cc by 4.0")
+    assert known == licence_of("http://creativecommons.org/licenses/by/4.0/")
+    assert licence_of("") is None
+
+
+def test_the_gamut_of_the_reference_camera_is_published(database, publish):
+    folder = publish(database)
+    head, *rows = (folder / "colour/gamut.csv").read_text().splitlines()
+    assert head == "L,a,b,pixels"
+    pixels = 120 * 90 - 4 * 4 - 4 * 3 + 48 * 64 - 4 * 4 - 4 * 3  # outside and saturated left out
+    assert sum(int(row.split(",")[3]) for row in rows) == pixels
+    assert (folder / "colour/gamut.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("what", ["missing", "empty", "file.txt"])
+def test_what_is_no_database_is_one_clear_problem_to_the_check_too(tmp_path, what):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file.txt").write_text("x")
+    (problem,) = run.check(tmp_path / what).problems
+    assert problem.code == "E_UNREADABLE" and "campaign's folder" in problem.fix
+
+
+def test_a_publication_is_not_published_again(database, publish):
+    folder = publish(database, editions="full", iiif=False)
+    with pytest.raises(PublishRefused, match="publication already"):
+        publish(folder)
+    assert not folder.with_name("database.published.published").exists()
+
+
+@pytest.mark.parametrize("where", ["other", "database/bag", "database.published/bag", "file.txt"])
+def test_a_bag_that_cannot_be_is_refused_before_anything_is_written(database, publish, where):
+    root = database.parent
+    (root / "other").mkdir()
+    for name in ("other/a", "file.txt"):
+        (root / name).write_text("x")
+    with pytest.raises(Refused, match="the bag cannot be written"):
+        publish(database, bag=root / where)
+    assert not (root / "database.published").exists()
+
+
+def test_names_may_hold_spaces_and_letters_of_any_script(database, publish, tmp_path):
+    folder = tmp_path / "Ikonen, größer 名"
+    folder.mkdir()
+    moved = database.rename(folder / "Daten bank")
+    bag = folder / "Tüte 袋"
+    made = publish(moved, editions="full", iiif=False, bag=bag)
+    assert made == folder / "Daten bank.published" and (bag / "bagit.txt").is_file()

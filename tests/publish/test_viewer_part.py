@@ -1,0 +1,64 @@
+"""The viewer as a part of a publication."""
+
+import re
+from urllib.parse import unquote
+
+import pytest
+
+from levkas.database.validate import validate
+from levkas.pages.screen import ScreenMissing, read_built
+
+
+def test_a_publication_has_a_viewer_that_says_licence_and_citation(database, publish):
+    try:
+        read_built("sheet.js")
+    except ScreenMissing:
+        pytest.skip("the pages are not built: run `make frontend`")
+    folder = publish(database, editions="full")
+    assert validate(folder).ok
+    for page in [folder / "index.html", *sorted(folder.glob("viewer/objects/*/index.html"))]:
+        text = page.read_text(encoding="utf-8")
+        assert "Creative Commons Attribution 4.0 International" in text
+        assert "Painter, Ada (2019). Icons of Levkas." in text
+    assert (folder / "viewer/objects/icon2/layers/0/colour").is_dir()
+
+
+def test_every_page_leads_to_what_stands_beside_it_and_the_medium_edition_has_pages(
+    database, publish
+):
+    try:
+        read_built("sheet.js")
+    except ScreenMissing:
+        pytest.skip("the pages are not built: run `make frontend`")
+    folder = publish(database, editions="both", iiif=True)
+    assert validate(folder).ok and validate(folder / "medium").ok
+    pages = [folder / "index.html", *sorted(folder.glob("viewer/objects/*/index.html"))]
+    pages += [folder / "medium" / page.relative_to(folder) for page in pages]
+    for page in pages:
+        links = re.findall(r'href="([^"#]+)"', page.read_text(encoding="utf-8"))
+        inside = [unquote(link) for link in links if "://" not in link]
+        missing = [link for link in inside if not (page.parent / link).is_file()]
+        assert inside and missing == []
+    text = pages[1].read_text(encoding="utf-8")
+    for name in ("iiif/icon1/manifest.json", "ro-crate-metadata.json", "medium/index.html"):
+        assert f"../../../{name}" in text
+    assert "medium edition" in (folder / "medium/index.html").read_text(encoding="utf-8")
+
+
+def test_without_built_pages_the_viewer_is_left_out_and_that_is_said(database, monkeypatch):
+    from levkas.publish import run
+    from levkas.viewer import run as viewing
+
+    def missing(name):
+        raise ScreenMissing(*NOT_BUILT)
+
+    try:
+        read_built("no-such-page.js")
+    except ScreenMissing as error:
+        NOT_BUILT = error.problems
+    monkeypatch.setattr(viewing, "read_built", missing)
+    steps = list(run.publish(database, editions="full"))
+    output = run.summarise(steps).output
+    assert not (output / "index.html").exists() and validate(output).ok
+    said = [step.what for step in steps if step.part == "viewer" and step.what]
+    assert len(said) == 1 and "left out" in said[0] and "hatch_build.py" in said[0]

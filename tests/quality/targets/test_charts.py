@@ -1,0 +1,217 @@
+import cv2
+import numpy as np
+import pytest
+
+from levkas.core.cube import Band, Cube, Flag
+from levkas.quality.image_quality.indicators import compare_colours, delta_e_2000, lab_of, rate
+from levkas.quality.targets.charts import (
+    CHARTS,
+    ChartRefused,
+    chart_of,
+    parse_corners,
+    parse_reference,
+    place_patches,
+    reference_of,
+)
+from levkas.quality.targets.locating import locate_chart
+from levkas.quality.targets.measuring import measure, sight
+from levkas.quality.targets.patches import measure_patches
+
+CLASSIC = CHARTS["ColorChecker24"]
+WAVELENGTHS = np.arange(420.0, 721, 30)
+PITCH, AT = 40, (70, 60)
+
+
+def scene(*, wavelengths=WAVELENGTHS, turn=0, noise=0.0, rng=None):
+    """A flat chart on a grey table, patches with gaps, every band its published reflectance."""
+    spectra = reference_of(CLASSIC).at(wavelengths)
+    picture = np.full((300, 400, len(wavelengths)), 0.15, np.float32)
+    picture[AT[1] - 8 : AT[1] + 4 * PITCH + 8, AT[0] - 8 : AT[0] + 6 * PITCH + 8] = 0.03
+    for i, (c, r) in enumerate(CLASSIC.centres.astype(int)):
+        y, x = AT[1] + r * PITCH, AT[0] + c * PITCH
+        picture[y + 3 : y + PITCH - 3, x + 3 : x + PITCH - 3] = spectra[i]
+    if noise:
+        picture = picture + noise * rng.standard_normal(picture.shape).astype(np.float32)
+    return np.rot90(picture, turn).copy()
+
+
+def true_corners():
+    return (CLASSIC.corners + 0.5) * PITCH + np.array(AT) - 0.5
+
+
+def cube(values, wavelengths=WAVELENGTHS):
+    bands = tuple(Band(f"{w:g} nm", float(w)) for w in wavelengths)
+    return Cube(values, np.zeros(values.shape, np.uint8), None, bands)
+
+
+needs_detector = pytest.mark.skipif(not hasattr(cv2, "mcc"), reason="this OpenCV has no mcc")
+
+
+@needs_detector
+@pytest.mark.parametrize("turn", [0, 2])
+def test_a_chart_is_found_whichever_way_it_lies(turn):
+    found = locate_chart(scene(turn=turn), WAVELENGTHS, CLASSIC, reference_of(CLASSIC))
+    corners = true_corners()
+    if turn:
+        corners = np.array([399, 299]) - corners
+    assert found.agreement > 0.98
+    assert (
+        np.linalg.norm(found.corners - corners, axis=1).max() < 3.0
+    )  # black on black holds a corner loosely
+
+
+@needs_detector
+def test_a_picture_without_a_chart_is_refused_with_what_to_do():
+    rng = np.random.default_rng(1)
+    smooth = cv2.GaussianBlur(rng.random((300, 400)).astype(np.float32), (0, 0), 25)
+    with pytest.raises(ChartRefused) as refused:
+        locate_chart(np.dstack([smooth] * 3), np.full(3, np.nan), CLASSIC)
+    problem = refused.value.problems[0]
+    assert problem.code == "E_CHART_MISSING" and "--corners" in problem.fix
+
+
+def test_without_a_detector_the_corners_are_asked_for(monkeypatch):
+    monkeypatch.delattr(cv2, "mcc", raising=False)
+    with pytest.raises(ChartRefused) as refused:
+        locate_chart(scene(), WAVELENGTHS, CLASSIC, reference_of(CLASSIC))
+    assert refused.value.problems[0].code == "E_CHART_DETECTOR"
+    found = locate_chart(scene(), WAVELENGTHS, CLASSIC, None, corners=true_corners())
+    assert found.agreement > 0.9
+
+
+def test_corners_in_another_order_are_refused_by_rank():
+    wrong = np.roll(true_corners(), 2, axis=0)
+    with pytest.raises(ChartRefused) as refused:
+        locate_chart(scene(), WAVELENGTHS, CLASSIC, reference_of(CLASSIC), corners=wrong)
+    assert refused.value.problems[0].code == "E_CHART_ORDER"
+
+
+@pytest.mark.parametrize(
+    ("corners", "code"),
+    [
+        ([[-20, 50], [300, 50], [300, 250], [-20, 250]], "E_CHART_FRAME"),
+        ([[50, 50], [80, 50], [80, 70], [50, 70]], "E_CHART_SIZE"),
+        ([[50, 50], [300, 250], [300, 50], [50, 250]], "E_VALUE"),
+    ],
+)
+def test_a_chart_that_cannot_be_sampled_is_refused(corners, code):
+    with pytest.raises(ChartRefused) as refused:
+        place_patches(np.array(corners, float), CLASSIC, (400, 300))
+    assert refused.value.problems[0].code == code
+
+
+def test_signal_to_noise_of_patches_is_what_was_planted():
+    rng = np.random.default_rng(2)
+    shots = [scene(noise=0.02, rng=rng) for _ in range(2)]
+    shade = np.linspace(1, 1.2, 400, dtype=np.float32)[None, :, None]
+    mean, flags = (shots[0] + shots[1]) / 2 * shade, np.zeros(shots[0].shape, np.uint8)
+    areas = place_patches(true_corners(), CLASSIC, (400, 300))
+    by_shots = measure_patches(mean, flags, areas, shots=(shots[0] * shade, shots[1] * shade))
+    by_plane = measure_patches(mean, flags, areas)
+    level = 0.02 / np.sqrt(2) * shade[0, areas[:, 0, 0].astype(int) + 10]
+    # 24 patches of 441 pixels: half a per cent; shading would add as much as the noise itself.
+    assert np.mean(by_shots.noise / level) == pytest.approx(1, abs=0.02)
+    assert np.mean(by_plane.noise / level) == pytest.approx(1, abs=0.02)
+    assert by_shots.snr_db[18, 0] == pytest.approx(10 * np.log10(by_shots.snr[18, 0]))
+
+
+def test_a_saturated_patch_has_no_signal_to_noise():
+    rng = np.random.default_rng(3)
+    values = scene(noise=0.01, rng=rng)
+    flags = np.zeros(values.shape, np.uint8)
+    areas = place_patches(true_corners(), CLASSIC, (400, 300))
+    x, y = areas[18].mean(0).astype(int)
+    flags[y - 3 : y + 4, x - 3 : x + 4] = Flag.SATURATED
+    table = measure_patches(values, flags, areas)
+    assert np.isnan(table.snr[18]).all() and np.isfinite(table.snr[19]).all()
+
+
+def test_colours_of_the_reference_itself_differ_by_nothing_and_a_gain_shows():
+    nm = np.arange(400.0, 721, 10)
+    reference = reference_of(CLASSIC)
+    means = reference.at(nm)
+    same = compare_colours(means, nm, CLASSIC, reference)
+    assert same.difference.max() < 0.6  # bands end at 720 nm, the eye a little later
+    darker = compare_colours(0.8 * means, nm, CLASSIC, reference)
+    rows = {row.name: row for row in rate(darker, CLASSIC, uniformity=0.9)}
+    assert rows["tone, worst grey"].value > 5 and rows["tone, worst grey"].iso == "none"
+    assert rows["white balance, worst grey"].value < 1
+    assert rows["ΔE2000, mean over patches"].value > 3
+
+
+def test_delta_e_and_lab_agree_with_colour_science():
+    import colour
+
+    rng = np.random.default_rng(4)
+    xyz = rng.uniform(0.02, 0.9, (20, 3))
+    white = np.array([0.31271, 0.32902])
+    np.testing.assert_allclose(lab_of(xyz), colour.XYZ_to_Lab(xyz, white), atol=0.05)
+    # Pairs 1, 7 and 17 of Sharma, Wu and Dalal (2005).
+    a = np.array([[50, 2.6772, -79.7751], [50, 0, 0], [50, 2.5, 0]])
+    b = np.array([[50, 0, -82.7485], [50, -1, 2], [73, 25, -18]])
+    np.testing.assert_allclose(delta_e_2000(a, b), [2.0425, 2.3669, 27.1492], atol=1e-4)
+
+
+def csv_of(chart, names):
+    rows = [f"{w},{','.join(['0.5'] * len(names))}" for w in (400, 500, 600)]
+    return "\n".join([f"Wavelength,{','.join(names)}", *rows])
+
+
+def test_a_patch_that_is_named_twice_is_read_by_its_place():
+    names = [f"{c}:{r}" for c in "ABCDEF" for r in (1, 2, 3, 4)]
+    names[5] = "B:3"  # as the published file of the Classic has it
+    made = parse_reference(csv_of(CLASSIC, names), CLASSIC)
+    assert "B3 in column 7 read as B2" in made.note and made.spectra.shape == (24, 3)
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2", "Wavelength,A1\n400,x\n500,1"])
+def test_a_reference_that_is_none_is_refused(text):
+    with pytest.raises(ChartRefused) as refused:
+        parse_reference(text, CLASSIC)
+    assert refused.value.problems[0].code == "E_CHART_REFERENCE"
+
+
+def test_names_and_corners_are_checked():
+    assert chart_of("macbeth") is CLASSIC and chart_of("ColorChecker-SG").patches[-1] == "N10"
+    for call in (lambda: chart_of("IT8"), lambda: parse_corners("1,2,3")):
+        with pytest.raises(ChartRefused):
+            call()
+
+
+def test_the_grey_scale_of_every_chart_falls():
+    for chart in CHARTS.values():
+        assert (np.diff(chart.luminances[list(chart.greys)]) < 0.01).all(), chart.name
+        assert len(chart.luminances) == len(chart.patches)
+
+
+def test_a_measure_says_all_and_changes_no_input():
+    rng = np.random.default_rng(5)
+    values = scene(noise=0.005, rng=rng)
+    before = values.copy()
+    reference = reference_of(CLASSIC)
+    seen = sight("", cube(values), CLASSIC, reference, corners=true_corners())
+    made = measure("chart", CLASSIC, [seen], reference)
+    np.testing.assert_array_equal(values, before)
+    record = made.to_dict()
+    assert len(record["patches"]) == 24 and record["preblurred"] == []
+    assert record["indicators"][0]["value"] < 1.5
+    blurred = np.stack([cv2.blur(values[..., i], (3, 3)) for i in range(values.shape[2])], -1)
+    seen = sight("", cube(blurred), CLASSIC, reference, corners=true_corners())
+    told = measure("chart", CLASSIC, [seen], reference)
+    assert all(p.found for p in told.preblurs)
+    lost = np.nanmedian(told.table.snr_db - told.snr_db)
+    assert lost == pytest.approx(10 * np.log10(3), abs=0.5)
+
+
+@needs_detector
+def test_a_chart_of_140_patches_is_found():
+    chart, rng = CHARTS["ColorCheckerSG"], np.random.default_rng(6)
+    picture = np.full((660, 900, 3), 0.15, np.float32)
+    picture[60:600, 80:820] = 0.02
+    for i, (c, r) in enumerate(chart.centres.astype(int)):
+        y, x = 80 + 50 * r, 100 + 50 * c
+        picture[y + 4 : y + 46, x + 4 : x + 46] = chart.luminances[i] * np.array([1, 0.9, 0.8])
+    picture += 0.003 * rng.standard_normal(picture.shape).astype(np.float32)
+    found = locate_chart(picture, np.full(3, np.nan), chart)
+    # The detector alone is 11 px off.
+    assert np.abs(found.corners - (chart.corners * 50 + [124.5, 104.5])).max() < 2.5

@@ -1,0 +1,75 @@
+import json
+
+import numpy as np
+import pytest
+
+from levkas.geometry.transforms import Affine
+from levkas.quality.evaluation.similarity import (
+    TruthRefused,
+    position_errors,
+    read_truth,
+    structural_similarity,
+    summarise_errors,
+)
+
+
+def textured(rng, shape=(64, 80)):
+    from scipy.ndimage import gaussian_filter
+
+    return gaussian_filter(rng.standard_normal(shape), 1.5)
+
+
+def test_an_error_of_one_native_pixel_is_half_a_reference_pixel_at_scale_two():
+    points = np.array([[3.0, 4.0], [5.0, 1.0]])
+    twice = Affine.scaling(2.0)
+    assert np.allclose(position_errors(twice, points, twice(points) + np.array([1.0, 0.0])), 0.5)
+
+
+def test_points_without_an_inverse_count_as_infinitely_wrong():
+    summary = summarise_errors("550 nm", np.array([0.1, np.nan]))
+    assert summary.max == np.inf and summary.mean == np.inf
+
+
+def test_no_points_give_no_figure_instead_of_a_flattering_one():
+    assert np.isnan(summarise_errors("R", np.array([])).mean)
+
+
+def test_ssim_of_an_image_with_itself_is_one_whatever_gain_and_bias():
+    image = textured(np.random.default_rng(1))
+    valid = np.ones(image.shape, bool)
+    score, full = structural_similarity(image, 3 * image + 7, valid)
+    assert score == pytest.approx(1.0, abs=1e-9) and full.shape == image.shape
+
+
+def test_ssim_falls_when_the_image_is_shifted_and_ignores_what_is_not_valid():
+    image = textured(np.random.default_rng(2))
+    valid = np.ones(image.shape, bool)
+    shifted, _ = structural_similarity(image, np.roll(image, 1, axis=1), valid)
+    assert shifted < 0.9
+    broken, half = image.copy(), valid.copy()
+    broken[:, 60:], half[:, 50:] = 99.0, False
+    score, full = structural_similarity(image, broken, half)
+    assert score > 0.99 and np.isnan(full[:, 50:]).all()
+
+
+def test_a_flat_image_has_no_ssim():
+    flat = np.ones((32, 32))
+    assert np.isnan(structural_similarity(flat, flat, np.ones((32, 32), bool))[0])
+
+
+def test_truth_that_does_not_fit_its_description_is_refused(tmp_path):
+    record = {"cameras": {"nir": {"bands": ["800 nm", "900 nm"]}}}
+    (tmp_path / "truth.json").write_text(json.dumps(record))
+    np.save(tmp_path / "icon_ref_px.npy", np.zeros((5, 2)))
+    np.save(tmp_path / "icon_nir_px.npy", np.zeros((2, 5, 2)))
+    with pytest.raises(TruthRefused, match=r"\(3, 5, 2\)"):
+        read_truth(tmp_path, "icon", "nir")
+    np.save(tmp_path / "icon_nir_px.npy", np.zeros((3, 5, 2)))
+    assert list(read_truth(tmp_path, "icon", "nir").bands) == ["800 nm", "900 nm"]
+    assert read_truth(tmp_path, "icon", "rgb") is None
+
+
+def test_truth_of_the_foreign_campaign_reads(two_paintings):
+    truth = read_truth(two_paintings / "truth", "icon1", "msbs")
+    assert list(truth.bands) == ["R1", "G1", "B1", "R2", "G2", "B2", "IR"]
+    assert truth.reference.shape == truth.bands["IR"].shape
