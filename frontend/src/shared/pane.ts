@@ -187,18 +187,24 @@ export class Pane {
     return Math.abs(this.viewer.viewport.getContainerSize().x - this.host.clientWidth) < 1;
   }
 
-  /** Show the whole picture with a little of the wall around it. */
-  fit(immediately = true): void {
+  /** The whole picture with a little of the wall around it. */
+  private get whole(): OpenSeadragon.Rect {
     const [width, height] = [1, this.size[1] / this.size[0]];
     const edge = MARGIN * Math.max(width, height);
-    const whole = new OpenSeadragon.Rect(-edge, -edge, width + 2 * edge, height + 2 * edge);
-    this.viewer.viewport.fitBounds(whole, immediately);
+    return new OpenSeadragon.Rect(-edge, -edge, width + 2 * edge, height + 2 * edge);
   }
 
-  /** Whether the whole picture is in view, as `fit` shows it. */
+  /** Show the whole picture. */
+  fit(immediately = true): void {
+    this.viewer.viewport.fitBounds(this.whole, immediately);
+  }
+
+  /** Whether the picture is as small in the view as `fit` shows it, or smaller. */
   get isFitted(): boolean {
     const { viewport } = this.viewer;
-    return viewport.getZoom(true) <= viewport.getHomeZoom() * 1.05;
+    const { width, height } = this.whole;
+    const zoom = 1 / Math.max(width, height * viewport.getAspectRatio());
+    return viewport.getZoom(true) <= 1.01 * zoom;
   }
 
   zoom(factor: number): void {

@@ -70,8 +70,8 @@ export class TraceView {
   /** Go to a round. */
   go(round: number): void {
     const last = lastRound(this.store.session.peek());
+    this.atEnd = round >= last;
     this.round.value = Math.max(-1, Math.min(last, round));
-    this.atEnd = this.round.value === last;
   }
 
   private toggle(): void {
@@ -109,14 +109,16 @@ function lastRound(session: SessionState | null): number {
 }
 
 /** The pairs that the fit of a round rests on. */
-export function rowsAt({ trace, state, hand, round: left }: SessionState, round: number): number[] {
-  const gone = new Set(trace && round >= 0 ? trace.removed.subarray(0, round) : []);
-  return [...state.keys()].filter(
+export function rowsAt(session: SessionState, round: number): number[] {
+  const { pairs, trace, state, hand, round: left } = session;
+  const started = trace && round >= 0;
+  const gone = new Set(started ? trace.removed.subarray(0, round) : []);
+  return [...pairs.keys()].filter(
     (row) =>
       !gone.has(row) &&
       state[row] !== "check" &&
       hand[row] !== "deleted" &&
-      !(trace && round >= 0 && left[row] === 0),
+      !(started && left[row] === 0),
   );
 }
 
