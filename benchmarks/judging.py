@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from levkas.building.channels import read_sensitivity
-from levkas.building.whiteboard import read_spectrum
+from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.edits import read_edits

@@ -35,7 +35,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building import build, objects, registering, summarise
+from levkas.building import build, objects, register, summarise
 from levkas.core import files
 from levkas.core.digests import hash_tree
 from levkas.core.json_safe import to_json
@@ -126,9 +126,9 @@ def capture(folder, name, big, blank):
 
 def remembered():
     """`register_capture`, which gives what it gave before for the same pixels."""
-    real, known = registering.register_capture, {}
+    real, known = register.register_capture, {}
 
-    def register(native, *rest):
+    def registered(native, *rest):
         key = hashlib.sha256(b"".join(c.values.tobytes() for c in native.cubes.values())).digest()
         if key not in known:
             try:
@@ -139,7 +139,7 @@ def remembered():
             raise known[key]
         return known[key]
 
-    return register
+    return registered
 
 
 @dataclass
@@ -243,7 +243,7 @@ def scenes(tmp_path_factory):
 
 def hasten(patch):
     """Spare what a kill does not ask for: registering again, memory, and the syncs themselves."""
-    patch.setattr(registering, "register_capture", remembered())
+    patch.setattr(register, "register_capture", remembered())
     patch.setattr(objects, "give_back_memory", lambda: None)
     patch.setattr(os, "fsync", lambda descriptor: None)
     patch.setattr(files, "_sync_file_system", lambda descriptor: None)
@@ -534,7 +534,7 @@ def write_carelessly(patch):
         files.make_folder(path)
         yield files.Folder(Path(path), Path(path))
 
-    for name in ("files", "database.spectral_tiff", "database.store", "building.shelf"):
+    for name in ("files", "database.spectral_tiff", "database.store", "building.template_cache"):
         module = importlib.import_module(f"levkas.{name}")
         for function in (replacing, publishing):
             if hasattr(module, function.__name__):

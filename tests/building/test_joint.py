@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from levkas.building import build, status
-from levkas.building.adjusting import adjusted
-from levkas.building.measured import Measured
+from levkas.building.register import Measured, adjusted
 from levkas.building.rig_mates import NEIGHBOURS, RigMates
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture

@@ -4,14 +4,18 @@ import numpy as np
 import pytest
 
 from levkas.planning.criteria import Arrangement, Judge
-from levkas.planning.glare import glare, rough_texture
 from levkas.planning.irradiance import drop, illuminate
-from levkas.planning.light import bright_fields, compare_lightings, plan_light
+from levkas.planning.light import bright_fields, compare_lightings, glare, plan_light, rough_texture
 from levkas.planning.luminous_intensity import Lobe, lobe_exponent
 from levkas.planning.microfacet import facet_lobe, fresnel, lobe_reach_deg, specular, transmitted
-from levkas.planning.surface import sample_surface, tilt_deg
+from levkas.planning.surface import (
+    first_order_gain,
+    hidden_share,
+    sample_surface,
+    shading_contrast,
+    tilt_deg,
+)
 from levkas.planning.tables import Bend, ObjectKeys, Room, Sheets, Varnish
-from levkas.planning.texture import first_order_gain, hidden_share, shading_contrast
 
 FLAT = ObjectKeys(size_mm=(420, 320))
 BENT = ObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.planning.criteria import TOLERANCES, WEIGHTS, Arrangement, Judge
-from levkas.planning.optimising import optimise, trade_off
+from levkas.planning.optimisation import optimise, trade_off
 from levkas.planning.tables import Bend, Gilding, ObjectKeys
 
 

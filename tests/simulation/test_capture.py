@@ -8,7 +8,7 @@ import pytest
 from levkas.simulation.cameras import SensorModel, camera_models
 from levkas.simulation.capture import Camera, look
 from levkas.simulation.icon import paint_icon
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 
 PANEL = Panel(radius_mm=3000.0, depth_mm=3.0)
 

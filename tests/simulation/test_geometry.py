@@ -5,7 +5,7 @@ import pytest
 
 from levkas.core.problems import Refused
 from levkas.simulation.optics import Chromatic, View, base_to_panel, panel_to_base, turn
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 from levkas.simulation.truth import BandGeometry, CameraGeometry, Truth
 
 BENT = Panel(radius_mm=2500.0, depth_mm=4.0, bevel_mm=4.0, twist_mm=1.0)

@@ -5,13 +5,18 @@ import pytest
 
 from levkas.simulation.cameras import camera_models
 from levkas.simulation.capture import look
-from levkas.simulation.charts import chart_panel, paint_chart, patch_centres, patch_spectra
 from levkas.simulation.icon import paint_icon
 from levkas.simulation.lighting import SETUPS, compose, light
 from levkas.simulation.optics import base_to_band, panel_to_base
-from levkas.simulation.painting import Painting
-from levkas.simulation.panel import Panel
-from levkas.simulation.photographs import PhotographRefused, paint_photograph
+from levkas.simulation.painting import Painting, Panel
+from levkas.simulation.photographs import (
+    PhotographRefused,
+    chart_panel,
+    paint_chart,
+    paint_photograph,
+    patch_centres,
+    patch_spectra,
+)
 from levkas.simulation.pigments import (
     LIBRARY_NUMBERS,
     PAINTS,

@@ -11,7 +11,7 @@ from levkas.simulation.optics import (
     panel_to_base,
     turn,
 )
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 from levkas.simulation.rendering import Texture, footprint, render, tabulate
 
 # A disc over a bend of the relief has no single place: only the smooth parts are measured.

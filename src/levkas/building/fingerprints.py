@@ -10,8 +10,8 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.hand_points import told_points
-from levkas.building.ledger import Hashes, Key
+from levkas.building.build_records import Hashes, Key
+from levkas.building.control_points import told_points
 from levkas.building.sources import code_version
 
 if TYPE_CHECKING:

@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import levkas
 from levkas import __version__
 from levkas.cli.output import Json, finish, refusing
-from levkas.core.machine import Finding, find_disk, find_kernel_cache, find_memory, find_threads
+from levkas.core.machine import (
+    MEMORY,
+    THREADS,
+    TILE,
+    chosen_memory,
+    count_threads,
+    memory_bound,
+    memory_bytes,
+)
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
+LEAST_MEMORY, LEAST_DISK = 4e9, 10e9  # bytes
 OLDEST_PYTHON = (3, 11)
 OLDEST_LIBRAW = (0, 22, 1)
 """Older ones crash on files made to crash them; rawpy 0.28 is the first to carry it."""
@@ -68,6 +80,7 @@ PURPOSES = {
 
 EXTRAS = {
     "docs": "the documentation, and figures of the examples and benchmarks",
+    "export": "export: NetCDF, and MAT files of the spectral recovery challenges",
     "peers": "evaluate --compare: programs to compare with",
     "render": "plan: renders of a lighting setup",
 }
@@ -80,6 +93,34 @@ OTHER_NAMES = {
         "opencv-contrib-python",
     )
 }
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Parameters
+    ----------
+    name : str
+    state : str
+        ``"ok"``; ``"missing"``, of something required; ``"absent"``, of something that only one
+        feature needs; ``"low"``, which is slow or tight but works.
+    found : str
+    expected : str
+    needed_for : str
+    fix : str
+    """
+
+    name: str
+    state: Literal["ok", "missing", "absent", "low"]
+    found: str = ""
+    expected: str = ""
+    needed_for: str = ""
+    fix: str = ""
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the fields."""
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -153,10 +194,10 @@ def _look(folder: Path) -> Iterator[Finding]:
     yield _libvips()
     yield _opencv()
     yield _codecs()
-    yield find_memory()
-    yield find_disk(folder)
-    yield find_threads()
-    yield find_kernel_cache()
+    yield _find_memory()
+    yield _find_disk(folder)
+    yield _find_threads()
+    yield _find_kernel_cache()
     for one, extra in optional:
         yield _package(one, EXTRAS[extra], lacking="absent")
     yield _node()
@@ -311,6 +352,79 @@ def _line(finding: Finding, width: int) -> str:
         expected = f"; wants {finding.expected}" if finding.expected else ""
         more = f"{expected}; for {finding.needed_for}. {finding.fix}".rstrip()
     return f"{mark:7}  {finding.name:{width}}  {found}{more}"
+
+
+def _find_memory() -> Finding:
+    """Say how much memory there is and is free, of a container where one limits it."""
+    total, free = memory_bytes()
+    source = f"by {MEMORY}" if chosen_memory() else f"what is free; {MEMORY} sets another bound"
+    return Finding(
+        "memory",
+        "low" if total < LEAST_MEMORY else "ok",
+        f"{total / 1e9:.1f} GB, {free / 1e9:.1f} GB free; a command takes up to "
+        f"{memory_bound() / 1e9:.1f} GB ({source})",
+        "4 GB or more",
+        "large cubes are streamed; less memory means smaller blocks",
+    )
+
+
+def _find_disk(folder: Path) -> Finding:
+    """Say how much space is free where `folder` stands."""
+    purpose = f"databases below {folder}"
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        return Finding("disk", "low", str(error.strerror), "a folder that exists", purpose)
+    fix = "" if free >= LEAST_DISK else "Free some space, or build with --output on another disk."
+    state: Literal["ok", "low"] = "ok" if free >= LEAST_DISK else "low"
+    return Finding("disk", state, f"{free / 1e9:.1f} GB free", "10 GB or more", purpose, fix)
+
+
+def _find_threads() -> Finding:
+    """Say how many threads can run at a time, and which variables limit the libraries."""
+    names = (
+        *(THREADS, TILE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+        "MKL_NUM_THREADS",
+    )
+    told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
+    return Finding(
+        "threads",
+        "ok",
+        ", ".join([str(count_threads()), *told]),
+        "",
+        "speed; the bytes are the same",
+    )
+
+
+def _find_kernel_cache() -> Finding:
+    """Say whether compiled kernels can be kept: beside the package, or where the user's caches are."""
+    purpose = "compiled kernels are kept; otherwise every start takes seconds longer"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(chosen)] if chosen else [Path(levkas.__file__).parent, _user_cache()]
+    writable = [place for place in places if _is_writable(place)]
+    if writable:
+        return Finding("kernel cache", "ok", "writable", "", purpose)
+    fix = "Set NUMBA_CACHE_DIR to a folder that can be written to."
+    return Finding("kernel cache", "low", "not writable", "a writable folder", purpose, fix)
+
+
+def _user_cache() -> Path:
+    home = Path.home()
+    if sys.platform == "darwin":
+        return home / "Library/Caches/numba"
+    if os.name == "nt":
+        return Path(os.environ.get("LOCALAPPDATA", home)) / "numba"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "numba"
+
+
+def _is_writable(folder: Path) -> bool:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
 
 
 @refusing("doctor")

@@ -15,8 +15,7 @@ import numpy as np
 from levkas.planning.luminous_intensity import Lobe, lobe_exponent
 from levkas.planning.microfacet import AIR, facet_lobe, fresnel, gold_index
 from levkas.planning.setup import Lamp, Lighting, lamp_place
-from levkas.planning.surface import sample_surface
-from levkas.planning.texture import slope_nodes
+from levkas.planning.surface import sample_surface, slope_nodes
 
 if TYPE_CHECKING:
     from levkas.planning.tables import ObjectKeys, Room

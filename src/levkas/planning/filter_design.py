@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import linprog
 
-from levkas.planning.exposing import electron_rates, irradiance_spectrum
-from levkas.planning.linear_program import solve_program
-from levkas.planning.refusals import PlanRefused, wrong
+from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
 from levkas.planning.spectra import GRID
+from levkas.planning.tables import PlanRefused, wrong
 
 if TYPE_CHECKING:
     from levkas.planning.setup import Lighting, Setup
@@ -97,7 +97,7 @@ def solve_filter(
     bound = np.concatenate([np.zeros(len(table) - 2), [1, longest]])
     # Traces of weight take, of equally good filters, the most even one and then the shortest exposure.
     goal = np.concatenate([np.zeros(n), [1e-6, -1, 1e-3]])
-    found = solve_program(goal, table, bound)
+    found = linprog(goal, table, bound, bounds=(None, None), method="highs").x
     time = float(found[n])
     return np.clip(found[:n] / max(time, 1e-12), 0, 1), time
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.planning.criteria import MEANINGS
-from levkas.planning.drawing import PALETTE, Frame, axes, contours, line, picture, svg, text
+from levkas.planning.diagrams import PALETTE, Frame, axes, contours, line, picture, svg, text
 
 if TYPE_CHECKING:
-    from levkas.planning.exposing import CameraExposure
+    from levkas.planning.exposure_plan import CameraExposure
     from levkas.planning.filter_design import RegulatingFilter
     from levkas.planning.light import LightPlan
-    from levkas.planning.optimising import TradeOff
+    from levkas.planning.optimisation import TradeOff
 
 WARM = ("#3b2f63", "#7a3b74", "#c2556a", "#ee8f5b", "#f8d48a", "#fffbe8")
 GLOW = ("#14120f", "#4a3410", "#96681a", "#dcae45", "#fff3c4")

@@ -12,8 +12,7 @@ from levkas.colour.illuminants import illuminant
 from levkas.core.files import write_text
 from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS, Judge
 from levkas.planning.diagrams import draw_bench
-from levkas.planning.dose import plan_dose
-from levkas.planning.exposing import plan_exposure
+from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import plan_framing
 from levkas.planning.light import compare_lightings, eye_of, plan_light
 from levkas.planning.maps import (
@@ -24,13 +23,13 @@ from levkas.planning.maps import (
     draw_spectra,
     draw_trade_off,
 )
-from levkas.planning.optimising import optimise, trade_off
-from levkas.planning.refusals import PlanRefused
+from levkas.planning.optimisation import optimise, trade_off
 from levkas.planning.spectra import GRID, colour_temperature, unevenness
+from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
     from levkas.planning.light import LightPlan
-    from levkas.planning.optimising import Optimum
+    from levkas.planning.optimisation import Optimum
     from levkas.planning.setup import Lamp, Lighting, Setup
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from levkas.colour.illuminants import illuminant, planck
 from levkas.colour.observer import tables
-from levkas.planning.refusals import PlanRefused, asked, wrong
+from levkas.planning.tables import PlanRefused, asked, wrong
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from levkas.planning.dose import plan_dose
-from levkas.planning.exposing import plan_exposure
+from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import Framing, plan_framing
 from levkas.planning.light import compare_lightings, plan_light
-from levkas.planning.setup import Setup, load_setup
+from levkas.planning.loading import load_setup
+from levkas.planning.setup import Setup
 
 
 class LightRecord(dict[str, Any]):
@@ -40,7 +40,7 @@ def light_record(
         contradictions=[c for f in plan_framing(setup) for c in f.contradictions],
     )
     if optimised:
-        from levkas.planning.optimising import optimise, trade_off
+        from levkas.planning.optimisation import optimise, trade_off
         from levkas.planning.report import judge_of
 
         judge = judge_of(setup, setup.lighting(name))

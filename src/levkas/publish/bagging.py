@@ -16,7 +16,7 @@ from levkas.publish.publication import PublishRefused
 
 if TYPE_CHECKING:
     from levkas.core.files import Folder
-    from levkas.publish.facts import Facts
+    from levkas.publish.metadata import Facts
 
 DECLARATION = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
 MANIFEST, TAGS = "manifest-sha256.txt", "tagmanifest-sha256.txt"

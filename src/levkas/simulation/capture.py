@@ -8,15 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from levkas.simulation.cameras import CameraModel, SensorModel
+from levkas.simulation.cameras import BandModel, CameraModel, SensorModel
 from levkas.simulation.lighting import SETUPS, Light, compose, light
 from levkas.simulation.optics import View, band_to_base
-from levkas.simulation.painting import Painting
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Painting, Panel
 from levkas.simulation.pigments import WAVELENGTHS
 from levkas.simulation.rendering import Lattice, render, tabulate
 from levkas.simulation.sensing import FixedPattern, expose, fixed_pattern, key
-from levkas.simulation.sensitivities import BandModel
 
 WHITE_REFLECTANCE = 0.98
 TABLE_REFLECTANCE = 0.045

@@ -17,8 +17,7 @@ from levkas.simulation.rendering import Texture
 
 if TYPE_CHECKING:
     from levkas.simulation.optics import View
-    from levkas.simulation.painting import Painting
-    from levkas.simulation.panel import Panel
+    from levkas.simulation.painting import Painting, Panel
 
 VARNISH_MIRROR = 0.04
 VARNISH_ROUGHNESS = 0.16

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from levkas.simulation import rays
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 
 MIDDLE_NM, SPAN_NM = 550.0, 300.0
 

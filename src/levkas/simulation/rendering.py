@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from levkas.simulation.optics import View, base_to_panel
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 
 PAD = 12
 ROWS = 32

@@ -20,7 +20,7 @@ from levkas.simulation.optics import (
     native_to_base,
     panel_to_base,
 )
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 
 SAME_MM = 1e-4
 GRID_POINTS = 3000

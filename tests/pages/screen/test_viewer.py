@@ -11,12 +11,15 @@ from levkas.core.cube import Flag
 from levkas.core.flags import MARKS
 from levkas.database.tiff_pages import open_pages
 from levkas.geometry.pixel_frames import find_map
-from levkas.viewer.pictures import shown_band
+from levkas.publish.viewer.pictures import shown_band
 
 from .database import CAMERAS
 
-SETTLED = "() => window.levkasViewer?.stage.left.viewer.world.getItemCount() > 0 && levkasViewer.stage.settled"
-FLIGHTS = ["file", "http"]
+SETTLED = (
+    "() => window.levkasViewer?.stage.left.viewer.world.getItemCount() > 0"
+    " && levkasViewer.stage.settled"
+)
+FLIGHTS = ["file", pytest.param("http", marks=pytest.mark.slow)]
 
 
 def open_object(browser, url, **options):

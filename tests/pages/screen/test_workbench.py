@@ -424,6 +424,7 @@ def test_without_the_token_the_page_says_what_to_do(correctable, inspected, brow
     page.wait_for_function(READY)
 
 
+@pytest.mark.slow
 def test_hostile_titles_and_names_are_only_text(correctable, inspected, browser, tmp_path):
     for number, words in enumerate(HOSTILE[:: 1 if len(HOSTILE) < 3 else 17]):
         folder = correctable.make(tmp_path / str(number), title=words, texts={"reason": words})
@@ -439,6 +440,7 @@ def test_hostile_titles_and_names_are_only_text(correctable, inspected, browser,
     )
 
 
+@pytest.mark.slow
 def test_hostile_file_names_are_only_text(correctable, inspected, browser, tmp_path):
     assert len(HOSTILE) + len(NAMES) >= 60
     folder = correctable.make(tmp_path / "campaign", names=NAMES)

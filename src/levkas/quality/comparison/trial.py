@@ -194,7 +194,7 @@ def _similarity(
     trial: Trial, record: dict[str, Any], target: Capture, maps: dict[str, Map]
 ) -> float | None:
     """SSIM of the mean of the registered bands against the reference's published layer."""
-    from levkas.building.resampling import grey_of, read_grey
+    from levkas.database.grey import grey_of, read_grey
     from levkas.database.layout import Places
     from levkas.geometry.resample import warp
     from levkas.quality.evaluation.similarity import structural_similarity

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.bench import exposure_of
 from levkas.calibration.pairing import pair_blocks
+from levkas.calibration.sensor_context import exposure_of
 from levkas.quality.emva1288.dark_levels import level_under
 from levkas.quality.emva1288.gathered import Key, Sensor, by_exposure
 from levkas.quality.emva1288.photon_transfer import Dark

@@ -294,7 +294,7 @@ def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float
 
 def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
     """Mean of the registered bands, and the pixels that every band saw."""
-    from levkas.building.resampling import read_grey
+    from levkas.database.grey import read_grey
     from levkas.database.layout import Places
 
     path = Places(output).layer(name, record["camera"], record.get("setup", ""))
