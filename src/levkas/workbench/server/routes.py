@@ -21,7 +21,7 @@ from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
 from levkas.pages.screen import read_built
 from levkas.workbench.answer import describe, to_bytes
-from levkas.workbench.frame import SIDES, Frame
+from levkas.workbench.frame import SIDES, RegistrationView
 from levkas.workbench.library import FrameMissing, Library
 from levkas.workbench.maps import KINDS, MapMissing, find_kinds
 from levkas.workbench.operations import OperationRefused, refused
@@ -110,7 +110,7 @@ def routes(
     """
     rebuild = Rebuild(library)
 
-    def frame_of(request: Request) -> Frame:
+    def frame_of(request: Request) -> RegistrationView:
         return library.open(request.path_params["id"])
 
     def page(request: Request, body: dict[str, Any]) -> Response:
@@ -228,7 +228,7 @@ def _told(told: dict[str, Any]) -> Response:
     return Response(to_bytes({"ok": True, **told}), media_type="application/octet-stream")
 
 
-def change(frame: Frame, body: dict[str, Any]) -> None:
+def change(frame: RegistrationView, body: dict[str, Any]) -> None:
     """Do what a request asks to the corrections of a camera.
 
     Raises
@@ -251,7 +251,7 @@ def change(frame: Frame, body: dict[str, Any]) -> None:
         session.apply(name, _pair(body.get("pair")), to)
 
 
-def describe_frame(frame: Frame) -> dict[str, Any]:
+def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     """Return what a screen needs to know of a camera before its pairs, JSON-ready."""
     verdict = frame.record.get("verdict", {})
     model = frame.record.get("model", {})
@@ -286,7 +286,7 @@ def describe_frame(frame: Frame) -> dict[str, Any]:
     }
 
 
-def reasons_of(frame: Frame, reasons: list[str]) -> list[str]:
+def reasons_of(frame: RegistrationView, reasons: list[str]) -> list[str]:
     """Return the reasons of a verdict but for those that speak of other sensors of the camera."""
     names = [f"sensor {s.name}: " for s in frame.capture.sensors if s.name]
     mine = f"sensor {frame.view.sensor.name}: "
