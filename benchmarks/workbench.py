@@ -149,7 +149,7 @@ class Planted(Library):
 
 DELETE = """async (row) => {
   const { store } = levkasWorkbench;
-  store.select(row);
+  store.choose({ row });
   await new Promise((r) => setTimeout(r, 150));
   const began = performance.now();
   dispatchEvent(new KeyboardEvent("keydown", { key: "Delete" }));
@@ -162,7 +162,7 @@ DELETE = """async (row) => {
 OVERLAY = """async (row) => {
   const { store, stage } = levkasWorkbench;
   const frame = () => new Promise((r) => requestAnimationFrame(() => setTimeout(r)));
-  store.select(row);
+  store.choose({ row });
   await new Promise((r) => setTimeout(r, 150));
   const began = performance.now();
   dispatchEvent(new KeyboardEvent("keydown", { key: "Delete" }));

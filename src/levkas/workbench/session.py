@@ -15,7 +15,7 @@ import numpy as np
 
 from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.geometry.transforms import Affine, Inverse, Transform
-from levkas.registration.manual_points import Given, Marked, measure_checks
+from levkas.registration.manual_points import REASONS, Given, Marked, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
 from levkas.registration.record import Matches, RegistrationRefused
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 LEAST_FITTED = 3
 STILL_PX = 0.02
 """Target px that a map may move before pictures are brought over anew: less than can be seen."""
-OWN = "added by hand"
 CUT = "farther than `reject` at the start"
 
 
@@ -55,7 +54,7 @@ class FoundPartner:
     @classmethod
     def of(cls, matches: Matches, **more: Any) -> FoundPartner:
         """Take what a build recorded, and leave out what came from a person."""
-        own = (matches.reason == OWN) | (matches.state == "check")
+        own = (matches.reason == REASONS["added"]) | (matches.state == "check")
         names = Matches.__dataclass_fields__
         return cls(Matches(**{n: getattr(matches, n)[~own] for n in names}), **more)
 
