@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from levkas.database.splits import SHARES, split_objects
 from levkas.publish.citation import check_datacite, cite, describe_datacite, spell_cff
-from levkas.publish.metadata import Facts, Person, facts_of
+from levkas.publish.metadata import Person, PublicationFacts, facts_of
 from levkas.publish.readme import plain
 from levkas.publish.run import check
 
-WHOLE = Facts(
+WHOLE = PublicationFacts(
     "campaign.toml",
     title="Icons",
     creators=(

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
-from levkas.publish.metadata import DOI, ORCID, Facts, Person, fact_missing, missing_facts
+from levkas.publish.metadata import (
+    DOI,
+    ORCID,
+    Person,
+    PublicationFacts,
+    fact_missing,
+    missing_facts,
+)
 from levkas.publish.publication import describe_dataset
 
 if TYPE_CHECKING:
@@ -24,7 +31,7 @@ def write_citation(publication: Publication) -> Iterator[str]:
     publication.write_text(NAME, spell_cff(publication.facts, describe_dataset(publication)))
 
 
-def spell_cff(facts: Facts, description: str) -> str:
+def spell_cff(facts: PublicationFacts, description: str) -> str:
     """Return the file's text: YAML whose values are spelled as JSON, which every YAML reader takes."""
     record: dict[str, Any] = {
         "cff-version": "1.2.0",
@@ -48,7 +55,7 @@ def spell_cff(facts: Facts, description: str) -> str:
     return "".join(_lines({k: v for k, v in record.items() if v}))
 
 
-def cite(facts: Facts) -> str:
+def cite(facts: PublicationFacts) -> str:
     """Return the citation as text, as DataCite recommends it.
 
     Examples
@@ -111,7 +118,7 @@ def write_datacite(publication: Publication) -> Iterator[str]:
     publication.write_text(DATACITE, to_json(record))
 
 
-def describe_datacite(facts: Facts, description: str) -> dict[str, Any]:
+def describe_datacite(facts: PublicationFacts, description: str) -> dict[str, Any]:
     """Return the record as DataCite's JSON has it."""
     licence = facts.licence
     record: dict[str, Any] = {
@@ -135,7 +142,7 @@ def describe_datacite(facts: Facts, description: str) -> dict[str, Any]:
     return {key: value for key, value in record.items() if value}
 
 
-def check_datacite(facts: Facts) -> tuple[list[Problem], list[Problem]]:
+def check_datacite(facts: PublicationFacts) -> tuple[list[Problem], list[Problem]]:
     """Return what DataCite requires and is missing, and what it recommends and is missing."""
     required = {
         "publication.doi": (
@@ -178,7 +185,7 @@ def check_datacite(facts: Facts) -> tuple[list[Problem], list[Problem]]:
     )
 
 
-def _missing(facts: Facts, told: dict[str, tuple[Any, str, str]]) -> Iterator[Problem]:
+def _missing(facts: PublicationFacts, told: dict[str, tuple[Any, str, str]]) -> Iterator[Problem]:
     for field, (value, message, example) in told.items():
         if not value:
             yield fact_missing(facts, field, message, example)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas.core.json_safe import to_json
-from levkas.publish.metadata import DOI, ORCID, Facts, Person
+from levkas.publish.metadata import DOI, ORCID, Person, PublicationFacts
 from levkas.publish.provenance import describe_steps, describe_tools
 from levkas.publish.publication import describe_dataset
 
@@ -231,7 +231,7 @@ def _person(entities: dict[str, Entity], person: Person, number: int) -> Entity:
     return {"@id": identifier}
 
 
-def _licence(entities: dict[str, Entity], facts: Facts) -> Entity:
+def _licence(entities: dict[str, Entity], facts: PublicationFacts) -> Entity:
     licence = facts.licence
     assert licence is not None, "publish refuses a database without a licence"
     identifier = licence.url or "#licence"

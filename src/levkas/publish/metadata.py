@@ -127,7 +127,7 @@ class Licence:
 
 
 @dataclass(frozen=True)
-class Facts:
+class PublicationFacts:
     """What is known of a database as a whole; what is not is empty.
 
     `file` is where a person may mend them. `cameras`, `setups` and `objects` hold the tables of
@@ -159,7 +159,7 @@ class Facts:
         return self.published[:4]
 
 
-def read_facts(database: str | Path, *, file: str | None = None) -> Facts:
+def read_facts(database: str | Path, *, file: str | None = None) -> PublicationFacts:
     """Read database.toml and every object.toml of a database; what is not there is empty.
 
     Parameters
@@ -178,12 +178,14 @@ def read_facts(database: str | Path, *, file: str | None = None) -> Facts:
     return facts_of(record, file=file or str(root / NAME), objects=objects)
 
 
-def facts_of(record: dict[str, Any], *, file: str, objects: dict[str, dict[str, Any]]) -> Facts:
+def facts_of(
+    record: dict[str, Any], *, file: str, objects: dict[str, dict[str, Any]]
+) -> PublicationFacts:
     """Return the facts of a record as database.toml has it."""
     told = record.get("publication", {})
     creators = [_person(c) for c in told.get("creators") or [record.get("creator", "")]]
     reference = record.get("reference", {})
-    return Facts(
+    return PublicationFacts(
         file=file,
         title=_line(record.get("title", "")),
         creators=tuple(c for c in creators if c.name),
@@ -226,7 +228,7 @@ def licence_of(text: str) -> Licence | None:
     return Licence(text) if text else None
 
 
-def missing_facts(facts: Facts) -> list[Problem]:
+def missing_facts(facts: PublicationFacts) -> list[Problem]:
     """Return what must be known before anything is published: title, creator, licence and date."""
     told = {
         "campaign.title": (facts.title, "the database has no title", '"Icons of Levkas"'),
@@ -253,7 +255,7 @@ def missing_facts(facts: Facts) -> list[Problem]:
     ]
 
 
-def fact_missing(facts: Facts, field: str, message: str, example: str) -> Problem:
+def fact_missing(facts: PublicationFacts, field: str, message: str, example: str) -> Problem:
     """Return the problem of a fact that is not known."""
     table, _, key = field.partition(".")
     fix = f"Write {key} = {example} in [{table}] of campaign.toml, then run levkas build."

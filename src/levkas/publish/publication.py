@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
     from levkas.database.manifest import Manifest
-    from levkas.publish.metadata import Facts
+    from levkas.publish.metadata import PublicationFacts
 
 MEDIUM = "medium"
 """Folder of the medium edition where both are published."""
@@ -40,7 +40,7 @@ class Publication:
         Of the database.
     out : Folder
         Where the publication stands while it is made; it takes its name when it is whole.
-    facts : Facts
+    facts : PublicationFacts
         Who, what, under which licence.
     editions : "full", "medium" or "both"
         A single edition is the folder itself; of both, the medium one is the folder ``medium`` in it.
@@ -55,7 +55,7 @@ class Publication:
     source: Path
     manifest: Manifest
     out: Folder
-    facts: Facts
+    facts: PublicationFacts
     editions: Editions = "both"
     url: str = ""
     iiif: bool = True

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from levkas.core.problems import Problem
 from levkas.publish.crate import NAME as CRATE
 from levkas.publish.metadata import NAME as FACTS
-from levkas.publish.metadata import Facts, facts_of, missing_facts, read_facts
+from levkas.publish.metadata import PublicationFacts, facts_of, missing_facts, read_facts
 from levkas.publish.publication import Editions, Publication, PublishRefused
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ SPACE = 1.6
 
 
 @dataclass(frozen=True)
-class Subject:
+class PublishSubject:
     """What is to be published: a database, and the campaign it was built from where that was given."""
 
     database: Path
@@ -141,7 +141,7 @@ def check(path: str | Path) -> CheckReport:
     return CheckReport((*problems, *required), tuple(advice))
 
 
-def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
+def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
     """Tell a campaign from a database.
 
     Parameters
@@ -157,7 +157,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
     """
     path = Path(path)
     if path.name != "campaign.toml" and not (path / "campaign.toml").is_file():
-        return Subject(path)
+        return PublishSubject(path)
     from levkas.building import status
     from levkas.campaign.campaign import load_campaign
 
@@ -174,7 +174,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
                 fix=f"Run levkas build {campaign.root} first, or give the database to publish it as it is.",
             )
         )
-    return Subject(campaign.output, campaign.path)
+    return PublishSubject(campaign.output, campaign.path)
 
 
 def publish(
@@ -244,7 +244,7 @@ def publish(
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
 
 
-def facts_of_subject(subject: Subject) -> Facts:
+def facts_of_subject(subject: PublishSubject) -> PublicationFacts:
     """Return the facts of a database, as its campaign says them now where that is known."""
     facts = read_facts(subject.database)
     if subject.campaign is None:
@@ -331,7 +331,7 @@ def _run(publication: Publication) -> Iterator[PublishStep]:
         yield PublishStep(name, "", done + 1, total, True, "done")
 
 
-def _check_output(final: Path, subject: Subject) -> None:
+def _check_output(final: Path, subject: PublishSubject) -> None:
     """Refuse a folder that is none of ours, and one that holds, or lies in, what is published."""
     from levkas.core.ownership import require_ours, stands_in
     from levkas.database.catalogue import DatabaseRefused, read_catalogue

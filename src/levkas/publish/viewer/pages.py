@@ -123,7 +123,7 @@ class About:
 
 
 def about_of(facts: Any) -> About:
-    """Return what pages say, from the facts of a publication (`levkas.publish.metadata.Facts`)."""
+    """Return what pages say, from the facts of a publication (`levkas.publish.metadata.PublicationFacts`)."""
     licence = facts.licence
     return About(
         title=facts.title or "Spectral image database",

@@ -31,7 +31,7 @@ INFRARED_NM, RED_NM, GREEN_NM = (780, 1000, 900), (600, 700, 650), (500, 590, 55
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class LayerPicture:
     """One picture of a layer.
 
     Parameters
@@ -80,18 +80,18 @@ class Source:
         return self.tiff.with_name(self.tiff.stem + ".sigma.tif")
 
 
-def pictures_of(source: Source) -> Iterator[Picture]:
+def pictures_of(source: Source) -> Iterator[LayerPicture]:
     """Yield every picture of a layer, one in memory at a time: render first, then lights, bands, maps."""
     pages = open_pages(source.tiff)
     render = pages.read_render()
     if render is not None:
-        yield Picture("colour", "Colour", "colour", render, source.rendering)
+        yield LayerPicture("colour", "Colour", "colour", render, source.rendering)
     chosen = infrared_bands(source.bands)
     if chosen:
         labels = " / ".join(source.bands[i].label for i in chosen)
         image = np.stack([shown_band(pages.read_page(i))[0] for i in chosen], -1)
         note = f"{labels} as red, green and blue"
-        yield Picture("infrared", "False-colour infrared", "colour", image, note)
+        yield LayerPicture("infrared", "False-colour infrared", "colour", image, note)
     yield from _lights(source, pages)
     yield from _bands(source, pages)
     yield from _maps(source, (pages.shape[1], pages.shape[0]))
@@ -134,7 +134,7 @@ def shown_band(values: np.ndarray) -> tuple[np.ndarray, float]:
     return encode_srgb(values / np.float32(white)), white
 
 
-def _lights(source: Source, pages: TiffPages) -> Iterator[Picture]:
+def _lights(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
     """Yield the layer under other illuminants, where its bands are narrow and show true colour."""
     wavelengths = [band.wavelength for band in source.bands]
     if source.quantity != "reflectance" or not np.all(np.isfinite(wavelengths)):
@@ -149,37 +149,39 @@ def _lights(source: Source, pages: TiffPages) -> Iterator[Picture]:
             linear = np.stack([np.einsum("yxb,b->yx", some, gain) for gain in matrix.T.copy()], -1)
             image[rows] = encode_srgb(linear)
         note = "as seen by an eye that is used to this light: white stays white"
-        yield Picture(f"light-{name.lower()}", words, "light", image, note)
+        yield LayerPicture(f"light-{name.lower()}", words, "light", image, note)
 
 
-def _bands(source: Source, pages: TiffPages) -> Iterator[Picture]:
+def _bands(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
     count = len(source.bands)
     wanted = min(count, MOST_BANDS)
     for number in sorted({round(i * (count - 1) / max(1, wanted - 1)) for i in range(wanted)}):
         image, white = shown_band(pages.read_page(number))
         label = source.bands[number].label
         note = f"black is 0, white is {source.quantity or 'value'} {white:g}"
-        yield Picture(f"band-{number}", label, "band", image, note)
+        yield LayerPicture(f"band-{number}", label, "band", image, note)
 
 
-def _maps(source: Source, size: tuple[int, int]) -> Iterator[Picture]:
+def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
     if source.flags.is_file():
         image, palette, legend = flag_map(source.flags)
         note = "the gravest flag of any band"
-        yield Picture("flags", "Flags", "map", image, note, palette, legend)
+        yield LayerPicture("flags", "Flags", "map", image, note, palette, legend)
     if source.sigma.is_file():
         image, legend = sigma_map(source.sigma)
         note = f"one standard deviation of the random part, mean of the bands, {source.quantity}"
-        yield Picture("sigma", "Sigma", "map", image, note, legend=legend)
+        yield LayerPicture("sigma", "Sigma", "map", image, note, legend=legend)
     if source.reference is not None and source.reference != source.tiff:
         found = similarity_map(source.tiff, source.reference)
         if found:
             note = "SSIM against the reference camera; gold and glare differ between cameras"
-            yield Picture("ssim", "Similarity (SSIM)", "map", found[0], note, legend=found[1])
+            yield LayerPicture("ssim", "Similarity (SSIM)", "map", found[0], note, legend=found[1])
     predicted = registration_map(source.database, source.object, source.record, size)
     if predicted:
         note = "error of the registration as its own evidence predicts it"
-        yield Picture("error", "Registration error", "map", predicted[0], note, legend=predicted[1])
+        yield LayerPicture(
+            "error", "Registration error", "map", predicted[0], note, legend=predicted[1]
+        )
 
 
 SCALE = ((20, 17, 15), (60, 32, 64), (122, 46, 76), (181, 83, 51), (217, 154, 60), (250, 236, 190))

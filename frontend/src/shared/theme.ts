@@ -35,7 +35,11 @@ const waiting: (() => void)[] = [];
 export function ink(name: string): string {
   if (!waiting.length) onTheme(() => {});
   let colour = known.get(name);
-  if (colour === undefined) known.set(name, (colour = getComputedStyle(document.documentElement).getPropertyValue(name).trim()));
+  if (colour === undefined)
+    known.set(
+      name,
+      (colour = getComputedStyle(document.documentElement).getPropertyValue(name).trim()),
+    );
   return colour;
 }
 
@@ -47,7 +51,10 @@ export function onTheme(listener: () => void): void {
       for (const one of waiting) one();
     };
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", changed);
-    new MutationObserver(changed).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+    new MutationObserver(changed).observe(document.documentElement, {
+      attributes: true,
+      attributeFilter: ["data-theme"],
+    });
   }
   waiting.push(listener);
 }

@@ -31,9 +31,25 @@ export function draw<K extends keyof SVGElementTagNameMap>(
 ): SVGElementTagNameMap[K] {
   const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [name, value] of Object.entries(attributes))
-    if (value !== null && value !== undefined && value !== false) element.setAttribute(name, String(value));
+    if (value !== null && value !== undefined && value !== false)
+      element.setAttribute(name, String(value));
   append(element, children);
   return element;
+}
+
+/** Make a small square of a colour, beside the word for it. */
+export function swatch(colour: string): HTMLElement {
+  const element = make("span", { class: "swatch", "aria-hidden": "true" });
+  element.style.background = colour;
+  return element;
+}
+
+/** Save a file from the page, by a link that is clicked. */
+export function saveFile(name: string, content: BlobPart, type: string): void {
+  const link = make("a", { download: name });
+  link.href = URL.createObjectURL(new Blob([content], { type }));
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
 /** Fill an element anew; what is open in it stays so, and who works with the keyboard stays where they were. */
@@ -57,11 +73,12 @@ export function find<T extends HTMLElement>(id: string): T {
 
 /** Whether a link may be followed: http, https, mailto, or a relative path. */
 export function isSafeAddress(address: string): boolean {
-  const text = [...address].filter((c) => c > " ").join("");
+  const text = address.replace(/[\0- ]/g, "");
   const scheme = /^([a-z][a-z0-9+.-]*):/i.exec(text);
-  return !scheme || ["http", "https", "mailto", "blob"].includes(scheme[1]!.toLowerCase());
+  return !scheme || ["http", "https", "mailto"].includes(scheme[1]!.toLowerCase());
 }
 
 function append(element: Element, children: Child[]): void {
-  for (const child of children) if (child !== null && child !== undefined && child !== false) element.append(child);
+  for (const child of children)
+    if (child !== null && child !== undefined && child !== false) element.append(child);
 }

@@ -1,10 +1,10 @@
 // Two preloaded pictures in turn. The rate is of whole turns: at 2 Hz each is seen for a quarter second.
 
-export const RATES = { least: 0.5, most: 8, usual: 2 };
+export const RATES = { min: 0.5, max: 8, step: 0.5, value: 2 };
 
-/** Tells which of A and B is shown. */
+/** A clock that shows A and B in turn. */
 export class Flicker {
-  rate = RATES.usual;
+  rate = RATES.value;
   shown: "a" | "b" = "a";
   running = false;
   private began = 0;
@@ -18,8 +18,8 @@ export class Flicker {
     this.began = performance.now();
     const tick = (now: number): void => {
       if (!this.running) return;
-      const shown = Math.floor(((now - this.began) / 1000) * this.rate * 2) % 2 === 0 ? "b" : "a";
-      if (shown !== this.shown) this.onTurn((this.shown = shown));
+      const halves = Math.floor(((now - this.began) / 1000) * this.rate * 2);
+      this.show(halves % 2 === 0 ? "b" : "a");
       this.frame = requestAnimationFrame(tick);
     };
     this.frame = requestAnimationFrame(tick);
@@ -29,6 +29,10 @@ export class Flicker {
     if (!this.running) return;
     this.running = false;
     cancelAnimationFrame(this.frame);
-    this.onTurn((this.shown = "a"));
+    this.show("a");
+  }
+
+  private show(shown: "a" | "b"): void {
+    if (shown !== this.shown) this.onTurn((this.shown = shown));
   }
 }

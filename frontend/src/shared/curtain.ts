@@ -1,21 +1,32 @@
 // The line between A, left of it, and B, right of it: dragged, or moved with the arrow keys.
-import { make } from "../element";
+import { make } from "./element";
 
 const STEP = 0.02;
 
 /** A line over a pane; `fraction` is where it stands, 0 left to 1 right. */
 export class Curtain {
   fraction = 0.5;
-  readonly line: HTMLElement;
+  readonly line = make(
+    "div",
+    {
+      class: "curtain",
+      role: "slider",
+      tabindex: 0,
+      "aria-label": "Curtain between A and B",
+      "aria-orientation": "horizontal",
+      "aria-valuemin": 0,
+      "aria-valuemax": 100,
+      hidden: true,
+    },
+    make("span", { class: "curtain-name left", "aria-hidden": "true" }, "A"),
+    make("span", { class: "curtain-grip", "aria-hidden": "true" }, "⇆"),
+    make("span", { class: "curtain-name right", "aria-hidden": "true" }, "B"),
+  );
 
-  constructor(private readonly pane: HTMLElement, private readonly onMove: () => void) {
-    this.line = make(
-      "div",
-      { class: "curtain", role: "slider", tabindex: 0, "aria-label": "Curtain between A and B", "aria-orientation": "horizontal", "aria-valuemin": 0, "aria-valuemax": 100, hidden: true },
-      make("span", { class: "curtain-name left", "aria-hidden": "true" }, "A"),
-      make("span", { class: "curtain-grip", "aria-hidden": "true" }, "⇆"),
-      make("span", { class: "curtain-name right", "aria-hidden": "true" }, "B"),
-    );
+  constructor(
+    pane: HTMLElement,
+    private readonly onMove: () => void,
+  ) {
     pane.append(this.line);
     this.line.addEventListener("pointerdown", (event) => {
       event.stopPropagation();
@@ -23,12 +34,11 @@ export class Curtain {
     });
     this.line.addEventListener("pointermove", (event) => {
       if (!this.line.hasPointerCapture(event.pointerId)) return;
-      const box = this.pane.getBoundingClientRect();
+      const box = pane.getBoundingClientRect();
       this.move((event.clientX - box.left) / box.width);
     });
     this.line.addEventListener("keydown", (event) => {
-      const by = { ArrowLeft: -STEP, ArrowRight: STEP, PageDown: -5 * STEP, PageUp: 5 * STEP }[event.key];
-      const to = { Home: 0, End: 1 }[event.key];
+      const [by, to] = [MOVES[event.key], ENDS[event.key]];
       if (by === undefined && to === undefined) return;
       event.preventDefault();
       event.stopPropagation();
@@ -48,3 +58,11 @@ export class Curtain {
     this.onMove();
   }
 }
+
+const MOVES: Record<string, number> = {
+  ArrowLeft: -STEP,
+  ArrowRight: STEP,
+  PageDown: -5 * STEP,
+  PageUp: 5 * STEP,
+};
+const ENDS: Record<string, number> = { Home: 0, End: 1 };
