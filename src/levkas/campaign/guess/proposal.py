@@ -180,9 +180,9 @@ def _refusals(proposal: Proposal) -> list[str]:
     except Refused as refused:
         return [str(p) for p in refused.problems]
     lines = []
-    for (name, camera, setup), refused in refusals.items():
+    for (name, camera, setup), refusal in refusals.items():
         layer = f"{camera}@{setup}" if setup else camera
-        for problem in refused.problems:
+        for problem in refusal.problems:
             fix = f". {problem.fix}" if problem.fix else ""
             lines.append(f"{name}/{layer} would be refused: {problem.message}{fix}")
     return lines
