@@ -106,7 +106,7 @@ class Library:
                     "reference": self._is_reference(view),
                     "decision": verdict.get("decision", "not built"),
                     "reason": next(iter(verdict.get("reasons", [])), ""),
-                    "corrections": self._edits(view).told(),
+                    "corrections": self._edits(view).describe(),
                 }
             )
         return listed
@@ -246,7 +246,7 @@ class Library:
         capture = view.capture
 
         def frame_of(edits: Edits) -> str:
-            band = self._band_of(view, edits.of(capture.object, capture.layer))
+            band = self._band_of(view, edits.of_layer(capture.object, capture.layer))
             return f"{capture.layer}:{band}" if band else capture.layer
 
         return change_edits(self.edits_path, capture.object, frame_of, before, after)

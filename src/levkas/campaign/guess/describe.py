@@ -57,9 +57,9 @@ class CameraGuess:
     hints : tuple of str
         Keys that may be wanted, as comments.
     unknown : tuple of str
-        What the files do not say.
+        What the files leave open.
     centres : tuple of float
-        Wavelengths of its bands, nm, as names or headers say them.
+        Wavelengths of its bands, nm, from names or headers.
     targets : dict
         Target → role.
     setups : dict
@@ -210,8 +210,8 @@ def _describe_sensors(
     """Mosaic and channel names of each sensor."""
     for number, (name, frames) in enumerate(files.sensors.items(), 1):
         facts, keys = frames[0].facts, {}
-        told = facts.pattern or facts.wavelengths
-        mosaic = None if told else mosaic_of(frames, samples, warmth)
+        declared = facts.pattern or facts.wavelengths
+        mosaic = None if declared else mosaic_of(frames, samples, warmth)
         if facts.pattern or mosaic:
             why = mosaic.why if mosaic else "from the header"
             keys["pattern"] = Guess(
@@ -241,11 +241,11 @@ def _centres(group: CameraGroup, files: FilePatterns) -> tuple[float, ...]:
     """Wavelengths of a camera's bands, in their order."""
     if files.wavelengths:
         return files.wavelengths
-    told = [f.facts.wavelengths or () for f in group.objects]
+    centres = [f.facts.wavelengths or () for f in group.objects]
     if files.sensors:
-        told = [frames[0].facts.wavelengths or () for frames in files.sensors.values()]
-        return tuple(w for waves in told for w in waves)
-    return tuple(told[0])
+        centres = [frames[0].facts.wavelengths or () for frames in files.sensors.values()]
+        return tuple(w for waves in centres for w in waves)
+    return tuple(centres[0])
 
 
 # --- bands, bits, exposures -------------------------------------------------------------------
@@ -277,9 +277,9 @@ def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dic
     if facts.dtype != "uint16" or facts.kind == "raw" or facts.saturation:
         return {}
     found = [
-        told
+        statistics
         for role in ("white", "object", "chart")
-        for told in samples.of_some(group.of_role(role), MOST_SAMPLED)
+        for statistics in samples.of_some(group.of_role(role), MOST_SAMPLED)
     ]
     if not found:
         return {}
@@ -309,9 +309,9 @@ def _exposure_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
     times: dict[tuple[str, str | None, str], set[object]] = {}
     sensors = files.sensor_of()
     for frame in group.of_role("object"):
-        told = frame.number("exposure") or frame.facts.exposure_s
+        exposure = frame.number("exposure") or frame.facts.exposure_s
         key = (frame.target, frame.number("wavelength"), sensors.get(frame.path, ""))
-        times.setdefault(key, set()).add(told)
+        times.setdefault(key, set()).add(exposure)
     most = max((len(t - {None}) for t in times.values()), default=0)
     if most < 2:
         return {}
@@ -333,8 +333,8 @@ def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
                 silent.setdefault(role, set()).add(frame.facts.exposure_unclear)
     if stated:
         spans = {role: sorted({min(times), max(times)}) for role, times in stated.items()}
-        told = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
-        notes.about.append(f"Exposures: {', '.join(told)}.")
+        shown = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
+        notes.about.append(f"Exposures: {', '.join(shown)}.")
     unclear = {text for texts in silent.values() for text in texts}
     if stated and silent:
         notes.unknown.append(
@@ -354,9 +354,9 @@ def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -
     for role in ("dark", "white", "object"):
         found = samples.of_some(group.of_role(role), 3)
         means[role] = float(np.mean([s.mean for s in found])) if found else float("nan")
-    told = [f"{role} {_level(means[role])}" for role in means if not isnan(means[role])]
-    if len(told) > 1:
-        notes.about.append(f"Mean levels: {', '.join(told)} counts.")
+    shown = [f"{role} {_level(means[role])}" for role in means if not isnan(means[role])]
+    if len(shown) > 1:
+        notes.about.append(f"Mean levels: {', '.join(shown)} counts.")
     dark, white, shown = means["dark"], means["white"], means["object"]
     if dark > max(white, shown):
         notes.unknown.append(
@@ -439,9 +439,9 @@ def _renamed(sensors: tuple[SensorGuess, ...], names: Sequence[str]) -> tuple[Se
 
 
 def _still(camera: CameraGuess, sensors: tuple[SensorGuess, ...]) -> tuple[str, ...]:
-    """What remains unknown when a table tells what the channels see."""
-    told = sensors != camera.sensors
-    return tuple(text for text in camera.unknown if not (told and "sees;" in text))
+    """Return what remains unknown with a table of sensitivities."""
+    renamed = sensors != camera.sensors
+    return tuple(text for text in camera.unknown if not (renamed and "sees;" in text))
 
 
 def _read(path: Path) -> tuple[list[str], list[list[float]]]:
