@@ -48,14 +48,12 @@ def test_the_order_is_natural_whatever_the_file_system_says(tmp_path, monkeypatc
 def test_every_folder_is_listed_once_for_many_patterns(tmp_path, monkeypatch):
     touch(tmp_path, *(f"raw/t{t}/{s}_{n}.tif" for t in range(3) for s in "abc" for n in range(2)))
     listed = []
-    scan = module._list_folder
-    monkeypatch.setattr(module, "_scan", lambda folder: listed.append(folder) or scan(folder))
+    scan = os.scandir
+    monkeypatch.setattr(module.os, "scandir", lambda folder: listed.append(folder) or scan(folder))
     folders = FolderListings()
     for sensor in "abc":
-        assert (
-            len(find_files(tmp_path, [f"raw/{{target}}/{sensor}_{{shot}}.tif"], folders=folders))
-            == 6
-        )
+        pattern = f"raw/{{target}}/{sensor}_{{shot}}.tif"
+        assert len(find_files(tmp_path, [pattern], folders=folders)) == 6
     assert len(listed) == len(set(listed)) == 4
 
 
