@@ -28,7 +28,7 @@ from levkas.workbench.correlation import find_partner
 from levkas.workbench.frame import RegistrationView
 from levkas.workbench.library import Library
 from levkas.workbench.pictures import ShownPicture, encode, warped_tile
-from levkas.workbench.sensor_view import SensorView
+from levkas.workbench.frame import SensorView
 from levkas.workbench.session import CorrectionSession, FoundPartner
 
 SIZE = (1392, 1040)

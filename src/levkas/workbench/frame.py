@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,9 +20,8 @@ from levkas.workbench.pictures import ShownPicture, encode, tinted, warped_tile
 from levkas.workbench.session import look
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.captures import Capture
+    from levkas.campaign.discovery.captures import Capture, SensorFrames
     from levkas.registration.record import Matches
-    from levkas.workbench.sensor_view import SensorView
     from levkas.workbench.session import CorrectionSession, SessionView
 
 SIDES = ("reference", "target")
@@ -397,3 +397,44 @@ def _transforms(record: dict[str, Any], labels: list[str]) -> dict[str, Transfor
     """The maps of bands in a record, reference px → px of the band."""
     bands = record.get("bands", {})
     return {label: from_dict(bands[label]["transform"]) for label in labels if label in bands}
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """One sensor of a capture; most cameras have one."""
+
+    capture: Capture
+    sensor: SensorFrames
+
+    @property
+    def key(self) -> str:
+        """Id."""
+        return id_of(
+            self.capture.object, self.capture.layer, "" if self.is_first else self.sensor.name
+        )
+
+    @property
+    def is_first(self) -> bool:
+        """Whether edits.toml names it by its camera alone."""
+        return self.sensor == self.capture.sensors[0]
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of its bands."""
+        return [band.label for band in self.sensor.bands]
+
+
+def id_of(name: str, layer: str, sensor: str = "") -> str:
+    """Return the id of a camera of an object, of its first sensor unless another is named.
+
+    >>> id_of("icon1", "d80"), id_of("icon1", "msbs", "ccd2") == id_of("icon1", "msbs")
+    ('081b6cfe9096', False)
+    """
+    parts = [name, layer, sensor] if sensor else [name, layer]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:12]
+
+
+def sensor_of(capture: Capture, band: str) -> SensorFrames:
+    """Return the sensor that recorded a band; the first where none did."""
+    found = (s for s in capture.sensors if any(b.label == band for b in s.bands))
+    return next(found, capture.sensors[0])

@@ -20,9 +20,8 @@ from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 from levkas.readers.text import read_json
 from levkas.registration.record import COLUMNS, Matches
-from levkas.workbench.frame import RegistrationView
+from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
 from levkas.workbench.pictures import ShownPicture, read_picture
-from levkas.workbench.sensor_view import SensorView, id_of, sensor_of
 from levkas.workbench.session import CorrectionSession, FoundPartner
 
 if TYPE_CHECKING:
