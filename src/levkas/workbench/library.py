@@ -233,7 +233,7 @@ class Library:
         return parse_matches(text)
 
     def _edits(self, view: SensorView) -> FrameEdits:
-        edits = read_edits(self.edits_path).of(view.capture.object, view.capture.layer)
+        edits = read_edits(self.edits_path).of_layer(view.capture.object, view.capture.layer)
         return edits.get(self._band_of(view, edits), FrameEdits())
 
     def _band_of(self, view: SensorView, edits: Mapping[str, FrameEdits]) -> str:

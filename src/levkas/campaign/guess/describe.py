@@ -333,8 +333,8 @@ def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
                 silent.setdefault(role, set()).add(frame.facts.exposure_unclear)
     if stated:
         spans = {role: sorted({min(times), max(times)}) for role, times in stated.items()}
-        shown = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
-        notes.about.append(f"Exposures: {', '.join(shown)}.")
+        levels = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
+        notes.about.append(f"Exposures: {', '.join(levels)}.")
     unclear = {text for texts in silent.values() for text in texts}
     if stated and silent:
         notes.unknown.append(
@@ -354,9 +354,9 @@ def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -
     for role in ("dark", "white", "object"):
         found = samples.of_some(group.of_role(role), 3)
         means[role] = float(np.mean([s.mean for s in found])) if found else float("nan")
-    shown = [f"{role} {_level(means[role])}" for role in means if not isnan(means[role])]
-    if len(shown) > 1:
-        notes.about.append(f"Mean levels: {', '.join(shown)} counts.")
+    levels = [f"{role} {_level(means[role])}" for role in means if not isnan(means[role])]
+    if len(levels) > 1:
+        notes.about.append(f"Mean levels: {', '.join(levels)} counts.")
     dark, white, shown = means["dark"], means["white"], means["object"]
     if dark > max(white, shown):
         notes.unknown.append(
