@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.registration.observations import Sighting
+from levkas.registration.joint import SensorObservations
 from levkas.registration.record import Matches
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Measured:
         Of registration/CAMERA.json.
     matches : dict of sensor to Matches
         As tables are written of them: the first sensor's under "".
-    sightings : tuple of Sighting
+    observations : tuple of SensorObservations
         Empty where it was refused.
     problems : tuple of Problem
         Why it was refused.
@@ -41,7 +41,7 @@ class Measured:
 
     record: dict[str, Any]
     matches: dict[str, Matches] = field(default_factory=dict)
-    sightings: tuple[Sighting, ...] = ()
+    observations: tuple[SensorObservations, ...] = ()
     problems: tuple[Problem, ...] = ()
 
     @classmethod
@@ -55,8 +55,8 @@ class Measured:
         if registration is None:
             return cls(record, problems=problems)
         matches = {"": registration.matches, **registration.others}
-        sightings = () if problems else registration.sightings
-        return cls(record, matches, sightings, problems)
+        observations = () if problems else registration.observations
+        return cls(record, matches, observations, problems)
 
     def to_bytes(self) -> bytes:
         """Return all of it as one file of arrays."""
@@ -67,12 +67,12 @@ class Measured:
                 arrays[f"matches {k} {column}"] = (
                     values.astype(str) if column in _WORDS else np.asarray(values)
                 )
-        for k, sighting in enumerate(self.sightings):
-            arrays |= {f"sighting {k} {n}": a for n, a in sighting.to_arrays().items()}
+        for k, sensor in enumerate(self.observations):
+            arrays |= {f"sensor {k} {n}": a for n, a in sensor.to_arrays().items()}
         told = {
             "record": self.record,
             "sensors": list(self.matches),
-            "sightings": len(self.sightings),
+            "observations": len(self.observations),
             "problems": [problem.to_dict() for problem in self.problems],
         }
         arrays["told"] = np.array(json.dumps(told))
@@ -90,11 +90,12 @@ class Measured:
             sensor: _matches(_under(arrays, f"matches {k} "))
             for k, sensor in enumerate(told["sensors"])
         }
-        sightings = tuple(
-            Sighting.from_arrays(_under(arrays, f"sighting {k} ")) for k in range(told["sightings"])
+        observations = tuple(
+            SensorObservations.from_arrays(_under(arrays, f"sensor {k} "))
+            for k in range(told["observations"])
         )
         problems = tuple(Problem(**problem) for problem in told["problems"])
-        return cls(told["record"], matches, sightings, problems)
+        return cls(told["record"], matches, observations, problems)
 
 
 def _under(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.machine import count_threads
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

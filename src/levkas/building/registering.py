@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.manual_points import Given
+    from levkas.registration.manual_points import ManualPoints
     from levkas.registration.record import Matches
 
 FEWEST_PX = 16
@@ -39,7 +39,7 @@ def register_capture(
     own: Registration | None,
     region: tuple[float, float, float, float] | None,
     options: dict[str, Any],
-    given: Mapping[str, Given] | None = None,
+    given: Mapping[str, ManualPoints] | None = None,
 ) -> Registration:
     """Register every band of a capture; `own` is the reference camera's registration, None for itself.
 
@@ -71,7 +71,7 @@ def register_capture(
 
 def corrections_of(
     campaign: Campaign, capture: Capture, channel: str = ""
-) -> tuple[dict[str, Given], dict[str, float]]:
+) -> tuple[dict[str, ManualPoints], dict[str, float]]:
     """Return the pairs by hand of a capture, by sensor, and `reject` and `stop` where set by hand.
 
     Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the
@@ -100,7 +100,7 @@ def _enlarged(found: Registration, factor: int) -> Registration:
         others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
         errors=_with_enlarged_checks(found.errors, grow),
         trace=None,
-        sightings=tuple(one.enlarged(grow) for one in found.sightings),
+        observations=tuple(one.enlarged(grow) for one in found.observations),
     )
 
 

@@ -21,7 +21,7 @@ from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.find_captures import Capture
-    from levkas.registration.manual_points import Given
+    from levkas.registration.manual_points import ManualPoints
 
 FILE_NAME = "edits.toml"
 MOST_TURNS = 50
@@ -86,16 +86,16 @@ class FrameEdits:
     def __bool__(self) -> bool:
         return self != FrameEdits()
 
-    def given(self) -> Given:
+    def given(self) -> ManualPoints:
         """Return the pairs as a registration takes them."""
         import numpy as np
 
-        from levkas.registration.manual_points import Given
+        from levkas.registration.manual_points import ManualPoints
 
         def pairs(*rows: Pair) -> np.ndarray:
             return np.array(rows, float).reshape(-1, 4)
 
-        return Given(
+        return ManualPoints(
             added=pairs(*self.added, *(move[4:] for move in self.moved)),
             pinned=pairs(*self.pinned),
             restored=pairs(*self.restored),

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.pages.page import Figure
-from levkas.registration.checks import Checks
 from levkas.registration.outliers import frame_corners
+from levkas.registration.window_matching import CheckWindows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -106,7 +106,7 @@ def _basis(sensor: Mapping[str, Any], size: Sequence[int]) -> str:
     parts.append(_scale_bar(place, _enlargement(sensor)))
     panels = ["".join(parts)]
     if sensor["checks"] is not None:
-        panels.append(_checks(Checks.from_dict(sensor["checks"]), corners, place))
+        panels.append(_checks(CheckWindows.from_dict(sensor["checks"]), corners, place))
     return _panels(panels, place.height, "what the map rests on")
 
 
@@ -119,7 +119,7 @@ def _scale_bar(place: _placing, enlargement: float) -> str:
     return f'{bar}<text x="{x + length * unit + 6:.1f}" y="{y + 4:.1f}">{length:g} px</text>'
 
 
-def _checks(checks: Checks, corners: np.ndarray, place: _placing) -> str:
+def _checks(checks: CheckWindows, corners: np.ndarray, place: _placing) -> str:
     good = checks.confirmed
     parts = [_outline(place(corners), "currentColor")]
     for mask, style in (

@@ -15,12 +15,12 @@ import numpy as np
 
 from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.geometry.transforms import Affine, Inverse, Transform
-from levkas.registration.manual_points import Marked, measure_checks
+from levkas.registration.manual_points import MarkedMatches, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
 from levkas.registration.record import Matches, RegistrationRefused
-from levkas.registration.replay import reject_of, replay
 from levkas.workbench.operations import OPERATIONS, refused, set_threshold
+from levkas.workbench.replay import reject_of, replay
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -258,7 +258,7 @@ def look(found: Found, edits: FrameEdits) -> View:
 
 
 def _fit(
-    found: Found, edits: FrameEdits, marked: Marked, kept: np.ndarray
+    found: Found, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
 ) -> tuple[Cleaned | None, str]:
     if (~marked.dropped).sum() < LEAST_FITTED:
         return None, f"{int((~marked.dropped).sum())} pairs: a map needs at least {LEAST_FITTED}"
@@ -271,7 +271,7 @@ def _fit(
             target_size=found.target_size,
             reject=edits.reject or found.reject,
             stop=edits.stop or found.stop,
-            sure=marked.sure,
+            sure=marked.fixed,
             dropped=marked.dropped,
         )
     except RegistrationRefused as refusal:
@@ -279,7 +279,7 @@ def _fit(
     return cleaned, ""
 
 
-def _stiff(found: Found, marked: Marked) -> Transform:
+def _stiff(found: Found, marked: MarkedMatches) -> Transform:
     """Scale alone, shifted on to the pairs that there are."""
     back = scale_only(found.size, found.target_size)
     use = ~marked.dropped
@@ -289,7 +289,7 @@ def _stiff(found: Found, marked: Marked) -> Transform:
     return Inverse(Affine(np.column_stack([back.matrix[:, :2], back.matrix[:, 2] + shift])))
 
 
-def _described(marked: Marked, fitted: Cleaned, stop: float) -> Matches:
+def _described(marked: MarkedMatches, fitted: Cleaned, stop: float) -> Matches:
     # A reason for every pair of thousands would cost more than the fit: the round says it all.
     told = np.full(len(marked.reason), "", object)
     told[fitted.round == 0] = CUT
@@ -306,7 +306,7 @@ def _described(marked: Marked, fitted: Cleaned, stop: float) -> Matches:
     )
 
 
-def _unfitted(marked: Marked) -> Matches:
+def _unfitted(marked: MarkedMatches) -> Matches:
     state = np.where(marked.dropped, "removed", "kept").astype(object)
     return Matches.of(marked.reference, marked.target, state=state, reason=marked.reason)
 
