@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from levkas.building import build, status
-from levkas.building.adjusting import adjusted
-from levkas.building.measured import Measured
+from levkas.building.joint import adjusted
+from levkas.building.register import Measured
 from levkas.building.rig_mates import NEIGHBOURS, RigMates
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
-from levkas.campaign.discovery.find_captures import Capture
+from levkas.campaign.discovery.captures import Capture
 from levkas.geometry.transforms import Affine
 
 NAMES = ("one", "two", "three")
@@ -109,6 +109,7 @@ def test_what_changes_in_one_object_is_told_of_the_others_and_redone(built):
     assert states["one/photo register"].state == "fresh"
 
 
+@pytest.mark.slow
 def test_one_object_alone_is_built_as_with_all_of_them(built, tmp_path):
     whole = _files(built)
     alone = tmp_path / "alone"
@@ -152,6 +153,7 @@ def test_a_kept_registration_that_was_damaged_is_never_read_silently(built):
     assert _files(built) == before
 
 
+@pytest.mark.slow
 def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
     other = tmp_path / "other"
     shutil.copytree(plates, other, ignore=shutil.ignore_patterns("database*"))

@@ -42,7 +42,7 @@ def test_what_is_written_is_read(tmp_path_factory, name, frame, edits):
     read = read_edits(path)
     assert set(read.frames) == set(written.frames)
     for key, one in read.frames.items():
-        assert one.given().added.tolist() == written.frames[key].given().added.tolist()
+        assert one.pairs()["added"].tolist() == written.frames[key].pairs()["added"].tolist()
         assert one == written.frames[key]
 
 

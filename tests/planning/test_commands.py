@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from levkas.cli import app
 from levkas.planning import plan_light, write_report
-from levkas.planning.drawing import contours, nice_ticks
+from levkas.planning.diagrams import contours, nice_ticks
 
 
 def run(*words):

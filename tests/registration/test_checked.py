@@ -111,6 +111,7 @@ def ours():
     return seen(icon(1), (450, 550, 650), (0, 0), 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hand", [2, 3])
 def test_another_painting_by_the_same_pattern_in_the_same_place_is_refused(ours, hand):
     found = register(ours, seen(icon(hand), (460, 540, 660), (1.3, -2.4), 2), reference_band="550")
@@ -118,6 +119,7 @@ def test_another_painting_by_the_same_pattern_in_the_same_place_is_refused(ours,
     assert any("another painting by the same pattern" in reason for reason in found.verdict.reasons)
 
 
+@pytest.mark.slow
 def test_of_another_painting_in_light_that_the_reference_does_not_see_that_is_doubted(ours):
     found = register(ours, seen(icon(2)[:1], (900,), (1.3, -2.4), 2), reference_band="550")
     assert found.verdict.decision != "accept"
@@ -133,6 +135,7 @@ def test_the_same_painting_is_accepted(ours):
 # --- what is recorded -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_map_that_never_comes_to_rest_says_so(ours, monkeypatch):
     target = seen(icon(1), (460, 540, 660), (1.3, -2.4), 2)
     rested = register(ours, target, reference_band="550")

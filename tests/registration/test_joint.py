@@ -76,6 +76,7 @@ def missed(base, number):
     return float(np.linalg.norm(miss, axis=1).mean())
 
 
+@pytest.mark.slow
 def test_mates_bring_noisy_captures_nearer_to_the_truth():
     captures = [sighting(k) for k in range(4)]
     before = after = 0.0

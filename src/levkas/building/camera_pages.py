@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import isnan
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from levkas import __version__
 from levkas.building import fingerprints
-from levkas.building.codes import spread
+from levkas.building.build_records import BuildRecords, Key
+from levkas.building.capture_statistics import FEW_BANDS, SENSELS, levels_of
 from levkas.building.fingerprints import digest, keys_of, written
-from levkas.building.ledger import Key, Ledger
-from levkas.building.measuring import FEW_BANDS, SENSELS, levels_of
+from levkas.building.progress import Step
 from levkas.building.sources import code_version
-from levkas.building.steps import Step
+from levkas.calibration.sensor_context import spread
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from levkas.building.shelf import Shelf
+    from levkas.building.charts import Developed
+    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.core.cube import Band
     from levkas.database.layout import Places
     from levkas.quality.targets.measuring import ChartMeasure
 
@@ -35,7 +41,7 @@ class CameraPages:
     """
 
     def __init__(
-        self, campaign: Campaign, places: Places, ledger: Ledger, captures: list[Capture]
+        self, campaign: Campaign, places: Places, ledger: BuildRecords, captures: list[Capture]
     ) -> None:
         from levkas.campaign.discovery.find_captures import find_charts
 
@@ -59,7 +65,7 @@ class CameraPages:
             steps.append(Step(key, "stale" if why else "fresh", why))
         return steps
 
-    def run(self, shelf: Shelf) -> Iterator[Step]:
+    def run(self, shelf: TemplateCache) -> Iterator[Step]:
         """Write the pages that are stale."""
         for camera in self.cameras:
             key, prints = page_key(camera), self._prints(camera)
@@ -70,7 +76,9 @@ class CameraPages:
             yield Step(key, "running", why)
             yield self._write(camera, key, prints, why, shelf)
 
-    def _write(self, camera: str, key: Key, prints: dict[str, Any], why: str, shelf: Shelf) -> Step:
+    def _write(
+        self, camera: str, key: Key, prints: dict[str, Any], why: str, shelf: TemplateCache
+    ) -> Step:
         from levkas.core.files import make_folder, write_text
 
         page = self.places.output / "cameras" / camera / "report.html"
@@ -88,7 +96,6 @@ class CameraPages:
         return Step(key, "done", why, warnings=warnings)
 
     def _describe(self, camera: str, folder: Path) -> list[Path]:
-        from levkas.building.camera_files import describe_camera, write_sensitivity
         from levkas.core.files import write_json
 
         first = next(c for c in self.captures if c.camera == camera)
@@ -97,10 +104,9 @@ class CameraPages:
         return [path, *write_sensitivity(folder, self.campaign, first)]
 
     def _measured(
-        self, camera: str, shelf: Shelf
+        self, camera: str, shelf: TemplateCache
     ) -> tuple[list[ChartMeasure], list[Problem], list[Path]]:
-        from levkas.building.camera_files import write_chart
-        from levkas.building.charting import develop_chart, measure_capture, problems_of
+        from levkas.building.charts import develop_chart, measure_capture, problems_of
         from levkas.core.disk import WriteRefused
         from levkas.quality.targets.charts import chart_of, reference_of
 
@@ -211,3 +217,116 @@ class CameraPages:
 def page_key(camera: str) -> Key:
     """Return the key of the stage that writes a camera's page."""
     return Key("", camera, stage="camera")
+
+
+PICTURES = ("levels", "shape", "step", "size")
+"""Of a light field: its map, which the camera's page shows."""
+
+
+def write_sensitivity(folder: Path, campaign: Campaign, capture: Capture) -> list[Path]:
+    """Write cameras/CAMERA/sensitivity.csv, where one is declared: wavelength in nm, a column a channel.
+
+    Raises
+    ------
+    Refused
+        Where the declared table cannot be read, or the disk refuses.
+    """
+    from levkas.building.spectra import read_sensitivity
+    from levkas.core.files import write_text
+
+    declared = campaign.cameras[capture.camera].sensitivity
+    if not declared:
+        return []
+    labels = [band.label for band in capture.bands]
+    wavelengths, table = read_sensitivity(campaign.root / declared, labels)
+    lines = [",".join(["wavelength", *labels])]
+    for wavelength, row in zip(wavelengths, table, strict=True):
+        lines.append(",".join(f"{number:.9g}" for number in (wavelength, *row)))
+    path = folder / "sensitivity.csv"
+    write_text(path, "\n".join(lines) + "\n")
+    return [path]
+
+
+def describe_camera(
+    campaign: Campaign, capture: Capture, learnt: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return cameras/CAMERA/camera.json: bands, sensors, and what was learnt of them, by setup."""
+    keys = campaign.cameras[capture.camera]
+    return {
+        "camera": capture.camera,
+        "kind": keys.kind,
+        "bits": keys.bits,
+        "black": keys.black,
+        "saturation": keys.saturation,
+        "bands": _bands(capture.bands),
+        "sensors": [
+            {
+                "name": s.name,
+                "pattern": [list(row) for row in s.pattern] if s.pattern else None,
+                "bands": [band.label for band in s.bands],
+            }
+            for s in capture.sensors
+        ],
+        "learnt": {setup or "": _without_pictures(told) for setup, told in learnt.items()},
+    }
+
+
+def write_chart(
+    places: Places, campaign: Campaign, capture: Capture, made: Developed, measure: ChartMeasure
+) -> list[Path]:
+    """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
+    from levkas.building.spectra import broad_centroids
+    from levkas.core.files import write_json
+    from levkas.database.credits import Credits
+    from levkas.database.layers import Layer, write_tiffs
+
+    chart, described = capture.object, campaign.campaign
+    folder = places.output / "charts" / chart
+    credits = Credits(
+        title=f"{measure.chart.name}, {capture.layer}",
+        creator=described.creator,
+        date=made.captured or described.date or "",
+        rights=described.licence,
+    )
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    layer = Layer(chart, capture.camera, capture.setup, credits=credits, centroids=centroids)
+    written = []
+    for sensor, cube in made.cubes.items():
+        stem = "_".join(part for part in (layer.stem, sensor) if part)
+        written += write_tiffs(folder / stem, layer, cube)
+    record = folder / f"{layer.stem}.json"
+    write_json(record, {"chart": measure.chart.name, **measure.to_dict()})
+    return [*written, record]
+
+
+def _bands(bands: Sequence[Band]) -> list[dict[str, Any]]:
+    return [
+        {
+            "label": b.label,
+            "wavelength_nm": None if isnan(b.wavelength) else b.wavelength,
+            "fwhm_nm": None if isnan(b.fwhm) else b.fwhm,
+        }
+        for b in bands
+    ]
+
+
+def _without_pictures(told: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        sensor: {
+            **{k: v for k, v in facts.items() if k != "light"},
+            "light": {
+                band: {k: v for k, v in light.items() if k not in PICTURES}
+                for band, light in facts.get("light", {}).items()
+            },
+        }
+        for sensor, facts in told.items()
+    }
+
+
+def joined_sigma(one: np.ndarray | None, other: np.ndarray | None) -> np.ndarray | None:
+    """Return sigma of the mean of two halves; None where it is not known of both."""
+    if one is None or other is None:
+        return None
+    return np.sqrt(one.astype(np.float64) ** 2 + other.astype(np.float64) ** 2).astype(
+        np.float32
+    ) / np.float32(2)

@@ -10,26 +10,25 @@ from math import nan
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.fingerprints import keys_of
-from levkas.building.fitting import require_memory
+from levkas.building.native_cubes import require_memory
+from levkas.building.progress import Step
 from levkas.building.reference import ReferenceFrame, record_of, transforms_of
 from levkas.building.registration_stages import RegistrationStages
-from levkas.building.steps import Step
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import numpy as np
 
-    from levkas.building.default_setup import DefaultLayer
-    from levkas.building.ledger import Key, Ledger
-    from levkas.building.native import Native, PackedSigma
+    from levkas.building.build_records import BuildRecords, Key
+    from levkas.building.native_cubes import Native, PackedSigma
     from levkas.building.reference import Grey
-    from levkas.building.resampling import Mosaic
+    from levkas.building.resample import DefaultLayer, Mosaic
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
-    from levkas.building.shelf import Shelf
+    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.catalogue import Entry
     from levkas.database.credits import Credits
     from levkas.database.layers import Layer
@@ -62,8 +61,8 @@ class CaptureStages:
 
     campaign: Campaign
     places: Places
-    ledger: Ledger
-    shelf: Shelf
+    ledger: BuildRecords
+    shelf: TemplateCache
     name: str
     captures: list[Capture]
     write: Callable[..., Future[Step]]
@@ -90,7 +89,7 @@ class CaptureStages:
     def calibrated(self, capture: Capture, native: list[Native | Scan]) -> Native | Scan:
         """The calibrated cubes, from this run or from the database."""
         if not native:
-            from levkas.building.native import read_native
+            from levkas.building.native_cubes import read_native
             from levkas.building.scan_opening import open_scan
             from levkas.building.scans import is_streamed
 
@@ -116,9 +115,9 @@ class CaptureStages:
         native: list[Native | Scan],
         why: str,
     ) -> Future[Step]:
-        from levkas.building.developing import develop
-        from levkas.building.focusing import focus_of
-        from levkas.building.native import Native, PackedSigma, least_bytes, write_native
+        from levkas.building.calibrate import develop
+        from levkas.building.capture_statistics import focus_of
+        from levkas.building.native_cubes import Native, PackedSigma, least_bytes, write_native
         from levkas.building.scan_opening import open_scan
         from levkas.building.scans import is_streamed
         from levkas.building.streaming import write_scan
@@ -175,12 +174,18 @@ class CaptureStages:
         native: list[Native | Scan],
         why: str,
     ) -> Future[Step]:
-        from levkas.building.measuring import flag_and_count, ranges_of
-        from levkas.building.native import least_bytes, read_sigma
-        from levkas.building.resampling import count_flags, describe_flags, grey_of, resample
+        from levkas.building.capture_statistics import (
+            count_flags,
+            describe_flags,
+            flag_and_count,
+            ranges_of,
+        )
+        from levkas.building.native_cubes import least_bytes, read_sigma
+        from levkas.building.resample import resample
         from levkas.building.scans import Scan
         from levkas.core.disk import require_space
         from levkas.core.files import make_folder
+        from levkas.database.grey import grey_of
         from levkas.database.layers import Layer, write_layer
 
         grid, sampling, _ = self.frame.layout(native if capture is self.frame.capture else [])
@@ -246,8 +251,8 @@ class CaptureStages:
 
     def _mosaics(self, capture: Capture) -> dict[str, Mosaic]:
         """Sensors of a capture whose values were demosaiced."""
-        from levkas.building.developing import demosaicing_of
-        from levkas.building.resampling import Mosaic
+        from levkas.building.calibrate import demosaicing_of
+        from levkas.building.resample import Mosaic
 
         camera = self.campaign.cameras[capture.camera]
         return {
@@ -267,7 +272,7 @@ class CaptureStages:
         keep: Callable[..., Step],
     ) -> Step:
         """Resample and write a scan some rows at a time."""
-        from levkas.building.default_setup import gains_of_scan
+        from levkas.building.resample import gains_of_scan
         from levkas.building.streaming import Passing, resample_scan, white_of
         from levkas.database.streaming_writer import write_rows
         from levkas.geometry.transforms import Composed
@@ -299,7 +304,7 @@ class CaptureStages:
         default = default_of(capture, self.frame.captures)
         if default is None or quantity != "reflectance":
             return None
-        from levkas.building.default_setup import DefaultLayer
+        from levkas.building.resample import DefaultLayer
 
         values, flags = (
             self.places.layer(self.name, capture.camera, kind=k) for k in (".tif", ".flags.tif")
@@ -307,7 +312,7 @@ class CaptureStages:
         return DefaultLayer.open(values, flags, (shape[0], shape[1], shape[2]))
 
     def _centroids(self, capture: Capture) -> dict[str, float]:
-        from levkas.building.channels import broad_centroids
+        from levkas.building.spectra import broad_centroids
 
         return broad_centroids(self.campaign, capture.camera, capture.bands)
 

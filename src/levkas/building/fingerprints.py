@@ -10,15 +10,15 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.hand_points import told_points
-from levkas.building.ledger import Hashes, Key
+from levkas.building.build_records import Hashes, Key
+from levkas.building.control_points import told_points
 from levkas.building.sources import code_version
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef
+    from levkas.campaign.discovery.captures import Capture, FrameRef
     from levkas.core.problems import Problem
 
 STAGES = ("calibrate", "register", "resample")

@@ -10,12 +10,12 @@ from levkas.building.objects import ObjectBuild, Round
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from levkas.building.ledger import Key, Ledger
+    from levkas.building.build_records import BuildRecords, Key
+    from levkas.building.progress import Step
     from levkas.building.rig_mates import RigMates
-    from levkas.building.shelf import Shelf
-    from levkas.building.steps import Step
+    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 
@@ -31,8 +31,8 @@ class JointRound:
 
     campaign: Campaign
     places: Places
-    ledger: Ledger
-    shelf: Shelf
+    ledger: BuildRecords
+    shelf: TemplateCache
     mates: RigMates
     _ended: dict[Key, Step] = field(default_factory=dict)
 

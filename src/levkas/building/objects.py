@@ -11,30 +11,31 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from levkas.building import fingerprints
+from levkas.building.build_records import BuildRecords, Key
 from levkas.building.capture_stages import CaptureStages, default_of
 from levkas.building.fingerprints import digest
-from levkas.building.fitting import ran_out
-from levkas.building.ledger import Key, Ledger
-from levkas.building.rig_mates import RigMates, joint_keys
-from levkas.building.standing import Standing, is_of_the_disk
-from levkas.building.steps import Step
-from levkas.building.withdrawing import (
+from levkas.building.native_cubes import ran_out
+from levkas.building.progress import Step
+from levkas.building.removal import (
     CATALOGUE,
     NoReference,
+    Standing,
+    is_of_the_disk,
     no_reference,
     put_away,
     refused_step,
     withdraw,
 )
+from levkas.building.rig_mates import RigMates, joint_keys
 from levkas.core.machine import give_back_memory, steady_libraries
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.building.native import Native
+    from levkas.building.native_cubes import Native
     from levkas.building.scans import Scan
-    from levkas.building.shelf import Shelf
+    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
     Grey = tuple[np.ndarray, np.ndarray]
@@ -66,8 +67,8 @@ class ObjectBuild:
 
     campaign: Campaign
     places: Places
-    ledger: Ledger
-    shelf: Shelf
+    ledger: BuildRecords
+    shelf: TemplateCache
     name: str
     captures: list[Capture]
     mates: RigMates

@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.steps import Step
+from levkas.building.progress import Step
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
 
-    from levkas.building.ledger import Key, Ledger
-    from levkas.building.measured import Measured
-    from levkas.building.native import Native
+    from levkas.building.build_records import BuildRecords, Key
+    from levkas.building.native_cubes import Native
     from levkas.building.reference import ReferenceFrame
+    from levkas.building.register import Measured
     from levkas.building.rig_mates import RigMates
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 
@@ -43,7 +43,7 @@ class RegistrationStages:
 
     campaign: Campaign
     places: Places
-    ledger: Ledger
+    ledger: BuildRecords
     mates: RigMates
     frame: ReferenceFrame
     calibrated: Callable[[Capture, list[Native | Scan]], Native | Scan]
@@ -91,16 +91,18 @@ class RegistrationStages:
     def _measured(
         self, capture: Capture, native: list[Native | Scan]
     ) -> tuple[Measured, list[list[str]]]:
-        from levkas.building import registering
-        from levkas.building.measured import Measured
+        from levkas.building.register import (
+            Measured,
+            corrections_of,
+            record_of,
+            register_capture,
+        )
         from levkas.pages.figures import draw_trace
         from levkas.registration import RegistrationRefused
 
         here = self.calibrated(capture, native)
         options = dict(self.campaign.registration_of(capture.camera))
-        given, by_hand = registering.corrections_of(
-            self.campaign, capture, self.frame.channel(capture)
-        )
+        given, by_hand = corrections_of(self.campaign, capture, self.frame.channel(capture))
         options |= by_hand
         own = None if capture is self.frame.capture else self.frame.registration()
         registration, refused = None, None
@@ -108,7 +110,7 @@ class RegistrationStages:
         if options.get("method", "levkas") == "levkas":
             options["ready"] = partial(self.frame.ready, native, region, own)
         try:
-            registration = registering.register_capture(
+            registration = register_capture(
                 here, self.frame.images(native if own is None else []), self.frame.band(),
                 own, region, options, given,
             )  # fmt: skip
@@ -119,7 +121,7 @@ class RegistrationStages:
             self.frame.settle()
         if self.frame.made_ready is not None:
             self.frame.made_ready.release()
-        record = registering.record_of(
+        record = record_of(
             registration, refused, capture, here, grid, self.frame.description(), sampling,
             self.frame.channel(capture), options.get("method", "levkas"),
         )  # fmt: skip
@@ -131,7 +133,7 @@ class RegistrationStages:
         return Measured.of(record, registration, problems), drawn
 
     def _adjusted(self, capture: Capture) -> Measured:
-        from levkas.building.adjusting import adjusted
+        from levkas.building.joint import adjusted
 
         is_reference = capture is self.frame.capture
         reference = None if is_reference else self.frame.registration().sigma
@@ -156,12 +158,12 @@ class RegistrationStages:
         figures: list[list[str]],
         started: float,
     ) -> Step:
-        from levkas.building import registering
+        from levkas.building.register import write_registration
         from levkas.core.files import together
 
         record, problems = measured.record, measured.problems
         with together(partial(self.ledger.forget, key)):
-            files = registering.write_registration(self.places, capture, record, measured.matches)
+            files = write_registration(self.places, capture, record, measured.matches)
         notes: dict[str, Any] = {
             "seconds": round(time.monotonic() - started, 2),
             "refused": [p.to_dict() for p in problems],

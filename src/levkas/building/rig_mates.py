@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 from zipfile import BadZipFile
 
 from levkas.building import fingerprints
+from levkas.building.build_records import Key
 from levkas.building.fingerprints import digest
-from levkas.building.ledger import Key
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from levkas.building.ledger import Ledger
-    from levkas.building.measured import Measured
+    from levkas.building.build_records import BuildRecords
+    from levkas.building.register import Measured
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 NOT_THERE = "not registered"
@@ -39,7 +39,7 @@ class RigMates:
 
     campaign: Campaign
     places: Places
-    ledger: Ledger
+    ledger: BuildRecords
     captures: Sequence[Capture]
     _noted: dict[tuple[str, str], str] = field(default_factory=dict)
     _digests: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class RigMates:
 
     def read(self, capture: Capture) -> Measured:
         """Return a capture's own registration; raises Refused where it is damaged."""
-        from levkas.building.measured import Measured
+        from levkas.building.register import Measured
 
         where = capture.object, capture.layer
         if where not in self._read:

@@ -8,27 +8,37 @@ from pathlib import Path
 from typing import Any
 
 from levkas.building import fingerprints, sources
+from levkas.building.build_records import BuildRecords, Key
 from levkas.building.camera_pages import CameraPages, page_key
-from levkas.building.cataloguing import (
+from levkas.building.catalogue import (
     by_others,
     foreign_files,
     prints_of_catalogue,
+    setups_of,
+    spectra_of,
     write_catalogue_of,
 )
 from levkas.building.claiming import check_apart, claim
 from levkas.building.fingerprints import digest
-from levkas.building.imprint import setups_of, spectra_of
 from levkas.building.joint_round import JointRound
-from levkas.building.ledger import Key, Ledger
 from levkas.building.objects import ObjectBuild, Round
-from levkas.building.removal import REMOVED, describe, no_longer_there, removal
+from levkas.building.progress import BuildReport, Step, summarise
+from levkas.building.removal import (
+    CATALOGUE,
+    REMOVED,
+    NoReference,
+    describe,
+    no_longer_there,
+    put_away,
+    put_away_stage,
+    removal,
+)
 from levkas.building.rig_mates import RigMates, joint_keys
-from levkas.building.shelf import Shelf
-from levkas.building.steps import BuildReport, Step, summarise
-from levkas.building.withdrawing import CATALOGUE, NoReference, put_away, put_away_stage
+from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
-from levkas.campaign.discovery.find_captures import Capture, Refusals, find_captures
-from levkas.campaign.edits import FILE_NAME, Edits, check_edits
+from levkas.campaign.discovery.captures import Capture, Refusals
+from levkas.campaign.discovery.find_captures import check_edits, find_captures
+from levkas.campaign.edits import FILE_NAME, Edits
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 
@@ -80,9 +90,9 @@ def build(
     for folder in (places.output, places.kept):
         sweep(folder)
     sources.remember(places.kept / CODE)
-    ledger = Ledger(places.kept, places.output, keep_removed=keep_removed, verify=verify)
+    ledger = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
     names = _names(captures, refusals)
-    shelf = Shelf(places.kept / "templates", ledger.hashes, shared=len(names) > 1)
+    shelf = TemplateCache(places.kept / "templates", ledger.hashes, shared=len(names) > 1)
     # What cameras told is gathered from all objects: a build of some leaves their pages alone.
     cameras = None if objects else CameraPages(campaign, places, ledger, captures)
     pages = len(cameras.cameras) if cameras else 0
@@ -152,9 +162,9 @@ def status(
     places = Places(Path(output).resolve() if output else campaign.output)
     check_apart(campaign, places.output, captures)
     sources.remember(places.kept / CODE)
-    ledger = Ledger(places.kept, places.output, verify=verify)
+    ledger = BuildRecords(places.kept, places.output, verify=verify)
     steps = [_refusal(key, refused) for key, refused in refusals.items()]
-    shelf = Shelf(places.kept / "templates", ledger.hashes, shared=True)
+    shelf = TemplateCache(places.kept / "templates", ledger.hashes, shared=True)
     mates = RigMates(campaign, places, ledger, captures)
     by_object = _by_object(captures)
     lost = _by_object_refused(refusals)
@@ -192,7 +202,7 @@ def status(
 def _state_of_catalogue(
     campaign: Campaign,
     places: Places,
-    ledger: Ledger,
+    ledger: BuildRecords,
     captures: list[Capture],
     refusals: Refusals,
     steps: list[Step],
@@ -232,6 +242,7 @@ def _pages(cameras: CameraPages | None) -> list[Key]:
 def _plan(path: str | Path, objects: list[str] | None) -> tuple[Campaign, list[Capture], Refusals]:
     """Read the campaign and find its captures, those of some objects only where asked."""
     campaign = load_campaign(path)
+    check_detectors(campaign)
     captures, refusals = find_captures(campaign)
     _check_edits(campaign, captures, refusals)
     if objects:
@@ -252,6 +263,21 @@ def _plan(path: str | Path, objects: list[str] | None) -> tuple[Campaign, list[C
     return campaign, captures, refusals
 
 
+def check_detectors(campaign: Campaign) -> None:
+    """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
+    tables = {"registration": campaign.registration}
+    tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
+    asked = {where: keys.detector for where, keys in tables.items() if keys.detector}
+    if set(asked.values()) <= {"sift"}:
+        return
+    from levkas.registration.features import available_detectors, no_detector
+
+    here = available_detectors()
+    missing = [no_detector(name, f"{w}.detector") for w, name in asked.items() if name not in here]
+    if missing:
+        raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
+
+
 def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:
     """Refuse corrections by hand of what the campaign does not have; what is refused is had."""
     lost = [Capture(name, camera, setup, ()) for name, camera, setup in refusals]
@@ -268,8 +294,8 @@ def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals
 def _object(
     campaign: Campaign,
     places: Places,
-    ledger: Ledger,
-    shelf: Shelf,
+    ledger: BuildRecords,
+    shelf: TemplateCache,
     name: str,
     captures: list[Capture],
     refusals: Refusals,
@@ -336,13 +362,13 @@ def _page_prints(campaign: Campaign, mine: ObjectBuild, steps: list[Step]) -> di
 def _page(
     campaign: Campaign,
     places: Places,
-    ledger: Ledger,
+    ledger: BuildRecords,
     name: str,
     mine: ObjectBuild,
     steps: list[Step],
 ) -> Iterator[Step]:
     from levkas.building import provenance
-    from levkas.building.pages import report_of
+    from levkas.building.report_pages import report_of
     from levkas.core.files import make_folder, together, write_json, write_text
 
     key = Key(name, stage="report")

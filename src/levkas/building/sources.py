@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.problems import Refused
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -41,13 +41,13 @@ ENTRIES = {
         "levkas.building.capture_stages:resample",
     ),
     "report": (
-        "levkas.building.pages",
+        "levkas.building.report_pages",
         "levkas.building.provenance",
         "levkas.campaign.schema.toml",
     ),
     "camera": ("levkas.building.camera_pages",),
-    "catalogue": ("levkas.building.cataloguing",),
-    "template": ("levkas.building.bench",),
+    "catalogue": ("levkas.building.catalogue",),
+    "template": ("levkas.calibration.sensor_context",),
 }
 """Where each stage begins: a module, or functions of one."""
 SHARED = frozenset(
@@ -56,8 +56,8 @@ SHARED = frozenset(
 RIM = frozenset(
     "levkas.building." + name
     for name in (
-        *("run", "objects", "joint_round", "rig_mates", "ledger", "fingerprints", "sources"),
-        *("standing", "steps", "withdrawing", "removal", "claiming", "turns"),
+        *("run", "objects", "joint_round", "rig_mates", "build_records", "fingerprints"),
+        *("sources", "progress", "removal", "claiming"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""

@@ -15,13 +15,11 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from levkas.core.problems import Problem, Refused
-
-if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import Capture
-    from levkas.registration.manual_points import ManualPoints
 
 FILE_NAME = "edits.toml"
 MOST_TURNS = 50
@@ -69,7 +67,7 @@ class FrameEdits:
     Examples
     --------
     >>> edits = FrameEdits(moved=((1, 2, 3, 4, 1, 2, 3, 5),))
-    >>> edits.given().added.tolist(), edits.given().deleted.tolist()
+    >>> edits.pairs()["added"].tolist(), edits.pairs()["deleted"].tolist()
     ([[1.0, 2.0, 3.0, 5.0]], [[1.0, 2.0, 3.0, 4.0]])
     """
 
@@ -86,22 +84,16 @@ class FrameEdits:
     def __bool__(self) -> bool:
         return self != FrameEdits()
 
-    def given(self) -> ManualPoints:
-        """Return the pairs as a registration takes them."""
-        import numpy as np
-
-        from levkas.registration.manual_points import ManualPoints
-
-        def pairs(*rows: Pair) -> np.ndarray:
-            return np.array(rows, float).reshape(-1, 4)
-
-        return ManualPoints(
-            added=pairs(*self.added, *(move[4:] for move in self.moved)),
-            pinned=pairs(*self.pinned),
-            restored=pairs(*self.restored),
-            deleted=pairs(*self.deleted, *(move[:4] for move in self.moved)),
-            checks=pairs(*self.checks),
-        )
+    def pairs(self) -> dict[str, Any]:
+        """Return the pairs by their kind, each (n, 4): a move deletes a pair and adds another."""
+        rows = {
+            "added": (*self.added, *(move[4:] for move in self.moved)),
+            "pinned": self.pinned,
+            "restored": self.restored,
+            "deleted": (*self.deleted, *(move[:4] for move in self.moved)),
+            "checks": self.checks,
+        }
+        return {kind: np.array(found, float).reshape(-1, 4) for kind, found in rows.items()}
 
     def told(self) -> str:
         """Say in a few words what a build depends on, with a hash of all of it; empty for nothing.
@@ -188,15 +180,15 @@ def read_edits(path: Path) -> Edits:
 def _validated(record: dict[str, Any], path: Path) -> Edits:
     from pydantic import ValidationError
 
-    from levkas.campaign.schema.corrections import EditsDocument
     from levkas.campaign.schema.error_messages import MOST_PROBLEMS, explain
+    from levkas.campaign.schema.tables import EditsDocument
 
     try:
         document = EditsDocument.model_validate(record)
     except ValidationError as invalid:
         errors = invalid.errors(include_url=False, include_context=False)
         told = explain(record, errors, EditsDocument)
-        raise EditsInvalid(*(_explained(p, path) for p in told)) from None
+        raise EditsInvalid(*(with_explanation(p, path) for p in told)) from None
     frames = {
         (name, frame): FrameEdits(**{k: _rounded(v) for k, v in dict(keys).items()})
         for name, table in document.objects.items()
@@ -204,47 +196,8 @@ def _validated(record: dict[str, Any], path: Path) -> Edits:
     }
     edits = Edits({key: value for key, value in frames.items() if value})
     if problems := list(islice(_contradictions(edits), MOST_PROBLEMS)):
-        raise EditsInvalid(*(_explained(p, path) for p in problems))
+        raise EditsInvalid(*(with_explanation(p, path) for p in problems))
     return edits
-
-
-def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
-    """Refuse corrections of what the campaign does not have, and two tables of one sensor.
-
-    Raises
-    ------
-    EditsInvalid
-    """
-    known: dict[str, dict[str, dict[str, str]]] = {}
-    for capture in captures:
-        labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
-        known.setdefault(capture.object, {})[capture.layer] = labels
-    problems = []
-    seen: dict[tuple[str, str, str], str] = {}
-    for name, frame in sorted(edits.frames):
-        layer, _, band = frame.partition(":")
-        where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
-        for kind, asked, names in (
-            ("object", name, list(known)),
-            ("camera", layer, list(layers)),
-            ("band", band, list(layers.get(layer, {}))),
-        ):
-            if asked and asked not in names:
-                said = ", ".join(sorted(names))
-                problem = Problem("E_VALUE", f"there is no such {kind}", None, where, asked, said)
-                problems.append(_explained(problem, path))
-                break
-        else:
-            sensors = layers[layer]
-            place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
-            if (first := seen.setdefault(place, frame)) != frame:
-                message = "two tables speak of one sensor"
-                problem = Problem(
-                    "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
-                )
-                problems.append(_explained(problem, path))
-    if problems:
-        raise EditsInvalid(*problems)
 
 
 def write_edits(path: Path, edits: Edits) -> None:
@@ -255,11 +208,7 @@ def write_edits(path: Path, edits: Edits) -> None:
 
 
 def change_edits(
-    path: Path,
-    name: str,
-    frame_of: Callable[[Edits], str],
-    before: FrameEdits,
-    after: FrameEdits,
+    path: Path, name: str, frame_of: Callable[[Edits], str], before: FrameEdits, after: FrameEdits
 ) -> FrameEdits:
     """Write what a change made of one frame's corrections, on top of what edits.toml holds by now.
 
@@ -301,7 +250,7 @@ def change_edits(
             if problems := _clashes(
                 before, after, present, merged, f"objects.{name}.cameras.{frame}"
             ):
-                raise EditsConflict(*(_explained(p, path) for p in problems), present=present)
+                raise EditsConflict(*(with_explanation(p, path) for p in problems), present=present)
             if merged == present:
                 return present
             text = _revised(data, edits, edits.with_frame(name, frame, merged), (name, frame), path)
@@ -317,7 +266,7 @@ def change_edits(
                 continue
             return merged
     problem = Problem("E_BUSY", "edits.toml is changed again and again", str(path))
-    raise EditsInvalid(_explained(problem, path))
+    raise EditsInvalid(with_explanation(problem, path))
 
 
 class _Changed(Exception):
@@ -388,7 +337,7 @@ def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], p
         field=f"objects.{place[0]}.cameras.{place[1]}",
         expected="a table of its own for every camera",
     )
-    raise EditsInvalid(_explained(problem, path))
+    raise EditsInvalid(with_explanation(problem, path))
 
 
 def _revise(table: Any, key: str, value: Any) -> None:
@@ -505,7 +454,8 @@ def _contradictions(edits: Edits) -> Iterator[Problem]:
             )
 
 
-def _explained(problem: Problem, path: Path) -> Problem:
+def with_explanation(problem: Problem, path: Path) -> Problem:
+    """Return a problem with the file, and where the keys are explained unless it says its fix."""
     return replace(problem, file=str(path), fix=problem.fix or EXPLAINED)
 
 

@@ -48,7 +48,7 @@ def chart(
     as_json: Json = False,
 ) -> None:
     """Find colour charts and measure signal-to-noise, blur, colour, tone and white balance."""
-    from levkas.building.charting import measure_charts
+    from levkas.building.charts import measure_charts
     from levkas.core.ownership import require_free
     from levkas.quality.targets.charts import parse_corners
 

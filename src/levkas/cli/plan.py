@@ -62,7 +62,7 @@ def light(
 def framing(setup: SetupPath, as_json: Json = False) -> None:
     """Field, working distance, sampling, depth of field and diffraction of every camera."""
     from levkas.planning.framing import plan_framing
-    from levkas.planning.setup import load_setup
+    from levkas.planning.loading import load_setup
     from levkas.planning.text_report import framing_text
 
     found = plan_framing(load_setup(setup))
@@ -119,8 +119,7 @@ def exposure(
     record: dict[str, Any] = {}
     texts = []
     if frames:
-        from levkas.planning.advice_text import advice_text
-        from levkas.planning.exposure_advice import coach
+        from levkas.planning.exposure_advice import advice_text, coach
 
         found = coach(
             frames,

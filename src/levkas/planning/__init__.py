@@ -6,17 +6,17 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "PlanRefused": "refusals",
-    "Setup": "setup",
-    "load_setup": "setup",
+    "PlanRefused": "tables",
+    "StudioSetup": "setup",
+    "load_setup": "loading",
     "plan_light": "light",
     "compare_lightings": "light",
-    "find_setup": "setup",
-    "optimise": "optimising",
-    "trade_off": "optimising",
+    "find_setup": "loading",
+    "optimise": "optimisation",
+    "trade_off": "optimisation",
     "plan_framing": "framing",
-    "plan_exposure": "exposing",
-    "plan_dose": "dose",
+    "plan_exposure": "exposure_plan",
+    "plan_dose": "exposure_plan",
     "regulating_filter": "filter_design",
     "write_report": "report",
     "render_sheet": "contact_sheet",
@@ -25,7 +25,6 @@ _HOMES = {
     "sample_surface": "surface",
     "specular": "microfacet",
     "colour_temperature": "spectra",
-    "illuminant": "levkas.colour.illuminants",
     "GRID": "spectra",
 }
 __all__ = sorted(_HOMES)

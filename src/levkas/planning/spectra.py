@@ -10,7 +10,7 @@ import numpy as np
 
 from levkas.colour.illuminants import illuminant, planck
 from levkas.colour.observer import tables
-from levkas.planning.refusals import PlanRefused, asked, wrong
+from levkas.planning.tables import PlanRefused, asked, wrong
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -209,7 +209,7 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
     import csv
     import io
 
-    from levkas.readers.texts import TextRefused, read_text
+    from levkas.readers.text import TextRefused, read_text
 
     rows: list[list[float]] = []
     labels: list[str] = []

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from levkas.readers import jpeg, png
+from levkas.readers import images
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
-from levkas.readers.facts import COPY_AGAIN, Facts, UnreadableCapture, unreadable
+from levkas.readers.facts import Facts, UnreadableCapture, unreadable
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
-from levkas.readers.texts import what_stands_at
+from levkas.readers.text import what_stands_at
 
 __all__ = [
     "Facts",
@@ -42,8 +42,8 @@ ALONE = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", *RAW_SUFFIXES]) - {
 """Suffixes of files that hold a frame by themselves."""
 READERS = {
     "tiff": ("levkas.readers.tiff", "read_tiff_facts", "read_tiff_page"),
-    "png": ("levkas.readers.png", "read_png_facts", "read_png"),
-    "jpeg": ("levkas.readers.jpeg", "read_jpeg_facts", "read_jpeg"),
+    "png": ("levkas.readers.images", "read_png_facts", "read_png"),
+    "jpeg": ("levkas.readers.images", "read_jpeg_facts", "read_jpeg"),
     "raw": ("levkas.readers.raw", "read_raw_facts", "read_raw_mosaic"),
     "envi": ("levkas.readers.envi", "read_envi_facts", "read_envi"),
 }
@@ -69,9 +69,9 @@ def kind_of(path: str | Path) -> str:
             raise _foreign(path, name)
     if suffix == ".hdr" or (suffix in DATA_SUFFIXES and find_header(path)):
         return "envi"
-    if head.startswith(png.SIGNATURE):
+    if head.startswith(images.PNG):
         return "png"
-    if head.startswith(jpeg.SIGNATURE):
+    if head.startswith(images.JPEG):
         return "jpeg"
     if suffix in RAW_SUFFIXES:
         return "raw"
@@ -247,11 +247,6 @@ def _first_bytes(path: Path) -> bytes:
         ) from error
     if not head:
         raise unreadable(
-            path,
-            "the file is empty",
-            code="E_TRUNCATED",
-            found="0 bytes",
-            expected="an image",
-            fix=COPY_AGAIN,
+            path, "the file is empty", code="E_TRUNCATED", found="0 bytes", expected="an image"
         )
     return head

@@ -25,9 +25,16 @@ FEW = 64
 LEAST_TO_START = 4
 #: Standard deviation of a place that a person points at, native px of either picture.
 HAND_PX = 0.5
-#: Marks of pairs that no fit rests on, and fields of pairs that are never removed with their marks.
-UNUSED = (HandMark.DELETED, HandMark.CHECK)
-FIXED = {"restored": HandMark.RESTORED, "pinned": HandMark.PINNED, "added": HandMark.ADDED}
+#: Kind of pairs, a field of `ManualPoints` → its mark.
+MARKS = {
+    "added": HandMark.ADDED,
+    "pinned": HandMark.PINNED,
+    "restored": HandMark.RESTORED,
+    "deleted": HandMark.DELETED,
+    "checks": HandMark.CHECK,
+}
+#: Marks of pairs that no fit rests on; kinds of pairs that are never removed.
+UNUSED, FIXED = (HandMark.DELETED, HandMark.CHECK), ("restored", "pinned", "added")
 
 
 def _none() -> np.ndarray:
@@ -90,8 +97,8 @@ class ManualPoints:
         reason[nearest_rows(found, self.deleted) >= 0] = HandMark.DELETED
         reason[nearest_rows(found, self.checks) >= 0] = HandMark.CHECK
         more, why = [], []
-        for name, mark in FIXED.items():
-            pairs = getattr(self, name)
+        for kind in FIXED:
+            pairs, mark = getattr(self, kind), MARKS[kind]
             at = nearest_rows(pairs, found)
             reason[at[at >= 0]] = mark
             more.append(pairs[at < 0])

@@ -3,9 +3,8 @@ import unicodedata
 
 import pytest
 
-from levkas.campaign.discovery import folders as module
-from levkas.campaign.discovery.files import find, nearest
-from levkas.campaign.discovery.folders import Folders, FolderUnreadable
+from levkas.campaign.discovery import file_index as module
+from levkas.campaign.discovery.file_index import Folders, FolderUnreadable, find, nearest
 from levkas.campaign.discovery.patterns import Pattern
 
 
@@ -109,7 +108,9 @@ def test_the_nearest_names_are_shown(tmp_path):
     assert folder == tmp_path and near == ["raw"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read every folder")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read every folder"
+)
 def test_a_folder_that_may_not_be_read_is_said(tmp_path):
     (tmp_path / "raw").mkdir(mode=0o000)
     with pytest.raises(FolderUnreadable):

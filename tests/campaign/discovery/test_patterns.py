@@ -4,9 +4,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from levkas.campaign.discovery.files import find
-from levkas.campaign.discovery.matching import match_pieces
-from levkas.campaign.discovery.patterns import Pattern, _compiled, _pieces, natural
+from levkas.campaign.discovery.file_index import find
+from levkas.campaign.discovery.patterns import Pattern, _compiled, _pieces, match_pieces, natural
 from levkas.core.problems import Refused
 
 

@@ -48,6 +48,7 @@ def database(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_methods_are_set_side_by_side_with_errors_maps_and_memory(database, tmp_path):
     names = ["levkas", "mirhashemi2019", "opencv-sift-magsac"]
     arguments = [a for name in names for a in ("--method", name)]

@@ -192,6 +192,7 @@ QUERIES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_no_route_ends_in_a_fault_of_the_server_whatever_it_is_sent(app, client):
     """Every refusal has one shape; the client raises what a handler does not catch."""
     asked = 0

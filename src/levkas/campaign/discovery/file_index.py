@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import re
+import unicodedata
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.discovery.captures import CaptureRefused
-from levkas.campaign.discovery.files import Found, find
-from levkas.campaign.discovery.folders import Folders
-from levkas.campaign.discovery.manifest import read_manifest, with_exposures
-from levkas.campaign.discovery.patterns import Pattern
+from levkas.campaign.discovery.manifest import read_manifest
+from levkas.campaign.discovery.patterns import Pattern, natural, ways_to_read
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -165,3 +167,295 @@ def patterns_of(
     files = own.files if own and own.files else None
     sensors = [sensor] if sensor is not None else [s.name for s in keys.sensors] or [""]
     return [p for name in sensors for p in _patterns_of_sensor(keys, name, files, setup)]
+
+
+MOST_COMPARED = 2000
+TYPICAL = {"{wavelength}": "550", "{exposure}": "100", "{shot}": "001"}
+
+
+@dataclass(frozen=True)
+class Found:
+    """A file that fits a pattern, and what its name says; units nm and s."""
+
+    path: Path
+    pattern: Pattern
+    target: str = ""
+    setup: str = ""
+    band: str = ""
+    wavelength: float | None = None
+    exposure_s: float | None = None
+    shot: str = ""
+    sensor: str = ""
+
+
+def find(
+    root: Path,
+    patterns: Sequence[str | Pattern],
+    *,
+    known: Mapping[str, Collection[str]] | None = None,
+    folders: Folders | None = None,
+) -> list[Found]:
+    """Find the files that fit one of some patterns, in natural order; the first that fits counts.
+
+    Parameters
+    ----------
+    root : Path
+        What the patterns are relative to.
+    patterns : sequence of str or Pattern
+    known : dict of field to values, optional
+        As `Pattern.read` takes it.
+    folders : Folders, optional
+        Listings that are already there.
+
+    Raises
+    ------
+    ValueError
+        For a pattern that cannot be read.
+    FolderUnreadable
+        For a folder that cannot be listed.
+    """
+    folders = folders or Folders()
+    ways = ways_to_read(known or {})
+    seen: dict[Path, Found] = {}
+    for pattern in patterns:
+        parsed = Pattern.parse(pattern) if isinstance(pattern, str) else pattern
+        for path, text in _walk(parsed, folders, _start(root, parsed), 0, "", set()):
+            told = None if path in seen else parsed.read(text, ways)
+            if told is not None:
+                seen[path] = Found(path, parsed, **told)
+    return _without_data_of_headers(in_natural_order(seen.values()))
+
+
+def with_exposures(frames: Sequence[Found], exposures: dict[str, float], root: Path) -> list[Found]:
+    """Give frames the exposure that the manifest has for their path from `root`, or for their name."""
+    told = []
+    for frame in frames:
+        try:
+            name = frame.path.relative_to(root).as_posix()
+        except ValueError:
+            name = frame.path.name
+        seconds = exposures.get(name, exposures.get(frame.path.name))
+        told.append(frame if seconds is None else replace(frame, exposure_s=seconds))
+    return told
+
+
+def in_natural_order(found: Iterable[Found]) -> list[Found]:
+    """Return files by their paths, 9 before 10."""
+    return sorted(found, key=lambda f: (natural(f.path.as_posix()), f.path.as_posix()))
+
+
+def nearest(
+    root: Path, pattern: Pattern, *, folders: Folders | None = None, count: int = 3
+) -> tuple[Path, list[str]]:
+    """Return where a pattern leads no further, and the names there that are nearest to it.
+
+    Examples
+    --------
+    >>> nearest(Path("/no/such/folder"), Pattern.parse("raw/{target}.tif"))
+    (PosixPath('/no/such/folder'), [])
+    """
+    folders = folders or Folders()
+    here = [_start(root, pattern)]
+    segment = pattern.segments[0]
+    for i, segment in enumerate(pattern.segments):
+        last = i == len(pattern.segments) - 1
+        if segment == "**":
+            break
+        if segment == "..":
+            here = [folder.parent for folder in here]
+            continue
+        listed = folders.files if last else folders.folders
+        there = [f / n for f in here for n in listed(f) if pattern.fits_segment(i, composed(n))]
+        if last or not there:
+            break
+        here = there
+    names = [n for f in here for n in (*folders.folders(f), *folders.files(f))][:MOST_COMPARED]
+    wanted = re.sub(r"\{[a-z]+\}|\*", lambda m: TYPICAL.get(m.group(), ""), segment).lower()
+    ranked = sorted(
+        dict.fromkeys(names),
+        key=lambda n: (-SequenceMatcher(None, wanted, n.lower()).ratio(), natural(n), n),
+    )
+    return here[0], ranked[:count]
+
+
+def _start(root: Path, pattern: Pattern) -> Path:
+    return Path("/") if pattern.absolute else root
+
+
+def _walk(
+    pattern: Pattern,
+    folders: Folders,
+    folder: Path,
+    index: int,
+    text: str,
+    been: set[tuple[int, str]],
+) -> Iterator[tuple[Path, str]]:
+    """Yield (path, its part that the pattern describes), one folder level a segment; no way is gone twice."""
+    if (index, text) in been:
+        return
+    been.add((index, text))
+    segment = pattern.segments[index]
+    if segment == "**" and text.count("/") > DEEPEST:
+        raise too_deep(folder)
+    if segment == "..":
+        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../", been)
+    elif segment == "**":
+        yield from _walk(pattern, folders, folder, index + 1, text, been)
+        for name in folders.folders(folder):
+            if not folders.is_link(folder, name):
+                deeper = f"{text}{composed(name)}/"
+                yield from _walk(pattern, folders, folder / name, index, deeper, been)
+    elif index == len(pattern.segments) - 1:
+        for name in folders.files(folder):
+            if pattern.fits_segment(index, composed(name)):
+                yield folder / name, text + composed(name)
+    elif not re.search(r"[{*]", segment):
+        yield from _walk(pattern, folders, folder / segment, index + 1, f"{text}{segment}/", been)
+    else:
+        for name in folders.folders(folder):
+            if pattern.fits_segment(index, composed(name)):
+                deeper = f"{text}{composed(name)}/"
+                yield from _walk(pattern, folders, folder / name, index + 1, deeper, been)
+
+
+def _without_data_of_headers(found: list[Found]) -> list[Found]:
+    """Leave out the data file of an ENVI header that was found too: it is one capture."""
+    headers = {f.path for f in found if f.path.suffix.lower() == ".hdr"}
+    if not headers:
+        return found
+    stems = {path.with_suffix("") for path in headers}
+    return [
+        f
+        for f in found
+        if f.path in headers or not (f.path in stems or f.path.with_suffix("") in stems)
+    ]
+
+
+PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
+"""Names that an interrupted writer leaves behind."""
+OWN_FILES = ("campaign.toml", "edits.toml")
+DEEPEST = 64
+"""Folders in one another below the one that is looked at; captures lie three or four deep."""
+
+
+class FolderUnreadable(Refused):
+    """A folder of raw frames that cannot be listed."""
+
+
+class Folders:
+    """Listings by folder, kept while a campaign's files are looked for.
+
+    Parameters
+    ----------
+    never : iterable of Path
+        Folders not to look into, such as the campaign's output.
+
+    Examples
+    --------
+    >>> Folders().files(Path("/no/such/folder"))
+    ()
+    """
+
+    def __init__(self, *, never: Iterable[Path] = ()) -> None:
+        self._never = {os.path.normpath(folder) for folder in never}
+        self._known: dict[str, tuple[tuple[str, ...], tuple[str, ...], frozenset[str]]] = {}
+
+    def files(self, folder: Path) -> tuple[str, ...]:
+        """Return the names of the files of a folder, sorted; none where there is no folder.
+
+        Raises FolderUnreadable where it is there and cannot be listed.
+        """
+        return self._listed(folder)[0]
+
+    def folders(self, folder: Path) -> tuple[str, ...]:
+        """Return the names of the folders in a folder, sorted; raises as `files`."""
+        return self._listed(folder)[1]
+
+    def is_link(self, folder: Path, name: str) -> bool:
+        """Whether an entry is a symbolic link, which may lead back to where one comes from."""
+        return name in self._listed(folder)[2]
+
+    def _listed(self, folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozenset[str]]:
+        key = os.path.normpath(folder)
+        if key not in self._known:
+            self._known[key] = ((), (), frozenset()) if key in self._never else _scan(folder)
+        return self._known[key]
+
+
+def too_deep(folder: Path) -> FolderUnreadable:
+    """Return the refusal of a folder that lies deeper than `DEEPEST`."""
+    return FolderUnreadable(
+        Problem(
+            "E_SIZE",
+            "folders are nested too deeply",
+            str(folder),
+            found=f"over {DEEPEST} in one another",
+            expected=f"at most {DEEPEST}",
+            fix="Name the folder that holds the frames.",
+        )
+    )
+
+
+def walk(root: Path, folders: Folders) -> Iterator[tuple[tuple[str, ...], tuple[str, ...] | None]]:
+    """Yield (folders below the root, names of the files) of every folder, in natural order, from the top.
+
+    No folder is entered twice, whatever links lead to it. For what is nested deeper than `DEEPEST`
+    the names are None, and it is not entered.
+    """
+    visited: set[tuple[int, int]] = set()
+    waiting: list[tuple[str, ...]] = [()]
+    while waiting:
+        above = waiting.pop()
+        folder = root.joinpath(*above)
+        found = folder.stat() if folder.is_dir() else None
+        if found is None or (found.st_dev, found.st_ino) in visited:
+            continue
+        visited.add((found.st_dev, found.st_ino))
+        if len(above) > DEEPEST:
+            yield above, None
+            continue
+        yield above, tuple(_naturally(folders.files(folder)))
+        waiting += [(*above, name) for name in reversed(_naturally(folders.folders(folder)))]
+
+
+def _naturally(names: Iterable[str]) -> list[str]:
+    return sorted(names, key=lambda name: (natural(name), name))
+
+
+def _scan(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozenset[str]]:
+    files, folders, links = [], [], set()
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.name.startswith(".") or PARTIAL.fullmatch(entry.name):
+                    continue
+                if entry.is_dir():
+                    folders.append(entry.name)
+                elif entry.is_file() and entry.name not in OWN_FILES:
+                    files.append(entry.name)
+                if entry.is_symlink():
+                    links.add(entry.name)
+    except (FileNotFoundError, NotADirectoryError):
+        return (), (), frozenset()
+    except OSError as error:
+        raise FolderUnreadable(
+            Problem(
+                "E_UNREADABLE",
+                "a folder of raw frames cannot be listed",
+                str(folder),
+                found=error.strerror,
+                fix="Give yourself the right to read it.",
+            )
+        ) from error
+    if "catalogue.csv" in files and "objects" in folders:
+        return (), (), frozenset()  # a database of ours, wherever it was written to
+    return tuple(sorted(files)), tuple(sorted(folders)), frozenset(links)
+
+
+def composed(name: str) -> str:
+    """Return a name with composed accents, as people type it; some file systems take them apart.
+
+    >>> len("e\\u0301"), len(composed("e\\u0301"))
+    (2, 1)
+    """
+    return unicodedata.normalize("NFC", name)

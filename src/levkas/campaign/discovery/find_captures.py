@@ -2,26 +2,49 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from levkas.campaign.discovery.bands import (
+    band_key,
+    bands_by_name,
+    bands_in_file,
+    bands_of_mosaic,
+    count_problem,
+    label_templates,
+    relabel,
+)
 from levkas.campaign.discovery.captures import (
     Capture,
     CaptureRefused,
     FrameRef,
     Refusals,
+    Rows,
     SensorFrames,
 )
-from levkas.campaign.discovery.file_index import Survey, declared_targets, look, patterns_of
-from levkas.campaign.discovery.files import nearest
+from levkas.campaign.discovery.file_index import (
+    Found,
+    Survey,
+    declared_targets,
+    in_natural_order,
+    look,
+    nearest,
+    patterns_of,
+)
 from levkas.campaign.discovery.patterns import natural
-from levkas.campaign.discovery.sensors import frames_of_sensors
+from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
 from levkas.campaign.schema.cross_checks import is_safe_name, meant
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.campaign import Camera, Campaign
+    from levkas.campaign.discovery.file_index import Survey
+    from levkas.campaign.schema.tables import Sensor
+    from levkas.core.cube import Band
 
 __all__ = [
     "Capture",
@@ -214,3 +237,304 @@ def _check_reference_bands(campaign: Campaign, capture: Capture) -> None:
         except Refused as refused:
             problems = (replace(p, file=str(campaign.path), field=where) for p in refused.problems)
             raise CaptureRefused(*problems) from None
+
+
+def frames_of_sensors(
+    survey: Survey, name: str, camera: Camera, setup: str
+) -> tuple[SensorFrames, ...]:
+    """Return what every sensor of a camera saw of an object, everything declared found.
+
+    Raises
+    ------
+    CaptureRefused
+        With the problems of all sensors.
+    """
+    problems: list[Problem] = []
+    sensors: list[SensorFrames] = []
+    for sensor in camera.sensors or (None,):
+        try:
+            sensors.append(_sensor(survey, name, camera, setup, sensor))
+        except Refused as refused:
+            problems.extend(refused.problems)
+    if problems:
+        raise CaptureRefused(*problems)
+    bands = [band for s in sensors for band in s.bands]
+    twice = [label for label, n in Counter(b.label for b in bands).items() if n > 1]
+    if twice:
+        raise CaptureRefused(_same_names(survey, camera, twice))
+    if camera.kind in ("mosaic", "sensors"):
+        bands = list(relabel(camera, bands, sensors[0].object[0].path))
+    parts = [bands[i : i + len(s.bands)] for s, i in zip(sensors, _starts(sensors), strict=True)]
+    return tuple(replace(s, bands=tuple(p)) for s, p in zip(sensors, parts, strict=True))
+
+
+def _starts(sensors: Sequence[SensorFrames]) -> list[int]:
+    counts = [len(s.bands) for s in sensors]
+    return [sum(counts[:i]) for i in range(len(counts))]
+
+
+def _sensor(
+    survey: Survey, name: str, camera: Camera, setup: str, sensor: Sensor | None
+) -> SensorFrames:
+    label = sensor.name if sensor else ""
+
+    def frames_of(targets: Iterable[str], setup: str) -> list[Found]:
+        found = [f for t in dict.fromkeys(targets) for f in survey.of(t, camera.name, setup)]
+        return [f for f in in_natural_order(found) if f.sensor == label]
+
+    seen = frames_of([name], setup)
+    if not seen:
+        raise CaptureRefused(_no_sensor(survey, name, camera, label))
+    dark_names, white_names = survey.campaign.darks_of(camera), survey.campaign.whites_of(camera)
+    darks = [_ref(f) for f in frames_of(dark_names, setup) or frames_of(dark_names, "")]
+    whites = [_ref(f) for f in frames_of(white_names, setup)]
+    missing = [
+        _no_template(survey, camera, label, setup, kind, names)
+        for kind, names, got in (("dark", dark_names, darks), ("white", white_names, whites))
+        if names and not got
+    ]
+    if missing:
+        raise CaptureRefused(*missing)
+    frames, pattern, bands = _frames_and_bands(survey, camera, sensor, seen, setup)
+    darks, whites = (_fitted(survey, camera, t, frames, bands) for t in (darks, whites))
+    _check_exposures(camera, seen, frames, bands)
+    for kind, templates in (("dark", darks), ("white", whites)):
+        _check_every_band(survey, camera, kind, templates, bands)
+    align = sensor.align if sensor else "measure"
+    return SensorFrames(label, pattern, bands, align, tuple(frames), tuple(darks), tuple(whites))
+
+
+def _ref(found: Found) -> FrameRef:
+    """What a name says, as a frame; an empty text is a band that is not told."""
+    told = {k: v for k, v in vars(found).items() if k not in ("pattern", "band")}
+    return FrameRef(**told, band=found.band or None)
+
+
+def _frames_and_bands(
+    survey: Survey, camera: Camera, sensor: Sensor | None, seen: list[Found], setup: str
+) -> tuple[list[FrameRef], Rows | None, tuple[Band, ...]]:
+    """Frames of the object with their bands, the mosaic's pattern, and the bands."""
+    frames, first = [_ref(f) for f in seen], seen[0].path
+    pattern = sensor.pattern if sensor else camera.pattern
+    names = (sensor.bands if sensor else ()) or (camera.bands if camera.kind == "mosaic" else ())
+    if camera.kind == "mosaic" or (sensor and pattern):
+        facts = survey.facts(first) if pattern is None else None
+        return frames, *bands_of_mosaic(camera, pattern, names, facts)
+    if camera.kind != "bands":
+        bands = bands_in_file(camera, sensor, survey.facts(first))
+        if camera.kind == "cube":
+            for frame in frames[1:]:
+                _check_count(survey, camera, frame, len(bands))
+        return frames, None, bands
+    if all(band_key(f) is None for f in frames):
+        bands = bands_in_file(camera, None, survey.facts(first), pages=True)
+        for frame in frames[1:]:
+            _check_count(survey, camera, frame, len(bands))
+        paged = [replace(f, band=b.label, page=i) for i, b in enumerate(bands) for f in frames]
+        return paged, pattern, bands
+    frames, bands = bands_by_name(
+        camera,
+        frames,
+        survey.bands(camera, sensor.name if sensor else "", setup),
+        str(first.parent),
+    )
+    return frames, pattern, bands
+
+
+def _fitted(
+    survey: Survey,
+    camera: Camera,
+    templates: list[FrameRef],
+    frames: list[FrameRef],
+    bands: tuple[Band, ...],
+) -> list[FrameRef]:
+    """Give templates the bands they belong to, by name or by page; without either they serve all."""
+    if camera.kind == "cube":
+        for template in templates:
+            _check_count(survey, camera, template, len(bands))
+    if camera.kind != "bands":
+        return templates
+    paged: list[FrameRef] = []
+    for template in templates:
+        pages = 1
+        if band_key(template) is None and frames[0].page is not None:
+            pages = survey.facts(template.path).pages
+        if pages == 1:
+            paged.append(template)
+            continue
+        _check_count(survey, camera, template, len(bands))
+        paged += [replace(template, band=b.label, page=i) for i, b in enumerate(bands)]
+    return label_templates(paged, frames, bands)
+
+
+def _check_count(survey: Survey, camera: Camera, frame: FrameRef, bands: int) -> None:
+    """Refuse a cube, or a TIFF of pages, that has not as many bands as the object's first file."""
+    facts = survey.facts(frame.path)
+    samples = facts.shape[2] if len(facts.shape) == 3 else 1
+    found = samples if facts.kind == "envi" or samples > 1 else facts.pages
+    if found != bands:
+        raise CaptureRefused(
+            count_problem(camera, "bands", bands, found, f"in {frame.path.name}", str(frame.path))
+        )
+
+
+# --- what several files mean ------------------------------------------------------------------
+
+
+def _check_exposures(
+    camera: Camera, seen: list[Found], frames: list[FrameRef], bands: tuple[Band, ...]
+) -> None:
+    """Several files are shots, strips or exposures only where campaign.toml says so."""
+    shots_are_said = {f.path: "shot" in f.pattern.fields for f in seen}
+    groups: dict[str | None, list[FrameRef]] = {}
+    for frame in frames:
+        groups.setdefault(frame.band, []).append(frame)
+    for band, group in groups.items():
+        what = f"band {band}" if band else f"{group[0].target!r}"
+        times = sorted({f.exposure_s for f in group if f.exposure_s is not None})
+        if len(times) > 1 and camera.exposures == "one":
+            raise CaptureRefused(_several_exposures(camera, what, group, times))
+        if camera.kind not in ("bands", "image"):
+            continue
+        for time in {f.exposure_s for f in group}:
+            same = [f for f in group if f.exposure_s == time]
+            if len(same) > 1 and not all(shots_are_said[f.path] for f in same):
+                raise CaptureRefused(_two_files(camera, what, same))
+
+
+def _several_exposures(
+    camera: Camera, what: str, frames: list[FrameRef], times: list[float]
+) -> Problem:
+    return Problem(
+        "E_EXPOSURES",
+        f"{camera.name}: several exposures of {what}",
+        str(frames[0].path.parent),
+        f"cameras.{camera.name}.exposures",
+        ", ".join(f"{t:g} s" for t in times),
+        "one exposure",
+        'Write exposures = "best" (the longest unsaturated) or "merge".'
+        if camera.kind != "cube"
+        else 'Name one of them in `files`; or write exposures = "best" if they are strips of one scan: each is '
+        "divided by its own time.",
+    )
+
+
+def _two_files(camera: Camera, what: str, frames: list[FrameRef]) -> Problem:
+    return Problem(
+        "E_BAND_TWICE",
+        f"{camera.name}: two files for {what}",
+        str(frames[1].path),
+        f"cameras.{camera.name}.files",
+        ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else ""),
+        "one file",
+        "Take one away; or write {shot} where the names differ, if they are shots to average.",
+    )
+
+
+def _check_every_band(
+    survey: Survey, camera: Camera, kind: str, templates: list[FrameRef], bands: tuple[Band, ...]
+) -> None:
+    """Refuse templates that belong to bands and leave one of the object's without."""
+    if not templates or any(f.band is None for f in templates):
+        return
+    told = {f.band for f in templates}
+    lacking = [b.label for b in bands if b.label not in told]
+    if lacking:
+        raise CaptureRefused(
+            Problem(
+                "E_TEMPLATE_MISSING",
+                f"{camera.name}: no {kind} for {len(lacking)} of {len(bands)} bands",
+                str(templates[0].path.parent),
+                f"cameras.{camera.name}.files",
+                f"none for {', '.join(lacking[:6])}{' …' if len(lacking) > 6 else ''}",
+                f"a {kind} for every band, or one without a band for all",
+                f"Add the frames, or write `{kind} = []` under [cameras.{camera.name}].",
+            )
+        )
+
+
+def _same_names(survey: Survey, camera: Camera, twice: list[str]) -> Problem:
+    return Problem(
+        "E_BAND_TWICE",
+        f"{camera.name}: two channels have one name",
+        str(survey.campaign.path),
+        f"cameras.{camera.name}.bands",
+        ", ".join(twice),
+        "names that differ",
+        "Give each sensor's channels names of their own, such as R1 and R2.",
+    )
+
+
+# --- what is not there ------------------------------------------------------------------------
+
+
+def _no_sensor(survey: Survey, name: str, camera: Camera, sensor: str) -> Problem:
+    patterns = " or ".join(p.text for p in patterns_of(survey, camera.name, sensor=sensor))
+    return Problem(
+        "E_BAND_MISSING",
+        f"{camera.name}: sensor {sensor} has no frame of {name!r}",
+        str(survey.campaign.path),
+        f"cameras.{camera.name}.sensors.{sensor}.files",
+        "no file",
+        patterns,
+        "Add the frames, or mend the pattern.",
+    )
+
+
+def _no_template(
+    survey: Survey, camera: Camera, sensor: str, setup: str, kind: str, names: tuple[str, ...]
+) -> Problem:
+    own = getattr(camera, kind) is not None
+    patterns = dict.fromkeys(p.text for p in patterns_of(survey, camera.name, setup))
+    under = f" under {setup}" if setup else ""
+    return Problem(
+        "E_TEMPLATE_MISSING",
+        f"{' '.join(filter(None, (camera.name, sensor)))}{under}: the declared {kind} was not found",
+        str(survey.campaign.path),
+        f"cameras.{camera.name}.{kind}" if own else f"targets.{kind}",
+        "no file",
+        f"{{target}} = {' or '.join(names)} in {' or '.join(patterns)}",
+        f"Add the frames; or, if there are none, write `{kind} = []` under [cameras.{camera.name}].",
+    )
+
+
+# --- corrections by hand ----------------------------------------------------------------------
+
+
+def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
+    """Refuse corrections of what the campaign does not have, and two tables of one sensor.
+
+    Raises
+    ------
+    EditsInvalid
+    """
+    known: dict[str, dict[str, dict[str, str]]] = {}
+    for capture in captures:
+        labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
+        known.setdefault(capture.object, {})[capture.layer] = labels
+    problems = []
+    seen: dict[tuple[str, str, str], str] = {}
+    for name, frame in sorted(edits.frames):
+        layer, _, band = frame.partition(":")
+        where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
+        for kind, asked, names in (
+            ("object", name, list(known)),
+            ("camera", layer, list(layers)),
+            ("band", band, list(layers.get(layer, {}))),
+        ):
+            if asked and asked not in names:
+                said = ", ".join(sorted(names))
+                problem = Problem("E_VALUE", f"there is no such {kind}", None, where, asked, said)
+                problems.append(with_explanation(problem, path))
+                break
+        else:
+            sensors = layers[layer]
+            place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
+            if (first := seen.setdefault(place, frame)) != frame:
+                message = "two tables speak of one sensor"
+                problem = Problem(
+                    "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
+                )
+                problems.append(with_explanation(problem, path))
+    if problems:
+        raise EditsInvalid(*problems)

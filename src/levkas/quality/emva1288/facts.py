@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from levkas.campaign.discovery.folders import Folders, too_deep, walk
+from levkas.calibration.code_spacing import MOST_CODES, Levels, count_codes, find_levels
+from levkas.campaign.discovery.file_index import Folders, too_deep, walk
 from levkas.core.problems import Problem, Refused
-from levkas.quality.emva1288.code_spacing import MOST_CODES, Levels, count_codes, find_levels
 from levkas.readers.frames import Facts, kind_of, read_facts, read_frame
 from levkas.readers.tiff import read_tiff_pages
 

@@ -1,0 +1,294 @@
+"""One capture registered to the reference band, and the record of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas import __version__
+from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.core.problems import Problem
+from levkas.geometry.transforms import Affine, Composed
+from levkas.registration import Registration, RegistrationRefused, register
+from levkas.registration.joint import SensorObservations
+from levkas.registration.manual_points import ManualPoints
+from levkas.registration.record import Matches
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from levkas.building.native_cubes import Native
+    from levkas.building.scans import Scan
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
+    from levkas.geometry.grid import Grid
+    from levkas.registration import BandImage
+    from levkas.registration.manual_points import ManualPoints
+    from levkas.registration.record import Matches
+
+FEWEST_PX = 16
+"""A band smaller than this has nothing to register by."""
+
+
+def register_capture(
+    native: Native | Scan,
+    reference: Sequence[BandImage],
+    reference_band: str,
+    own: Registration | None,
+    region: tuple[float, float, float, float] | None,
+    options: dict[str, Any],
+    given: Mapping[str, ManualPoints] | None = None,
+) -> Registration:
+    """Register every band of a capture; `own` is the reference camera's registration, None for itself.
+
+    `given` are pairs by hand, by sensor, in native pixels.
+
+    Raises RegistrationRefused where there is no answer at all.
+    """
+    if own is None:
+        return register(
+            reference, reference, reference_band=reference_band, region=region, given=given,
+            **options,
+        )  # fmt: skip
+    given = {sensor: pairs.reduced(native.factor) for sensor, pairs in (given or {}).items()}
+    if options.get("method", "levkas") == "levkas":
+        options = {
+            **options,
+            "reference_transforms": own.transforms,
+            "reference_sigma": own.sigma,
+        }
+    aligns = {s: a for s, a in native.aligns.items() if a != "measure"}
+    if aligns and options.get("method") == "mirhashemi2019":
+        options = {**options, "align": {s: Affine(np.array(a, float)) for s, a in aligns.items()}}
+    found = register(
+        reference, native.images(), reference_band=reference_band, region=region, given=given,
+        **options,
+    )  # fmt: skip
+    return found if native.factor == 1 else _enlarged(found, native.factor)
+
+
+def corrections_of(
+    campaign: Campaign, capture: Capture, channel: str = ""
+) -> tuple[dict[str, ManualPoints], dict[str, float]]:
+    """Return the pairs by hand of a capture, by sensor, and `reject` and `stop` where set by hand.
+
+    Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the
+    capture's reference channel.
+    """
+    given, options = {}, {}
+    for band, edits in campaign.edits.of(capture.object, capture.layer).items():
+        sensor, placed = placed_in(capture, band, channel)
+        given[sensor] = placed_pairs(ManualPoints(**edits.pairs()), placed)
+        for key in ("reject", "stop"):
+            if getattr(edits, key) is not None:
+                options[key] = getattr(edits, key)
+    for sensor, pairs in declared_points(campaign, capture, channel).items():
+        given[sensor] = pairs if sensor not in given else joined(given[sensor], pairs)
+    return given, options
+
+
+def _enlarged(found: Registration, factor: int) -> Registration:
+    """Turn a registration of reduced pictures into one of native pixels."""
+    middle = (factor - 1) / 2
+    grow = Affine(np.array([[factor, 0, middle], [0, factor, middle]], float))
+    return replace(
+        found,
+        transforms={label: Composed(one, grow) for label, one in found.transforms.items()},
+        matches=replace(found.matches, target=grow(found.matches.target)),
+        others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
+        errors=_with_enlarged_checks(found.errors, grow),
+        trace=None,
+        observations=tuple(one.enlarged(grow) for one in found.observations),
+    )
+
+
+def _with_enlarged_checks(errors: dict[str, Any], grow: Affine) -> dict[str, Any]:
+    if "check_points" not in errors:
+        return errors
+    points = [
+        one | {"target": grow(np.array([one["target"]]))[0].tolist()}
+        for one in errors["check_points"]
+    ]
+    return errors | {"check_points": points}
+
+
+def record_of(
+    registration: Registration | None,
+    refused: RegistrationRefused | None,
+    capture: Capture,
+    native: Native | Scan,
+    grid: Grid,
+    reference: dict[str, Any],
+    px_per_mm: float | None,
+    channel: str,
+    method: str,
+) -> dict[str, Any]:
+    """Return the record of registration/CAMERA.json."""
+    record: dict[str, Any] = {
+        "levkas": __version__,
+        "object": capture.object,
+        "camera": capture.camera,
+        "setup": capture.setup,
+        "method": method,
+        "reference": reference,
+        "target": {"camera": capture.camera, "setup": capture.setup, "band": channel},
+        "grid": {
+            "size": list(grid.size),
+            "transform": grid.transform.to_dict(),
+            "px_per_mm": px_per_mm,
+        },
+    }
+    if registration is None:
+        problems = refused.problems if refused else ()
+        trace = refused.trace.to_dict() if refused and refused.trace else {}
+        verdict = {
+            "decision": "refuse",
+            "reasons": [str(p.message) for p in problems],
+            "next_step": next((p.fix for p in problems if p.fix), ""),
+            "numbers": {},
+        }
+        return {
+            **record,
+            "verdict": verdict,
+            "model": {"kind": "none"},
+            "bands": {},
+            "errors": {},
+            "trace": trace,
+        }
+    told = registration.to_dict()
+    bands = {
+        label: {"size": native.size_of(label), "transform": transform.to_dict()}
+        for label, transform in registration.transforms.items()
+    }
+    for label, sigma in registration.sigma.items():
+        bands[label]["sigma"] = sigma.to_dict()
+    keep = ("method", "verdict", "model", "errors", "trace")
+    return {**record, **{k: told[k] for k in keep}, "bands": bands}
+
+
+def table_of(matches: Matches) -> str:
+    """Return CAMERA.matches.csv, or that of another sensor than the first."""
+    from levkas.registration.record import COLUMNS
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(matches.rows())
+    return text.getvalue()
+
+
+def write_registration(
+    places: Places, capture: Capture, record: dict[str, Any], matches: Mapping[str, Matches]
+) -> list[Path]:
+    """Write a registration's record and its tables of matches, and take older tables away.
+
+    `matches` are by sensor, the first one's under "". Raises WriteRefused.
+    """
+    from levkas.core.files import make_folder, remove, write_json, write_text
+
+    name, layer = capture.object, capture.layer
+    path = places.registration(name, layer)
+    make_folder(path.parent)
+    write_json(path, record)
+    tables = {places.matches(name, layer, sensor): pairs for sensor, pairs in matches.items()}
+    for place, pairs in tables.items():
+        write_text(place, table_of(pairs))
+    names = [places.matches(name, layer, sensor.name) for sensor in capture.sensors]
+    for place in sorted({places.matches(name, layer), *names} - tables.keys()):
+        if place.is_file():
+            remove(place)
+    return [path, *tables]
+
+
+_COLUMNS = tuple(column.name for column in fields(Matches))
+_WORDS = ("state", "reason")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A capture registered by itself.
+
+    Parameters
+    ----------
+    record : dict
+        Of registration/CAMERA.json.
+    matches : dict of sensor to Matches
+        As tables are written of them: the first sensor's under "".
+    observations : tuple of SensorObservations
+        Empty where it was refused.
+    problems : tuple of Problem
+        Why it was refused.
+    """
+
+    record: dict[str, Any]
+    matches: dict[str, Matches] = field(default_factory=dict)
+    observations: tuple[SensorObservations, ...] = ()
+    problems: tuple[Problem, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        record: dict[str, Any],
+        registration: Registration | None,
+        problems: tuple[Problem, ...],
+    ) -> Measured:
+        """Return what is worth keeping of a registration; None where there was none at all."""
+        if registration is None:
+            return cls(record, problems=problems)
+        matches = {"": registration.matches, **registration.others}
+        observations = () if problems else registration.observations
+        return cls(record, matches, observations, problems)
+
+    def to_bytes(self) -> bytes:
+        """Return all of it as one file of arrays."""
+        arrays: dict[str, np.ndarray] = {}
+        for k, pairs in enumerate(self.matches.values()):
+            for column in _COLUMNS:
+                values = getattr(pairs, column)
+                arrays[f"matches {k} {column}"] = (
+                    values.astype(str) if column in _WORDS else np.asarray(values)
+                )
+        for k, one in enumerate(self.observations):
+            arrays |= {f"sensor {k} {n}": a for n, a in one.to_arrays().items()}
+        told = {
+            "record": self.record,
+            "sensors": list(self.matches),
+            "observations": len(self.observations),
+            "problems": [problem.to_dict() for problem in self.problems],
+        }
+        arrays["told"] = np.array(json.dumps(told))
+        packed = io.BytesIO()
+        np.savez_compressed(packed, allow_pickle=False, **arrays)
+        return packed.getvalue()
+
+    @classmethod
+    def read(cls, path: Path) -> Measured:
+        """Read what `to_bytes` gave; raises OSError, KeyError or ValueError on anything else."""
+        with np.load(path, allow_pickle=False) as packed:
+            arrays = dict(packed)
+        told = json.loads(str(arrays["told"]))
+        matches = {
+            sensor: _matches(_under(arrays, f"matches {k} "))
+            for k, sensor in enumerate(told["sensors"])
+        }
+        observations = tuple(
+            SensorObservations.from_arrays(_under(arrays, f"sensor {k} "))
+            for k in range(told["observations"])
+        )
+        problems = tuple(Problem(**problem) for problem in told["problems"])
+        return cls(told["record"], matches, observations, problems)
+
+
+def _under(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    return {k.removeprefix(name): a for k, a in arrays.items() if k.startswith(name)}
+
+
+def _matches(columns: Mapping[str, np.ndarray]) -> Matches:
+    return Matches(*(columns[c].astype(object) if c in _WORDS else columns[c] for c in _COLUMNS))
