@@ -162,12 +162,16 @@ def load_campaign(path: str | Path) -> Campaign:
     document, problems = _validate(path, record)
     if document is None or problems:
         raise CampaignInvalid(*dict.fromkeys(problems))
+    return campaign_of(document, path, read_edits(path.parent / FILE_NAME))
+
+
+def campaign_of(document: Document, path: Path, edits: Edits = Edits()) -> Campaign:  # noqa: B008
+    """Return the campaign of a checked document that stands, or would stand, at `path`."""
     cameras = {
         name: Camera.model_construct(name=name, **dict(keys))
         for name, keys in document.cameras.items()
     }
     fields = {**dict(document), "cameras": cameras}
-    edits = read_edits(path.parent / FILE_NAME)
     return Campaign.model_construct(**fields, path=path, root=path.parent, edits=edits)
 
 

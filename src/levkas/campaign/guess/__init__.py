@@ -1,4 +1,4 @@
-"""A folder of captures guessed into a campaign.toml, every guess with its reason."""
+"""Guess a campaign.toml from a folder of captures, every guess with its reason."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def look(folder: str | Path) -> Proposal:
     LookRefused
         Where there is no image that can be read.
     """
-    from levkas.campaign.guess.campaigns import propose
     from levkas.campaign.guess.listing import list_captures
+    from levkas.campaign.guess.proposal import propose
 
     listing = list_captures(folder)
-    if not listing.seen:
+    if not listing.captures:
         others = ", ".join(f"{n} {suffix}" for suffix, n in listing.others.most_common(5))
         unreadable = [f"{name}: {why}" for name, why in list(listing.unreadable.items())[:3]]
         raise LookRefused(
