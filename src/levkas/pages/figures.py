@@ -8,8 +8,8 @@ import numpy as np
 
 from levkas.pages.page import Figure
 from levkas.pages.plots import in_style, new_figure, themed, to_svg
-from levkas.registration.checks import Checks
 from levkas.registration.outliers import frame_corners
+from levkas.registration.window_matching import CheckWindows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -109,11 +109,11 @@ def _basis(sensor: Mapping[str, Any], size: Sequence[int]) -> str:
         f"{length:g} px", (length * enlarged, 1.06 * size[1]), (4, -4), textcoords="offset points"
     )
     if sensor["checks"] is not None:
-        _draw_checks(axes[1], Checks.from_dict(sensor["checks"]), size)
+        _draw_checks(axes[1], CheckWindows.from_dict(sensor["checks"]), size)
     return to_svg(figure, "what the map rests on")
 
 
-def _draw_checks(axes: Axes, checks: Checks, size: Sequence[int]) -> None:
+def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
     good = checks.confirmed
     for mask, face, edge in (
         (good, "tgt", "tgt"), (checks.found & ~good, "ref", "ref"), (~checks.found, None, "soft"),

@@ -75,7 +75,9 @@ def test_the_brightest_pixel_is_no_full_scale(folder, tmp_path):
         assert channel.full_well is channel.snr is channel.dynamic_range is None
     assert sensor.facts.white is None
     assert any("`bits`" in note and "left out" in note for note in sensor.notes)
-    assert "photon transfer curve" in render_examination(found) and "SNR at saturation" in found.text
+    assert (
+        "photon transfer curve" in render_examination(found) and "SNR at saturation" in found.text
+    )
 
 
 def test_clipped_darks_are_recognised_and_said(tmp_path):
