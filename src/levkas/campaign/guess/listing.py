@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from levkas.campaign.discovery.file_index import DEEPEST, Folders, walk
+from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, walk_folders
 from levkas.core.problems import Refused
 from levkas.readers.facts import Facts
 
@@ -77,7 +77,7 @@ def list_captures(root: str | Path) -> Listing:
 
     listing = Listing(Path(root))
     paths: list[tuple[tuple[str, ...], Path]] = []
-    for above, names in walk(listing.root, Folders()):
+    for above, names in walk_folders(listing.root, FolderListings()):
         if any(name.endswith((".kept", ".removed")) for name in above):
             continue
         if names is None:
