@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from levkas.building import build, status
-from levkas.building.register import Measured, adjusted
+from levkas.building.joint import adjusted
+from levkas.building.register import Measured
 from levkas.building.rig_mates import NEIGHBOURS, RigMates
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture
@@ -66,7 +67,9 @@ def _adjusted(folder, spoilt=0.0):
     measured = {n: Measured.read(kept / n / "infrared" / "measured.npz") for n in NAMES}
     aside = Affine(np.array([[1, 0, spoilt], [0, 1, spoilt]]))
     for name, one in measured.items():
-        measured[name] = replace(one, sightings=tuple(s.enlarged(aside) for s in one.sightings))
+        measured[name] = replace(
+            one, observations=tuple(s.enlarged(aside) for s in one.observations)
+        )
     others = {f"{name}/infrared": one for name, one in measured.items() if name != "one"}
     return adjusted(measured["one"], others, None).record
 

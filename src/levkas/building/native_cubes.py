@@ -12,7 +12,7 @@ import numpy as np
 from levkas.core.cube import UNRELIABLE, Band, Cube
 from levkas.core.machine import count_threads, free_memory, memory_bound
 from levkas.core.problems import Problem, Refused
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage, Registration
-    from levkas.registration.levkas import Reference
+    from levkas.registration.levkas import PreparedReference
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
@@ -48,7 +48,7 @@ class ReferenceFrame:
     captures: list[Capture]
     calibrated: Callable[[Capture, list[Native | Scan]], Native | Scan]
     own: Registration | None = None
-    made_ready: Reference | None = None
+    made_ready: PreparedReference | None = None
     _images: list[BandImage] | None = None
     _grid: tuple[Grid, float | None, Region | None] | None = None
     _grey: Grey | None = field(default=None, repr=False)
@@ -78,13 +78,13 @@ class ReferenceFrame:
         native: list[Native | Scan],
         region: Region | None,
         own: Registration | None,
-    ) -> Reference:
+    ) -> PreparedReference:
         """The reference made ready for all captures; its single bands go once it is registered."""
-        from levkas.registration.levkas import Reference
+        from levkas.registration.levkas import PreparedReference
 
         if self.made_ready is None:
             images = self.images(native if own is None else [])
-            self.made_ready = Reference(images, self.band(), region)
+            self.made_ready = PreparedReference(images, self.band(), region)
             if own is not None:
                 self.settle()
         return self.made_ready
@@ -92,19 +92,14 @@ class ReferenceFrame:
     def settle(self) -> None:
         methods = {self.campaign.registration_of(c.camera).get("method") for c in self.captures}
         if self.made_ready is not None and methods <= {None, "levkas"}:
-            self.made_ready.settle(self.registration().transforms)
-            # Bands share their memory with others that are not needed any more.
-            anchor = self.made_ready.anchor
-            self.made_ready.anchor = replace(
-                anchor, values=anchor.values.copy(), valid=anchor.valid.copy()
-            )
-            self.made_ready.siblings, self._images = [], [self.made_ready.anchor]
+            self.made_ready.freeze(self.registration().transforms)
+            self._images = [self.made_ready.anchor]
 
     def registration(self) -> Registration:
         """The reference camera's own registration, from this run or from its record."""
         if self.own is None:
             from levkas.registration import Matches, Registration, Verdict
-            from levkas.registration.uncertainty import Sigma
+            from levkas.registration.record import Sigma
 
             record = record_of(self.places, self.name, self.capture)
             bands = record["bands"]
@@ -113,7 +108,7 @@ class ReferenceFrame:
                 maps_of(record),
                 Verdict("accept"),
                 {},
-                Matches.of(np.zeros((0, 2)), np.zeros((0, 2))),
+                Matches.none(),
                 sigma={
                     label: Sigma.from_dict(band["sigma"])
                     for label, band in bands.items()

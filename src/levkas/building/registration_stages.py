@@ -120,7 +120,7 @@ class RegistrationStages:
             self.frame.own = registration
             self.frame.settle()
         if self.frame.made_ready is not None:
-            self.frame.made_ready.rest()
+            self.frame.made_ready.release()
         record = record_of(
             registration, refused, capture, here, grid, self.frame.description(), sampling,
             self.frame.channel(capture), options.get("method", "levkas"),

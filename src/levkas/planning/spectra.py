@@ -209,7 +209,9 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
         Where it cannot be read, or its wavelengths cannot be nanometres.
     """
     try:
-        table, head = parse_spectra(read_text(path, "a CSV of wavelength in nm and a column of values"))
+        table, head = parse_spectra(
+            read_text(path, "a CSV of wavelength in nm and a column of values")
+        )
     except TextRefused as refused:
         raise PlanRefused(*refused.problems) from None
     except ValueError as error:
