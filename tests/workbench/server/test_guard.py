@@ -1,6 +1,7 @@
 """Every route, enumerated, refuses what is not its own page; no path leads out of the campaign."""
 
 import asyncio
+from concurrent.futures import ThreadPoolExecutor
 import base64
 import json
 from urllib.parse import unquote
@@ -300,7 +301,9 @@ def ask_raw(app, path):
     async def send(message):
         sent.append(message)
 
-    asyncio.run(app(scope, receive, send))
+    # In a thread of its own: a browser of other tests may have a loop running in this one.
+    with ThreadPoolExecutor(1) as beside:
+        beside.submit(asyncio.run, app(scope, receive, send)).result()
     return sent[0]["status"], b"".join(m.get("body", b"") for m in sent)
 
 
