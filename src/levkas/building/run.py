@@ -80,7 +80,7 @@ def build(
     Refused
         Where the campaign itself cannot be read, or the output cannot be written.
     """
-    from levkas.core.files import sweep
+    from levkas.core.sweeping import sweep
 
     campaign, captures, refusals = _plan(path, objects)
     _, every, lost = _plan(path, None) if objects else (campaign, captures, refusals)
