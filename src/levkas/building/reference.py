@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
     from levkas.building.native_cubes import Native
     from levkas.building.scans import Scan
-    from levkas.campaign.campaign import Campaign, GridKeys
+    from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
+    from levkas.campaign.schema.tables import GridKeys
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage, Registration
