@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.register import Measured
+from levkas.building.register import Measured, draw_figures, verdict_problems
 from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
 from levkas.registration.assessment import ONLY, judge, terms_of
 from levkas.registration.basis import describe_basis
@@ -30,12 +30,25 @@ from levkas.registration.record import Matches
 from levkas.registration.uncertainty import Sigma, measure_sigma, with_colour
 
 if TYPE_CHECKING:
+    from levkas.campaign.discovery.captures import Capture
     from levkas.registration.observations import Sighting
     from levkas.registration.record import Matches
 
 GRID = (25, 19)
 #: A map is never known better than this, whatever its windows say, when what moves it is judged.
 LEAST_SIGMA_PX = 0.02
+
+
+def adjust_capture(
+    capture: Capture,
+    mine: Measured,
+    others: Mapping[str, Measured],
+    reference: Mapping[str, Sigma] | None,
+) -> Measured:
+    """Return a capture's registration as `adjusted` gives it, with problems and figures."""
+    found = adjusted(mine, others, reference)
+    problems = found.problems or verdict_problems(found.record, capture, None)
+    return replace(found, problems=problems, figures=draw_figures(found.record))
 
 
 def adjusted(
