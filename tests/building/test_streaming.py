@@ -182,7 +182,11 @@ def registers():
     return registered
 
 
-@pytest.mark.parametrize("white", [True, False], ids=["reflectance", "counts"])
+@pytest.mark.parametrize(
+    "white",
+    [True, pytest.param(False, marks=pytest.mark.slow)],
+    ids=["reflectance", "counts"],
+)
 def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
     simulated, tmp_path, monkeypatch, registers, white
 ):

@@ -81,8 +81,8 @@ def plain():
     [
         (known(black=64.0), False),
         (known(black=0.0, dark=2.0, dsnu=0.3), False),  # three darks of four are zero
-        (known(black=16.0), True),
-        (known(black=0.0, dark=0.0, dsnu=0.0, read=8.0), True),  # curved and clipped
+        pytest.param(known(black=16.0), True, marks=pytest.mark.slow),
+        pytest.param(known(black=0.0, dark=0.0, dsnu=0.0, read=8.0), True, marks=pytest.mark.slow),
     ],
     ids=["plain", "clipped", "curved", "curved and clipped"],
 )
@@ -110,6 +110,7 @@ def test_dynamic_range_is_emvas(plain):
     assert plain.snr.value == pytest.approx(np.sqrt(plain.full_well.value))
 
 
+@pytest.mark.slow
 def test_flicker_of_the_lamp_is_no_noise():
     # 1 % of 3,200 counts is 1,000 counts²: three times the shot noise, if it counted.
     found, _ = Camera(known(black=64.0), flicker=0.01).measure(draws=4)
@@ -203,6 +204,7 @@ def test_single_shots_beside_stacks_still_tell_prnu():
     assert found.prnu.value == pytest.approx(0.019, rel=0.03)
 
 
+@pytest.mark.slow
 def test_hot_sensels_and_shading_do_not_change_prnu():
     # 30 % of vignetting would be 8 % of spread; two hot sensels in 10,000 are in every tenth block.
     sensor = known(black=64.0)

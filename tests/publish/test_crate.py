@@ -6,7 +6,8 @@ import pytest
 
 from levkas.core.json_safe import to_json
 from levkas.publish.crate import NAME
-from levkas.publish.crate_rules import ask_validator, check_crate
+
+from .crate_rules import ask_validator, check_crate
 
 STEPS = {
     "object": "icon1",

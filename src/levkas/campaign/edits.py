@@ -208,11 +208,7 @@ def write_edits(path: Path, edits: Edits) -> None:
 
 
 def change_edits(
-    path: Path,
-    name: str,
-    frame_of: Callable[[Edits], str],
-    before: FrameEdits,
-    after: FrameEdits,
+    path: Path, name: str, frame_of: Callable[[Edits], str], before: FrameEdits, after: FrameEdits
 ) -> FrameEdits:
     """Write what a change made of one frame's corrections, on top of what edits.toml holds by now.
 

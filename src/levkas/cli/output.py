@@ -99,11 +99,10 @@ def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None
 def _out_of_memory() -> Problem:
     from levkas.core.machine import MEMORY, memory_bound
 
-    bound = memory_bound()
     return Problem(
         "E_MEMORY",
         "memory ran out",
-        found=None if bound is None else f"{bound / 1e9:.1f} GB now free, or as {MEMORY} sets it",
+        found=f"{memory_bound() / 1e9:.1f} GB now free, or as {MEMORY} sets it",
         fix="Close other programs, use a machine with more memory, or cut or bin the frames.",
     )
 

@@ -6,26 +6,12 @@ An object's split follows from its name alone, so that it stays where it is when
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from levkas.publish.publication import Publication
+from collections.abc import Iterable
 
 NAME = "splits.csv"
 SHARES = {"train": 0.6, "validation": 0.2, "test": 0.2}
 FEWEST = 3
 """Objects from which on no split is empty."""
-
-
-def write_splits(publication: Publication) -> Iterator[str]:
-    """Write splits.csv of every edition."""
-    yield NAME
-    names = dict.fromkeys(entry.object for entry in publication.entries())
-    lines = "".join(f"{name},{split}\n" for name, split in split_objects(names).items())
-    for root in publication.roots.values():
-        place = root.relative_to(publication.folder)
-        publication.write_text((place / NAME).as_posix(), "object,split\n" + lines)
 
 
 def split_objects(names: Iterable[str]) -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 _HOMES = {
     "PlanRefused": "tables",
-    "Setup": "setup",
+    "StudioSetup": "setup",
     "load_setup": "loading",
     "plan_light": "light",
     "compare_lightings": "light",

@@ -13,14 +13,14 @@ from levkas.planning.tables import asked, wrong
 
 if TYPE_CHECKING:
     from levkas.core.problems import Problem
-    from levkas.planning.setup import Camera, Lamp, Setup
+    from levkas.planning.setup import StudioCamera, StudioLamp, StudioSetup
     from levkas.planning.tables import Bench
 
 LAMP_BODY_MM = 60.0
 """Half the breadth of a lamp's body that a camera would see."""
 
 
-def find_contradictions(setup: Setup) -> Iterator[Problem]:
+def find_contradictions(setup: StudioSetup) -> Iterator[Problem]:
     """Yield everything that cannot be built or computed as it stands."""
     file = str(setup.path)
     bench = setup.bench
@@ -45,7 +45,7 @@ def find_contradictions(setup: Setup) -> Iterator[Problem]:
     yield from _spectra(setup, file)
 
 
-def _lamp(setup: Setup, lamp: Lamp, at: str, file: str) -> Iterator[Problem]:
+def _lamp(setup: StudioSetup, lamp: StudioLamp, at: str, file: str) -> Iterator[Problem]:
     highest = height_range(setup.object)[1]
     if lamp.place[2] <= highest:
         yield wrong(
@@ -77,7 +77,7 @@ def _in_the_way(lamp: np.ndarray, camera: np.ndarray) -> bool:
     return 0 < along < 1 and float(np.linalg.norm(camera - along * lamp)) < 80.0
 
 
-def _blind(setup: Setup, camera: Camera, file: str) -> Iterator[Problem]:
+def _blind(setup: StudioSetup, camera: StudioCamera, file: str) -> Iterator[Problem]:
     at = f"cameras.{camera.name}"
     keys = camera.keys
     if camera.distance_mm <= keys.focal_mm:
@@ -107,7 +107,7 @@ def _blind(setup: Setup, camera: Camera, file: str) -> Iterator[Problem]:
         )  # fmt: skip
 
 
-def _spectra(setup: Setup, file: str) -> Iterator[Problem]:
+def _spectra(setup: StudioSetup, file: str) -> Iterator[Problem]:
     for name, lighting in setup.lightings.items():
         for i, lamp in enumerate(lighting.lamps):
             for camera in setup.cameras.values():

@@ -22,8 +22,8 @@ from levkas.planning.mitsuba_scene import (
 )
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lighting, Setup
-    from levkas.planning.tables import ObjectKeys
+    from levkas.planning.setup import Lighting, StudioSetup
+    from levkas.planning.tables import StudioObjectKeys
 
 WHOLE_PX, DETAIL_PX = 330, 150
 VARIANTS = ("scalar_spectral_polarized",)
@@ -41,13 +41,18 @@ class Rendered:
 
 
 def render_sheet(
-    setup: Setup, path: str | Path, *, seed: int = 1, samples: int = 16, with_best: bool = True
+    setup: StudioSetup,
+    path: str | Path,
+    *,
+    seed: int = 1,
+    samples: int = 16,
+    with_best: bool = True,
 ) -> Path:
     """Write the contact sheet of all setups of a file, and of the best pair of lamps.
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudioSetup
     path : path
         PNG.
     seed : int
@@ -69,7 +74,7 @@ def render_sheet(
 
 
 def render_setups(
-    setup: Setup, *, seed: int = 1, samples: int = 16, with_best: bool = True,
+    setup: StudioSetup, *, seed: int = 1, samples: int = 16, with_best: bool = True,
     variants: tuple[str, ...] = VARIANTS,
 ) -> Iterator[Rendered]:  # fmt: skip
     """Yield the pictures of one lighting after another."""
@@ -83,7 +88,7 @@ def render_setups(
         yield _render(mi, setup, lighting, motif, panel, samples)
 
 
-def _best(setup: Setup, seed: int) -> Lighting:
+def _best(setup: StudioSetup, seed: int) -> Lighting:
     """The pair that the search finds, with the spectrum of the first lighting's lamp."""
     from levkas.planning.optimisation import optimise
     from levkas.planning.report import judge_of
@@ -98,7 +103,7 @@ def _best(setup: Setup, seed: int) -> Lighting:
 
 
 def _render(
-    mi: Any, setup: Setup, lighting: Lighting, motif: Motif, panel: Any, samples: int
+    mi: Any, setup: StudioSetup, lighting: Lighting, motif: Motif, panel: Any, samples: int
 ) -> Rendered:
     eye, size = eye_of(setup), setup.object.size_mm
     scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "volpath", "max_depth": 3}}
@@ -153,7 +158,7 @@ def _at(white: np.ndarray, view: tuple[float, float], place: tuple[float, float]
     return white[row, int((place[0] / view[0] + 0.5) * white.shape[1])]
 
 
-def _panel(mi: Any, thing: ObjectKeys, motif: Motif) -> Any:
+def _panel(mi: Any, thing: StudioObjectKeys, motif: Motif) -> Any:
     """Return the bent, sunken, brushed panel as a mesh with paint, varnish and leaf."""
     rows, columns = motif.height.shape
     width, height = thing.size_mm
@@ -197,7 +202,7 @@ def _normals(points: np.ndarray) -> np.ndarray:
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-def _material(mi: Any, thing: ObjectKeys, motif: Motif) -> dict[str, Any]:
+def _material(mi: Any, thing: StudioObjectKeys, motif: Motif) -> dict[str, Any]:
     colour = {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.round(255 * motif.colour).astype(np.uint8)),

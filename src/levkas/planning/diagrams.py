@@ -14,12 +14,12 @@ from levkas.planning.light import eye_of
 
 if TYPE_CHECKING:
     from levkas.planning.light import BrightField, LightPlan
-    from levkas.planning.setup import Setup
+    from levkas.planning.setup import StudioSetup
 
 WIDTH, TOP = 400.0, 34.0
 
 
-def draw_bench(setup: Setup, plan: LightPlan) -> str:
+def draw_bench(setup: StudioSetup, plan: LightPlan) -> str:
     """Return both views of a lighting: along the object's width, and along its height.
 
     Wedges show from where a lamp would be mirrored into the camera: full colour the bent panel's
@@ -38,7 +38,7 @@ def draw_bench(setup: Setup, plan: LightPlan) -> str:
 
 
 def _view(
-    setup: Setup, plan: LightPlan, axis: int, bright: BrightField, title: str
+    setup: StudioSetup, plan: LightPlan, axis: int, bright: BrightField, title: str
 ) -> tuple[str, float]:
     places = [lamp.place[[axis, 2]] for lamp in plan.lighting.lamps]
     eye = eye_of(setup)[[axis, 2]]
@@ -87,7 +87,7 @@ def _wedges(at: object, bright: BrightField, radius: float) -> list[str]:
     return parts
 
 
-def _panel(setup: Setup, axis: int, at: object) -> list[str]:
+def _panel(setup: StudioSetup, axis: int, at: object) -> list[str]:
     thing = setup.object
     half = thing.size_mm[axis] / 2
     s = np.linspace(-half, half, 41)
@@ -148,7 +148,7 @@ PALETTE = ("--c1", "--c2", "--c3", "--c4", "--c5", "--c6")
 
 
 @dataclass(frozen=True)
-class Frame:
+class PlotFrame:
     """A plot's place on the page and the values at its edges."""
 
     left: float
@@ -225,7 +225,9 @@ def nice_ticks(low: float, high: float, about: int = 5) -> list[float]:
     return [round(i * step, 10) for i in range(first, int(np.floor(high / step + 1e-9)) + 1)]
 
 
-def axes(frame: Frame, x_label: str, y_label: str, *, about: tuple[int, int] = (6, 5)) -> list[str]:
+def axes(
+    frame: PlotFrame, x_label: str, y_label: str, *, about: tuple[int, int] = (6, 5)
+) -> list[str]:
     """Return grid, numbers and labels of a plot."""
     bottom, right = frame.top + frame.height, frame.left + frame.width
     parts = []

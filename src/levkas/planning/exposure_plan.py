@@ -20,7 +20,7 @@ from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate, steps
 from levkas.planning.tables import PlanRefused, wrong
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Camera, Lighting, Setup
+    from levkas.planning.setup import Lighting, StudioCamera, StudioSetup
 
 PLANCK_TIMES_LIGHT = 1.98644586e-25
 """h·c, J·m."""
@@ -71,7 +71,7 @@ class CameraExposure:
         }
 
 
-def plan_exposure(setup: Setup | str | Path, name: str | None = None) -> list[CameraExposure]:
+def plan_exposure(setup: StudioSetup | str | Path, name: str | None = None) -> list[CameraExposure]:
     """Return the exposure of every camera under one lighting of a setup file.
 
     Parameters
@@ -95,7 +95,7 @@ def plan_exposure(setup: Setup | str | Path, name: str | None = None) -> list[Ca
     ]
 
 
-def irradiance_spectrum(setup: Setup, lighting: Lighting) -> np.ndarray:
+def irradiance_spectrum(setup: StudioSetup, lighting: Lighting) -> np.ndarray:
     """Return the spectral irradiance at the object's middle, W/m²/nm at `spectra.GRID`.
 
     Raises
@@ -121,7 +121,11 @@ def irradiance_spectrum(setup: Setup, lighting: Lighting) -> np.ndarray:
 
 
 def electron_rates(
-    setup: Setup, camera: Camera, lighting: Lighting, spectrum: np.ndarray, quantum: Any = None
+    setup: StudioSetup,
+    camera: StudioCamera,
+    lighting: Lighting,
+    spectrum: np.ndarray,
+    quantum: Any = None,
 ) -> np.ndarray:
     """Return photo-electrons a second and pixel of a white board, (channels,).
 
@@ -144,7 +148,7 @@ def electron_rates(
 
 
 def expose_camera(
-    setup: Setup, camera: Camera, lighting: Lighting, spectrum: np.ndarray
+    setup: StudioSetup, camera: StudioCamera, lighting: Lighting, spectrum: np.ndarray
 ) -> CameraExposure:
     """Return the exposure of one camera: the brightest channel of each sensor at the aimed share."""
     keys, target = camera.keys, setup.bench.target
@@ -173,7 +177,7 @@ def expose_camera(
     )  # fmt: skip
 
 
-def _sensors(camera: Camera) -> dict[str, list[int]]:
+def _sensors(camera: StudioCamera) -> dict[str, list[int]]:
     """Channels that share an exposure time, by sensor."""
     if not camera.keys.sensors:
         return {"": list(range(len(camera.labels)))}
@@ -183,7 +187,7 @@ def _sensors(camera: Camera) -> dict[str, list[int]]:
     }
 
 
-def _channel(camera: Camera, i: int, sensor: str, time_s: float, rate: float) -> Channel:
+def _channel(camera: StudioCamera, i: int, sensor: str, time_s: float, rate: float) -> Channel:
     keys = camera.keys
     electrons = rate * time_s
     dark = keys.dark_e_per_s * time_s
@@ -199,8 +203,8 @@ def _channel(camera: Camera, i: int, sensor: str, time_s: float, rate: float) ->
 
 
 def _notes(
-    setup: Setup,
-    camera: Camera,
+    setup: StudioSetup,
+    camera: StudioCamera,
     lighting: Lighting,
     channels: tuple[Channel, ...],
     weakest: Channel,
@@ -327,7 +331,7 @@ class Dose:
 
 
 def plan_dose(
-    setup: Setup, name: str | None = None, *, exposures: list[CameraExposure] | None = None
+    setup: StudioSetup, name: str | None = None, *, exposures: list[CameraExposure] | None = None
 ) -> Dose:
     """Return what the object of a setup file gets under one lighting, all cameras together.
 

@@ -19,7 +19,7 @@ from levkas.planning.spectra import GRID
 from levkas.planning.tables import PlanRefused, wrong
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lighting, Setup
+    from levkas.planning.setup import Lighting, StudioSetup
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +103,14 @@ def solve_filter(
 
 
 def regulating_filter(
-    setup: Setup, camera: str, name: str | None = None, *, step_nm: float = 10.0,
+    setup: StudioSetup, camera: str, name: str | None = None, *, step_nm: float = 10.0,
     steepest: float = 0.01, longest: float = 8.0,
 ) -> RegulatingFilter:  # fmt: skip
     """Return the filter that evens a camera's channels out under a lighting.
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudioSetup
     camera : str
     name : str, optional
         Of the lighting.

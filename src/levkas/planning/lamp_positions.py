@@ -16,13 +16,13 @@ from levkas.planning.full_scale import find_full_scale, not_known
 from levkas.planning.irradiance import drop, illuminate
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.loading import load_setup
-from levkas.planning.setup import Setup
+from levkas.planning.setup import StudioSetup
 from levkas.planning.tables import PlanRefused, wrong
 from levkas.quality.emva1288.facts import frames_below
 from levkas.readers.frames import read_facts, read_frame
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lamp, Lighting
+    from levkas.planning.setup import Lighting, StudioLamp
 
 EXPLAINED = 0.015  # rms that a white board, its noise and dust leave beside the lamps
 
@@ -68,7 +68,7 @@ class HungLamps:
         }
 
 
-def lamp_rows(lamps: Sequence[Lamp]) -> list[dict[str, Any]]:
+def lamp_rows(lamps: Sequence[StudioLamp]) -> list[dict[str, Any]]:
     """Return lamps as a setup file would place them; shares are of the strongest."""
     strongest = max(lamp.candela for lamp in lamps)
     rows = []
@@ -87,7 +87,7 @@ def lamp_rows(lamps: Sequence[Lamp]) -> list[dict[str, Any]]:
     return rows
 
 
-def light_at_middle(lamps: Sequence[Lamp]) -> list[float]:
+def light_at_middle(lamps: Sequence[StudioLamp]) -> list[float]:
     """Return the light of each lamp at the board's middle, over that of the strongest there.
 
     A white tells this well, also where it cannot tell power from distance.
@@ -98,7 +98,7 @@ def light_at_middle(lamps: Sequence[Lamp]) -> list[float]:
 
 
 def fit_white(
-    setup: str | Path | Setup,
+    setup: str | Path | StudioSetup,
     whites: Sequence[str | Path],
     name: str | None = None,
     *,
@@ -142,7 +142,7 @@ def fit_white(
     PlanRefused
         Where setup, lighting or camera are not there or cannot be planned.
     """
-    setup = setup if isinstance(setup, Setup) else load_setup(setup)
+    setup = setup if isinstance(setup, StudioSetup) else load_setup(setup)
     lighting = _shining(setup, setup.lighting(name), lamp)
     files = files_of(whites)
     stack, floor = average_whites(files, files_of(darks), black, saturation, bits)
@@ -155,7 +155,7 @@ def fit_white(
     return HungLamps(fitted, drop(light), size, len(files), notes)
 
 
-def _shining(setup: Setup, lighting: Lighting, lamp: int | None) -> Lighting:
+def _shining(setup: StudioSetup, lighting: Lighting, lamp: int | None) -> Lighting:
     """Return a lighting with the one lamp that shone."""
     if lamp is None:
         return lighting
@@ -219,7 +219,7 @@ def _notes(plan: Lighting, fitted: FittedLamps) -> list[str]:
 
 
 def _shown(
-    setup: Setup, camera: str | None, shape: tuple[int, ...], box: Box
+    setup: StudioSetup, camera: str | None, shape: tuple[int, ...], box: Box
 ) -> tuple[tuple[float, float], tuple[float, float], list[str]]:
     """Return size and centre, mm, of what the box shows, and what to doubt."""
     x, y, width, height = box

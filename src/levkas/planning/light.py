@@ -17,7 +17,7 @@ from levkas.planning.microfacet import (
     lobe_reach_deg,
     transmitted,
 )
-from levkas.planning.setup import Lamp, Lighting, aim_point
+from levkas.planning.setup import Lighting, StudioLamp, aim_point
 from levkas.planning.surface import (
     Surface,
     hidden_share,
@@ -28,9 +28,9 @@ from levkas.planning.surface import (
 )
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lighting, Setup
+    from levkas.planning.setup import Lighting, StudioSetup
     from levkas.planning.surface import Surface
-    from levkas.planning.tables import ObjectKeys, Sheets
+    from levkas.planning.tables import Sheets, StudioObjectKeys
 
 DEFAULT_EYE_MM = 1900.0
 PAINT = 0.2
@@ -58,7 +58,7 @@ class LightPlan:
     lighting: Lighting
     surface: Surface
     illuminance: np.ndarray
-    glare: Glare
+    glare: GlareMaps
     drop: float
     mean: float
     absolute: bool
@@ -87,20 +87,20 @@ class LightPlan:
         }
 
 
-def eye_of(setup: Setup) -> np.ndarray:
+def eye_of(setup: StudioSetup) -> np.ndarray:
     """Return where the first camera stands, mm, or a usual place."""
     cameras = list(setup.cameras.values())
     return cameras[0].place if cameras else np.array([0.0, 0.0, DEFAULT_EYE_MM])
 
 
 def plan_light(
-    setup: Setup, name: str | None = None, *, columns: int = 61, levers: bool = True
+    setup: StudioSetup, name: str | None = None, *, columns: int = 61, levers: bool = True
 ) -> LightPlan:
     """Return what a lighting of a setup file does.
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudioSetup
     name : str, optional
         Of the lighting; the first without one.
     columns : int
@@ -133,7 +133,7 @@ def plan_light(
     return replace(plan, levers=tuple(say_levers(setup, plan))) if levers else plan
 
 
-def compare_lightings(setup: Setup, *, columns: int = 31) -> list[LightPlan]:
+def compare_lightings(setup: StudioSetup, *, columns: int = 31) -> list[LightPlan]:
     """Return the plan of every lighting of a setup file, without levers."""
     return [plan_light(setup, name, columns=columns, levers=False) for name in setup.lightings]
 
@@ -146,7 +146,7 @@ def _spread(values: np.ndarray | None) -> float:
     return 1.0 if values is None else float(values.max() / max(values.min(), 1e-12))
 
 
-def _darkening(thing: ObjectKeys, lighting: Lighting) -> float:
+def _darkening(thing: StudioObjectKeys, lighting: Lighting) -> float:
     """Light that enters the varnish over that of a 45° lamp: paint reads darker by 1 − this."""
     if thing.varnish is None:
         return 1.0
@@ -158,7 +158,9 @@ def _darkening(thing: ObjectKeys, lighting: Lighting) -> float:
 # --- bright field -------------------------------------------------------------------------------
 
 
-def bright_fields(thing: ObjectKeys, lighting: Lighting, eye: np.ndarray) -> dict[str, BrightField]:
+def bright_fields(
+    thing: StudioObjectKeys, lighting: Lighting, eye: np.ndarray
+) -> dict[str, BrightField]:
     """Return the family of angles in the two planes along the object's width and height.
 
     The margin is that of the lamp nearest to the bright field; infinite where no lamp lies within
@@ -198,7 +200,7 @@ def _margin(lighting: Lighting, axis: int, wide: tuple[float, float]) -> float:
 # --- levers -------------------------------------------------------------------------------------
 
 
-def say_levers(setup: Setup, plan: LightPlan) -> list[str]:
+def say_levers(setup: StudioSetup, plan: LightPlan) -> list[str]:
     """Say in sentences what each lever would change, the strongest on evenness first."""
     changes = list(_changes(setup, plan.lighting))
     rated = []
@@ -225,7 +227,7 @@ def _quick_value(plan: LightPlan, key: str) -> float:
     return float(getattr(plan, key))
 
 
-def _quick(setup: Setup, lighting: Lighting) -> dict[str, float]:
+def _quick(setup: StudioSetup, lighting: Lighting) -> dict[str, float]:
     thing = setup.object
     surface = sample_surface(thing, 21)
     lit = illuminate(lighting.lamps, surface.points, surface.normals)
@@ -241,15 +243,15 @@ def _quick(setup: Setup, lighting: Lighting) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _changes(setup: Setup, lighting: Lighting) -> list[tuple[str, Lighting]]:
+def _changes(setup: StudioSetup, lighting: Lighting) -> list[tuple[str, Lighting]]:
     """Return each lever in words and the lighting it leads to."""
     size = setup.object.size_mm
     lamps = lighting.lamps
 
-    def with_lamps(changed: list[Lamp]) -> Lighting:
+    def with_lamps(changed: list[StudioLamp]) -> Lighting:
         return replace(lighting, lamps=tuple(changed))
 
-    def turned(lamp: Lamp, degrees: float) -> Lamp:
+    def turned(lamp: StudioLamp, degrees: float) -> StudioLamp:
         angle = np.radians(min(max(lamp.angle_deg + degrees, 5.0), 86.0))
         foot = lamp.place[:2] / max(float(np.hypot(*lamp.place[:2])), 1e-9)
         place = lamp.distance_mm * np.array([*(np.sin(angle) * foot), np.cos(angle)])
@@ -285,19 +287,19 @@ def _changes(setup: Setup, lighting: Lighting) -> list[tuple[str, Lighting]]:
     return told
 
 
-def _moved(lamp: Lamp, place: np.ndarray) -> Lamp:
+def _moved(lamp: StudioLamp, place: np.ndarray) -> StudioLamp:
     """Move a lamp, aimed at the same point of the object's plane."""
     target = lamp.place - lamp.axis * lamp.place[2] / min(lamp.axis[2], -1e-6)
     return _aimed(replace(lamp, place=place), target)
 
 
-def _aimed(lamp: Lamp, target: np.ndarray) -> Lamp:
+def _aimed(lamp: StudioLamp, target: np.ndarray) -> StudioLamp:
     axis = target - lamp.place
     return replace(lamp, axis=axis / np.linalg.norm(axis))
 
 
 @dataclass(frozen=True, eq=False)
-class Glare:
+class GlareMaps:
     """Specular light over a white board's at the same place, arrays (rows, columns) or None."""
 
     varnish: np.ndarray | None
@@ -305,9 +307,9 @@ class Glare:
 
 
 def glare(
-    thing: ObjectKeys, surface: Surface, lighting: Lighting, eye: np.ndarray, sheets: Sheets,
+    thing: StudioObjectKeys, surface: Surface, lighting: Lighting, eye: np.ndarray, sheets: Sheets,
     *, model: str = "ggx",
-) -> Glare:  # fmt: skip
+) -> GlareMaps:  # fmt: skip
     """Return the glare of varnish and gold over an object.
 
     Parameters
@@ -322,7 +324,7 @@ def glare(
 
     Returns
     -------
-    glare : Glare
+    glare : GlareMaps
         1 is as bright as white. Facets are GGX unless `model` is ``"beckmann"``.
     """
     flat = np.zeros_like(surface.normals)
@@ -338,7 +340,7 @@ def glare(
         if lighting.crossed:
             light = light * sheets.leak * 2  # the diffuse light loses half, this all but the leak
         found.append(light / np.maximum(white, 1e-30))
-    return Glare(*found)
+    return GlareMaps(*found)
 
 
 def _specular(
@@ -367,7 +369,12 @@ def _specular(
 
 
 def rough_texture(
-    thing: ObjectKeys, lighting: Lighting, eye: np.ndarray, sheets: Sheets, *, paint: float = 0.2
+    thing: StudioObjectKeys,
+    lighting: Lighting,
+    eye: np.ndarray,
+    sheets: Sheets,
+    *,
+    paint: float = 0.2,
 ) -> float:
     """Return the contrast of relief at the object's middle, specular light of the varnish included.
 

@@ -11,17 +11,24 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.planning.checks import find_contradictions, find_doubts
 from levkas.planning.luminous_intensity import Lobe, read_lobe
-from levkas.planning.setup import Camera, Lamp, Lighting, Setup, aim_point, lamp_place
+from levkas.planning.setup import (
+    Lighting,
+    StudioCamera,
+    StudioLamp,
+    StudioSetup,
+    aim_point,
+    lamp_place,
+)
 from levkas.planning.spectra import GRID, Spectrum, eye, integrate, read_spectrum, read_table
 from levkas.planning.tables import Bench, LampKeys, PlacedLamp, PlanRefused, SetupKeys, wrong
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.planning.tables import Bench, CameraKeys
+    from levkas.planning.tables import Bench, StudioCameraKeys
 
 
-def load_setup(path: str | Path) -> Setup:
+def load_setup(path: str | Path) -> StudioSetup:
     """Read a setup file and put its lamps and cameras in their places.
 
     Raises
@@ -81,7 +88,7 @@ def _validate(path: Path) -> Bench:
         ) from None
 
 
-def _resolve(path: Path, bench: Bench, problems: list[Problem]) -> Setup | None:
+def _resolve(path: Path, bench: Bench, problems: list[Problem]) -> StudioSetup | None:
     """Read spectra, place lamps and cameras; what is wrong is added to `problems`."""
     file, before = str(path), len(problems)
     spectra: dict[str, Spectrum] = {}
@@ -108,7 +115,7 @@ def _resolve(path: Path, bench: Bench, problems: list[Problem]) -> Setup | None:
     }
     if any(camera is None for camera in cameras.values()):
         return None
-    return Setup(path, bench, lightings, cameras, spectra)
+    return StudioSetup(path, bench, lightings, cameras, spectra)
 
 
 def _names(bench: Bench, file: str) -> list[Problem]:
@@ -151,7 +158,7 @@ def _lighting(
 def _lamp(
     name: str, placed: PlacedLamp, keys: LampKeys, bench: Bench,
     spectra: dict[str, Spectrum], lobe: Lobe,
-) -> Lamp:  # fmt: skip
+) -> StudioLamp:  # fmt: skip
     if placed.place_mm is not None:
         place = np.array(placed.place_mm)
     else:
@@ -171,7 +178,7 @@ def _lamp(
         passed *= bench.sheets.transmittance
     flux = placed.share * (keys.power_w or 1.0) * keys.efficacy_lm_per_w * passed
     flicker = keys.flicker
-    return Lamp(
+    return StudioLamp(
         name, place, axis / max(float(np.linalg.norm(axis)), 1e-9), lobe,
         flux / lobe.solid_angle(), power / integrate(power * eye()), known, keys.size_mm,
         placed.polariser, filters, keys.power_w is not None,
@@ -183,7 +190,9 @@ FAINT = 0.01
 """Share of its peak below which a sensitivity need not be covered by a lamp's spectrum."""
 
 
-def place_camera(name: str, keys: CameraKeys, bench: Bench, root: Path, *, file: str) -> Camera:
+def place_camera(
+    name: str, keys: StudioCameraKeys, bench: Bench, root: Path, *, file: str
+) -> StudioCamera:
     """Return a camera in its place.
 
     Raises
@@ -201,10 +210,10 @@ def place_camera(name: str, keys: CameraKeys, bench: Bench, root: Path, *, file:
     before = np.array([0.0, 0.0, keys.distance_mm or 0.0])
     place = aim + before if keys.place_mm is None else np.array(keys.place_mm)
     if keys.sensitivity is None:
-        return Camera(name, keys, place, aim, *_bands(keys))
+        return StudioCamera(name, keys, place, aim, *_bands(keys))
     w, table, labels = read_table(root / keys.sensitivity, field=f"{at}.sensitivity", file=file)
     if keys.wavelengths is not None:
-        return Camera(name, keys, place, aim, *_tuned(keys, w, table[:, 0]))
+        return StudioCamera(name, keys, place, aim, *_tuned(keys, w, table[:, 0]))
     labels = labels or [f"C{i + 1}" for i in range(table.shape[1])]
     table = np.maximum(table, 0) * keys.peak_qe / max(table.max(), 1e-12)
     quantum = np.stack([np.interp(GRID, w, c, left=0, right=0) for c in table.T])
@@ -212,10 +221,10 @@ def place_camera(name: str, keys: CameraKeys, bench: Bench, root: Path, *, file:
     strong = (table >= FAINT * table.max(0)).any(1)
     seen = (float(w[strong][0]), float(w[strong][-1]))
     _check_sensors(keys, labels, f"{at}.sensors", file)
-    return Camera(name, keys, place, aim, tuple(labels), centres, quantum, seen)
+    return StudioCamera(name, keys, place, aim, tuple(labels), centres, quantum, seen)
 
 
-def _check_sensors(keys: CameraKeys, labels: list[str], field: str, file: str) -> None:
+def _check_sensors(keys: StudioCameraKeys, labels: list[str], field: str, file: str) -> None:
     named = [label for sensor in keys.sensors for label in sensor]
     if named and sorted(named) != sorted(labels):
         raise PlanRefused(
@@ -225,7 +234,7 @@ def _check_sensors(keys: CameraKeys, labels: list[str], field: str, file: str) -
 
 
 def _bands(
-    keys: CameraKeys,
+    keys: StudioCameraKeys,
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, tuple[float, float]]:
     """Gaussian bands over the peak efficiency, or one flat channel where nothing is said."""
     if keys.wavelengths is None:
@@ -235,7 +244,7 @@ def _bands(
 
 
 def _tuned(
-    keys: CameraKeys, w: np.ndarray, efficiency: np.ndarray
+    keys: StudioCameraKeys, w: np.ndarray, efficiency: np.ndarray
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, tuple[float, float]]:
     """Return bands of a tunable filter: Gaussians under the sensor's own efficiency."""
     assert keys.wavelengths is not None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.planning.criteria import MEANINGS
-from levkas.planning.diagrams import PALETTE, Frame, axes, contours, line, picture, svg, text
+from levkas.planning.diagrams import PALETTE, PlotFrame, axes, contours, line, picture, svg, text
 
 if TYPE_CHECKING:
     from levkas.planning.exposure_plan import CameraExposure
@@ -27,7 +27,7 @@ def draw_evenness(plan: LightPlan) -> str:
     across = 330.0
     scale = across / width
     down = height * scale
-    frame = Frame(
+    frame = PlotFrame(
         52, 26, across, down, (surface.x[0], surface.x[-1]), (surface.y[-1], surface.y[0])
     )
     low = min(90.0, float(np.floor(share.min() / 2) * 2))
@@ -38,7 +38,7 @@ def draw_evenness(plan: LightPlan) -> str:
     parts += _cross(frame, x0, y0)
     parts.append(text(frame.left, 16, "light over its greatest value, %", css="head"))
     parts += _edges(frame)
-    profile = Frame(
+    profile = PlotFrame(
         452, 40, 250, down - 14, (-max(width, height) / 2, max(width, height) / 2), (low, 101)
     )
     parts += axes(profile, "mm from the middle", "%", about=(4, 5))
@@ -54,7 +54,7 @@ def draw_evenness(plan: LightPlan) -> str:
 
 
 def _level_lines(
-    x: np.ndarray, y: np.ndarray, share: np.ndarray, low: float, frame: Frame
+    x: np.ndarray, y: np.ndarray, share: np.ndarray, low: float, frame: PlotFrame
 ) -> list[str]:
     step = 2.0 if 100 - low <= 24 else 10.0
     parts = []
@@ -78,7 +78,7 @@ def _level_lines(
     return parts
 
 
-def _cross(frame: Frame, x0: float, y0: float) -> list[str]:
+def _cross(frame: PlotFrame, x0: float, y0: float) -> list[str]:
     x, y = (float(v) for v in frame.at(x0, y0))
     return [
         f'<path d="M{frame.left} {y:.1f}h{frame.width}" stroke="var(--c1)" stroke-dasharray="6 4"/>',
@@ -86,7 +86,7 @@ def _cross(frame: Frame, x0: float, y0: float) -> list[str]:
     ]
 
 
-def _edges(frame: Frame) -> list[str]:
+def _edges(frame: PlotFrame) -> list[str]:
     w, h = frame.x[1] - frame.x[0], frame.y[0] - frame.y[1]
     return [
         f'<rect x="{frame.left}" y="{frame.top}" width="{frame.width}" height="{frame.height:.1f}" '
@@ -103,7 +103,7 @@ def _edges(frame: Frame) -> list[str]:
 
 
 def _image(
-    values: np.ndarray, low: float, high: float, stops: tuple[str, ...], frame: Frame
+    values: np.ndarray, low: float, high: float, stops: tuple[str, ...], frame: PlotFrame
 ) -> str:
     address = picture(values, low, high, stops)
     return (
@@ -123,13 +123,13 @@ def draw_glare(plan: LightPlan, *, most: dict[str, float] | None = None) -> str:
     for name, values in maps:
         high = 100 * float(values.max() if most is None else most[name])
         height = 300 * values.shape[0] / values.shape[1]
-        frame = Frame(left, 26, 300, height, (0, 1), (1, 0))
+        frame = PlotFrame(left, 26, 300, height, (0, 1), (1, 0))
         parts.append(text(left, 16, f"{name}, % of white", css="head"))
         parts.append(_image(100 * values, 0.0, high, GLOW, frame))
         parts.append(
             f'<rect x="{left}" y="26" width="300" height="{height:.1f}" fill="none" stroke="var(--ink)"/>'
         )
-        bar = Frame(left, 26 + height + 12, 300, 10, (0, 1), (1, 0))
+        bar = PlotFrame(left, 26 + height + 12, 300, 10, (0, 1), (1, 0))
         parts.append(_image(np.linspace(0, high, 64)[None], 0.0, high, GLOW, bar))
         parts.append(text(left, bar.top + 25, "0"))
         parts.append(text(left + 300, bar.top + 25, f"{high:.2g} %", anchor="end"))
@@ -140,7 +140,7 @@ def draw_glare(plan: LightPlan, *, most: dict[str, float] | None = None) -> str:
 
 def draw_trade_off(curve: TradeOff, best_deg: float, current_deg: float | None = None) -> str:
     """Return each criterion over the lamps' angle; 1 is what is just tolerated."""
-    frame = Frame(52, 26, 440, 250, (30, 84), (0, 3))
+    frame = PlotFrame(52, 26, 440, 250, (30, 84), (0, 3))
     parts = axes(frame, "angle of the lamps from the object's normal, degrees", "over tolerance")
     y = float(frame.at(0, 1)[1])
     parts.append(
@@ -177,7 +177,7 @@ def draw_trade_off(curve: TradeOff, best_deg: float, current_deg: float | None =
 def draw_spectra(wavelengths: np.ndarray, curves: dict[str, np.ndarray], label: str) -> str:
     """Return spectra over their greatest value in sight (Figure 6a); names beside them."""
     inside = (wavelengths >= 380) & (wavelengths <= 780)
-    frame = Frame(52, 26, 440, 230, (380, 780), (0, 1.05))
+    frame = PlotFrame(52, 26, 440, 230, (380, 780), (0, 1.05))
     parts = axes(frame, "wavelength, nm", "relative power")
     dashes = {2: "7 4", 3: "2 4", 4: "9 3 2 3"}
     for i, (name, values) in enumerate(curves.items()):
@@ -197,7 +197,7 @@ def draw_snr(exposures: list[CameraExposure]) -> str:
     low = min(c.wavelength for e in exposures for c in e.channels)
     high = max(c.wavelength for e in exposures for c in e.channels)
     most = max(c.snr for e in exposures for c in e.channels)
-    frame = Frame(52, 26, 440, 230, (10 * np.floor(low / 10) - 20, high + 20), (0, 1.1 * most))
+    frame = PlotFrame(52, 26, 440, 230, (10 * np.floor(low / 10) - 20, high + 20), (0, 1.1 * most))
     parts = axes(frame, "wavelength, nm", "signal over noise on white")
     for i, exposure in enumerate(exposures):
         colour = PALETTE[i % len(PALETTE)]
@@ -218,10 +218,10 @@ def draw_snr(exposures: list[CameraExposure]) -> str:
 
 def draw_filter(found: RegulatingFilter, camera: str) -> str:
     """Return a regulating filter and the channels before and after it."""
-    frame = Frame(52, 26, 300, 200, (found.wavelengths[0], found.wavelengths[-1]), (0, 1.02))
+    frame = PlotFrame(52, 26, 300, 200, (found.wavelengths[0], found.wavelengths[-1]), (0, 1.02))
     parts = axes(frame, "wavelength, nm", f"transmittance of a filter for {camera}", about=(4, 5))
     parts.append(line(*frame.at(found.wavelengths, found.transmittance), "--c1"))
-    bars = Frame(420, 26, 280, 200, (0, len(found.channels)), (0, 1.02))
+    bars = PlotFrame(420, 26, 280, 200, (0, len(found.channels)), (0, 1.02))
     for share in (0, 0.5, 1.0):
         y = float(bars.at(0, share)[1])
         parts.append(f'<path d="M{bars.left} {y:.1f}h280" stroke="var(--line)"/>')

@@ -15,8 +15,8 @@ from levkas.planning.spectra import GRID
 from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lamp, Lighting
-    from levkas.planning.tables import ObjectKeys
+    from levkas.planning.setup import Lighting, StudioLamp
+    from levkas.planning.tables import StudioObjectKeys
 
 FLIP = np.array([1.0, -1.0, 1.0])
 LOBE_PIXELS = 1024
@@ -59,7 +59,7 @@ def flipped(point: np.ndarray) -> list[float]:
     return [float(v) for v in np.asarray(point) * FLIP]
 
 
-def lamp_objects(mi: Any, lamp: Lamp, name: str, *, spectral: bool = True) -> dict[str, Any]:
+def lamp_objects(mi: Any, lamp: StudioLamp, name: str, *, spectral: bool = True) -> dict[str, Any]:
     """Return a lamp, and its sheet where it has one, as entries of a scene.
 
     Intensity is the lamp's candela along its axis; the spectrum its relative power.
@@ -89,14 +89,14 @@ def lamp_objects(mi: Any, lamp: Lamp, name: str, *, spectral: bool = True) -> di
     return found
 
 
-def _across(lamp: Lamp) -> np.ndarray:
+def _across(lamp: StudioLamp) -> np.ndarray:
     """The direction across the plane of the lamp and the object's normal."""
     across = np.cross(np.array([0.0, 0.0, 1.0]), lamp.place)
     size = float(np.linalg.norm(across))
     return across / size if size > 1e-6 else np.array([0.0, 1.0, 0.0])
 
 
-def _power(lamp: Lamp, level: float, spectral: bool) -> Any:
+def _power(lamp: StudioLamp, level: float, spectral: bool) -> Any:
     if not spectral:
         return {"type": "rgb", "value": [level] * 3}
     inside = (GRID >= 360) & (GRID <= 830)
@@ -106,7 +106,7 @@ def _power(lamp: Lamp, level: float, spectral: bool) -> Any:
     return {"type": "spectrum", "value": pairs}
 
 
-def _spot(mi: Any, lamp: Lamp, frame: Any, spectral: bool) -> dict[str, Any]:
+def _spot(mi: Any, lamp: StudioLamp, frame: Any, spectral: bool) -> dict[str, Any]:
     """A point whose lobe is a picture: Mitsuba's own falloff is none that lamps have."""
     spot = {
         "type": "spot",
@@ -210,7 +210,9 @@ class Motif:
     details: dict[str, tuple[float, float, float]]
 
 
-def draw_motif(thing: ObjectKeys, *, rng: np.random.Generator, px_per_mm: float = 1.6) -> Motif:
+def draw_motif(
+    thing: StudioObjectKeys, *, rng: np.random.Generator, px_per_mm: float = 1.6
+) -> Motif:
     """Return the motif, drawn to an object's size; relief has the object's rms slope."""
     width, height = thing.size_mm
     columns, rows = round(width * px_per_mm) | 1, round(height * px_per_mm) | 1

@@ -30,17 +30,19 @@ from levkas.planning.tables import PlanRefused
 if TYPE_CHECKING:
     from levkas.planning.light import LightPlan
     from levkas.planning.optimisation import Optimum
-    from levkas.planning.setup import Lamp, Lighting, Setup
+    from levkas.planning.setup import Lighting, StudioLamp, StudioSetup
 
 
-def write_report(path: str | Path, setup: Setup, name: str | None = None, *, seed: int = 1) -> Path:
+def write_report(
+    path: str | Path, setup: StudioSetup, name: str | None = None, *, seed: int = 1
+) -> Path:
     """Write the report of one lighting, beside all others of the setup file.
 
     Parameters
     ----------
     path : path
         HTML file.
-    setup : Setup
+    setup : StudioSetup
     name : str, optional
         Of the lighting; the first without one.
     seed : int
@@ -60,7 +62,7 @@ def write_report(path: str | Path, setup: Setup, name: str | None = None, *, see
     return Path(path)
 
 
-def judge_of(setup: Setup, lighting: Lighting | None = None) -> Judge:
+def judge_of(setup: StudioSetup, lighting: Lighting | None = None) -> Judge:
     """Return the judge of a setup's object, with the beam of a lighting's first lamp."""
     lighting = setup.lighting() if lighting is None else lighting
     return Judge(
@@ -68,7 +70,9 @@ def judge_of(setup: Setup, lighting: Lighting | None = None) -> Judge:
     )
 
 
-def report_facts(setup: Setup, name: str | None, *, rng: np.random.Generator) -> dict[str, Any]:
+def report_facts(
+    setup: StudioSetup, name: str | None, *, rng: np.random.Generator
+) -> dict[str, Any]:
     """Return everything on the page: words, numbers and drawings."""
     plan = plan_light(setup, name)
     others = compare_lightings(setup)
@@ -106,7 +110,7 @@ def report_facts(setup: Setup, name: str | None, *, rng: np.random.Generator) ->
     return {**facts, **_light_facts(setup, plan)}
 
 
-def _light_facts(setup: Setup, plan: LightPlan) -> dict[str, Any]:
+def _light_facts(setup: StudioSetup, plan: LightPlan) -> dict[str, Any]:
     """Exposure, filter and dose, or the reason why there are none."""
     if not setup.cameras:
         return {"exposures": [], "dose": None, "no_light": ""}
@@ -131,7 +135,7 @@ def _light_facts(setup: Setup, plan: LightPlan) -> dict[str, Any]:
     return facts
 
 
-def _object_facts(setup: Setup) -> list[str]:
+def _object_facts(setup: StudioSetup) -> list[str]:
     thing = setup.object
     told = [f"{thing.size_mm[0]:.0f} x {thing.size_mm[1]:.0f} mm"]
     if thing.bend:
@@ -143,7 +147,7 @@ def _object_facts(setup: Setup) -> list[str]:
     return told
 
 
-def _in_short(setup: Setup, plan: LightPlan) -> list[tuple[str, str]]:
+def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
     """Return what a hurried reader takes away: (ok, warn or refuse; sentence)."""
     thing = setup.object
     told = [
@@ -194,7 +198,7 @@ def _mark(value: float, good: float, bad: float) -> str:
     return "ok" if value <= good * 1.005 else "warn" if value <= bad else "refuse"
 
 
-def _lamp_row(lamp: Lamp) -> dict[str, str]:
+def _lamp_row(lamp: StudioLamp) -> dict[str, str]:
     target = lamp.place - lamp.axis * lamp.place[2] / min(lamp.axis[2], -1e-6)
     x, y, z = lamp.place / 10
     return {

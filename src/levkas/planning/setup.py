@@ -15,13 +15,13 @@ from levkas.planning.tables import PlanRefused, wrong
 if TYPE_CHECKING:
     from levkas.planning.tables import (
         Bench,
-        CameraKeys,
-        ObjectKeys,
+        StudioCameraKeys,
+        StudioObjectKeys,
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Lamp:
+class StudioLamp:
     """A lamp in its place.
 
     Parameters
@@ -93,7 +93,7 @@ class Lighting:
     """One setup: its lamps, and whether the camera looks through a sheet polariser."""
 
     name: str
-    lamps: tuple[Lamp, ...]
+    lamps: tuple[StudioLamp, ...]
     title: str = ""
     camera_polariser: str | None = None
     illuminance_lx: float | None = None
@@ -105,11 +105,11 @@ class Lighting:
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class StudioCamera:
     """A camera in its place; `keys` are those of its table."""
 
     name: str
-    keys: CameraKeys
+    keys: StudioCameraKeys
     place: np.ndarray
     aim: np.ndarray
     labels: tuple[str, ...] = ()
@@ -124,17 +124,17 @@ class Camera:
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class StudioSetup:
     """Everything of a setup file."""
 
     path: Path
     bench: Bench
     lightings: dict[str, Lighting]
-    cameras: dict[str, Camera]
+    cameras: dict[str, StudioCamera]
     spectra: dict[str, Spectrum]
 
     @property
-    def object(self) -> ObjectKeys:
+    def object(self) -> StudioObjectKeys:
         """What is to be captured."""
         return self.bench.object
 

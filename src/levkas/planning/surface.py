@@ -13,8 +13,8 @@ from levkas.planning.irradiance import light_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.planning.setup import Lamp
-    from levkas.planning.tables import ObjectKeys
+    from levkas.planning.setup import StudioLamp
+    from levkas.planning.tables import StudioObjectKeys
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Surface:
     normals: np.ndarray
 
 
-def sample_surface(thing: ObjectKeys, columns: int = 61, *, recess: bool = True) -> Surface:
+def sample_surface(thing: StudioObjectKeys, columns: int = 61, *, recess: bool = True) -> Surface:
     """Return the object's surface on an even grid, edges included.
 
     Parameters
@@ -76,7 +76,7 @@ def sample_surface(thing: ObjectKeys, columns: int = 61, *, recess: bool = True)
     return Surface(x, y, points, normals)
 
 
-def tilt_deg(thing: ObjectKeys) -> float:
+def tilt_deg(thing: StudioObjectKeys) -> float:
     """Return the largest tilt of the bent panel's normal, degrees: asin of half the side over R.
 
     >>> from levkas.planning.tables import Bend, ObjectKeys
@@ -89,12 +89,12 @@ def tilt_deg(thing: ObjectKeys) -> float:
     return float(np.degrees(side / 2 / thing.bend.radius_mm))
 
 
-def wall_deg(thing: ObjectKeys) -> float:
+def wall_deg(thing: StudioObjectKeys) -> float:
     """Return the slope of the recess's walls, degrees; 0 without a recess."""
     return float(np.degrees(np.arctan2(thing.recess_mm, thing.bevel_mm)))
 
 
-def height_range(thing: ObjectKeys) -> tuple[float, float]:
+def height_range(thing: StudioObjectKeys) -> tuple[float, float]:
     """Return the lowest and highest z of the object, mm, 0 at the rim's top in the middle.
 
     >>> from levkas.planning.tables import ObjectKeys
@@ -121,18 +121,18 @@ def slope_nodes(spread: float, side: int = 48) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([p, q], 1), np.outer(weights, weights).ravel()
 
 
-def _at_middle(lamps: Sequence[Lamp]) -> tuple[np.ndarray, np.ndarray]:
+def _at_middle(lamps: Sequence[StudioLamp]) -> tuple[np.ndarray, np.ndarray]:
     """Strength (k,) and direction (k, 3) of every point of light at the object's middle."""
     pairs = [light_of(lamp, np.zeros(3)) for lamp in lamps]
     return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
 
 
-def shading_contrast(lamps: Sequence[Lamp], slope: float) -> float:
+def shading_contrast(lamps: Sequence[StudioLamp], slope: float) -> float:
     """Return the spread over mean of light on a matte relief.
 
     Parameters
     ----------
-    lamps : sequence of Lamp
+    lamps : sequence of StudioLamp
     slope : float
         Root mean square of the relief's slope along any direction.
 
@@ -150,7 +150,7 @@ def shading_contrast(lamps: Sequence[Lamp], slope: float) -> float:
     return float(np.sqrt(weights @ (light - mean) ** 2)) / mean
 
 
-def hidden_share(lamps: Sequence[Lamp], slope: float) -> float:
+def hidden_share(lamps: Sequence[StudioLamp], slope: float) -> float:
     """Return the share of relief that a lamp cannot reach, weighted by what the lamps give.
 
     Slopes steeper than the lamp's height above the panel turn away from it: this is what makes
@@ -174,7 +174,7 @@ def hidden_share(lamps: Sequence[Lamp], slope: float) -> float:
     return float((flat * turned).sum() / max(float(flat.sum()), 1e-30))
 
 
-def first_order_gain(lamps: Sequence[Lamp]) -> float:
+def first_order_gain(lamps: Sequence[StudioLamp]) -> float:
     """Return how strongly gentle slopes show, over one lamp at 45°: opposed lamps cancel.
 
     >>> from levkas.planning.setup import Lamp, lamp_place

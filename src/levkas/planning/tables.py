@@ -76,7 +76,7 @@ class Gilding(Table):
     roughness: Annotated[Number, Field(ge=0.005, le=1)]
 
 
-class ObjectKeys(Table):
+class StudioObjectKeys(Table):
     """What is to be captured."""
 
     title: Text = ""
@@ -155,7 +155,7 @@ class SetupKeys(Table):
     illuminance_lx: Positive | None = None
 
 
-class CameraKeys(Table):
+class StudioCameraKeys(Table):
     """A camera before the object, its axis along the object's normal unless `place_mm` says else."""
 
     pixels: Size
@@ -183,7 +183,7 @@ class CameraKeys(Table):
     sure: Switch = False
 
 
-class Session(Table):
+class SessionKeys(Table):
     """A day's work: what it costs the object in light."""
 
     warm_up_min: NotNegative = 0.0
@@ -215,13 +215,13 @@ class Bench(Table):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     title: Text = ""
-    object: ObjectKeys
+    object: StudioObjectKeys
     spectra: dict[str, SpectrumKeys] = Field(min_length=1)
     lamps: dict[str, LampKeys] = Field(min_length=1)
-    cameras: dict[str, CameraKeys] = Field(default_factory=dict)
+    cameras: dict[str, StudioCameraKeys] = Field(default_factory=dict)
     setups: dict[str, SetupKeys] = Field(min_length=1)
     sheets: Sheets = Sheets()
-    session: Session = Session()
+    session: SessionKeys = SessionKeys()
     room: Room = Room()
     target: Target = Target()
 

@@ -11,13 +11,13 @@ from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import Framing, plan_framing
 from levkas.planning.light import compare_lightings, plan_light
 from levkas.planning.loading import load_setup
-from levkas.planning.setup import Setup
+from levkas.planning.setup import StudioSetup
 
 
 class LightRecord(dict[str, Any]):
     """What `levkas plan light` reports; `setup` is the file it was computed from."""
 
-    def __init__(self, setup: Setup, **facts: Any) -> None:
+    def __init__(self, setup: StudioSetup, **facts: Any) -> None:
         super().__init__(**facts)
         self.setup = setup
 

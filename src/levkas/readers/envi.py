@@ -21,7 +21,7 @@ from levkas.readers.envi_header import (
     text_of,
     whole_of,
 )
-from levkas.readers.facts import COPY_AGAIN, Facts, check_memory, check_size, unreadable
+from levkas.readers.facts import Facts, check_memory, check_size, unreadable
 from levkas.readers.text import what_stands_at
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
@@ -118,7 +118,6 @@ class EnviFile:
             code="E_TRUNCATED",
             found=f"{end} bytes",
             expected=f"{end + missing} bytes",
-            fix=COPY_AGAIN,
         )
 
 

@@ -16,15 +16,7 @@ DATA_SUFFIXES = (
     *(".raw", ".dat", ".img", ".bil", ".bip", ".bsq", ".bin", ".cube", ".float", ".hyspex", ".sli"),
     "",
 )
-LAYOUT = (
-    "samples",
-    "lines",
-    "bands",
-    "data type",
-    "interleave",
-    "byte order",
-    "header offset",
-)
+LAYOUT = ("samples", "lines", "bands", "data type", "interleave", "byte order", "header offset")
 """Keys that say where each number lies: said twice, they must agree."""
 
 LONGEST_NUMBER = 400

@@ -109,6 +109,15 @@ def unreadable(
     )
 
 
+def truncated(
+    path: str | Path, message: str, field: str, found: str, expected: str
+) -> UnreadableCapture:
+    """Return the refusal of a file that lacks a part, ready to raise."""
+    return unreadable(
+        path, message, code="E_TRUNCATED", field=field, found=found, expected=expected
+    )
+
+
 @contextmanager
 def decoding(path: Path, what: str) -> Iterator[None]:
     """Turn whatever a decoder raises on a damaged file into UnreadableCapture."""
@@ -124,7 +133,6 @@ def decoding(path: Path, what: str) -> Iterator[None]:
             f"the {what} cannot be read",
             found=f"{type(error).__name__}: {error}"[:300],
             expected=f"a whole {what}",
-            fix=COPY_AGAIN,
         ) from error
 
 
@@ -222,5 +230,4 @@ def check_ratio(
         field=field,
         found=f"{needed} bytes from {stored}",
         expected=f"at most {ratio} to 1",
-        fix=COPY_AGAIN,
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from levkas.readers import images
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
-from levkas.readers.facts import COPY_AGAIN, Facts, UnreadableCapture, unreadable
+from levkas.readers.facts import Facts, UnreadableCapture, unreadable
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
 from levkas.readers.text import what_stands_at
 
@@ -247,11 +247,6 @@ def _first_bytes(path: Path) -> bytes:
         ) from error
     if not head:
         raise unreadable(
-            path,
-            "the file is empty",
-            code="E_TRUNCATED",
-            found="0 bytes",
-            expected="an image",
-            fix=COPY_AGAIN,
+            path, "the file is empty", code="E_TRUNCATED", found="0 bytes", expected="an image"
         )
     return head

@@ -1,9 +1,10 @@
-"""JPEG captures: photographs; EXIF orientation is ignored."""
+"""PNG and JPEG captures, EXIF, and the sizes that compressed images declare in their headers."""
 
 from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
 from datetime import datetime
 from io import BytesIO
 from math import isfinite, prod
@@ -13,31 +14,139 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from levkas.readers.facts import (
-    COPY_AGAIN,
     Facts,
     check_expansion,
     check_memory,
     check_ratio,
     check_size,
     decoding,
+    truncated,
     unreadable,
 )
 
+PNG = b"\x89PNG\r\n\x1a\n"
+PNG_SAMPLES = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
+"""Samples that count, by colour type: palettes become colours, alpha is dropped."""
+DEFLATE_RATIO = 1040
+LONGEST_CHUNK = 64 << 20
 JPEG = b"\xff\xd8\xff"
-NO_FRAME = (0xC4, 0xC8, 0xCC)  # tables and an extension, among the markers of frames
-LARGEST_RATIO = 4000
-LARGEST_EXPANSION = 150
-"""Of a large one; one even colour is 200 to 1, a painting before black less than 100."""
+SCAN, END = b"\xff\xda", b"\xff\xd9"
+JPEG_RATIO = 4000
+JPEG_EXPANSION = 150
+"""Bytes of a large JPEG from one stored byte; one even colour is 200 to 1, a painting before black less than 100."""
 MOST_SCANS = 64
-"""Of a progressive JPEG; encoders write about ten, and each goes through the whole image."""
-SCAN = b"\xff\xda"
-END = b"\xff\xd9"
+"""Scans of a progressive JPEG; encoders write about ten, and each goes through the whole image."""
+JPEG_CODES = (6, 7, 33007)
+JPEG_2000 = (33003, 33005, 34712)
+JPEG_XL = (50002, 52546)
+"""Codes of the TIFF tag Compression."""
+JXL_RATIOS = ((1, 1), (12, 10), (4, 3), (3, 2), (16, 9), (5, 4), (2, 1))
+"""Width over height in the short form of a JPEG XL size."""
+MOST_READS = 50_000
+"""Reads of one file's EXIF, maker notes left out; cameras write some hundred numbers."""
+# A preference order: IFD names as exifread writes them. TIFF/EP raws keep exposure in the main IFD.
+EXPOSURE = ("EXIF ExposureTime", "Image ExposureTime")
+ISO = ("EXIF ISOSpeedRatings", "Image ISOSpeedRatings", "EXIF ISOSpeed")
+DATE = ("EXIF DateTimeOriginal", "Image DateTimeOriginal", "Image DateTime")
+
+
+# --- PNG --------------------------------------------------------------------------------------
+
+
+def read_png_facts(path: Path) -> Facts:
+    """Return size, depth and, where an eXIf chunk has them, exposure and date; no pixel is decoded.
+
+    Notes
+    -----
+    sBIT holds the bits of a sample before it was scaled to the stored depth, so the sensor is full at
+    (2^sBIT − 1) · 2^(depth − sBIT): 65520, not 4095, for 12 bits in 16.
+    """
+    with decoding(path, "PNG"):
+        head, chunks, stored = _png_chunks(path)
+    width, height, depth, colour = struct.unpack(">IIBB", head[:10])
+    if colour not in PNG_SAMPLES or depth not in (1, 2, 4, 8, 16):
+        raise unreadable(
+            path,
+            "the PNG header is damaged",
+            field="IHDR",
+            found=f"{depth} bits, type {colour}",
+            expected="1, 2, 4, 8 or 16 bits of type 0, 2, 3, 4 or 6",
+        )
+    samples, itemsize = PNG_SAMPLES[colour], max(depth // 8, 1)
+    shape = (height, width) if samples == 1 else (height, width, 3)
+    check_size(path, shape)
+    check_ratio(path, prod(shape) * itemsize, stored, ratio=DEFLATE_RATIO)
+    check_expansion(path, prod(shape), itemsize, stored)
+    full = max(depth, 8)
+    bits = min(chunks.get(b"sBIT", b"")[:samples], default=full)
+    if not 0 < bits < full or depth < 8 or colour == 3:
+        bits = full
+    more: dict[str, Any] = read_exif(BytesIO(chunks[b"eXIf"])) if b"eXIf" in chunks else {}
+    return Facts(
+        path=path,
+        kind="png",
+        shape=shape,
+        dtype="uint16" if depth == 16 else "uint8",
+        bits=bits,
+        saturation=float((2**bits - 1) << (full - bits)) if bits < full else None,
+        **more,
+    )
+
+
+def read_png(path: Path) -> np.ndarray:
+    """Decode a PNG, (h, w) or (h, w, 3), uint8 or uint16; every chunk's checksum is verified."""
+    import imagecodecs
+
+    facts = read_png_facts(path)
+    check_memory(path, prod(facts.shape), np.dtype(facts.dtype).itemsize)
+    with decoding(path, "PNG"):
+        data = path.read_bytes()
+        if b"IEND" not in data[-4096:]:
+            message, expected = "the file ends before its image does", "an IEND chunk at the end"
+            raise truncated(path, message, "IEND", f"{len(data)} bytes", expected)
+        values = np.asarray(imagecodecs.png_decode(data))
+    if values.ndim == 3:
+        values = values[..., 0] if len(facts.shape) == 2 else values[..., :3]
+    return _as_declared(path, values, facts)
+
+
+def _as_declared(path: Path, values: np.ndarray, facts: Facts) -> np.ndarray:
+    if values.shape != facts.shape or values.dtype != facts.dtype:
+        found = f"{values.shape} {values.dtype}"
+        raise unreadable(path, "the image is not what its header says", found=found)
+    return np.ascontiguousarray(values)
+
+
+def _png_chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
+    """Return the header, the small chunks before the first pixel, and the size of the file."""
+    wanted: dict[bytes, bytes] = {}
+    with path.open("rb") as handle:
+        size = handle.seek(0, 2)
+        handle.seek(len(PNG))
+        head = b""
+        while (start := handle.read(8)) and len(start) == 8:
+            length, name = struct.unpack(">I4s", start)
+            if name == b"IDAT" and head:
+                return head, wanted, size
+            if (name == b"IHDR") != (not head) or handle.tell() + length > size:
+                break
+            if name in (b"IHDR", b"sBIT", b"eXIf") and length < LONGEST_CHUNK:
+                wanted[name] = handle.read(length)
+                head = wanted[b"IHDR"] if len(wanted[b"IHDR"]) == 13 else b""
+                handle.seek(4, 1)
+            else:
+                handle.seek(length + 4, 1)
+    field, expected = "IDAT" if head else "IHDR", "an IHDR chunk first, then pixels in IDAT"
+    raise truncated(path, "the file ends before its image does", field, f"{size} bytes", expected)
+
+
+# --- JPEG -------------------------------------------------------------------------------------
 
 
 def read_jpeg_facts(path: Path) -> Facts:
     """Return size and EXIF facts of a JPEG; no pixel is decoded."""
     with decoding(path, "JPEG"):
-        return _walk(path)[0]
+        return _jpeg_header(path)[0]
 
 
 def read_jpeg(path: Path) -> np.ndarray:
@@ -49,18 +158,13 @@ def read_jpeg(path: Path) -> np.ndarray:
     import imagecodecs
 
     with decoding(path, "JPEG"):
-        facts, scan = _walk(path)
+        facts, scan = _jpeg_header(path)
         check_memory(path, prod(facts.shape), 1)
         data = path.read_bytes()
         if data.rfind(END) < scan:
-            raise unreadable(
-                path,
-                "the file ends before its image does",
-                code="E_TRUNCATED",
-                found=f"{len(data)} bytes",
-                expected="an end-of-image marker after the scan",
-                fix=COPY_AGAIN,
-            )
+            expected = "an end-of-image marker after the scan"
+            message = "the file ends before its image does"
+            raise truncated(path, message, "scan", f"{len(data)} bytes", expected)
         if (scans := data.count(SCAN, scan - 4)) > MOST_SCANS:
             raise unreadable(
                 path,
@@ -71,53 +175,25 @@ def read_jpeg(path: Path) -> np.ndarray:
                 expected=f"at most {MOST_SCANS}",
                 fix="Save it again as a plain JPEG or a PNG.",
             )
-        values = np.asarray(imagecodecs.jpeg8_decode(data))
-    if values.shape != facts.shape or values.dtype != np.uint8:
-        raise unreadable(path, "the JPEG is not what its header says", found=str(values.shape))
-    return np.ascontiguousarray(values)
+        return _as_declared(path, np.asarray(imagecodecs.jpeg8_decode(data)), facts)
 
 
-def _walk(path: Path) -> tuple[Facts, int]:
-    """Return the facts and where the first scan begins, marker by marker."""
-    exif: bytes | None = None
-    frame: tuple[int, int, int, int] | None = None
+def _jpeg_header(path: Path) -> tuple[Facts, int]:
+    """Return the facts and where the first scan begins."""
+    exif, frame = b"", None
     with path.open("rb") as handle:
         size = handle.seek(0, 2)
-        handle.seek(2)
-        while True:
-            marker = _next_marker(handle.read(2), handle)
-            length = handle.read(2)
-            if marker is None or len(length) < 2:
-                break
-            content = struct.unpack(">H", length)[0] - 2
+        for marker, content in jpeg_segments(handle):
             if marker == 0xDA and frame:
-                return _facts(path, frame, exif, size), handle.tell()
-            if content < 0 or handle.tell() + content > size:
-                break
-            body = handle.read(content)
-            if marker == 0xE1 and body.startswith(b"Exif\0\0"):
-                exif = exif or body[6:]
-            elif 0xC0 <= marker <= 0xCF and marker not in NO_FRAME and not frame:
-                frame = struct.unpack(">BHHB", body[:6])
-    raise unreadable(
-        path,
-        "the file ends before its image does",
-        code="E_TRUNCATED",
-        field="scan" if frame else "frame header",
-        found=f"{size} bytes",
-        expected="a frame header and a scan",
-        fix=COPY_AGAIN,
-    )
+                return _jpeg_facts(path, frame, exif, size), handle.tell()
+            if marker == 0xE1 and content.startswith(b"Exif\0\0"):
+                exif = exif or content[6:]
+            frame = frame or jpeg_frame(marker, content)
+    field, expected = "scan" if frame else "frame header", "a frame header and a scan"
+    raise truncated(path, "the file ends before its image does", field, f"{size} bytes", expected)
 
 
-def _next_marker(two: bytes, handle: BinaryIO) -> int | None:
-    """Return the marker that begins here; fill bytes 0xFF may come before it."""
-    while len(two) == 2 and two == b"\xff\xff":
-        two = two[1:] + handle.read(1)
-    return two[1] if len(two) == 2 and two[0] == 0xFF else None
-
-
-def _facts(path: Path, frame: tuple[int, int, int, int], exif: bytes | None, size: int) -> Facts:
+def _jpeg_facts(path: Path, frame: tuple[int, int, int, int], exif: bytes, size: int) -> Facts:
     bits, height, width, samples = frame
     if samples not in (1, 3) or bits != 8:
         raise unreadable(
@@ -130,18 +206,93 @@ def _facts(path: Path, frame: tuple[int, int, int, int], exif: bytes | None, siz
         )
     shape = (height, width) if samples == 1 else (height, width, 3)
     check_size(path, shape)
-    check_ratio(path, height * width * samples, size, ratio=LARGEST_RATIO)
-    check_expansion(path, height * width * samples, 1, size, most=LARGEST_EXPANSION)
+    check_ratio(path, prod(shape), size, ratio=JPEG_RATIO)
+    check_expansion(path, prod(shape), 1, size, most=JPEG_EXPANSION)
     more = read_exif(BytesIO(exif)) if exif else {}
     return Facts(path=path, kind="jpeg", shape=shape, dtype="uint8", bits=8, **more)
 
 
-MOST_READS = 50_000
-"""Numbers that are read of one file's EXIF, maker notes left out; cameras write some hundred."""
-# A preference order: IFD names as exifread writes them. TIFF/EP raws keep exposure in the main IFD.
-EXPOSURE = ("EXIF ExposureTime", "Image ExposureTime")
-ISO = ("EXIF ISOSpeedRatings", "Image ISOSpeedRatings", "EXIF ISOSpeed")
-DATE = ("EXIF DateTimeOriginal", "Image DateTimeOriginal", "Image DateTime")
+# --- sizes in headers of compressed images ----------------------------------------------------
+
+
+def jpeg_segments(handle: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Yield (marker, content) of a JPEG's segments, at last its first scan without content; end at damage."""
+    handle.seek(2)
+    while True:
+        two = handle.read(2)
+        while two == b"\xff\xff":  # fill bytes may come before a marker
+            two = two[1:] + handle.read(1)
+        length = handle.read(2)
+        if len(two) < 2 or two[0] != 0xFF or len(length) < 2:
+            return
+        count = 0 if two == SCAN else int.from_bytes(length) - 2
+        content = handle.read(count) if count > 0 else b""
+        if count < 0 or len(content) < count:
+            return
+        yield two[1], content
+        if two == SCAN:
+            return
+
+
+def jpeg_frame(marker: int, content: bytes) -> tuple[int, int, int, int] | None:
+    """Return (bits, height, width, components) where a segment is a frame header, else None."""
+    if not 0xC0 <= marker <= 0xCF or marker in (0xC4, 0xC8, 0xCC) or len(content) < 6:
+        return None
+    bits, height, width, components = struct.unpack_from(">BHHB", content)
+    return bits, height, width, components
+
+
+def frame_size(data: bytes, compression: int) -> tuple[int, int]:
+    """Return the samples and scans that a strip of JPEG, JPEG 2000 or JPEG XL declares; 0 samples without a header.
+
+    Examples
+    --------
+    >>> frame_size(bytes.fromhex("ffd8 ffc0 000b 08 0010 0020 01 011100"), 7)
+    (512, 0)
+    >>> frame_size(bytes.fromhex("ff0a 4f 00"), 50002)
+    (4096, 1)
+    """
+    if compression in JPEG_2000:
+        start = data.find(b"\xff\x4f\xff\x51")
+        if start < 0 or len(data) < start + 42:
+            return 0, 1
+        right, bottom, left, top = struct.unpack_from(">4I", data, start + 8)
+        (channels,) = struct.unpack_from(">H", data, start + 40)
+        return max(0, right - left) * max(0, bottom - top) * channels, 1
+    if compression in JPEG_XL:
+        return _jpeg_xl_size(data), 1
+    frames = (jpeg_frame(*segment) for segment in jpeg_segments(BytesIO(data)))
+    samples = max((prod(frame[1:]) for frame in frames if frame), default=0)
+    return samples if data.startswith(b"\xff\xd8") else 0, data.count(SCAN)
+
+
+def _jpeg_xl_size(data: bytes) -> int:
+    """Return the samples of one channel, from the SizeHeader of ISO/IEC 18181-1."""
+    start = data.find(b"\xff\x0a")
+    if start < 0:
+        return 0
+    bits, at = int.from_bytes(data[start + 2 : start + 14], "little"), 0
+
+    def take(count: int) -> int:
+        nonlocal at
+        value = (bits >> at) & ((1 << count) - 1)
+        at += count
+        return value
+
+    small = take(1)
+
+    def side() -> int:
+        return 8 * (take(5) + 1) if small else 1 + take((9, 13, 18, 30)[take(2)])
+
+    height = side()
+    ratio = take(3)
+    if not ratio:
+        return height * side()
+    across, down = JXL_RATIOS[ratio - 1]
+    return height * (height * across // down)
+
+
+# --- EXIF -------------------------------------------------------------------------------------
 
 
 def read_exif(stream: BinaryIO) -> dict[str, Any]:
@@ -156,26 +307,28 @@ def read_exif(stream: BinaryIO) -> dict[str, Any]:
     import exifread
 
     try:
-        tags = exifread.process_file(_Counted(stream), details=False)  # type: ignore[arg-type]
+        tags = exifread.process_file(_BoundedReads(stream), details=False)  # type: ignore[arg-type]
     except Exception:  # exifread raises whatever a damaged header leads it to
         tags = {}
 
     def first(names: tuple[str, ...]) -> Any:
         return next((tags[n] for n in names if n in tags), None)
 
-    model = str(tags.get("Image Model", "")).strip(" \0")
+    def number(names: tuple[str, ...]) -> float | None:
+        return positive_number((getattr(first(names), "values", None) or [0])[:1])
+
     return {
-        "exposure_s": _number(first(EXPOSURE)),
-        "iso": _number(first(ISO)),
+        "exposure_s": number(EXPOSURE),
+        "iso": number(ISO),
         "captured": iso_date(first(DATE), tags.get("EXIF OffsetTimeOriginal")),
-        "model": model or None,
+        "model": str(tags.get("Image Model", "")).strip(" \0") or None,
     }
 
 
-class _Counted:
+class _BoundedReads:
     """A file that may be read from `MOST_READS` times, a kilobyte each, and ends then.
 
-    Directories of EXIF within directories may say the same thousand entries a thousand times over: 64 kB
+    EXIF directories within directories may list the same thousand entries a thousand times over: 64 kB
     of them take exifread a minute.
     """
 
@@ -218,115 +371,14 @@ def iso_date(value: Any, offset: Any = None) -> str | None:
     return text + (zone[1] if zone else "")
 
 
-def _number(tag: Any) -> float | None:
-    values = getattr(tag, "values", None)
+def positive_number(value: Any) -> float | None:
+    """Return a positive number from a number, a rational, text, or the first of several."""
     try:
-        number = float(values[0]) if values else 0.0
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        if isinstance(value, tuple | list) and len(value) == 2:
+            value = float(value[0]) / float(value[1])
+        elif isinstance(value, tuple | list):
+            value = value[0]
+        number = float(value)
+    except (TypeError, ValueError, IndexError, ZeroDivisionError, OverflowError):
         return None
     return number if isfinite(number) and number > 0 else None
-
-
-PNG = b"\x89PNG\r\n\x1a\n"
-SAMPLES = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}
-"""Samples that count, by colour type: palettes become colours, alpha is dropped."""
-DEFLATE_RATIO = 1040
-LONGEST_CHUNK = 64 << 20
-
-
-def read_png_facts(path: Path) -> Facts:
-    """Return size, depth and, where an eXIf chunk has them, exposure and date; no pixel is decoded.
-
-    Notes
-    -----
-    sBIT says how many bits a sample had before it was scaled to the stored depth, so the sensor is
-    full at (2^sBIT − 1) · 2^(depth − sBIT): 65520, not 4095, for 12 bits in 16.
-    """
-    with decoding(path, "PNG"):
-        head, chunks, stored = _chunks(path)
-    width, height, depth, colour = struct.unpack(">IIBB", head[:10])
-    if colour not in SAMPLES or depth not in (1, 2, 4, 8, 16):
-        raise unreadable(
-            path,
-            "the PNG header is damaged",
-            field="IHDR",
-            found=f"{depth} bits, type {colour}",
-            expected="1, 2, 4, 8 or 16 bits of type 0, 2, 3, 4 or 6",
-        )
-    shape = (height, width) if SAMPLES[colour] == 1 else (height, width, 3)
-    check_size(path, shape)
-    check_ratio(
-        path, height * width * SAMPLES[colour] * max(depth // 8, 1), stored, ratio=DEFLATE_RATIO
-    )
-    check_expansion(path, prod(shape), max(depth // 8, 1), stored)
-    full = max(depth, 8)
-    bits = min(chunks.get(b"sBIT", b"")[: SAMPLES[colour]], default=full)
-    if not 0 < bits < full or depth < 8 or colour == 3:
-        bits = full
-    more: dict[str, Any] = read_exif(BytesIO(chunks[b"eXIf"])) if b"eXIf" in chunks else {}
-    return Facts(
-        path=path,
-        kind="png",
-        shape=shape,
-        dtype="uint16" if depth == 16 else "uint8",
-        bits=bits,
-        saturation=float((2**bits - 1) << (full - bits)) if bits < full else None,
-        **more,
-    )
-
-
-def read_png(path: Path) -> np.ndarray:
-    """Decode a PNG, (h, w) or (h, w, 3), uint8 or uint16; every chunk's checksum is verified."""
-    import imagecodecs
-
-    facts = read_png_facts(path)
-    check_memory(path, prod(facts.shape), np.dtype(facts.dtype).itemsize)
-    with decoding(path, "PNG"):
-        data = path.read_bytes()
-        if b"IEND" not in data[-4096:]:
-            raise unreadable(
-                path,
-                "the file ends before its image does",
-                code="E_TRUNCATED",
-                field="IEND",
-                found=f"{len(data)} bytes",
-                expected="an IEND chunk at the end",
-                fix=COPY_AGAIN,
-            )
-        values = np.asarray(imagecodecs.png_decode(data))
-    if values.ndim == 3:
-        values = values[..., 0] if len(facts.shape) == 2 else values[..., :3]
-    if values.shape != facts.shape or values.dtype != facts.dtype:
-        raise unreadable(path, "the PNG is not what its header says", found=str(values.shape))
-    return np.ascontiguousarray(values)
-
-
-def _chunks(path: Path) -> tuple[bytes, dict[bytes, bytes], int]:
-    """Return the header, the small chunks before the first pixel, and the size of the file."""
-    wanted: dict[bytes, bytes] = {}
-    with path.open("rb") as handle:
-        size = handle.seek(0, 2)
-        handle.seek(len(PNG))
-        head = b""
-        while (start := handle.read(8)) and len(start) == 8:
-            length, name = struct.unpack(">I4s", start)
-            if name == b"IDAT" and head:
-                return head, wanted, size
-            if (name == b"IHDR") != (not head) or handle.tell() + length > size:
-                break
-            if name in (b"IHDR", b"sBIT", b"eXIf") and length < LONGEST_CHUNK:
-                content = handle.read(length)
-                wanted[name] = content
-                head = wanted[b"IHDR"] if len(wanted[b"IHDR"]) == 13 else b""
-                handle.seek(4, 1)
-            else:
-                handle.seek(length + 4, 1)
-    raise unreadable(
-        path,
-        "the file ends before its image does",
-        code="E_TRUNCATED",
-        field="IHDR" if not head else "IDAT",
-        found=f"{size} bytes",
-        expected="an IHDR chunk first, then pixels in IDAT",
-        fix=COPY_AGAIN,
-    )

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import signal
 import struct
 import subprocess
 import sys
+from io import BytesIO
+from itertools import islice
 from math import ceil, prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from threading import Timer
+from typing import Any
 
 import numpy as np
 
-from levkas.readers.facts import COPY_AGAIN, Facts, check_memory, check_size, decoding, unreadable
-from levkas.readers.images import iso_date, read_exif
+from levkas.readers.facts import (
+    Facts,
+    UnreadableCapture,
+    check_memory,
+    check_size,
+    decoding,
+    truncated,
+    unreadable,
+)
+from levkas.readers.images import iso_date, jpeg_frame, jpeg_segments, read_exif
+from levkas.readers.tiff import check_strips
 
 EXTENSIONS = """
     3fr ari arq arw bay cap cr2 cr3 crw cs1 dc2 dcr dcs dng drf erf fff gpr iiq k25 kdc mdc mef mos
@@ -26,6 +39,13 @@ PROGRAM = Path(__file__).with_name("libraw_worker.py")
 PATIENCE_S = 600
 OUT_OF_TIME = -int(getattr(signal, "SIGPROF", 0)) or None
 """Exit status of a decoder that took too much processor time; None where the system sets no limit."""
+DNG_VERSION, MOSAIC, LOSSLESS_JPEG = 50706, 32803, 7
+FRAMES = (0xC0, 0xC1, 0xC3)
+"""Markers of JPEG frames that LibRaw decodes in a mosaic."""
+MOST_DIRECTORIES, MOST_SEGMENTS, HEADER_BYTES = 16, 64, 1 << 16
+
+_idle: list[subprocess.Popen[bytes]] = []
+"""Decoders without work: one for every thread that has read camera raws at a time."""
 
 
 def read_raw_facts(path: Path) -> Facts:
@@ -34,7 +54,7 @@ def read_raw_facts(path: Path) -> Facts:
     LibRaw knows the levels of some cameras only when it has unpacked the pixels, so this takes
     nearly as long as `read_raw_mosaic`.
     """
-    found, _ = _ask(path, "facts")
+    found, _ = _decode(path, pixels=False)
     with decoding(path, "camera raw"), path.open("rb") as handle:
         exif = read_exif(handle)
     blacks = tuple(float(b) for b in found["blacks"])
@@ -58,194 +78,182 @@ def read_raw_facts(path: Path) -> Facts:
 
 def read_raw_mosaic(path: Path) -> np.ndarray:
     """Return the visible mosaic, (h, w), uint16, curves of the camera's compression undone."""
-    found, data = _ask(path, "mosaic")
-    shape = tuple(int(s) for s in found["shape"])
-    if len(data) != 2 * prod(shape):
-        raise unreadable(
-            path,
-            "the camera raw cannot be read",
-            code="E_TRUNCATED",
-            found=f"{len(data)} bytes",
-            expected=f"{2 * prod(shape)} bytes",
-            fix=COPY_AGAIN,
-        )
-    return np.frombuffer(data, np.uint16).reshape(shape).copy()
+    found, data = _decode(path, pixels=True)
+    return np.frombuffer(data, np.uint16).reshape(found["shape"])
 
 
-def _ask(path: Path, what: str) -> tuple[dict[str, Any], memoryview]:
-    """Run the decoder in a process of its own; its death is a refusal of this file."""
+# --- the decoder ------------------------------------------------------------------------------
+
+
+def _decode(path: Path, *, pixels: bool) -> tuple[dict[str, Any], bytearray]:
+    """Have a file decoded in a process apart, which stays for the next; its death is a refusal of this file."""
     with decoding(path, "camera raw"):
-        check_parts(path)
-    command = [sys.executable, "-P", str(PROGRAM), str(path.absolute()), what]
-    # numpy's thread pools would count against the limits and are of no use there.
-    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        _check_parts(path)
+    worker = _worker()
+    assert worker.stdin and worker.stdout
+    timer = Timer(PATIENCE_S, worker.kill)
+    timer.start()
     try:
-        done = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            timeout=PATIENCE_S,
-            env=env,
-            check=False,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise _refused(path, f"no end after {PATIENCE_S} s") from error
-    if done.returncode == OUT_OF_TIME:
-        raise _refused(path, "no end after as much processor time as its size allows")
-    if done.returncode or len(done.stdout) < 4:
-        raise _refused(path, f"the decoder ended with status {done.returncode}")
-    (length,) = struct.unpack(">I", done.stdout[:4])
-    found = json.loads(done.stdout[4 : 4 + length])
+        worker.stdin.write(json.dumps([str(path.absolute()), pixels]).encode() + b"\n")
+        worker.stdin.flush()
+        (length,) = struct.unpack(">I", _exactly(worker.stdout, 4))
+        found = json.loads(_exactly(worker.stdout, length))
+        if "error" not in found:
+            check_size(path, tuple(found["shape"]))
+            check_memory(path, prod(found["shape"]), 2)
+        data = _exactly(worker.stdout, found["bytes"])
+    except (EOFError, OSError) as error:
+        status = _stop(worker)
+        late = f"no end after {PATIENCE_S} s"
+        if status == OUT_OF_TIME:
+            late = "no end after as much processor time as its size allows"
+        gone = timer.is_alive() and status != OUT_OF_TIME
+        found_instead = f"the decoder ended with status {status}" if gone else late
+        raise _refused(path, found_instead) from error
+    except (
+        BaseException
+    ):  # also an interrupted read: what is left in the pipe would be the next answer
+        worker.kill()
+        _stop(worker)
+        raise
+    finally:
+        timer.cancel()
+    _idle.append(worker)
     if "error" in found:
         raise _refused(path, found["error"])
-    check_size(path, tuple(found["shape"]))
-    check_memory(path, prod(int(s) for s in found["shape"]), 2)
-    return found, memoryview(done.stdout)[4 + length :]
+    return found, data
+
+
+def _worker() -> subprocess.Popen[bytes]:
+    """Return an idle decoder that is alive, or start one."""
+    while _idle:
+        try:
+            worker = _idle.pop()
+        except IndexError:  # another thread took the last
+            break
+        if worker.poll() is None:
+            return worker
+        _stop(worker)
+    # numpy's thread pools would count against the limits and are of no use there.
+    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-P", str(PROGRAM)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+        env=env,
+    )
+
+
+def _stop(worker: subprocess.Popen[bytes]) -> int:
+    """Wait for a decoder whose end was seen, or end it; return its status."""
+    try:
+        worker.wait(timeout=1)
+    except subprocess.TimeoutExpired:
+        worker.kill()
+    with worker:
+        return worker.wait()
+
+
+@atexit.register
+def _stop_idle() -> None:
+    while _idle:
+        worker = _idle.pop()
+        worker.kill()
+        _stop(worker)
+
+
+if hasattr(os, "register_at_fork"):  # a child has no part in its parent's pipes
+    os.register_at_fork(after_in_child=_idle.clear)
+
+
+def _exactly(stream: Any, count: int) -> bytearray:
+    """Read `count` bytes of a pipe; raises EOFError where it ends before."""
+    data = bytearray(count)
+    left = memoryview(data)
+    while left:
+        got = stream.readinto(left)
+        if not got:
+            raise EOFError
+        left = left[got:]
+    return data
 
 
 def _refused(path: Path, found: str) -> Exception:
     expected = "a camera raw"
     if path.suffix.lower() == ".raw":
         expected = f"{path.stem}.hdr beside it (an ENVI cube), or a camera raw"
-    return unreadable(
-        path, "the camera raw cannot be read", found=found, expected=expected, fix=COPY_AGAIN
-    )
+    return unreadable(path, "the camera raw cannot be read", found=found, expected=expected)
 
 
-WIDTH, LENGTH, COMPRESSION, COLOURS, SAMPLES = 256, 257, 259, 262, 277
-STRIPS, STRIP_ROWS, STRIP_BYTES = 273, 278, 279
-TILE_WIDTH, TILE_LENGTH, TILES, TILE_BYTES = 322, 323, 324, 325
-INNER, VERSION = 330, 50706  # directories within, and what makes a TIFF a DNG
-LOSSLESS_JPEG, MOSAIC = 7, 32803
-FRAMES = (0xC0, 0xC1, 0xC3)
-"""Markers of JPEG frames that LibRaw decodes in a mosaic."""
-SIZES = {1: "B", 3: "H", 4: "I", 13: "I"}
-"""Types of tags that count: bytes, numbers of two and four bytes, and places of directories."""
-MOST_DIRECTORIES, MOST_TAGS, MOST_PARTS, MOST_MARKERS = 16, 4096, 1 << 16, 64
-WANTED = frozenset((
-    WIDTH, LENGTH, COMPRESSION, COLOURS, SAMPLES, STRIPS, STRIP_ROWS, STRIP_BYTES, TILE_WIDTH, TILE_LENGTH,
-    TILES, TILE_BYTES, INNER, VERSION,
-))  # fmt: skip
-Tags = dict[int, tuple[int, ...]]
+# --- DNG: LibRaw leaves zeros where a part of lossless JPEG is none ----------------------------
 
 
-def check_parts(path: Path) -> None:
-    """Refuse a DNG of lossless JPEG whose mosaic lacks a strip or tile; what is none is passed over.
+def _check_parts(path: Path) -> None:
+    """Refuse a DNG of lossless JPEG whose mosaic lacks a strip or tile; what is no DNG is passed over.
 
-    LibRaw leaves zeros where a part is no JPEG; of other compressions it complains itself.
+    Of other compressions LibRaw complains itself.
 
     Raises
     ------
     UnreadableCapture
         ``E_TRUNCATED`` where a part is missing, reaches past the end or does not begin as it should.
     """
+    import tifffile
+
     with path.open("rb") as handle:
-        size = handle.seek(0, 2)
-        handle.seek(0)
-        head = handle.read(8)
-        order = {b"II*\0": "<", b"MM\0*": ">"}.get(head[:4])
-        if order is None or len(head) < 8:
+        if handle.read(4) not in (b"II*\0", b"MM\0*"):
             return
-        found = _directories(handle, order, struct.unpack(order + "I", head[4:])[0])
-        if not any(VERSION in tags for tags in found):
+    try:
+        tiff = tifffile.TiffFile(path)
+    except Exception:  # whatever damaged directories lead it to
+        if path.suffix.lower() == ".dng":
+            raise
+        return
+    with tiff:
+        pages: list[Any] = list(islice(tiff.pages, MOST_DIRECTORIES))
+        for page in pages:  # directories within directories follow as they are found
+            if page.subifds and len(pages) < MOST_DIRECTORIES:
+                pages += islice(page.pages or (), MOST_DIRECTORIES - len(pages))
+        if not any(DNG_VERSION in page.tags for page in pages):
             return
-        for tags in found:
-            if tags.get(COLOURS) == (MOSAIC,) and tags.get(COMPRESSION) == (LOSSLESS_JPEG,):
-                _check_mosaic(path, handle, tags, size)
+        for page in pages:
+            if page.photometric == MOSAIC and page.compression == LOSSLESS_JPEG:
+                _check_mosaic(path, tiff, page)
 
 
-def _directories(handle: BinaryIO, order: str, first: int) -> list[Tags]:
-    """Return the tags of all directories, those within others too; each place is gone to once."""
-    left, seen = [first], set[int]()
-    found: list[Tags] = []
-    while left and len(found) < MOST_DIRECTORIES:
-        at = left.pop(0)
-        if at in seen or not at:
-            continue
-        seen.add(at)
-        tags, following = _tags(handle, order, at)
-        found.append(tags)
-        left += [following, *tags.get(INNER, ())[:MOST_DIRECTORIES]]
-    return found
+def _check_mosaic(path: Path, tiff: Any, page: Any) -> None:
+    """Refuse a mosaic of which a strip or tile is missing, or declares fewer samples than it has to hold."""
+    message, field = "a strip or tile of the camera raw is not there", "offsets and byte counts"
+    try:
+        check_strips(path, tiff, page, "the mosaic")
+    except UnreadableCapture as refused:
+        (problem,) = refused.problems
+        raise truncated(path, message, field, problem.found, str(problem.expected)) from None
+    high = page.tilelength if page.is_tiled else page.rowsperstrip
+    wide = page.tilewidth if page.is_tiled else page.imagewidth
+    across = ceil(page.imagewidth / wide)
+    for number, (start, count) in enumerate(
+        zip(page.dataoffsets, page.databytecounts, strict=True)
+    ):
+        left = high if page.is_tiled else page.imagelength - number // across * high
+        least = wide * min(high, left) * page.samplesperpixel
+        tiff.filehandle.seek(start)
+        found = _lossless_samples(tiff.filehandle.read(min(count, HEADER_BYTES)))
+        if found < least:
+            found_text = f"{found} samples in part {number}"
+            raise truncated(path, message, field, found_text, f"{least} in a JPEG")
 
 
-def _tags(handle: BinaryIO, order: str, at: int) -> tuple[Tags, int]:
-    """Return the whole numbers of a directory by their tags, and where the next directory is."""
-    handle.seek(at)
-    data = handle.read(2)
-    count = min(struct.unpack(order + "H", data)[0] if len(data) == 2 else 0, MOST_TAGS)
-    data = handle.read(12 * count + 4)
-    tags: Tags = {}
-    for start in range(0, min(12 * count, len(data) - 11), 12):
-        tag, kind, many = struct.unpack_from(order + "HHI", data, start)
-        if tag not in WANTED or tag in tags or kind not in SIZES or many > MOST_PARTS:
-            continue
-        form = f"{order}{many}{SIZES[kind]}"
-        values = data[start + 8 : start + 12]
-        if struct.calcsize(form) > 4:
-            handle.seek(struct.unpack(order + "I", values)[0])
-            values = handle.read(struct.calcsize(form))
-        if len(values) >= struct.calcsize(form):
-            tags[tag] = struct.unpack_from(form, values)
-    last = data[12 * count : 12 * count + 4]
-    return tags, struct.unpack(order + "I", last)[0] if len(last) == 4 else 0
-
-
-def _check_mosaic(path: Path, handle: BinaryIO, tags: Tags, size: int) -> None:
-    def one(tag: int, default: int) -> int:
-        return (tags.get(tag) or (default,))[0]
-
-    width, length = one(WIDTH, 0), one(LENGTH, 0)
-    tiled = TILES in tags
-    across = one(TILE_WIDTH, 0) if tiled else width
-    down = one(TILE_LENGTH, 0) if tiled else min(one(STRIP_ROWS, length), length)
-    starts = tags.get(TILES if tiled else STRIPS, ())
-    counts = tags.get(TILE_BYTES if tiled else STRIP_BYTES, ())
-    if min(width, length, across, down) < 1:
-        raise _lacking(
-            path, f"parts of {across} x {down} in {width} x {length} pixels", "sizes > 0"
-        )
-    expected = ceil(width / across) * ceil(length / down)
-    there = sum(s > 0 and c > 0 for s, c in zip(starts, counts, strict=False))
-    if there < max(expected, len(starts)):
-        raise _lacking(path, f"{there} with data", f"{max(expected, len(starts))}")
-    end = max(s + c for s, c in zip(starts, counts, strict=False))
-    if max(end, sum(counts)) > size:
-        raise _lacking(path, f"{size} bytes", f"at least {max(end, sum(counts))} bytes")
-    for number, (start, count) in enumerate(zip(starts, counts, strict=False)):
-        left = length - number // ceil(width / across) * down
-        least = across * (down if tiled else min(down, left)) * one(SAMPLES, 1)
-        if (found := _samples(handle, start, start + count)) < least:
-            raise _lacking(path, f"{found} samples in part {number}", f"{least} in a JPEG")
-
-
-def _samples(handle: BinaryIO, start: int, end: int) -> int:
-    """Return how many samples a JPEG says that it has; 0 for what is none."""
-    handle.seek(start)
-    found = 0
-    if handle.read(2) != b"\xff\xd8":
+def _lossless_samples(data: bytes) -> int:
+    """Return how many samples a JPEG declares that LibRaw decodes in a mosaic; 0 for any other."""
+    segments = list(islice(jpeg_segments(BytesIO(data)), MOST_SEGMENTS))
+    if data[:2] != b"\xff\xd8" or not segments or segments[-1][0] != 0xDA:
         return 0
-    for _ in range(MOST_MARKERS):
-        head = handle.read(4)
-        if handle.tell() > end or len(head) < 4 or head[0] != 0xFF:
-            return 0
-        body = handle.read(struct.unpack(">H", head[2:])[0] - 2 if head[2:] > b"\0\2" else 0)
-        if head[1] in FRAMES and len(body) >= 6:
-            bits, down, across, channels = struct.unpack_from(">BHHB", body)
-            found = down * across * channels if 2 <= bits <= 16 else 0
-        if head[1] == 0xDA:
-            return found
-    return 0
-
-
-def _lacking(path: Path, found: str, expected: str) -> Exception:
-    return unreadable(
-        path,
-        "a strip or tile of the camera raw is not there",
-        code="E_TRUNCATED",
-        field="offsets and byte counts",
-        found=found,
-        expected=expected,
-        fix=COPY_AGAIN,
-    )
+    found = 0
+    for marker, content in segments:
+        frame = jpeg_frame(marker, content) if marker in FRAMES else None
+        if frame:
+            found = prod(frame[1:]) if 2 <= frame[0] <= 16 else 0
+    return found

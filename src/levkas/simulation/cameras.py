@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from levkas.calibration.noise_model import Sensor
-from levkas.simulation.optics import Chromatic, View, turn
+from levkas.simulation.optics import ChromaticOptics, Viewpoint, turn
 from levkas.simulation.painting import Panel
 from levkas.simulation.pigments import WAVELENGTHS
 from levkas.simulation.truth import BandGeometry, CameraGeometry
@@ -42,7 +42,7 @@ class CameraModel:
     sensors : tuple of SensorModel
     radial, tangential : tuple of 2 floats
         Of the lens at half the image's width.
-    chromatic : Chromatic
+    chromatic : ChromaticOptics
     blur : float
         Standard deviation of the optics in focus, px.
     defocus : float
@@ -66,7 +66,7 @@ class CameraModel:
     sensors: tuple[SensorModel, ...]
     radial: tuple[float, float]
     tangential: tuple[float, float]
-    chromatic: Chromatic
+    chromatic: ChromaticOptics
     blur: float = 0.45
     defocus: float = 0.25
     vignetting: float = 0.22
@@ -136,7 +136,7 @@ class CameraModel:
         tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
         shift_mm: tuple[float, float] = (0.0, 0.0),
         centre_off: tuple[float, float] = (0.0, 0.0),
-    ) -> View:
+    ) -> Viewpoint:
         """Return the camera before a panel: turned about X, Y, Z and moved aside.
 
         Parameters
@@ -149,7 +149,7 @@ class CameraModel:
         """
         rotation = turn(*tilt_deg)
         centre = ((self.width - 1) / 2 + centre_off[0], (self.height - 1) / 2 + centre_off[1])
-        view = View(
+        view = Viewpoint(
             self.width,
             self.height,
             tuple(float(v) for v in rotation.ravel()),
@@ -173,7 +173,9 @@ class CameraModel:
         )
 
 
-def _tuned(name: str, wavelengths: np.ndarray, chromatic: Chromatic, radial: float) -> CameraModel:
+def _tuned(
+    name: str, wavelengths: np.ndarray, chromatic: ChromaticOptics, radial: float
+) -> CameraModel:
     low, high = wavelengths[0], wavelengths[-1]
     passed = 1 / (1 + np.exp(-(WAVELENGTHS - low - 25) / 25))
     passed = passed / (1 + np.exp((WAVELENGTHS - high - 60) / 40))
@@ -208,7 +210,7 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
     d80 = CameraModel(
         "d80", "mosaic", 3900, 2611, 1900.0, broad("R G B", rgb, (3,)),
         (SensorModel("", (0, 1, 2), ((0, 1), (1, 2)), noise=_ccd(0.16, dark=32.0)),),
-        (-0.011, 0.0025), (2.5e-4, -2e-4), Chromatic((1.3e-3, 1.8e-3), (0.25,), (-0.2,)),
+        (-0.011, 0.0025), (2.5e-4, -2e-4), ChromaticOptics((1.3e-3, 1.8e-3), (0.25,), (-0.2,)),
         blur=0.55, vignetting=0.30, shots=5, whites=10, darks=10,
     )  # fmt: skip
     seven = [
@@ -224,7 +226,7 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
             SensorModel("ccd2", (3, 4, 5), bayer, 0.012, (7.6, -5.2), _ccd(0.30, dark=20.0)),
             SensorModel("ccd3", (6,), None, -0.075, (-6.3, -14.8), _ccd(0.30, dark=15.0)),
         ),
-        (0.005, -0.001), (-1e-4, 2e-4), Chromatic((-4e-4, 1.1e-3), (0.1,), (0.1,)),
+        (0.005, -0.001), (-1e-4, 2e-4), ChromaticOptics((-4e-4, 1.1e-3), (0.1,), (0.1,)),
         shots=5, whites=10, darks=10,
     )  # fmt: skip
     v10_bands = np.arange(400.0, 1001.0, 5.0)
@@ -233,11 +235,11 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
         "v10", "cube", 1100, 850, 1200.0, spectrograph,
         (SensorModel("", tuple(range(121)), None, noise=_ccd(0.25, dark=25.0)),),
         (-0.003, 0.0004), (0.0, 1e-4),
-        Chromatic((3e-4, 6e-4), (0.15,), (0.1, 0.1), (0.25,)),
+        ChromaticOptics((3e-4, 6e-4), (0.15,), (0.1, 0.1), (0.25,)),
         whites=64, darks=64, scan=True, setup="scan", wobble=(0.18, 150.0, 0.8), defocus=0.2,
     )  # fmt: skip
-    vis = _tuned("lctf-vis", np.arange(400.0, 721.0, 10.0), Chromatic((-6e-4, 1.0e-3), (0.2,), (0.15, 0.1)), -0.004)  # fmt: skip
-    nir = _tuned("lctf-nir", np.arange(450.0, 951.0, 10.0), Chromatic((5e-4, 7e-4), (-0.2,), (0.2,)), -0.0032)  # fmt: skip
+    vis = _tuned("lctf-vis", np.arange(400.0, 721.0, 10.0), ChromaticOptics((-6e-4, 1.0e-3), (0.2,), (0.15, 0.1)), -0.004)  # fmt: skip
+    nir = _tuned("lctf-nir", np.arange(450.0, 951.0, 10.0), ChromaticOptics((5e-4, 7e-4), (-0.2,), (0.2,)), -0.0032)  # fmt: skip
     models = {c.name: c for c in (d80, msbs, vis, nir, v10)}
     return {name: _thinned(c) if thin else c for name, c in models.items()}
 

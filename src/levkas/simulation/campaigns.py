@@ -12,9 +12,15 @@ import numpy as np
 from levkas.core.files import Folder, publishing
 from levkas.core.ownership import require_outside, stands_in
 from levkas.simulation.cameras import BandModel, CameraModel, camera_models, response_table
-from levkas.simulation.capture import WHITE_REFLECTANCE, Camera, Frame, Sight, look
+from levkas.simulation.capture import (
+    WHITE_REFLECTANCE,
+    Sight,
+    SimulatedCamera,
+    SimulatedFrame,
+    look,
+)
 from levkas.simulation.icon import paint_icon
-from levkas.simulation.optics import View, turn
+from levkas.simulation.optics import Viewpoint, turn
 from levkas.simulation.painting import Painting, Panel
 from levkas.simulation.photographs import chart_panel, paint_chart, paint_photograph
 from levkas.simulation.pigments import WAVELENGTHS
@@ -27,14 +33,14 @@ from levkas.simulation.presets import (
 )
 from levkas.simulation.rendering import tabulate
 from levkas.simulation.sensing import key
-from levkas.simulation.truth import Truth
+from levkas.simulation.truth import SimulatedTruth
 
 CHART = "macbeth"
 SETUP = ("45-degree", "d80")
 
 
 @dataclass(frozen=True)
-class Step:
+class SimulationStep:
     """Progress: `done` of `total` units; `finished` where a painting or a target is done."""
 
     done: int
@@ -49,11 +55,11 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Simulated(Step):
+class Simulated(SimulationStep):
     """The last item: what was written."""
 
     campaign: Path = Path()
-    truth: Truth | None = None
+    truth: SimulatedTruth | None = None
     files: int = 0
     megabytes: float = 0.0
 
@@ -70,7 +76,7 @@ def simulate_campaign(
     grid: bool = True,
     library: Path | str | None = None,
     photographs: Sequence[Path | str] = (),
-) -> Iterator[Step]:
+) -> Iterator[SimulationStep]:
     """Simulate a campaign into `folder`: `raw/`, `truth/` and a campaign.toml that builds.
 
     Parameters
@@ -118,7 +124,7 @@ def simulate_campaign(
         why = "the folder is not empty" if found == "a folder" else f"{found} stands there"
         raise refusal(why, "folder", str(folder), "a new folder")
     root = int(np.random.default_rng(seed).integers(2**62))
-    session = Session(chosen, models, root, objects)
+    session = SimulatedSession(chosen, models, root, objects)
     under_lamp = setups and SETUP[1] in models
     need = _bytes_needed(models, objects + int(chosen.charts))
     with publishing(folder, bytes_needed=need) as aside:
@@ -148,7 +154,7 @@ def _bytes_needed(models: dict[str, CameraModel], targets: int) -> int:
     return total
 
 
-class Session:
+class SimulatedSession:
     """The state of one simulation: cameras at work, panels, views."""
 
     def __init__(
@@ -157,7 +163,7 @@ class Session:
         self.preset, self.models, self.root = preset, models, root
         self.names = [f"icon{i + 1}" for i in range(objects)]
         self.cameras = {
-            name: Camera(model, root, supersampling=preset.supersampling)
+            name: SimulatedCamera(model, root, supersampling=preset.supersampling)
             for name, model in models.items()
         }
         self.panels = {name: self._panel(name) for name in self.names}
@@ -183,7 +189,7 @@ class Session:
             twist_mm=float(rng.uniform(-1, 1) * p.twist_mm),
         )
 
-    def _view(self, name: str, model: CameraModel) -> View:
+    def _view(self, name: str, model: CameraModel) -> Viewpoint:
         """Place a camera once, and each object anew before it."""
         p, rng = self.preset, self._rng("place", model.name)
         turned = p.scanner_turn_deg if model.scan else 0.0
@@ -207,7 +213,7 @@ class Session:
         setups: bool,
         library: Path | str | None,
         photographs: list[Path],
-    ) -> Iterator[Step]:
+    ) -> Iterator[SimulationStep]:
         """Capture everything."""
         p = self.preset
         targets = len(self.names) + int(p.charts)
@@ -216,7 +222,7 @@ class Session:
         under_lamp = None
         if setups:
             model = self.models[SETUP[1]]
-            under_lamp = Camera(model, self.root, SETUP[0], p.supersampling)
+            under_lamp = SimulatedCamera(model, self.root, SETUP[0], p.supersampling)
             self.total += len(model.bands) * (len(self.names) + 1)
         for camera in self.cameras.values():
             for target in ("dark", "white"):
@@ -227,7 +233,7 @@ class Session:
             photograph = photographs[i] if i < len(photographs) else None
             painting = self.paint(name, i, library, photograph)
             self.done += 1
-            yield Step(self.done, self.total, f"{name} painted", True)
+            yield SimulationStep(self.done, self.total, f"{name} painted", True)
             yield from self._capture(writer, name, self.panels[name], painting, under_lamp)
         if p.charts:
             chart = paint_chart(self._fineness())
@@ -255,8 +261,8 @@ class Session:
         name: str,
         panel: Panel,
         painting: Painting,
-        under_lamp: Camera | None,
-    ) -> Iterator[Step]:
+        under_lamp: SimulatedCamera | None,
+    ) -> Iterator[SimulationStep]:
         # Finest first: each camera looks at the painting averaged to its own sampling.
         by_factor = {1: painting}
         for camera in self.cameras.values():
@@ -272,22 +278,22 @@ class Session:
                 yield from self._take(writer, under_lamp, name, glared)
 
     def _take(
-        self, writer: FrameWriter, camera: Camera, target: str, sight: Sight | None
-    ) -> Iterator[Step]:
+        self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: Sight | None
+    ) -> Iterator[SimulationStep]:
         name, first = camera.model.name, self.done
         one_file_a_band = camera.model.kind in ("bands", "cube")
         for frame in camera.shoot(target, sight, white=target == "white"):
             writer.add(camera, target, frame)
             if one_file_a_band and frame.shot == 0:
                 self.done += 1
-            yield Step(self.done, self.total, f"{target} {name} {frame.band}".rstrip())
+            yield SimulationStep(self.done, self.total, f"{target} {name} {frame.band}".rstrip())
         writer.finish(camera, target)
         self.done = first + len(camera.model.bands)
-        yield Step(self.done, self.total, f"{target} {name}", True)
+        yield SimulationStep(self.done, self.total, f"{target} {name}", True)
 
-    def truth(self) -> Truth:
+    def truth(self) -> SimulatedTruth:
         """Return the exact geometry of the campaign."""
-        return Truth(
+        return SimulatedTruth(
             REFERENCE,
             self.panels,
             {name: model.geometry() for name, model in self.models.items()},
@@ -307,7 +313,7 @@ class FrameWriter:
         self.files = self.bytes = 0
         self.cubes: dict[str, np.ndarray] = {}
 
-    def add(self, camera: Camera, target: str, frame: Frame) -> None:
+    def add(self, camera: SimulatedCamera, target: str, frame: SimulatedFrame) -> None:
         """Write one frame, or keep it for its cube."""
         kind = camera.model.kind
         if kind == "cube":
@@ -325,7 +331,7 @@ class FrameWriter:
             file = f"DSC_{FIRST_SHOT.get(target, 1000) + frame.shot:04d}.tif"
         self._write(f"{_raw(camera)}/{target}/{file}", _tiff(frame.counts))
 
-    def finish(self, camera: Camera, target: str) -> None:
+    def finish(self, camera: SimulatedCamera, target: str) -> None:
         """Write the cube of `target`, where the camera makes one."""
         cube = self.cubes.pop(target, None)
         if cube is not None:
@@ -340,7 +346,7 @@ class FrameWriter:
         self.bytes += memoryview(data).nbytes
 
 
-def _raw(camera: Camera) -> str:
+def _raw(camera: SimulatedCamera) -> str:
     return "/".join(part for part in ("raw", camera.setup, camera.model.name) if part)
 
 

@@ -39,6 +39,7 @@ def ask(address, path, *, cookie="", body=None):
     )
 
 
+@pytest.mark.skipif(os.name == "nt", reason="signals of Unix")
 def test_it_says_its_address_serves_this_machine_alone_and_ends_cleanly(campaign):
     run = subprocess.Popen(
         [*COMMAND, str(campaign), "--no-open"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,

@@ -108,11 +108,7 @@ def bands_in_file(
 
 
 def _default_names(
-    camera: Camera,
-    sensor: Sensor | None,
-    facts: Facts,
-    count: int,
-    centres: Sequence[float] | None,
+    camera: Camera, sensor: Sensor | None, facts: Facts, count: int, centres: Sequence[float] | None
 ) -> Sequence[str]:
     if camera.kind == "image":
         return ("R", "G", "B") if count == 3 else ("grey",)
@@ -298,11 +294,7 @@ def _names_of(frames: Sequence[FrameRef], keys: Sequence[Key]) -> tuple[str, ...
 
 
 def _checked(
-    camera: Camera,
-    keys: list[Key],
-    declared: Sequence[Key] | None,
-    others: set[Key],
-    folder: str,
+    camera: Camera, keys: list[Key], declared: Sequence[Key] | None, others: set[Key], folder: str
 ) -> list[Key]:
     """Return the keys in their order, or refuse."""
     alike = {k for k in others if isinstance(k, float) == isinstance(keys[0], float)}

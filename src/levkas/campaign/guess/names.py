@@ -360,11 +360,7 @@ def _with_target(tokens: tuple[Token, ...], target: str) -> tuple[Token, ...]:
     for start in range(len(tokens)):
         for stop in range(len(tokens), start, -1):
             if joined(tokens[start:stop]) == target:
-                return (
-                    *tokens[:start],
-                    Token(TARGET, tokens[start].gap, "target"),
-                    *tokens[stop:],
-                )
+                return (*tokens[:start], Token(TARGET, tokens[start].gap, "target"), *tokens[stop:])
     return tokens
 
 
