@@ -200,7 +200,7 @@ def _tasks_of(
     if "measure" in keys:
         mates = mates_of(campaign, capture, captures)
         seen = tuple(keys_of(campaign, c)["measure"] for c in mates)
-        yield Task(keys["measure"], (keys["calibrate"], *frame), (), *of)
+        yield Task(keys["measure"], (*frame, keys["calibrate"]), (), *of)
         yield Task(keys["register"], (keys["measure"], *frame), seen, *of)
     else:
         yield Task(keys["register"], (keys["calibrate"], *frame), (), *of)

@@ -232,8 +232,8 @@ def resample(
         if found is not None:
             found = round_root(found, out=found)
         parts.append((round_values(warped.values, out=warped.values), warped.flags, found))
-    values, flags, sigmas = zip(*parts, strict=True)
-    known = [s for s in sigmas if s is not None]
+    values, flags, spreads = zip(*parts, strict=True)
+    known = [s for s in spreads if s is not None]
     return Cube(
         _joined(values),
         _joined(flags),

@@ -1,4 +1,4 @@
-"""The channel that a camera's own frame means."""
+"""Spectra that a campaign declares: sensitivities of channels, and the white target's reflectance."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
     from levkas.campaign.campaign import Campaign
     from levkas.core.cube import Band
+
+
+VISIBLE = (400.0, 700.0)
+"""Nm: a channel without a wavelength is given the mean over these."""
 
 
 def reference_channel(
@@ -86,37 +90,19 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
         Where it cannot be read, a wavelength stands twice, or it has not as many columns as there
         are channels.
     """
-    from levkas.core.problems import Problem, Refused
-
-    rows: list[list[float]] = []
-    head: list[str] = []
+    expected = "a CSV of wavelength in nm and a column a channel"
     try:
-        text = read_text(path, "a CSV of wavelength in nm and a column a channel")
-        for row in csv.reader(io.StringIO(text, newline="")):
-            cells = [cell.strip() for cell in row]
-            if not any(cells) or cells[0].startswith("#"):
-                continue
-            try:
-                rows.append([float(c) if c else nan for c in cells])
-            except ValueError:
-                if rows or head:
-                    raise
-                head = cells
+        head, rows = _read_rows(path, expected)
         table = np.array(rows, float)
         if table.ndim != 2 or len(table) < 2 or table.shape[1] < 2:
             raise ValueError(f"{len(rows)} rows of numbers")
         table = table[np.argsort(table[:, 0])]
         if np.isinf(table).any() or not table[0, 0] > 0 or not (np.diff(table[:, 0]) > 0).all():
-            raise ValueError("wavelengths that stand twice, or are none, or values without end")
+            raise ValueError("wavelengths must be positive and distinct, and values finite")
     except (ValueError, csv.Error) as error:
+        what = "the sensitivities cannot be read"
         raise Refused(
-            Problem(
-                "E_UNREADABLE",
-                "the sensitivities cannot be read",
-                str(path),
-                found=str(error),
-                expected="a CSV of wavelength in nm and a column a channel",
-            )
+            Problem("E_UNREADABLE", what, str(path), found=str(error), expected=expected)
         ) from error
     columns = list(range(1, table.shape[1]))
     if len(head) == table.shape[1] and all(label in head for label in labels):
@@ -144,9 +130,6 @@ def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
     total = weights.sum(0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((wavelengths[:, None] * weights).sum(0) / total)
-
-
-VISIBLE = (400.0, 700.0)
 
 
 class SpectrumRefused(Refused):
@@ -203,18 +186,9 @@ def read_table(path: Path) -> np.ndarray:
 
     Raises SpectrumRefused where it is not that.
     """
-    rows, headed = [], False
+    expected = "a CSV of wavelength in nm and value"
     try:
-        lines = io.StringIO(read_text(path, "a CSV of wavelength in nm and value"), newline="")
-        for row in csv.reader(lines):
-            if not row or row[0].lstrip().startswith("#"):
-                continue
-            try:
-                rows.append((float(row[0]), float(row[1])))
-            except (ValueError, IndexError):
-                if rows or headed:
-                    raise
-                headed = True
+        rows = [(row[0], row[1]) for row in _read_rows(path, expected, 2)[1]]
     except TextRefused as refused:
         raise SpectrumRefused(*refused.problems) from None
     except (ValueError, IndexError, csv.Error) as error:
@@ -224,7 +198,7 @@ def read_table(path: Path) -> np.ndarray:
                 "the spectrum cannot be read",
                 str(path),
                 found=str(error),
-                expected="a CSV of wavelength in nm and value",
+                expected=expected,
                 fix="Name the right file, or save the table again as CSV.",
             )
         ) from error
@@ -242,3 +216,25 @@ def read_table(path: Path) -> np.ndarray:
             )
         )
     return table
+
+
+def _read_rows(
+    path: Path, expected: str, columns: int | None = None
+) -> tuple[list[str], list[list[float]]]:
+    """Read the header of a CSV, empty where it has none, and its rows of numbers, NaN where one is empty.
+
+    Of its first `columns` only, where that is given. Raises TextRefused, ValueError or csv.Error.
+    """
+    head: list[str] = []
+    rows: list[list[float]] = []
+    for row in csv.reader(io.StringIO(read_text(path, expected), newline="")):
+        cells = [cell.strip() for cell in row[:columns]]
+        if not any(cells) or cells[0].startswith("#"):
+            continue
+        try:
+            rows.append([float(cell) if cell else nan for cell in cells])
+        except ValueError:
+            if rows or head:
+                raise
+            head = cells
+    return head, rows

@@ -57,11 +57,14 @@ __all__ = [
 ]
 
 
-def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_captures(
+    campaign: Campaign, survey: Survey | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a campaign.
 
     A camera or setup that has frames of some objects did not take the others: nothing is said. One
-    that has frames of none is refused for each; so is an object without a reference image.
+    that has frames of none is refused for each; so is an object without a reference image. `survey` is what
+    `file_index.look` found, where folders were walked already.
 
     Returns
     -------
@@ -75,7 +78,7 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     CaptureRefused
         Where there is no object at all.
     """
-    survey = look(campaign)
+    survey = survey or look(campaign)
     survey.objects = _objects(survey)
     reference = campaign.reference.camera
     order = sorted(survey.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
@@ -96,12 +99,12 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     return captures, refusals
 
 
-def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_charts(campaign: Campaign, survey: Survey | None = None) -> tuple[list[Capture], Refusals]:
     """Find every capture of a declared chart, by the cameras and setups that took it.
 
-    Returns as `find_captures`; plain images, which are not calibrated, are left out.
+    Takes and returns what `find_captures` does; plain images, which are not calibrated, are left out.
     """
-    survey = look(campaign)
+    survey = survey or look(campaign)
     captures: list[Capture] = []
     refusals: Refusals = {}
     for name in campaign.targets.charts:
