@@ -38,7 +38,7 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python hatch_build.py check
+	$(BIN)/python hatch_build.py lint
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

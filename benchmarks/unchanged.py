@@ -292,7 +292,7 @@ def compare(folder: Path, names: list[str], *, exact: bool, output: Path | None)
             print(f"  {'!' if one in bad else ' '} {one.line}")
         everything += [{**asdict(d), "fails": d in bad} for d in found]
     passed_over = ", ".join(sorted(EXCLUDED - {"sha256"} if exact else EXCLUDED))
-    print(f"excluded: {passed_over}; code in provenance.json; the ledger")
+    print(f"excluded: {passed_over}; code and fingerprints in provenance.json; the ledger")
     if output:
         told = {"bytes": exact, "limits": LIMITS, "campaigns": names, "differences": everything}
         output.write_text(json.dumps(told, indent=1), encoding="utf-8")

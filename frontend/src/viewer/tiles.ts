@@ -3,12 +3,10 @@
 const waiting = new Map<string, (payload: unknown) => void>();
 
 declare global {
-  interface Window {
-    levkasTile: (key: string, payload: unknown) => void;
-  }
+  var levkasTile: (key: string, payload: unknown) => void;
 }
 
-window.levkasTile = (key, payload) => waiting.get(key)?.(payload);
+globalThis.levkasTile = (key, payload) => waiting.get(key)?.(payload);
 
 /** Load a script file and return what it holds under `key`; rejects where it is not there. */
 export function loadScript(address: string, key: string): Promise<unknown> {

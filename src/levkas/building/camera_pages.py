@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
-    from levkas.campaign.discovery.file_index import Survey
+    from levkas.campaign.discovery.file_index import FileIndex
     from levkas.core.cube import Band
     from levkas.database.layout import Places
     from levkas.quality.targets.measuring import ChartMeasure
@@ -51,11 +51,11 @@ class CameraPage:
 
 
 def camera_pages(
-    campaign: Campaign, captures: Sequence[Capture], survey: Survey
+    campaign: Campaign, captures: Sequence[Capture], index: FileIndex
 ) -> dict[Key, CameraPage]:
     """Return the pages of a campaign's cameras; plain images, where nothing is calibrated, have none."""
     cameras = calibrated_cameras(campaign, captures)
-    charts, refusals = find_charts(campaign, survey) if campaign.targets.charts else ([], {})
+    charts, refusals = find_charts(campaign, index) if campaign.targets.charts else ([], {})
     return {
         page_key(camera): CameraPage(
             camera,

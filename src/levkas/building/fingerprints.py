@@ -190,8 +190,8 @@ def of_registration(
         prints[f"registration.{key}"] = value
     for sensor in capture.sensors:
         prints[f"sensors.{sensor.name}.align"] = sensor.align
-    for band, edits in campaign.edits.of(capture.object, capture.layer).items():
-        if told := edits.told():
+    for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
+        if told := edits.describe():
             frame = f"{capture.layer}:{band}" if band else capture.layer
             prints[f"edits.toml: correction of {frame}"] = told
     prints |= told_points(campaign, capture)

@@ -173,7 +173,7 @@ def corrections_of(
     capture's reference channel.
     """
     given, options = {}, {}
-    for band, edits in campaign.edits.of(capture.object, capture.layer).items():
+    for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
         sensor, placed = placed_in(capture, band, channel)
         given[sensor] = placed_pairs(Given(**edits.pairs()), placed)
         for key in ("reject", "stop"):

@@ -38,7 +38,7 @@ from levkas.building.removal import (
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture, Refusals
-from levkas.campaign.discovery.file_index import look
+from levkas.campaign.discovery.file_index import scan_folders
 from levkas.campaign.discovery.find_captures import check_edits, find_captures
 from levkas.campaign.edits import FILE_NAME, Edits
 from levkas.core.problems import Problem, Refused
@@ -299,10 +299,10 @@ def _plan(path: str | Path) -> Plan:
     """Read a campaign, find its captures and lay out its tasks."""
     campaign = load_campaign(path)
     check_detectors(campaign)
-    survey = look(campaign)
-    captures, refusals = find_captures(campaign, survey)
+    index = scan_folders(campaign)
+    captures, refusals = find_captures(campaign, index)
     _check_edits(campaign, captures, refusals)
-    pages = camera_pages(campaign, captures, survey)
+    pages = camera_pages(campaign, captures, index)
     return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
 
 

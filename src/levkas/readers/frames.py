@@ -1,4 +1,4 @@
-"""One frame of a capture, whatever file it stands in."""
+"""Read one frame of a capture, whatever the format of its file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FOREIGN = {
 }
 """Formats of cubes that are not read, by their first bytes."""
 MOST_SEEN, BLOCKS, BLOCK = 16 << 20, 8, 60
-"""Samples that tell what a frame is; blocks they are taken from, and what their sides are multiples of."""
+"""Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
 ALONE = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", *RAW_SUFFIXES]) - {*DATA_SUFFIXES}
 """Suffixes of files that hold a frame by themselves."""
 MOST_FACTS = 1 << 15

@@ -71,7 +71,7 @@ def describe(
         "reject": session.edits.reject or session.found.reject or reject_of(session.found.size),
         "stop": session.edits.stop or session.found.stop,
         "overridden": {k: getattr(session.edits, k) is not None for k in ("reject", "stop")},
-        "corrections": session.edits.told(),
+        "corrections": session.edits.describe(),
         "note": session.edits.note,
         "can": session.can,
     }

@@ -1,4 +1,4 @@
-"""What the numbers of one frame tell of it: how dark, how even, how many bits, what mosaic."""
+"""Statistics of frames, decoded once, and the mosaics that they show."""
 
 from __future__ import annotations
 
@@ -12,13 +12,27 @@ import numpy as np
 from levkas.core.problems import Refused
 
 if TYPE_CHECKING:
-    from levkas.campaign.guess.listing import Seen
+    from levkas.campaign.guess.listing import CaptureFile
+    from levkas.campaign.guess.names import NamedFile
 
 LARGEST_TILE = 5
 LEAST_SPAN = 0.06
 """Phases of a mosaic differ by more of their mean; rows and columns of a plain sensor do not."""
 BLOCKS = 24
-CODES = 1 << 16
+GREENS_ALIKE = 0.03
+"""The two greens of a Bayer tile differ by less of their mean, other colours by more."""
+AGREE = 0.8
+"""Share of the evidence that must point one way."""
+FIRST = "whether red or blue comes first in the mosaic"
+DIAGONALS = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
+LONG_NM, MIDDLE_NM, SHORT_NM = (600.0, 720.0), (510.0, 570.0), (380.0, 480.0)
+T = TypeVar("T")
+MOST_SAMPLED = 6
+"""Frames of one kind that are decoded."""
+CLIPPED = 20
+"""Samples at the highest code from which on it is taken for the sensor's end."""
+LINES = 64
+"""Of a cube: read from its middle, fewer where they would be more than `MOST_SEEN` values."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +81,8 @@ def describe_pixels(values: np.ndarray) -> Statistics:
     --------
     >>> frame = np.full((60, 60), 4080, np.uint16)
     >>> frame[::2, ::2] = 1600
-    >>> told = describe_pixels(frame)
-    >>> told.top, told.step, find_mosaic(told.phases)
+    >>> found = describe_pixels(frame)
+    >>> found.top, found.step, find_mosaic(found.phases)
     (4080, 80, 2)
     """
     plane = np.asarray(values)
@@ -175,97 +189,6 @@ def _step(values: np.ndarray) -> int:
     return max(1, int(np.gcd.reduce(codes.astype(np.int64)))) if codes.size > 1 else 1
 
 
-T = TypeVar("T")
-MOST_SAMPLED = 6
-"""Frames of one kind that are decoded."""
-CLIPPED = 20
-"""Samples at the highest code from which on it is taken for the sensor's end."""
-LINES = 64
-"""Of a cube: read from its middle, fewer where they would be more than `MOST_SEEN` values."""
-
-
-def spread(things: Sequence[T], count: int) -> list[T]:
-    """Return up to `count` of some things, evenly over all.
-
-    >>> spread("abcdefg", 3)
-    ['a', 'd', 'g']
-    """
-    places = np.linspace(0, len(things) - 1, min(count, len(things))).round()
-    return [things[int(i)] for i in np.unique(places)] if things else []
-
-
-class Samples:
-    """Statistics of frames by path, decoded when they are first asked for."""
-
-    def __init__(self) -> None:
-        self._known: dict[Path, Statistics | None] = {}
-        self.refused: dict[str, str] = {}
-
-    def of(self, seen: Seen) -> Statistics | None:
-        """Return the statistics of one frame; None where it cannot be decoded."""
-        if seen.path not in self._known:
-            try:
-                self._known[seen.path] = describe_pixels(_plane(seen))
-            except Refused as refused:
-                self._known[seen.path] = None
-                self.refused[seen.name] = str(refused.problems[0])
-            except ValueError:
-                self._known[seen.path] = None
-        return self._known[seen.path]
-
-    def of_some(self, frames: Sequence[Seen], count: int) -> list[Statistics]:
-        """Return the statistics of up to `count` frames, spread over all."""
-        found = [self.of(seen) for seen in spread(frames, count)]
-        return [told for told in found if told is not None]
-
-    def spectrum_of(self, seen: Seen) -> np.ndarray | None:
-        """Return the mean level of each band of some lines of a cube, (bands,); None where it cannot be read."""
-        try:
-            block = _middle(seen)
-        except (Refused, ValueError):
-            return None
-        return np.asarray(block.mean(axis=(0, 1), dtype=np.float64))
-
-    def same_scene(self, one: Seen, other: Seen) -> bool | None:
-        """Whether two frames show the same; None where that cannot be said."""
-        a, b = self.of(one), self.of(other)
-        return None if a is None or b is None else is_same_scene(a.thumbnail, b.thumbnail)
-
-
-def _plane(seen: Seen) -> np.ndarray:
-    """Read one plane: of a cube the brightest band of a few lines, of a photograph the mean."""
-    if seen.facts.kind == "envi":
-        block = _middle(seen)
-        return np.asarray(block[:, :, int(block.mean(axis=(0, 1), dtype=np.float64).argmax())])
-    from levkas.readers.frames import read_sample
-
-    values = read_sample(seen.path)
-    return values if values.ndim == 2 else values[..., :3].mean(axis=2, dtype=np.float32)
-
-
-def _middle(seen: Seen) -> np.ndarray:
-    """Read some lines of a cube, (lines, samples, bands)."""
-    from levkas.readers.envi import open_envi
-    from levkas.readers.facts import check_memory
-    from levkas.readers.frames import MOST_SEEN
-
-    cube = open_envi(seen.path)
-    lines, samples, bands = cube.facts.shape
-    count = max(1, min(LINES, MOST_SEEN // (samples * bands)))
-    check_memory(seen.path, count * samples * bands, np.dtype(cube.layout).itemsize)
-    start = max(0, lines // 2 - count // 2)
-    return cube.read_lines(start, min(lines, start + count))
-
-
-GREENS_ALIKE = 0.03
-"""The two greens of a Bayer tile differ by less of their mean, other colours by more."""
-AGREE = 0.8
-"""Share of the evidence that must point one way."""
-FIRST = "whether red or blue comes first in the mosaic"
-DIAGONALS = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
-LONG_NM, MIDDLE_NM, SHORT_NM = (600.0, 720.0), (510.0, 570.0), (380.0, 480.0)
-
-
 @dataclass(frozen=True)
 class Mosaic:
     """A guessed mosaic: rows of channel names, why, and what remains unknown ("" for nothing)."""
@@ -314,8 +237,8 @@ def name_mosaic(
     >>> name_mosaic(2, white, dark=66, shown=icon, warmth={"icon": 1.2}).letters
     'RGGB'
     """
-    if narrow and side == 2 and (told := _by_wavelength(narrow, dark)):
-        return told
+    if narrow and side == 2 and (mosaic := _by_wavelength(narrow, dark)):
+        return mosaic
     diagonal = _greens(bright - dark) if side == 2 else None
     if diagonal is None:
         names = [f"B{i + 1}" for i in range(side * side)]
@@ -338,7 +261,7 @@ def _first_is_red(
     shown: Mapping[str, np.ndarray],
     warmth: Mapping[str, float],
 ) -> tuple[bool, str, str]:
-    """Whether the first of two phases is the red one, why, and what remains unknown."""
+    """Return whether the first of two phases is the red one, why, and what remains unknown."""
     votes = {}
     for target, phases in shown.items():
         first, last = (max(phases[p] - dark, 1e-3) / max(bright[p], 1e-3) for p in ends)
@@ -356,7 +279,7 @@ def _first_is_red(
 
 
 def _greens(levels: np.ndarray) -> int | None:
-    """Which of `DIAGONALS` holds two like phases; None for neither or both."""
+    """Return which of `DIAGONALS` holds two like phases; None for neither or both."""
 
     def differ(a: float, b: float) -> float:
         return abs(a - b) / max(0.5 * (a + b), 1e-9)
@@ -383,3 +306,79 @@ def _by_wavelength(narrow: Mapping[float, np.ndarray], dark: float) -> Mosaic | 
         return None
     rows = tuple(tuple(str(n) for n in row) for row in grid)
     return Mosaic(rows, "one phase sees the long waves best (R), one the short ones (B)")
+
+
+# --- frames, decoded once ---------------------------------------------------------------------
+
+
+def spread(things: Sequence[T], count: int) -> list[T]:
+    """Return up to `count` of some things, evenly over all.
+
+    >>> spread("abcdefg", 3)
+    ['a', 'd', 'g']
+    """
+    places = np.linspace(0, len(things) - 1, min(count, len(things))).round()
+    return [things[int(i)] for i in np.unique(places)] if things else []
+
+
+class Samples:
+    """Statistics of frames by path, decoded when they are first asked for."""
+
+    def __init__(self) -> None:
+        self._known: dict[Path, Statistics | None] = {}
+        self.refused: dict[str, str] = {}
+
+    def of(self, capture: CaptureFile) -> Statistics | None:
+        """Return the statistics of one frame; None where it cannot be decoded."""
+        if capture.path not in self._known:
+            try:
+                self._known[capture.path] = describe_pixels(_plane(capture))
+            except Refused as refused:
+                self._known[capture.path] = None
+                self.refused[capture.name] = str(refused.problems[0])
+            except ValueError:
+                self._known[capture.path] = None
+        return self._known[capture.path]
+
+    def of_some(self, frames: Sequence[NamedFile], count: int) -> list[Statistics]:
+        """Return the statistics of up to `count` frames, spread over all."""
+        found = (self.of(frame.file) for frame in spread(frames, count))
+        return [statistics for statistics in found if statistics is not None]
+
+    def spectrum_of(self, capture: CaptureFile) -> np.ndarray | None:
+        """Return the mean level of each band of some lines of a cube, (bands,); None where it cannot be read."""
+        try:
+            block = _middle_lines(capture)
+        except (Refused, ValueError):
+            return None
+        return np.asarray(block.mean(axis=(0, 1), dtype=np.float64))
+
+    def same_scene(self, one: CaptureFile, other: CaptureFile) -> bool | None:
+        """Whether two frames show the same; None where one cannot be decoded."""
+        a, b = self.of(one), self.of(other)
+        return None if a is None or b is None else is_same_scene(a.thumbnail, b.thumbnail)
+
+
+def _plane(capture: CaptureFile) -> np.ndarray:
+    """Read one plane: of a cube the brightest band of a few lines, of a photograph the mean."""
+    if capture.facts.kind == "envi":
+        block = _middle_lines(capture)
+        return np.asarray(block[:, :, int(block.mean(axis=(0, 1), dtype=np.float64).argmax())])
+    from levkas.readers.frames import read_sample
+
+    values = read_sample(capture.path)
+    return values if values.ndim == 2 else values[..., :3].mean(axis=2, dtype=np.float32)
+
+
+def _middle_lines(capture: CaptureFile) -> np.ndarray:
+    """Read some lines of a cube, (lines, samples, bands)."""
+    from levkas.readers.envi import open_envi
+    from levkas.readers.facts import check_memory
+    from levkas.readers.frames import MOST_SEEN
+
+    cube = open_envi(capture.path)
+    lines, samples, bands = cube.facts.shape
+    count = max(1, min(LINES, MOST_SEEN // (samples * bands)))
+    check_memory(capture.path, count * samples * bands, np.dtype(cube.layout).itemsize)
+    start = max(0, lines // 2 - count // 2)
+    return cube.read_lines(start, min(lines, start + count))

@@ -123,8 +123,8 @@ class RegistrationKeys(Table):
     use: Literal["check", "seeds"] | None = None
     joint: Switch | None = None
 
-    def given(self) -> dict[str, Any]:
-        """Return what was said, by key."""
+    def declared(self) -> dict[str, Any]:
+        """Return the declared values, by key."""
         return {key: value for key, value in self if value is not None}
 
 
@@ -133,9 +133,9 @@ ONLY_OF_THE_PAPER = ("ratio", "order", "detector", "matching")
 THRESHOLDS = ("reject", "stop")
 """Keys of [registration] that the method "levkas" takes and does not need: T1 and T2 of the paper."""
 OF_THE_POINTS = ("points", "use")
-"""Keys of [registration] that say where control points are, and what for."""
+"""Keys of [registration] for the control points: where they are, and their use."""
 OF_THE_RIG = ("joint",)
-"""Keys of [registration] that say what captures are adjusted together."""
+"""Keys of [registration] for captures that are adjusted together."""
 
 
 class Sensor(Table):
@@ -216,7 +216,7 @@ class Setup(Table):
 
 
 class ObjectFacts(Table):
-    """What a museum says of a painting."""
+    """Museum facts of a painting."""
 
     title: Text = ""
     creator: Text = ""
@@ -238,7 +238,7 @@ class Creator(Table):
 
 
 class PublicationKeys(Table):
-    """What is said of the database when it is published."""
+    """Citation facts of the published database."""
 
     creators: tuple[Annotated[Creator, BeforeValidator(_creator)], ...] = ()
     description: Text = ""

@@ -1,0 +1,179 @@
+"""Words in names of files and folders, in the languages that studios use, and names taken apart."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+DARK = _words(
+    "dark darks darkframe darkref darkfield black blackref bias lenscap dunkel schwarz noir noire"
+)
+WHITE = _words(
+    "white whites whiteref whiteboard flat flats flatfield ff spectralon weiss blanc blanche"
+)
+CHARTS = {
+    **dict.fromkeys(("colorchecker", "colourchecker", "macbeth", "passport"), "ColorChecker24"),
+    **dict.fromkeys(("ccsg", "digitalsg", "colorcheckersg"), "ColorCheckerSG"),
+    "chart": "ColorChecker24",
+}
+"""Names of charts, and the reference that each most likely is."""
+IMAGES = _words("""
+    photo photograph foto vis visible rgb color colour uv uvf uvl uvr ir irr irrgb irfc nir swir xray xr
+    xrr radiograph radiography raking transmitted reflected fluorescence thermal reflectogram
+""")
+"""Kinds of technical photographs: in a name they stand for the camera, not the object."""
+SENSORS = _words("ccd cam camera sensor lens head chip cmos det detector")
+BANDS = _words("band b ch chan channel filter f led")
+LIGHTS = re.compile(
+    r"(?i)(\d+[-_ ]?(deg|degree|degrees|°)|.*(polari[sz]ed|polar|diffuse|raking|light|lamp|soft|cross|"
+    r"proposed|d50|d65|led|halogen|tungsten|flash|left|right|specular).*|45)"
+)
+"""Names of lightings."""
+MILD = re.compile(r"(?i).*(proposed|diffuse|soft|normal|default|standard|cross).*")
+"""Of several lightings the one that is most likely the default."""
+GENERIC = _words("""
+    raw raws frame frames image images img imgs data capture captures captured light lights shot shots tif
+    tiff tiffs png jpg jpeg nef dng cr2 cr3 arw envi scans scan files original originals picture pictures object objects
+    sample samples
+""")
+"""Folders that name nothing."""
+PREFIXES = _words(
+    "img dsc dscf dscn p mg im image frame capture scan shot pict cimg sam raw file pic"
+)
+"""What cameras write before their running number."""
+TARGET = "{target}"
+TYPED = ("time", "wavelength", "exposure")
+"""Kinds of tokens with a unit or a date."""
+
+_KINDS = {
+    "time": re.compile(
+        r"(19|20)\d\d[-.]?[01]\d[-.]?[0-3]\d([-T]?[0-2]\d[-.h]?[0-5]\d([-.m]?[0-5]\d)?)?(-\d+)?"
+    ),
+    "wavelength": re.compile(
+        r"(?P<before>[A-Za-z]*?)(?P<number>\d{3,4}(?:\.\d+)?)(?P<after>[nN][mM])"
+    ),
+    "exposure": re.compile(
+        r"(?P<before>(?i:exp|exposure|t|it|int|e)?)(?P<number>\d+(?:\.\d+)?)"
+        r"(?P<after>(?i:ms|us|µs|ns|s|sec|min))"
+    ),
+    "number": re.compile(r"(?P<before>)(?P<number>\d+)(?P<after>)"),
+    "numbered": re.compile(r"(?P<before>[A-Za-z][A-Za-z-]*?)(?P<number>\d+)(?P<after>)"),
+}
+
+
+@dataclass(frozen=True)
+class Token:
+    """One part of a name: its text, the separators before it, and its kind.
+
+    `kind` is ``"time"``, ``"wavelength"``, ``"exposure"``, ``"number"``, ``"numbered"`` (letters and
+    a number), ``"target"`` or ``"word"``; `before`, `number` and `after` are the parts of one with a number.
+    """
+
+    text: str
+    gap: str = ""
+    kind: str = "word"
+    before: str = ""
+    number: str = ""
+    after: str = ""
+
+    @property
+    def role(self) -> str:
+        """``"dark"``, ``"white"``, ``"chart"`` or "", by the word itself."""
+        return role_of(self.text)
+
+    @property
+    def word(self) -> str:
+        """The text beside its numbers; "" for what cameras write before theirs."""
+        text = {"word": self.text, "target": self.text, "numbered": self.before}.get(self.kind, "")
+        return "" if text.lower() in PREFIXES else text
+
+    @property
+    def names_sensor(self) -> bool:
+        """Whether it names one of several sensors, such as ``ccd1``."""
+        return self.kind == "numbered" and self.before.lower() in SENSORS
+
+    @property
+    def names_channel(self) -> bool:
+        """Whether it names a sensor or a band, such as ``ccd1`` or ``band3``."""
+        return self.kind == "numbered" and self.before.lower() in SENSORS | BANDS
+
+
+def role_of(text: str) -> str:
+    """Return ``"dark"``, ``"white"`` or ``"chart"`` where a single word says so, else "".
+
+    Examples
+    --------
+    >>> role_of("Dark01"), role_of("whites"), role_of("macbeth"), role_of("darkness")
+    ('dark', 'white', 'chart', '')
+    """
+    word = re.sub(r"[\d\W_]+$", "", text.lower())
+    if word in DARK:
+        return "dark"
+    if word in WHITE:
+        return "white"
+    return "chart" if word in CHARTS else ""
+
+
+def role_in(text: str) -> str:
+    """Return the role of the first word of a name that has one: ``"white board"`` is a white."""
+    roles = (role_of(word) for word in re.split(r"[\W_]+", text))
+    return next((role for role in roles if role), "")
+
+
+def tokens_of(stem: str) -> tuple[Token, ...]:
+    """Take a name apart.
+
+    Examples
+    --------
+    >>> [(t.text, t.kind) for t in tokens_of("d1_dark_100ms_2019-02-08-171146-0003")]
+    [('d1', 'numbered'), ('dark', 'word'), ('100ms', 'exposure'), ('2019-02-08-171146-0003', 'time')]
+    >>> [t.text for t in tokens_of("icon1-550nm") + tokens_of("4-22-22_right")]
+    ['icon1', '550nm', '4-22-22', 'right']
+    """
+    tokens: list[Token] = []
+    for gap, text in _split(stem, r"[_\s~+,()\[\]]+|\.(?!\d)|(?<!\d)\."):
+        parts = _split(text, "-")
+        parts[0] = (gap + parts[0][0], parts[0][1])
+        apart = [_typed(part, before) for before, part in parts]
+        splits = len(parts) > 1 and _KINDS["time"].fullmatch(text) is None
+        if splits and any(t.kind in ("wavelength", "exposure") or t.role for t in apart):
+            tokens += apart
+        else:
+            tokens.append(_typed(text, gap))
+    return tuple(tokens)
+
+
+def joined(tokens: Sequence[Token]) -> str:
+    """Return the text of some tokens as it stood, without the separators before the first."""
+    text = "".join(t.gap + t.text for t in tokens)
+    return text[len(tokens[0].gap) :] if tokens else ""
+
+
+def _split(text: str, pattern: str) -> list[tuple[str, str]]:
+    """Split into (separators before, part), so that joining them all gives the text again."""
+    found, at, gap = [], 0, ""
+    for cut in re.finditer(pattern, text):
+        if cut.start() > at:
+            found.append((gap, text[at : cut.start()]))
+            gap = ""
+        gap, at = gap + cut.group(), cut.end()
+    found.append((gap, text[at:]))
+    return found
+
+
+def _typed(text: str, gap: str) -> Token:
+    for kind, pattern in _KINDS.items():
+        found = pattern.fullmatch(text)
+        if found is None:
+            continue
+        parts = found.groupdict()
+        if kind == "wavelength" and not 200 <= float(parts["number"]) <= 3000:
+            continue
+        return Token(text, gap, kind, **{k: v or "" for k, v in parts.items()})
+    return Token(text, gap)
