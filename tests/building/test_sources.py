@@ -50,7 +50,7 @@ def test_no_stage_rests_on_what_only_decides_what_is_done(closures):
         "quality/targets/locating": {"camera"},
         "quality/evaluation/similarity": {"resample"},
         "campaign/edits": {"register"},
-        "pages/report.html": {"register", "report", "camera"},
+        "pages/report.html": {"register", "adjust", "report", "camera"},
         "readers/raw": {"calibrate", "register", "resample", "report", "camera"},
         "workbench/server/routes": set(),
         "cli/__init__": set(),
