@@ -67,7 +67,9 @@ def _adjusted(folder, spoilt=0.0):
     measured = {n: Measured.read(kept / n / "infrared" / "measured.npz") for n in NAMES}
     aside = Affine(np.array([[1, 0, spoilt], [0, 1, spoilt]]))
     for name, one in measured.items():
-        measured[name] = replace(one, sightings=tuple(s.enlarged(aside) for s in one.sightings))
+        measured[name] = replace(
+            one, observations=tuple(s.enlarged(aside) for s in one.observations)
+        )
     others = {f"{name}/infrared": one for name, one in measured.items() if name != "one"}
     return adjusted(measured["one"], others, None).record
 

@@ -16,7 +16,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.readers.frames import read_facts
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -10,7 +10,7 @@ from levkas.calibration.denoising import describe_removed
 from levkas.calibration.invalid_values import describe_lost, gaps_of, no_values
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.cube import UNRELIABLE
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,7 +16,7 @@ from levkas.database.registrations import read_registration
 from levkas.geometry.grid import Grid, GridRefused
 from levkas.geometry.transforms import Transform, from_dict
 from levkas.registration import Matches, Registration, Verdict
-from levkas.registration.uncertainty import Sigma
+from levkas.registration.record import Sigma
 
 if TYPE_CHECKING:
     from levkas.building.native_cubes import Native
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
     from levkas.registration import BandImage
-    from levkas.registration.levkas import Reference
+    from levkas.registration.levkas import PreparedReference
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
@@ -53,7 +53,7 @@ class ReferenceFrame:
         self.capture = captures[0]
         self.images: Sequence[BandImage] = native.images()
         self._own: Registration | None = None
-        self._prepared: Reference | None = None
+        self._prepared: PreparedReference | None = None
         self._grid: tuple[Grid, float | None, Region | None] | None = None
         self.grey: Grey | None = None
         """Of its layer, where that was drawn or read already."""
@@ -68,15 +68,15 @@ class ReferenceFrame:
             return labels[len(labels) // 2]
         return labels[find_band(labels, wanted, [band.wavelength for band in bands])]
 
-    def prepared(self, region: Region | None, *, own: bool) -> Reference:
+    def prepared(self, region: Region | None, *, own: bool) -> PreparedReference:
         """Return the bands as the default method takes them, prepared once for all captures.
 
         `own` where the reference camera itself is registered: all its bands are held until then.
         """
-        from levkas.registration.levkas import Reference
+        from levkas.registration.levkas import PreparedReference
 
         if self._prepared is None:
-            self._prepared = Reference(self.images, self.band, region)
+            self._prepared = PreparedReference(self.images, self.band, region)
             if not own:
                 self._release()
         return self._prepared
@@ -89,18 +89,13 @@ class ReferenceFrame:
     def rest(self) -> None:
         """Let go what is prepared again for the next capture."""
         if self._prepared is not None:
-            self._prepared.rest()
+            self._prepared.release()
 
     def _release(self) -> None:
         methods = {self.campaign.registration_of(c.camera).get("method") for c in self.captures}
         if self._prepared is not None and methods <= {None, "levkas"}:
-            self._prepared.settle(self.registration().transforms)
-            # Bands share their memory with others that are not needed any more.
-            anchor = self._prepared.anchor
-            self._prepared.anchor = replace(
-                anchor, values=anchor.values.copy(), valid=anchor.valid.copy()
-            )
-            self._prepared.siblings, self.images = [], [self._prepared.anchor]
+            self._prepared.freeze(self.registration().transforms)
+            self.images = [self._prepared.anchor]
 
     def registration(self) -> Registration:
         """Return the reference camera's own registration, from this run or from its record."""
@@ -111,7 +106,7 @@ class ReferenceFrame:
                 maps_of(record),
                 Verdict("accept"),
                 {},
-                Matches.of(np.zeros((0, 2)), np.zeros((0, 2))),
+                Matches.none(),
                 sigma=sigmas_of(record),
             )
         return self._own

@@ -20,8 +20,8 @@ from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Composed
 from levkas.pages.figures import draw_basis, draw_trace
 from levkas.registration import Registration, RegistrationRefused, register
-from levkas.registration.manual_points import Given
-from levkas.registration.observations import Sighting
+from levkas.registration.joint import SensorObservations
+from levkas.registration.manual_points import ManualPoints
 from levkas.registration.record import COLUMNS, Matches
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.manual_points import Given
+    from levkas.registration.manual_points import ManualPoints
     from levkas.registration.record import Matches
 
 _COLUMNS = tuple(column.name for column in fields(Matches))
@@ -73,7 +73,7 @@ def measure(
     return Measured(
         record,
         {"": found.matches, **found.others},
-        () if problems else found.sightings,
+        () if problems else found.observations,
         problems,
         [[figure.svg, figure.caption] for figure in figures] or draw_figures(record),
     )
@@ -134,7 +134,7 @@ def register_capture(
     own: Registration | None,
     region: tuple[float, float, float, float] | None,
     options: dict[str, Any],
-    given: Mapping[str, Given] | None = None,
+    given: Mapping[str, ManualPoints] | None = None,
 ) -> Registration:
     """Register every band of a capture; `own` is the reference camera's registration, None for itself.
 
@@ -166,7 +166,7 @@ def register_capture(
 
 def corrections_of(
     campaign: Campaign, capture: Capture, channel: str = ""
-) -> tuple[dict[str, Given], dict[str, float]]:
+) -> tuple[dict[str, ManualPoints], dict[str, float]]:
     """Return the pairs by hand of a capture, by sensor, and `reject` and `stop` where set by hand.
 
     Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the
@@ -175,7 +175,7 @@ def corrections_of(
     given, options = {}, {}
     for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
         sensor, placed = placed_in(capture, band, channel)
-        given[sensor] = placed_pairs(Given(**edits.pairs()), placed)
+        given[sensor] = placed_pairs(ManualPoints(**edits.pairs()), placed)
         for key in ("reject", "stop"):
             if getattr(edits, key) is not None:
                 options[key] = getattr(edits, key)
@@ -195,7 +195,7 @@ def _enlarged(found: Registration, factor: int) -> Registration:
         others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
         errors=_with_enlarged_checks(found.errors, grow),
         trace=None,
-        sightings=tuple(one.enlarged(grow) for one in found.sightings),
+        observations=tuple(one.enlarged(grow) for one in found.observations),
     )
 
 
@@ -299,7 +299,7 @@ class Measured:
         Of registration/CAMERA.json.
     matches : dict of sensor to Matches
         As tables are written of them: the first sensor's under "".
-    sightings : tuple of Sighting
+    observations : tuple of SensorObservations
         Empty where it was refused.
     problems : tuple of Problem
         Why it was refused.
@@ -309,7 +309,7 @@ class Measured:
 
     record: dict[str, Any]
     matches: dict[str, Matches] = field(default_factory=dict)
-    sightings: tuple[Sighting, ...] = ()
+    observations: tuple[SensorObservations, ...] = ()
     problems: tuple[Problem, ...] = ()
     figures: list[list[str]] = field(default_factory=list)
 
@@ -322,12 +322,12 @@ class Measured:
                 arrays[f"matches {k} {column}"] = (
                     values.astype(str) if column in _WORDS else np.asarray(values)
                 )
-        for k, sighting in enumerate(self.sightings):
-            arrays |= {f"sighting {k} {n}": a for n, a in sighting.to_arrays().items()}
+        for k, one in enumerate(self.observations):
+            arrays |= {f"sensor {k} {n}": a for n, a in one.to_arrays().items()}
         told = {
             "record": self.record,
             "sensors": list(self.matches),
-            "sightings": len(self.sightings),
+            "observations": len(self.observations),
             "problems": [problem.to_dict() for problem in self.problems],
         }
         arrays["told"] = np.array(json.dumps(told))
@@ -345,11 +345,12 @@ class Measured:
             sensor: _matches(_under(arrays, f"matches {k} "))
             for k, sensor in enumerate(told["sensors"])
         }
-        sightings = tuple(
-            Sighting.from_arrays(_under(arrays, f"sighting {k} ")) for k in range(told["sightings"])
+        observations = tuple(
+            SensorObservations.from_arrays(_under(arrays, f"sensor {k} "))
+            for k in range(told["observations"])
         )
         problems = tuple(Problem(**problem) for problem in told["problems"])
-        return cls(told["record"], matches, sightings, problems)
+        return cls(told["record"], matches, observations, problems)
 
 
 def _under(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:

@@ -23,7 +23,7 @@ from levkas.pages.page import (
     describe_flags,
     describe_model,
     embed_png,
-    render_report,
+    render_page,
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
 from levkas.quality.targets.places import choose_places
@@ -90,8 +90,9 @@ def report_of(
     ]
     reference = campaign.reference
     sampling = _sampling(places, captures)
-    return render_report(
-        ObjectReport(
+    return render_page(
+        "report.html",
+        page=ObjectReport(
             title=(facts.title if facts else "") or name,
             facts=[text for text in dict.fromkeys(told) if text],
             reference=f"{reference.camera}:{reference.band or 'middle band'}",
@@ -102,7 +103,7 @@ def report_of(
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=radiometry_rows(ledger, captures),
             setups=close_ups(places, captures),
-        )
+        ),
     )
 
 

@@ -1,16 +1,15 @@
-"""Spectra that a campaign declares: sensitivities of channels, and the white target's reflectance."""
+"""The channel that a camera's own frame means."""
 
 from __future__ import annotations
 
-import csv
-import io
-from math import isnan, nan
+from math import isnan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
+from levkas.readers.spectra import are_spectra, parse_spectra
 from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
@@ -19,10 +18,6 @@ if TYPE_CHECKING:
 
     from levkas.campaign.campaign import Campaign
     from levkas.core.cube import Band
-
-
-VISIBLE = (400.0, 700.0)
-"""Nm: a channel without a wavelength is given the mean over these."""
 
 
 def reference_channel(
@@ -92,17 +87,13 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
     """
     expected = "a CSV of wavelength in nm and a column a channel"
     try:
-        head, rows = _read_rows(path, expected)
-        table = np.array(rows, float)
-        if table.ndim != 2 or len(table) < 2 or table.shape[1] < 2:
-            raise ValueError(f"{len(rows)} rows of numbers")
-        table = table[np.argsort(table[:, 0])]
-        if np.isinf(table).any() or not table[0, 0] > 0 or not (np.diff(table[:, 0]) > 0).all():
-            raise ValueError("wavelengths must be positive and distinct, and values finite")
-    except (ValueError, csv.Error) as error:
-        what = "the sensitivities cannot be read"
+        table, head = parse_spectra(read_text(path, expected))
+        if not are_spectra(table):
+            raise ValueError(f"{len(table)} rows, or wavelengths that are none or not distinct")
+    except ValueError as error:
+        message = "the sensitivities cannot be read"
         raise Refused(
-            Problem("E_UNREADABLE", what, str(path), found=str(error), expected=expected)
+            Problem("E_UNREADABLE", message, str(path), found=str(error), expected=expected)
         ) from error
     columns = list(range(1, table.shape[1]))
     if len(head) == table.shape[1] and all(label in head for label in labels):
@@ -130,6 +121,10 @@ def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
     total = weights.sum(0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((wavelengths[:, None] * weights).sum(0) / total)
+
+
+VISIBLE = (400.0, 700.0)
+LOWEST_NM = 100.0
 
 
 class SpectrumRefused(Refused):
@@ -188,10 +183,10 @@ def read_table(path: Path) -> np.ndarray:
     """
     expected = "a CSV of wavelength in nm and value"
     try:
-        rows = [(row[0], row[1]) for row in _read_rows(path, expected, 2)[1]]
+        table, _ = parse_spectra(read_text(path, expected), columns=2)
     except TextRefused as refused:
         raise SpectrumRefused(*refused.problems) from None
-    except (ValueError, IndexError, csv.Error) as error:
+    except ValueError as error:
         raise SpectrumRefused(
             Problem(
                 "E_UNREADABLE",
@@ -202,39 +197,15 @@ def read_table(path: Path) -> np.ndarray:
                 fix="Name the right file, or save the table again as CSV.",
             )
         ) from error
-    table = np.array(sorted(rows), float).reshape(-1, 2)
-    twice = len(table) > 1 and not (np.diff(table[:, 0]) > 0).all()
-    if len(table) < 2 or twice or not np.isfinite(table).all() or table[0, 0] < 100:
+    if not are_spectra(table) or not np.isfinite(table).all() or table[0, 0] < LOWEST_NM:
         raise SpectrumRefused(
             Problem(
                 "E_VALUE",
                 "this is no spectrum",
                 str(path),
-                found="a wavelength that stands twice" if twice else f"{len(table)} rows",
+                found=f"{len(table)} rows, or wavelengths that are not distinct",
                 expected="two rows or more of wavelength in nm and value",
                 fix="Name the right file, or mend its rows.",
             )
         )
     return table
-
-
-def _read_rows(
-    path: Path, expected: str, columns: int | None = None
-) -> tuple[list[str], list[list[float]]]:
-    """Read the header of a CSV, empty where it has none, and its rows of numbers, NaN where one is empty.
-
-    Of its first `columns` only, where that is given. Raises TextRefused, ValueError or csv.Error.
-    """
-    head: list[str] = []
-    rows: list[list[float]] = []
-    for row in csv.reader(io.StringIO(read_text(path, expected), newline="")):
-        cells = [cell.strip() for cell in row[:columns]]
-        if not any(cells) or cells[0].startswith("#"):
-            continue
-        try:
-            rows.append([float(cell) if cell else nan for cell in cells])
-        except ValueError:
-            if rows or head:
-                raise
-            head = cells
-    return head, rows

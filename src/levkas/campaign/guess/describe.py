@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ from levkas.campaign.guess.file_patterns import FilePatterns, find_patterns
 from levkas.campaign.guess.groups import CameraGroup, safe_name
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
+from levkas.readers.spectra import parse_spectra
 
 READ_BYTES, ROWS = 20_000, 8
 """Of a table that is looked at."""
@@ -404,7 +404,7 @@ def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
     for table in tables:
         if re.search(r"white|reflect", Path(table).stem, re.IGNORECASE):
             _, rows = _read(root / table)
-            if rows and all(len(r) == 2 and 0 < r[1] <= 1.5 for r in rows):
+            if len(rows) and rows.shape[1] == 2 and ((rows[:, 1] > 0) & (rows[:, 1] <= 1.5)).all():
                 return table
     return None
 
@@ -417,7 +417,7 @@ def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> 
         if camera.name.casefold() not in Path(table).stem.casefold():
             continue
         names, rows = _read(root / table)
-        if not rows or len(names) < 2:
+        if not len(rows) or len(names) < 2:
             continue
         keys = {**camera.keys, "sensitivity": Guess(table, "the table that bears its name")}
         sensors = _renamed(camera.sensors, names[1:])
@@ -444,15 +444,15 @@ def _still(camera: CameraGuess, sensors: tuple[SensorGuess, ...]) -> tuple[str, 
     return tuple(text for text in camera.unknown if not (renamed and "sees;" in text))
 
 
-def _read(path: Path) -> tuple[list[str], list[list[float]]]:
+def _read(path: Path) -> tuple[list[str], np.ndarray]:
     """Return the header and the first rows of a table over wavelength; no rows where it is none."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as handle:
             lines = handle.read(READ_BYTES).splitlines()[: ROWS + 1]
-        header, *cells = [row for row in csv.reader(lines) if row]
-        rows = [[float(cell) for cell in row] for row in cells]
-    except (OSError, ValueError, csv.Error):
-        return [], []
+        table, head = parse_spectra("\n".join(lines))
+    except (OSError, ValueError):
+        return [], np.empty((0, 0))
     low, high = WAVELENGTHS_NM
-    fits = all(len(r) == len(header) > 1 and low < r[0] < high for r in rows)
-    return [name.strip() for name in header], rows if fits else []
+    fits = len(head) > 1 and table.shape[1:] == (len(head),) and np.isfinite(table).all()
+    fits = fits and bool(((table[:, 0] > low) & (table[:, 0] < high)).all())
+    return head, table if fits else table[:0]
