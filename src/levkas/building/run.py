@@ -136,7 +136,7 @@ def build(
     Refused
         Where the campaign itself cannot be read, or the output cannot be written.
     """
-    from levkas.core.files import sweep
+    from levkas.core.sweeping import sweep
 
     whole = _plan(path)
     plan = whole.of(objects) if objects else whole
