@@ -46,7 +46,7 @@ def test_no_stage_rests_on_what_only_decides_what_is_done(closures):
         "building/joint": {"adjust"},
         "building/report_pages": {"report"},
         "building/catalogue": {"catalogue"},
-        "registration/joint": {"adjust"},
+        "registration/joint": {"register", "adjust"},
         "quality/targets/locating": {"camera"},
         "quality/evaluation/similarity": {"resample"},
         "campaign/edits": {"register"},
