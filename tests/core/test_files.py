@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from levkas.core import digests, disk, files, json_safe
 from levkas.core.disk import WriteRefused
+from levkas.core.sweeping import sweep
 
 OLD, NEW = b"old" * 1000, b"new" * 400_000
 

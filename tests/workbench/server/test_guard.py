@@ -1,9 +1,9 @@
 """Every route, enumerated, refuses what is not its own page; no path leads out of the campaign."""
 
 import asyncio
-from concurrent.futures import ThreadPoolExecutor
 import base64
 import json
+from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import unquote
 
 import pytest

@@ -58,11 +58,14 @@ __all__ = [
 ]
 
 
-def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_captures(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a campaign.
 
     A camera or setup that has frames of some objects did not take the others, without a refusal. One
     that has frames of none is refused for each; so is an object without a reference image.
+    `index` is what `scan_folders` found, where the folders were walked already.
 
     Returns
     -------
@@ -76,7 +79,7 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     CaptureRefused
         Where there is no object at all.
     """
-    index = scan_folders(campaign)
+    index = index or scan_folders(campaign)
     index.objects = _objects(index)
     reference = campaign.reference.camera
     order = sorted(index.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
@@ -97,12 +100,14 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     return captures, refusals
 
 
-def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_charts(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a declared chart, by the cameras and setups that took it.
 
-    Returns as `find_captures`; plain images, which are not calibrated, are left out.
+    Takes and returns as `find_captures`; plain images, which are not calibrated, are left out.
     """
-    index = scan_folders(campaign)
+    index = index or scan_folders(campaign)
     captures: list[Capture] = []
     refusals: Refusals = {}
     for name in campaign.targets.charts:
