@@ -396,7 +396,7 @@ def _camera(
     prints = prints_of_page(page, plan.campaign, records)
     why = records.why_stale(key, prints)
     if not why:
-        yield Step(key, "fresh", warnings=tuple(records.told(key).get("warnings", ())))
+        yield Step(key, "fresh", warnings=tuple(records.notes(key).get("warnings", ())))
         return
     yield Step(key, "running", why)
     try:
