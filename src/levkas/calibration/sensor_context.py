@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -75,20 +75,23 @@ class SensorContext:
 
     def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
         """Average shots of one exposure; templates are kept for the other objects."""
-        exposure = exposure_of(frames[0])
-
-        def make() -> Template:
-            try:
-                return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
-            except CalibrationRefused as refused:
-                raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
-
         if not kept or self.cache is None:
-            return self.whole(make(), frames)
+            return self.whole(self._averaged(frames), frames)
         made = self.cache.template(
-            frames, make, saturation=self.saturation, exposure=exposure, bits=self.camera.bits
+            frames,
+            partial(self._averaged, frames),
+            saturation=self.saturation,
+            exposure=exposure_of(frames[0]),
+            bits=self.camera.bits,
         )
         return self.whole(made, frames)
+
+    def _averaged(self, frames: Sequence[FrameRef]) -> Template:
+        exposure = exposure_of(frames[0])
+        try:
+            return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
+        except CalibrationRefused as refused:
+            raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
     def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
         """Read frame by frame, codes checked against the bits that are declared."""
