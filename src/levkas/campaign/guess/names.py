@@ -58,7 +58,7 @@ class NamedFile:
 
     @property
     def facts(self) -> Facts:
-        """What the header declares."""
+        """Facts of the header."""
         return self.file.facts
 
     @property
