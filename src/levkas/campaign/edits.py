@@ -311,7 +311,7 @@ def _clashes(
 
 
 def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], path: Path) -> str:
-    """The file's text with one frame changed: written anew where it is as we write it, else in place."""
+    """Return the file's text with one frame changed: written anew where it is as we write it, else in place."""
     text = data.decode("utf-8-sig")
     if not text.strip() or text == to_text(edits):
         return to_text(wanted)

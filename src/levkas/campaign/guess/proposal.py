@@ -368,7 +368,7 @@ def _table(keys: dict[str, Guess]) -> Iterator[str]:
 
 
 def _aligned(line: str, why: str) -> Iterator[str]:
-    """A key with its comment beside it, or above where it is long."""
+    """Yield a key with its comment beside it, or above where it is long."""
     if not why:
         yield line
     elif len(line) < COLUMN and COLUMN + 2 + len(why) <= WIDTH + 10:
