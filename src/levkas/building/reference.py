@@ -20,8 +20,9 @@ from levkas.registration.record import Sigma
 
 if TYPE_CHECKING:
     from levkas.building.native_cubes import Native
-    from levkas.campaign.campaign import Campaign, GridKeys
+    from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
+    from levkas.campaign.schema.tables import GridKeys
     from levkas.database.layout import Places
     from levkas.registration import BandImage
     from levkas.registration.levkas import PreparedReference

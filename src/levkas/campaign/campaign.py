@@ -24,24 +24,12 @@ from levkas.campaign.schema.tables import (
     THRESHOLDS,
     CameraKeys,
     Document,
-    GridKeys,
-    ObjectFacts,
-    Reference,
-    Sensor,
+    ReferenceKeys,
 )
 from levkas.campaign.schema.toml import TomlRefused, read_toml
 from levkas.core.problems import Problem, Refused
 
-__all__ = [
-    "Camera",
-    "Campaign",
-    "CampaignInvalid",
-    "Document",
-    "GridKeys",
-    "ObjectFacts",
-    "Sensor",
-    "load_campaign",
-]
+__all__ = ["Camera", "Campaign", "CampaignInvalid", "campaign_of", "load_campaign"]
 
 
 EXPLAINED = "docs/campaign.md explains every key."
@@ -81,8 +69,8 @@ class Campaign(Document):
         return (self.root / self.campaign.output).resolve()
 
     @property
-    def reference(self) -> Reference:
-        """What all else is registered to."""
+    def reference(self) -> ReferenceKeys:
+        """The band that all others are registered to."""
         return self.campaign.reference
 
     def registration_of(self, camera: str) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from levkas.campaign.schema.values import (
     Align,
     Date,
     Doi,
+    MosaicPattern,
     MuseumDate,
     Names,
     Number,
     Orcid,
-    Pattern,
     Reflectance,
     Region,
     Size,
@@ -81,8 +81,8 @@ def _creator(value: Any) -> Any:
     return {"name": value} if isinstance(value, str) else value
 
 
-class Reference(Table):
-    """What all else is registered to."""
+class ReferenceKeys(Table):
+    """The band that all others are registered to."""
 
     camera: Text
     band: Text | None = None
@@ -95,7 +95,7 @@ class Description(Table):
     creator: Text = ""
     date: Date | None = None
     licence: Text = ""
-    reference: Annotated[Reference, BeforeValidator(_reference)]
+    reference: Annotated[ReferenceKeys, BeforeValidator(_reference)]
     setup: Text = ""
     output: Annotated[Text, Field(min_length=1)] = "database"
 
@@ -110,7 +110,7 @@ class GridKeys(Table):
 
 
 class RegistrationKeys(Table):
-    """How cameras are registered; errors in reference pixels."""
+    """Registration of cameras; errors in reference pixels."""
 
     method: Literal["levkas", "mirhashemi2019"] | None = None
     reject: Annotated[Number, Field(gt=0)] | None = None
@@ -138,12 +138,12 @@ OF_THE_RIG = ("joint",)
 """Keys of [registration] for captures that are adjusted together."""
 
 
-class Sensor(Table):
+class SensorKeys(Table):
     """One sensor of a multi-sensor camera."""
 
     name: Text
     files: Names = ()
-    pattern: Pattern | None = None
+    pattern: MosaicPattern | None = None
     bands: Names = ()
     align: Align = "measure"
 
@@ -153,7 +153,7 @@ class CameraKeys(Table):
 
     kind: Literal["mosaic", "bands", "sensors", "cube", "image"]
     files: Names = ()
-    pattern: Pattern | None = None
+    pattern: MosaicPattern | None = None
     bands: Names | None = None
     wavelengths: Wavelengths | None = None
     sensitivity: Text | None = None
@@ -163,7 +163,7 @@ class CameraKeys(Table):
     saturation: Annotated[Number, Field(gt=0)] | None = None
     exposures: Literal["one", "best", "merge"] = "one"
     manifest: Text | None = None
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     denoise: Literal["hysime"] | None = None
     demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
@@ -192,7 +192,7 @@ class White(Table):
 
 
 class TargetKeys(Table):
-    """What the values of {target} mean."""
+    """Roles of the values of {target}."""
 
     dark: Names = ()
     white: Annotated[White, BeforeValidator(_white)] | None = None
@@ -273,7 +273,7 @@ Move = tuple[Place, Place, Place, Place, Place, Place, Place, Place]
 
 
 class FrameKeys(Table):
-    """What was corrected of one camera, under one lighting, for one object.
+    """Corrections of one camera, under one lighting, for one object.
 
     Pairs are (reference x, reference y, target x, target y); a move is a pair and the pair that
     takes its place.
@@ -291,7 +291,7 @@ class FrameKeys(Table):
 
 
 class ObjectKeys(Table):
-    """What was corrected of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
+    """Corrections of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
 
     cameras: dict[str, FrameKeys] = Field(default={})
 
