@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.campaign.methods import method_of
 from levkas.database.registrations import read_registration
 
 if TYPE_CHECKING:
@@ -90,8 +91,8 @@ class ReferenceFrame:
         return self.made_ready
 
     def settle(self) -> None:
-        methods = {self.campaign.registration_of(c.camera).get("method") for c in self.captures}
-        if self.made_ready is not None and methods <= {None, "levkas"}:
+        keys = [self.campaign.registration_of(c.camera) for c in self.captures]
+        if self.made_ready is not None and all(method_of(one).prepared for one in keys):
             self.made_ready.freeze(self.registration().transforms)
             self._images = [self.made_ready.anchor]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.manual_points import ManualPoints
-    from levkas.registration.record import Matches
+    from levkas.registration.levkas import PreparedReference
 
 FEWEST_PX = 16
 """A band smaller than this has nothing to register by."""
@@ -45,31 +44,31 @@ def register_capture(
     region: tuple[float, float, float, float] | None,
     options: dict[str, Any],
     given: Mapping[str, ManualPoints] | None = None,
+    prepared: Callable[[], PreparedReference] | None = None,
 ) -> Registration:
     """Register every band of a capture; `own` is the reference camera's registration, None for itself.
 
-    `given` are pairs by hand, by sensor, in native pixels.
+    `given` are pairs by hand, by sensor, in native pixels; `prepared` returns the reference made ready.
 
     Raises RegistrationRefused where there is no answer at all.
     """
     if own is None:
         return register(
             reference, reference, reference_band=reference_band, region=region, given=given,
-            **options,
+            prepared=prepared, **options,
         )  # fmt: skip
     given = {sensor: pairs.reduced(native.factor) for sensor, pairs in (given or {}).items()}
-    if options.get("method", "levkas") == "levkas":
-        options = {
-            **options,
-            "reference_transforms": own.transforms,
-            "reference_sigma": own.sigma,
-        }
-    aligns = {s: a for s, a in native.aligns.items() if a != "measure"}
-    if aligns and options.get("method") == "mirhashemi2019":
-        options = {**options, "align": {s: Affine(np.array(a, float)) for s, a in aligns.items()}}
+    request: dict[str, Any] = {
+        "reference_transforms": own.transforms,
+        "reference_sigma": own.sigma,
+        "align": {
+            s: Affine(np.array(a, float)) for s, a in native.aligns.items() if a != "measure"
+        },
+        "prepared": prepared,
+    }
     found = register(
         reference, native.images(), reference_band=reference_band, region=region, given=given,
-        **options,
+        **request, **options,
     )  # fmt: skip
     return found if native.factor == 1 else _enlarged(found, native.factor)
 

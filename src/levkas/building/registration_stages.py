@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from levkas.building.progress import Step
+from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -107,12 +108,10 @@ class RegistrationStages:
         own = None if capture is self.frame.capture else self.frame.registration()
         registration, refused = None, None
         grid, sampling, region = self.frame.layout(native if capture is self.frame.capture else [])
-        if options.get("method", "levkas") == "levkas":
-            options["ready"] = partial(self.frame.ready, native, region, own)
         try:
             registration = register_capture(
                 here, self.frame.images(native if own is None else []), self.frame.band(),
-                own, region, options, given,
+                own, region, options, given, partial(self.frame.ready, native, region, own),
             )  # fmt: skip
         except RegistrationRefused as error:
             refused = error
@@ -123,7 +122,7 @@ class RegistrationStages:
             self.frame.made_ready.release()
         record = record_of(
             registration, refused, capture, here, grid, self.frame.description(), sampling,
-            self.frame.channel(capture), options.get("method", "levkas"),
+            self.frame.channel(capture), options.get("method", DEFAULT_METHOD),
         )  # fmt: skip
         problems = _verdict_problems(record, capture, refused)
         figures = []
