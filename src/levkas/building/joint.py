@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.register import Measured
+from levkas.building.register import Measured, draw_figures, verdict_problems
 from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
 from levkas.registration.joint import JointResult, SensorObservations, adjust_jointly
 from levkas.registration.manual_points import measure_checks, nearest_rows
@@ -27,12 +27,24 @@ from levkas.registration.verification import (
 from levkas.registration.window_matching import CheckWindows
 
 if TYPE_CHECKING:
-    from levkas.registration.joint import SensorObservations
+    from levkas.campaign.discovery.captures import Capture
     from levkas.registration.record import Matches
 
 GRID = (25, 19)
 #: A map is never known better than this, whatever its windows say, when what moves it is judged.
 LEAST_SIGMA_PX = 0.02
+
+
+def adjust_capture(
+    capture: Capture,
+    mine: Measured,
+    others: Mapping[str, Measured],
+    reference: Mapping[str, Sigma] | None,
+) -> Measured:
+    """Return a capture's registration as `adjusted` gives it, with problems and figures."""
+    found = adjusted(mine, others, reference)
+    problems = found.problems or verdict_problems(found.record, capture, None)
+    return replace(found, problems=problems, figures=draw_figures(found.record))
 
 
 def adjusted(

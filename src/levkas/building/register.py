@@ -7,23 +7,29 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas import __version__
+from levkas.building.build_records import Written
 from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
-from levkas.core.problems import Problem
+from levkas.campaign.methods import DEFAULT_METHOD
+from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
+from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Composed
+from levkas.pages.figures import draw_basis, draw_trace
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.record import Matches
+from levkas.registration.record import COLUMNS, Matches
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.native_cubes import Native
+    from levkas.building.reference import ReferenceFrame
     from levkas.building.scans import Scan
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
@@ -32,8 +38,94 @@ if TYPE_CHECKING:
     from levkas.registration import BandImage
     from levkas.registration.levkas import PreparedReference
 
-FEWEST_PX = 16
-"""A band smaller than this has nothing to register by."""
+_COLUMNS = tuple(column.name for column in fields(Matches))
+_WORDS = ("state", "reason")
+
+
+def measure(
+    capture: Capture, native: Native | Scan, frame: ReferenceFrame, campaign: Campaign
+) -> Measured:
+    """Register a capture by itself; `frame` takes the registration of the reference camera's own."""
+    leads = capture is frame.capture
+    own = None if leads else frame.registration()
+    channel = frame.channel(capture)
+    options = dict(campaign.registration_of(capture.camera))
+    method = options.get("method", DEFAULT_METHOD)
+    given, by_hand = corrections_of(campaign, capture, channel)
+    options |= by_hand
+    grid, sampling, region = frame.layout()
+    prepared = partial(frame.prepared, region, own=leads)
+    found, refused = None, None
+    try:
+        found = register_capture(
+            native, frame.images, frame.band, own, region, options, given, prepared
+        )
+    except RegistrationRefused as error:
+        refused = error
+    if leads and found is not None:
+        frame.registered(found)
+    frame.rest()
+    record = _heading(capture, frame, grid, sampling, channel) | {"method": method}
+    record |= _refusal(refused) if found is None else _results(found, native)
+    problems = verdict_problems(record, capture, refused)
+    if found is None:
+        return Measured(record, problems=problems, figures=draw_figures(record))
+    figures = draw_trace(found.matches, found.trace) if found.trace is not None else []
+    return Measured(
+        record,
+        {"": found.matches, **found.others},
+        () if problems else found.observations,
+        problems,
+        [[figure.svg, figure.caption] for figure in figures] or draw_figures(record),
+    )
+
+
+def write_measured(measured: Measured, path: Path, before: Callable[[], object]) -> Written:
+    """Keep a capture's own registration beside the database; `before` as of `core.files.together`."""
+    make_folder(path.parent)
+    with together(before):
+        write_bytes(path, measured.to_bytes())
+    return Written([], {"figures": measured.figures}, aside=(path,))
+
+
+def publish_registration(
+    measured: Measured, capture: Capture, places: Places, before: Callable[[], object]
+) -> Written:
+    """Write the record and the matches of a registration; `before` as of `core.files.together`."""
+    with together(before):
+        files = write_registration(places, capture, measured.record, measured.matches)
+    notes = {"refused": [p.to_dict() for p in measured.problems], "figures": measured.figures}
+    verdict = measured.record["verdict"]
+    warnings: tuple[str, ...] = ()
+    if verdict["decision"] == "warn" and not measured.problems:
+        warnings = (f"{capture.object}/{capture.layer}: {' '.join(verdict['reasons'])}",)
+    return Written(files, notes, warnings=warnings, problems=measured.problems)
+
+
+def draw_figures(record: dict[str, Any]) -> list[list[str]]:
+    """Return the figures, SVG and caption each, of what a map rests on; none where the record does not say."""
+    figures = draw_basis(record["trace"], record["reference"]["size"])
+    return [[figure.svg, figure.caption] for figure in figures]
+
+
+def verdict_problems(
+    record: dict[str, Any], capture: Capture, refused: Refused | None
+) -> tuple[Problem, ...]:
+    """Return the problems of a registration that is refused; none for one that is accepted."""
+    if refused is not None:
+        return tuple(refused.problems)
+    verdict = record["verdict"]
+    if verdict["decision"] != "refuse":
+        return ()
+    reasons = " ".join(verdict["reasons"])
+    return (
+        Problem(
+            "E_VERDICT",
+            f"{capture.object}/{capture.layer}: the registration cannot be believed: {reasons}",
+            field=f"cameras.{capture.camera}.registration",
+            fix=verdict["next_step"] or None,
+        ),
+    )
 
 
 def register_capture(
@@ -118,25 +210,17 @@ def _with_enlarged_checks(errors: dict[str, Any], grow: Affine) -> dict[str, Any
     return errors | {"check_points": points}
 
 
-def record_of(
-    registration: Registration | None,
-    refused: RegistrationRefused | None,
-    capture: Capture,
-    native: Native | Scan,
-    grid: Grid,
-    reference: dict[str, Any],
-    px_per_mm: float | None,
-    channel: str,
-    method: str,
+def _heading(
+    capture: Capture, frame: ReferenceFrame, grid: Grid, px_per_mm: float | None, channel: str
 ) -> dict[str, Any]:
-    """Return the record of registration/CAMERA.json."""
-    record: dict[str, Any] = {
+    """Return the part of registration/CAMERA.json that says what was registered to what."""
+    return {
         "levkas": __version__,
         "object": capture.object,
         "camera": capture.camera,
         "setup": capture.setup,
-        "method": method,
-        "reference": reference,
+        "method": "",
+        "reference": frame.description(),
         "target": {"camera": capture.camera, "setup": capture.setup, "band": channel},
         "grid": {
             "size": list(grid.size),
@@ -144,24 +228,28 @@ def record_of(
             "px_per_mm": px_per_mm,
         },
     }
-    if registration is None:
-        problems = refused.problems if refused else ()
-        trace = refused.trace.to_dict() if refused and refused.trace else {}
-        verdict = {
+
+
+def _refusal(refused: RegistrationRefused | None) -> dict[str, Any]:
+    """Return the part of the record of a registration that came to no answer."""
+    problems = refused.problems if refused else ()
+    return {
+        "verdict": {
             "decision": "refuse",
             "reasons": [str(p.message) for p in problems],
             "next_step": next((p.fix for p in problems if p.fix), ""),
             "numbers": {},
-        }
-        return {
-            **record,
-            "verdict": verdict,
-            "model": {"kind": "none"},
-            "bands": {},
-            "errors": {},
-            "trace": trace,
-        }
-    told = registration.to_dict()
+        },
+        "model": {"kind": "none"},
+        "bands": {},
+        "errors": {},
+        "trace": refused.trace.to_dict() if refused and refused.trace else {},
+    }
+
+
+def _results(registration: Registration, native: Native | Scan) -> dict[str, Any]:
+    """Return the part of the record that holds maps, verdict and evidence."""
+    record = registration.to_dict()
     bands = {
         label: {"size": native.size_of(label), "transform": transform.to_dict()}
         for label, transform in registration.transforms.items()
@@ -169,13 +257,11 @@ def record_of(
     for label, sigma in registration.sigma.items():
         bands[label]["sigma"] = sigma.to_dict()
     keep = ("method", "verdict", "model", "errors", "trace")
-    return {**record, **{k: told[k] for k in keep}, "bands": bands}
+    return {**{k: record[k] for k in keep}, "bands": bands}
 
 
 def table_of(matches: Matches) -> str:
     """Return CAMERA.matches.csv, or that of another sensor than the first."""
-    from levkas.registration.record import COLUMNS
-
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -190,8 +276,6 @@ def write_registration(
 
     `matches` are by sensor, the first one's under "". Raises WriteRefused.
     """
-    from levkas.core.files import make_folder, remove, write_json, write_text
-
     name, layer = capture.object, capture.layer
     path = places.registration(name, layer)
     make_folder(path.parent)
@@ -204,10 +288,6 @@ def write_registration(
         if place.is_file():
             remove(place)
     return [path, *tables]
-
-
-_COLUMNS = tuple(column.name for column in fields(Matches))
-_WORDS = ("state", "reason")
 
 
 @dataclass(frozen=True)
@@ -224,26 +304,15 @@ class Measured:
         Empty where it was refused.
     problems : tuple of Problem
         Why it was refused.
+    figures : list of [SVG, caption]
+        What the map rests on, for the report; not kept in its file.
     """
 
     record: dict[str, Any]
     matches: dict[str, Matches] = field(default_factory=dict)
     observations: tuple[SensorObservations, ...] = ()
     problems: tuple[Problem, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        record: dict[str, Any],
-        registration: Registration | None,
-        problems: tuple[Problem, ...],
-    ) -> Measured:
-        """Return what is worth keeping of a registration; None where there was none at all."""
-        if registration is None:
-            return cls(record, problems=problems)
-        matches = {"": registration.matches, **registration.others}
-        observations = () if problems else registration.observations
-        return cls(record, matches, observations, problems)
+    figures: list[list[str]] = field(default_factory=list)
 
     def to_bytes(self) -> bytes:
         """Return all of it as one file of arrays."""

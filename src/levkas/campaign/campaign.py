@@ -21,24 +21,12 @@ from levkas.campaign.schema.error_messages import MOST_PROBLEMS, explain, left_o
 from levkas.campaign.schema.tables import (
     CameraKeys,
     Document,
-    GridKeys,
-    ObjectFacts,
-    Reference,
-    Sensor,
+    ReferenceKeys,
 )
 from levkas.campaign.schema.toml import TomlRefused, read_toml
 from levkas.core.problems import Problem, Refused
 
-__all__ = [
-    "Camera",
-    "Campaign",
-    "CampaignInvalid",
-    "Document",
-    "GridKeys",
-    "ObjectFacts",
-    "Sensor",
-    "load_campaign",
-]
+__all__ = ["Camera", "Campaign", "CampaignInvalid", "campaign_of", "load_campaign"]
 
 
 EXPLAINED = "docs/campaign.md explains every key."
@@ -78,7 +66,7 @@ class Campaign(Document):
         return (self.root / self.campaign.output).resolve()
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> ReferenceKeys:
         """What all else is registered to."""
         return self.campaign.reference
 

@@ -1,4 +1,4 @@
-"""What a camera would see under every setup, as a contact sheet with close-ups (Figure 4)."""
+"""Contact sheet of a camera's view under every setup, rendered with close-ups (Figure 4)."""
 
 from __future__ import annotations
 
@@ -90,8 +90,7 @@ def render_setups(
 
 def _best(setup: StudioSetup, seed: int) -> Lighting:
     """The pair that the search finds, with the spectrum of the first lighting's lamp."""
-    from levkas.planning.optimisation import optimise
-    from levkas.planning.report import judge_of
+    from levkas.planning.optimisation import judge_of, optimise
 
     judge = judge_of(setup)
     found = optimise(judge, rng=np.random.default_rng(seed)).best

@@ -1,4 +1,4 @@
-"""Lamps as they hang: the plan of a lighting fitted to a white as it was captured."""
+"""Positions of the lamps as they hang, from a captured white."""
 
 from __future__ import annotations
 

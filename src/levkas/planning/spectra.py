@@ -1,4 +1,4 @@
-"""Light of a lamp from its parts: a spectrum, filters before it, and what cameras and eyes make of it."""
+"""Spectra of lamps and filters, and what cameras and eyes integrate of them."""
 
 from __future__ import annotations
 
@@ -209,7 +209,9 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
         Where it cannot be read, or its wavelengths cannot be nanometres.
     """
     try:
-        table, head = parse_spectra(read_text(path, "a CSV of wavelength in nm and a column of values"))
+        table, head = parse_spectra(
+            read_text(path, "a CSV of wavelength in nm and a column of values")
+        )
     except TextRefused as refused:
         raise PlanRefused(*refused.problems) from None
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""One sensor of a camera of an object, opened: its pictures, its maps, and what can be asked of a place."""
+"""The registration of one sensor opened for the screen: pictures, maps, tiles, partners."""
 
 from __future__ import annotations
 

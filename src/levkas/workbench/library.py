@@ -1,4 +1,4 @@
-"""What of a campaign can be looked at and corrected: every camera of every object, opened by an id."""
+"""All registrations of a campaign that the screen can open, by id."""
 
 from __future__ import annotations
 

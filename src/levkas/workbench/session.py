@@ -1,4 +1,4 @@
-"""One camera of one object under correction: its pairs, what the last edit made of them, undo.
+"""A session of corrections on one registration: pairs, refit, undo.
 
 A session holds what the method found and the corrections so far; every state is one value, so that
 undo has no end and nothing is ever taken back by hand.

@@ -276,7 +276,7 @@ def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
     page.locator("#build").click()
     page.wait_for_function(
         "() => document.querySelector('#build-status').textContent === 'Registered again.'",
-        timeout=300_000,
+        timeout=1_200_000,
     )
     assert page.locator(".verdict .badge").inner_text() in ("Accepted", "Accepted, please review")
     report = status(folder)

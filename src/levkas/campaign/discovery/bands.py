@@ -17,7 +17,7 @@ from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
-    from levkas.campaign.schema.tables import Sensor
+    from levkas.campaign.schema.tables import SensorKeys
     from levkas.readers.frames import Facts
 
 NEAREST_NM = 0.5
@@ -64,7 +64,7 @@ def bands_of_mosaic(
 
 
 def bands_in_file(
-    camera: Camera, sensor: Sensor | None, facts: Facts, *, pages: bool = False
+    camera: Camera, sensor: SensorKeys | None, facts: Facts, *, pages: bool = False
 ) -> tuple[Band, ...]:
     """Bands of a file that holds them all: a cube, a photograph, a sensor without a mosaic.
 
@@ -108,7 +108,11 @@ def bands_in_file(
 
 
 def _default_names(
-    camera: Camera, sensor: Sensor | None, facts: Facts, count: int, centres: Sequence[float] | None
+    camera: Camera,
+    sensor: SensorKeys | None,
+    facts: Facts,
+    count: int,
+    centres: Sequence[float] | None,
 ) -> Sequence[str]:
     if camera.kind == "image":
         return ("R", "G", "B") if count == 3 else ("grey",)
@@ -157,7 +161,7 @@ def with_declared_centres(camera: Camera, bands: Sequence[Band], path: Path) -> 
 def bands_text(declared: Sequence[float | str]) -> str:
     """Return the declared bands in words.
 
-    >>> described([400.0, 410.0, 420.0])
+    >>> bands_text([400.0, 410.0, 420.0])
     '400–420 nm by 10 nm is 3 bands'
     """
     count = len(declared)
@@ -198,7 +202,7 @@ def band_key(frame: FrameRef) -> Key | None:
 def key_text(key: Key | None) -> str:
     """Return a band's key as text.
 
-    >>> shown(366.55)
+    >>> key_text(366.55)
     '366.55 nm'
     """
     return f"{key:g} nm" if isinstance(key, float) else str(key)

@@ -25,7 +25,8 @@ PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 OWN_FILES = ("campaign.toml", "edits.toml")
 DEEPEST = 64
 """Folders in one another below the one that is looked at; captures lie three or four deep."""
-MOST_COMPARED = 2000
+MOST_COMPARED, MOST_SHOWN = 2000, 3
+"""Names that are compared with a pattern, and that are shown."""
 TYPICAL = {"{wavelength}": "550", "{exposure}": "100", "{shot}": "001"}
 
 
@@ -43,7 +44,7 @@ class FolderListings:
 
     Examples
     --------
-    >>> Folders().files(Path("/no/such/folder"))
+    >>> FolderListings().files(Path("/no/such/folder"))
     ()
     """
 
@@ -231,7 +232,7 @@ def in_natural_order(found: Iterable[FoundFile]) -> list[FoundFile]:
 
 
 def nearest(
-    root: Path, pattern: Pattern, *, folders: FolderListings | None = None, count: int = 3
+    root: Path, pattern: Pattern, *, folders: FolderListings | None = None
 ) -> tuple[Path, list[str]]:
     """Return where a pattern leads no further, and the names there that are nearest to it.
 
@@ -261,7 +262,7 @@ def nearest(
         dict.fromkeys(names),
         key=lambda n: (-SequenceMatcher(None, wanted, n.lower()).ratio(), natural(n), n),
     )
-    return here[0], ranked[:count]
+    return here[0], ranked[:MOST_SHOWN]
 
 
 def _start(root: Path, pattern: Pattern) -> Path:

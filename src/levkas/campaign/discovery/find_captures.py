@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,7 +44,7 @@ from levkas.core.problems import Problem, Refused
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.file_index import FileIndex
-    from levkas.campaign.schema.tables import Sensor
+    from levkas.campaign.schema.tables import SensorKeys
     from levkas.core.cube import Band
 
 __all__ = [
@@ -57,11 +58,14 @@ __all__ = [
 ]
 
 
-def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_captures(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a campaign.
 
     A camera or setup that has frames of some objects did not take the others, without a refusal. One
     that has frames of none is refused for each; so is an object without a reference image.
+    `index` is what `scan_folders` found, where the folders were walked already.
 
     Returns
     -------
@@ -75,7 +79,7 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     CaptureRefused
         Where there is no object at all.
     """
-    index = scan_folders(campaign)
+    index = index or scan_folders(campaign)
     index.objects = _objects(index)
     reference = campaign.reference.camera
     order = sorted(index.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
@@ -96,12 +100,14 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     return captures, refusals
 
 
-def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_charts(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a declared chart, by the cameras and setups that took it.
 
-    Returns as `find_captures`; plain images, which are not calibrated, are left out.
+    Takes and returns as `find_captures`; plain images, which are not calibrated, are left out.
     """
-    index = scan_folders(campaign)
+    index = index or scan_folders(campaign)
     captures: list[Capture] = []
     refusals: Refusals = {}
     for name in campaign.targets.charts:
@@ -264,18 +270,14 @@ def frames_of_sensors(
         raise CaptureRefused(_same_names(index, camera, twice))
     if camera.kind in ("mosaic", "sensors"):
         bands = list(with_declared_centres(camera, bands, sensors[0].object[0].path))
-    parts = [bands[i : i + len(s.bands)] for s, i in zip(sensors, _starts(sensors), strict=True)]
-    return tuple(replace(s, bands=tuple(p)) for s, p in zip(sensors, parts, strict=True))
-
-
-def _starts(sensors: Sequence[SensorFrames]) -> list[int]:
-    counts = [len(s.bands) for s in sensors]
-    return [sum(counts[:i]) for i in range(len(counts))]
+    left = iter(bands)
+    return tuple(replace(s, bands=tuple(islice(left, len(s.bands)))) for s in sensors)
 
 
 def _sensor(
-    index: FileIndex, name: str, camera: Camera, setup: str, sensor: Sensor | None
+    index: FileIndex, name: str, camera: Camera, setup: str, sensor: SensorKeys | None
 ) -> SensorFrames:
+    """Return the frames of one sensor of an object, with its bands, darks and whites."""
     label = sensor.name if sensor else ""
 
     def frames_of(targets: Iterable[str], setup: str) -> list[FoundFile]:
@@ -297,9 +299,9 @@ def _sensor(
         raise CaptureRefused(*missing)
     frames, pattern, bands = _frames_and_bands(index, camera, sensor, found, setup)
     darks, whites = (_fitted(index, camera, t, frames, bands) for t in (darks, whites))
-    _check_exposures(camera, found, frames, bands)
+    _check_exposures(camera, found, frames)
     for kind, templates in (("dark", darks), ("white", whites)):
-        _check_every_band(index, camera, kind, templates, bands)
+        _check_every_band(camera, kind, templates, bands)
     align = sensor.align if sensor else "measure"
     return SensorFrames(label, pattern, bands, align, tuple(frames), tuple(darks), tuple(whites))
 
@@ -311,9 +313,9 @@ def _ref(found: FoundFile) -> FrameRef:
 
 
 def _frames_and_bands(
-    index: FileIndex, camera: Camera, sensor: Sensor | None, found: list[FoundFile], setup: str
+    index: FileIndex, camera: Camera, sensor: SensorKeys | None, found: list[FoundFile], setup: str
 ) -> tuple[list[FrameRef], Rows | None, tuple[Band, ...]]:
-    """Frames of the object with their bands, the mosaic's pattern, and the bands."""
+    """Return the frames of the object with their bands, the mosaic's pattern, and the bands."""
     frames, first = [_ref(f) for f in found], found[0].path
     pattern = sensor.pattern if sensor else camera.pattern
     names = (sensor.bands if sensor else ()) or (camera.bands if camera.kind == "mosaic" else ())
@@ -323,21 +325,15 @@ def _frames_and_bands(
     if camera.kind != "bands":
         bands = bands_in_file(camera, sensor, index.facts(first))
         if camera.kind == "cube":
-            for frame in frames[1:]:
-                _check_count(index, camera, frame, len(bands))
+            _check_counts(index, camera, frames[1:], len(bands))
         return frames, None, bands
     if all(band_key(f) is None for f in frames):
         bands = bands_in_file(camera, None, index.facts(first), pages=True)
-        for frame in frames[1:]:
-            _check_count(index, camera, frame, len(bands))
+        _check_counts(index, camera, frames[1:], len(bands))
         paged = [replace(f, band=b.label, page=i) for i, b in enumerate(bands) for f in frames]
         return paged, pattern, bands
-    frames, bands = bands_by_name(
-        camera,
-        frames,
-        index.bands(camera, sensor.name if sensor else "", setup),
-        str(first.parent),
-    )
+    others = index.bands(camera, sensor.name if sensor else "", setup)
+    frames, bands = bands_by_name(camera, frames, others, str(first.parent))
     return frames, pattern, bands
 
 
@@ -350,8 +346,7 @@ def _fitted(
 ) -> list[FrameRef]:
     """Give templates the bands they belong to, by name or by page; without either they serve all."""
     if camera.kind == "cube":
-        for template in templates:
-            _check_count(index, camera, template, len(bands))
+        _check_counts(index, camera, templates, len(bands))
     if camera.kind != "bands":
         return templates
     paged: list[FrameRef] = []
@@ -362,29 +357,28 @@ def _fitted(
         if pages == 1:
             paged.append(template)
             continue
-        _check_count(index, camera, template, len(bands))
+        _check_counts(index, camera, [template], len(bands))
         paged += [replace(template, band=b.label, page=i) for i, b in enumerate(bands)]
     return label_templates(paged, frames, bands)
 
 
-def _check_count(index: FileIndex, camera: Camera, frame: FrameRef, bands: int) -> None:
-    """Refuse a cube, or a TIFF of pages, that has not as many bands as the object's first file."""
-    facts = index.facts(frame.path)
-    samples = facts.shape[2] if len(facts.shape) == 3 else 1
-    found = samples if facts.kind == "envi" or samples > 1 else facts.pages
-    if found != bands:
-        raise CaptureRefused(
-            count_problem(camera, "bands", bands, found, f"in {frame.path.name}", str(frame.path))
-        )
+def _check_counts(index: FileIndex, camera: Camera, frames: list[FrameRef], bands: int) -> None:
+    """Refuse cubes, or TIFFs of pages, that have not as many bands as the object's first file."""
+    for frame in frames:
+        facts = index.facts(frame.path)
+        samples = facts.shape[2] if len(facts.shape) == 3 else 1
+        found = samples if facts.kind == "envi" or samples > 1 else facts.pages
+        if found != bands:
+            where = f"in {frame.path.name}"
+            problem = count_problem(camera, "bands", bands, found, where, str(frame.path))
+            raise CaptureRefused(problem)
 
 
-# --- what several files mean ------------------------------------------------------------------
+# --- several files of one band ----------------------------------------------------------------
 
 
-def _check_exposures(
-    camera: Camera, found: list[FoundFile], frames: list[FrameRef], bands: tuple[Band, ...]
-) -> None:
-    """Several files are shots, strips or exposures only where campaign.toml declares it."""
+def _check_exposures(camera: Camera, found: list[FoundFile], frames: list[FrameRef]) -> None:
+    """Refuse several files of one band, unless campaign.toml declares them shots, strips or exposures."""
     shots_are_declared = {f.path: "shot" in f.pattern.fields for f in found}
     groups: dict[str | None, list[FrameRef]] = {}
     for frame in frames:
@@ -432,7 +426,7 @@ def _two_files(camera: Camera, what: str, frames: list[FrameRef]) -> Problem:
 
 
 def _check_every_band(
-    index: FileIndex, camera: Camera, kind: str, templates: list[FrameRef], bands: tuple[Band, ...]
+    camera: Camera, kind: str, templates: list[FrameRef], bands: tuple[Band, ...]
 ) -> None:
     """Refuse templates that belong to bands and leave one of the object's without."""
     if not templates or any(f.band is None for f in templates):
@@ -465,7 +459,7 @@ def _same_names(index: FileIndex, camera: Camera, twice: list[str]) -> Problem:
     )
 
 
-# --- what is not there ------------------------------------------------------------------------
+# --- missing frames ----------------------------------------------------------------------------
 
 
 def _no_sensor(index: FileIndex, name: str, camera: Camera, sensor: str) -> Problem:

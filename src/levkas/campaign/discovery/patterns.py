@@ -18,7 +18,7 @@ _CLOSED = re.compile(r"(?![^\W_])")
 
 
 @dataclass(frozen=True)
-class Fixed:
+class LiteralPiece:
     """Literal text, upper and lower case alike in its suffix."""
 
     source: re.Pattern[str]
@@ -30,7 +30,7 @@ class Fixed:
 
 
 @dataclass(frozen=True)
-class Span:
+class TextPiece:
     """Any text within a name, of `least` letters or more; as much as it can be, or as little."""
 
     least: int = 0
@@ -44,7 +44,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Number:
+class NumberPiece:
     """A number with or without decimals, never a part of a longer one."""
 
     def ends(self, text: str, start: int) -> Iterator[int]:
@@ -62,7 +62,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class OneOf:
+class ChoicePiece:
     """One of some values; beside a wildcard no part of a longer word."""
 
     values: tuple[str, ...]
@@ -89,7 +89,7 @@ class OneOf:
 
 
 @dataclass(frozen=True)
-class Depths:
+class FoldersPiece:
     """Any number of whole folders, none included; as many as there can be."""
 
     def ends(self, text: str, start: int) -> Iterator[int]:
@@ -105,8 +105,8 @@ def end_of_name(text: str, start: int) -> int:
     return len(text) if slash < 0 else slash
 
 
-Kind = Fixed | Span | Number | OneOf | Depths
-Piece = tuple[Kind, str]
+PieceKind = LiteralPiece | TextPiece | NumberPiece | ChoicePiece | FoldersPiece
+Piece = tuple[PieceKind, str]
 """What it matches, and the name of the placeholder; empty for none."""
 
 
@@ -138,7 +138,7 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
         if name in values:
             same = text.startswith(values[name], start)
             waiting.append(iter([start + len(values[name])] if same else []))
-        elif isinstance(kind, Span):
+        elif isinstance(kind, TextPiece):
             waiting.append(kind.ends(text, start, tried))
         else:
             waiting.append(kind.ends(text, start))
@@ -176,7 +176,7 @@ def _state(
     pieces: Sequence[Piece], index: int, text: str, start: int, values: dict[str, str]
 ) -> tuple[object, ...]:
     """Return what a failure depends on: of a span the name that it lies in, for a later start ends where it may."""
-    free = isinstance(pieces[index][0], Span) and pieces[index][1] not in values
+    free = isinstance(pieces[index][0], TextPiece) and pieces[index][1] not in values
     return index, end_of_name(text, start) if free else start, free, *values.items()
 
 
@@ -212,14 +212,14 @@ _BODY = {
     "wavelength": _NUMBER,
     "exposure": _NUMBER,
 }
-_KIND: dict[str, Kind] = {
-    "target": Span(1),
-    "setup": Span(1, greedy=False),
-    "band": Span(1, greedy=False),
-    "sensor": Span(1, greedy=False),
-    "shot": Span(0, greedy=False),
-    "wavelength": Number(),
-    "exposure": Number(),
+_KIND: dict[str, PieceKind] = {
+    "target": TextPiece(1),
+    "setup": TextPiece(1, greedy=False),
+    "band": TextPiece(1, greedy=False),
+    "sensor": TextPiece(1, greedy=False),
+    "shot": TextPiece(0, greedy=False),
+    "wavelength": NumberPiece(),
+    "exposure": NumberPiece(),
 }
 LONGEST = 4096
 """Letters of a path, as file systems have it."""
@@ -416,17 +416,19 @@ def _pieces(text: str, known: Known, named: bool, ends: bool) -> tuple[Piece, ..
     out: list[Piece] = []
     for i, piece in enumerate(pieces):
         if piece == "\0":
-            out.append((Depths(), ""))
+            out.append((FoldersPiece(), ""))
         elif piece == "*":
-            out.append((Span(), ""))
+            out.append((TextPiece(), ""))
         elif not piece.startswith("{"):
-            out.append((Fixed(re.compile(_literal(piece, ends and i == len(pieces) - 1))), ""))
+            out.append(
+                (LiteralPiece(re.compile(_literal(piece, ends and i == len(pieces) - 1))), "")
+            )
         else:
             name = piece[1:-1]
             kind = _KIND[name]
             if name in values:
                 before, after = (_beside(pieces[j : j + 1]) for j in (i - 1, i + 1))
-                kind = OneOf(_longest_first(values[name]), before, after)
+                kind = ChoicePiece(_longest_first(values[name]), before, after)
             out.append((kind, name if named else ""))
     return tuple(out)
 

@@ -18,7 +18,7 @@ from levkas.campaign.schema.tables import (
     Document,
     Range,
     RegistrationKeys,
-    Sensor,
+    SensorKeys,
 )
 from levkas.core.problems import Problem
 
@@ -53,9 +53,9 @@ def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
 def unusable_output(output: Path, root: Path) -> str:
     """Return why no database can be written to a folder, whatever is there; ``""`` where one can.
 
-    >>> no_place(Path("/"), Path("/data/icons"))
+    >>> unusable_output(Path("/"), Path("/data/icons"))
     'the database would be written over a whole disk or a home'
-    >>> no_place(Path("/data/icons/database"), Path("/data/icons"))
+    >>> unusable_output(Path("/data/icons/database"), Path("/data/icons"))
     ''
     """
     try:
@@ -81,7 +81,7 @@ def is_safe_name(name: str) -> bool:
 def closest_match(text: str, known: Iterable[str]) -> str | None:
     """Return ``Did you mean 'files'?`` where a known name is near.
 
-    >>> meant("fles", ["files", "kind"])
+    >>> closest_match("fles", ["files", "kind"])
     "Did you mean 'files'?"
     """
     names = [n for n in islice(known, MOST_COMPARED) if len(n) <= LONGEST_NAME]
@@ -410,7 +410,7 @@ def _sensors(where: str, camera: CameraKeys) -> Iterator[Problem]:
     yield from _sensor_alignment(where, camera.sensors)
 
 
-def _sensor_alignment(where: str, sensors: tuple[Sensor, ...]) -> Iterator[Problem]:
+def _sensor_alignment(where: str, sensors: tuple[SensorKeys, ...]) -> Iterator[Problem]:
     identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     if sensors and sensors[0].align not in ("measure", identity):
         yield value_problem(

@@ -21,11 +21,11 @@ from levkas.campaign.schema.values import (
     Align,
     Date,
     Doi,
+    MosaicPattern,
     MuseumDate,
     Names,
     Number,
     Orcid,
-    Pattern,
     Reflectance,
     Region,
     Size,
@@ -90,7 +90,7 @@ def _creator(value: Any) -> Any:
     return {"name": value} if isinstance(value, str) else value
 
 
-class Reference(Table):
+class ReferenceKeys(Table):
     """What all else is registered to."""
 
     camera: Text
@@ -104,7 +104,7 @@ class Description(Table):
     creator: Text = ""
     date: Date | None = None
     licence: Text = ""
-    reference: Annotated[Reference, BeforeValidator(_reference)]
+    reference: Annotated[ReferenceKeys, BeforeValidator(_reference)]
     setup: Text = ""
     output: Annotated[Text, Field(min_length=1)] = "database"
 
@@ -156,12 +156,12 @@ OPTIONS = tuple(name for name in OptionKeys.model_fields if name != "method")
 """Keys of [registration] that are options of a method."""
 
 
-class Sensor(Table):
+class SensorKeys(Table):
     """One sensor of a multi-sensor camera."""
 
     name: Text
     files: Names = ()
-    pattern: Pattern | None = None
+    pattern: MosaicPattern | None = None
     bands: Names = ()
     align: Align = "measure"
 
@@ -171,7 +171,7 @@ class CameraKeys(Table):
 
     kind: Literal["mosaic", "bands", "sensors", "cube", "image"]
     files: Names = ()
-    pattern: Pattern | None = None
+    pattern: MosaicPattern | None = None
     bands: Names | None = None
     wavelengths: Wavelengths | None = None
     sensitivity: Text | None = None
@@ -181,7 +181,7 @@ class CameraKeys(Table):
     saturation: Annotated[Number, Field(gt=0)] | None = None
     exposures: Literal["one", "best", "merge"] = "one"
     manifest: Text | None = None
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     denoise: Literal["hysime"] | None = None
     demosaic: Literal["malvar", "bilinear", "normalised"] | None = None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from levkas.pages.page import render_page
 from levkas.pages.plots import Line, plot
 from levkas.quality.comparison.methods import COMPARED
 
@@ -20,23 +20,29 @@ INKS = {
 OTHER_INK = "#777777"
 
 
-def write_page(comparison: Comparison, folder: Path) -> Path:
-    """Write comparison.html and comparison.json into a folder; return the page."""
-    from levkas.core.files import write_json, write_text
+def write_page(comparison: Comparison, folder: Path, *, overwrite: bool = False) -> Path:
+    """Write comparison.html and comparison.json into a folder; return the page.
 
-    write_json(folder / "comparison.json", comparison.to_dict())
+    Raises
+    ------
+    WriteRefused
+        Where a file of somebody else's stands in the way.
+    """
+    from levkas.core.files import write_json, write_text
+    from levkas.core.ownership import OwnFiles
+
+    folder = folder.resolve()
     path = folder / "comparison.html"
-    write_text(path, render_page(comparison))
+    with OwnFiles(folder, overwrite=overwrite).writing():
+        write_json(folder / "comparison.json", comparison.to_dict())
+        write_text(path, render_comparison(comparison))
     return path
 
 
-def render_page(comparison: Comparison) -> str:
+def render_comparison(comparison: Comparison) -> str:
     """Return the page as HTML; the maps are pictures beside it."""
-    import jinja2
-
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    text = resources("levkas.quality.comparison").joinpath("page.html").read_text(encoding="utf-8")
-    return environment.from_string(text).render(
+    return render_page(
+        "comparison.html",
         summary=[_summary_cells(one) for one in comparison.summary()],
         problems=comparison.problems,
         keys=[(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],
