@@ -67,7 +67,7 @@ class Campaign(Document):
 
     @property
     def reference(self) -> ReferenceKeys:
-        """What all else is registered to."""
+        """The band that all others are registered to."""
         return self.campaign.reference
 
     def registration_of(self, camera: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from levkas.readers.text import read_json
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
 from levkas.workbench.pictures import ShownPicture, read_picture
-from levkas.workbench.session import CorrectionSession, FoundPartner
+from levkas.workbench.session import CorrectionSession, RecordedPairs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -186,7 +186,7 @@ class Library:
         ours = record["reference"]
         shape = self._shape(self._page(capture, band)[0])
         keys = self.campaign.registration_of(capture.camera)
-        found = FoundPartner.of(
+        found = RecordedPairs.of(
             self._matches(view),
             size=(int(ours["size"][0]), int(ours["size"][1])),
             target_size=(shape[1], shape[0]),

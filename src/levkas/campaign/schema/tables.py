@@ -91,7 +91,7 @@ def _creator(value: Any) -> Any:
 
 
 class ReferenceKeys(Table):
-    """What all else is registered to."""
+    """The band that all others are registered to."""
 
     camera: Text
     band: Text | None = None
@@ -145,7 +145,7 @@ OptionKeys: Any = create_model("OptionKeys", __base__=MethodKey, **_options())
 
 
 class RegistrationKeys(PointsKeys, OptionKeys):  # type: ignore[misc]
-    """How cameras are registered; errors in reference pixels."""
+    """Registration of cameras; errors in reference pixels."""
 
     def declared(self) -> dict[str, Any]:
         """Return the declared values, by key."""
@@ -210,7 +210,7 @@ class White(Table):
 
 
 class TargetKeys(Table):
-    """What the values of {target} mean."""
+    """Roles of the values of {target}."""
 
     dark: Names = ()
     white: Annotated[White, BeforeValidator(_white)] | None = None
@@ -291,7 +291,7 @@ Move = tuple[Place, Place, Place, Place, Place, Place, Place, Place]
 
 
 class FrameKeys(Table):
-    """What was corrected of one camera, under one lighting, for one object.
+    """Corrections of one camera, under one lighting, for one object.
 
     Pairs are (reference x, reference y, target x, target y); a move is a pair and the pair that
     takes its place.
@@ -309,7 +309,7 @@ class FrameKeys(Table):
 
 
 class ObjectKeys(Table):
-    """What was corrected of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
+    """Corrections of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
 
     cameras: dict[str, FrameKeys] = Field(default={})
 
