@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,6 +80,8 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
 
 MOST_PROBLEMS = 50
+Noted = tuple[Cube, list[str]]
+"""Of one sensor, and what a person should know of it."""
 
 
 def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native | Scan:
@@ -155,7 +158,9 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
             if camera.kind != "image":
                 require_exposures(context)
             notes += doubts_of(context)
-            cubes[sensor.name] = mark_glare_in(DEVELOPERS[camera.kind](context, notes))
+            cube, found = DEVELOPERS[camera.kind](context)
+            cubes[sensor.name] = mark_glare_in(cube)
+            notes += found
             learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
         raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
@@ -185,7 +190,7 @@ def _all_problems(
     return list(dict.fromkeys(problems))
 
 
-def develop_mosaic(context: SensorContext, notes: list[str]) -> Cube:
+def develop_mosaic(context: SensorContext) -> Noted:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
     sensor, camera = context.sensor, context.camera
     darks = context.templates(sensor.dark)
@@ -197,7 +202,7 @@ def develop_mosaic(context: SensorContext, notes: list[str]) -> Cube:
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
         white = white_of(context, sensor.white, darks, noise=noise, merged=True)
-    notes.append(check_scaling(context, exposed, white, (shots, whites), darks))
+    notes = [check_scaling(context, exposed, white, (shots, whites), darks)]
     pattern = sensor.pattern
     note_light(context.told, white, darks, pattern, [b.label for b in sensor.bands])
     defects = defects_of(darks, white, pattern)
@@ -221,7 +226,8 @@ def develop_mosaic(context: SensorContext, notes: list[str]) -> Cube:
     if pattern is None:
         deep = values.shape if values.ndim == 3 else (*values.shape, 1)
         variance = None if variance is None else variance.reshape(deep)
-        return cube_of(context, values.reshape(deep), flags.reshape(deep), variance, flat.quantity)
+        deepened = (values.reshape(deep), flags.reshape(deep), variance)
+        return cube_of(context, *deepened, flat.quantity), notes
     note_sensels(context.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
     made = demosaic(
         values,
@@ -231,7 +237,7 @@ def develop_mosaic(context: SensorContext, notes: list[str]) -> Cube:
         method=demosaicing_of(camera, pattern),
         channels=[b.label for b in sensor.bands],
     )
-    return cube_of(context, *made, flat.quantity)
+    return cube_of(context, *made, flat.quantity), notes
 
 
 def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | None:
@@ -240,15 +246,10 @@ def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | No
     return camera.demosaic or ("bilinear" if beam_splitter else None)
 
 
-def develop_cube(context: SensorContext, notes: list[str]) -> Cube:
+def develop_cube(context: SensorContext) -> Noted:
     """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
     sensor, mirror = context.sensor, context.camera.scan == "mirror"
-
-    def make(frames: Sequence[FrameRef]) -> Template:
-        blocks = (context.checked(read_cube(frame), frame) for frame in frames)
-        join = average if mirror else average_lines
-        return context.whole(join(blocks, saturation=context.saturation), frames)
-
+    make = partial(_scan_template, context)
     darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
     require_same_size(context, _shape_of(sensor.object[0]), darks, whites)
     step = thinning(whites[0].mean.shape[:2]) if mirror and whites else 1
@@ -262,40 +263,56 @@ def develop_cube(context: SensorContext, notes: list[str]) -> Cube:
         [b.label for b in sensor.bands],
         period=(step, step),
     )
-    reflectance = white_reflectance(context.campaign, sensor.bands)
     if mirror:
         of_white = by_exposure(sensor.white)[chosen][1][0] if white else None
         noise = noise_behind_mirror(context, of_white)
     else:
         noise = line_noise(context, darks, white)
     _require_one_time(context, white)
-    strips = []
-    for frame in sensor.object:
-        block, times = context.checked(read_cube(frame), frame), times_of(frame)
-        shot = timed(
-            context.whole(average(iter([block]), saturation=context.saturation), [frame]), times
-        )
-        del block
-        notes.append(doubt_scaling(context, times, times_in(white)) if white else "")
-        flat = flatten(
-            context,
-            shot,
-            darks,
-            white,
-            white_reflectance=reflectance,
-            noise=noise,
-            labels=[b.label for b in sensor.bands],
-        )
-        notes.extend(flat.notes)
-        strips.append(flat)
+    strips = [_strip(context, frame, darks, white, noise) for frame in sensor.object]
+    notes = [note for strip in strips for note in strip.notes]
     whole = strips[0]
     if len(strips) > 1:
         whole, seams = join_strips(strips)
         notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
     values, variance = whole.values, whole.variance
     if context.camera.denoise:
-        values, variance = _denoised(values, variance, notes)
-    return cube_of(context, values, whole.flags, variance, whole.quantity)
+        values, variance, note = _denoised(values, variance)
+        notes.append(note)
+    return cube_of(context, values, whole.flags, variance, whole.quantity), notes
+
+
+def _scan_template(context: SensorContext, frames: Sequence[FrameRef]) -> Template:
+    """Average the lines of dark or white frames; of a mirror scanner the frames."""
+    blocks = (context.checked(read_cube(frame), frame) for frame in frames)
+    join = average if context.camera.scan == "mirror" else average_lines
+    return context.whole(join(blocks, saturation=context.saturation), frames)
+
+
+def _strip(
+    context: SensorContext,
+    frame: FrameRef,
+    darks: list[Template],
+    white: Template | None,
+    noise: NoiseModel | None,
+) -> Calibrated:
+    """Flat-field one strip of a line scan."""
+    block, times = context.checked(read_cube(frame), frame), times_of(frame)
+    shot = timed(
+        context.whole(average(iter([block]), saturation=context.saturation), [frame]), times
+    )
+    del block
+    flat = flatten(
+        context,
+        shot,
+        darks,
+        white,
+        white_reflectance=white_reflectance(context.campaign, context.sensor.bands),
+        noise=noise,
+        labels=[b.label for b in context.sensor.bands],
+    )
+    doubt = doubt_scaling(context, times, times_in(white)) if white else ""
+    return replace(flat, notes=(doubt, *flat.notes))
 
 
 def _shape_of(frame: FrameRef) -> tuple[int, ...]:
@@ -330,20 +347,21 @@ def _describe_seam(number: int, seam: Seam) -> str:
 
 
 def _denoised(
-    values: np.ndarray, variance: np.ndarray | None, notes: list[str]
-) -> tuple[np.ndarray, np.ndarray | None]:
+    values: np.ndarray, variance: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Project a cube on its signal subspace (HySime), and say what that took away."""
     if variance is not None:  # rounded as the sigma of lines that are read some at a time
         variance = np.square(round_root(variance, out=variance), out=variance)
     made = denoise(values, variance)
-    notes.append(describe_removed(made.subspace, made.removed, made.removed_most))
-    return made.values, made.variance
+    note = describe_removed(made.subspace, made.removed, made.removed_most)
+    return made.values, made.variance, note
 
 
-def develop_image(context: SensorContext, notes: list[str]) -> Cube:
+def develop_image(context: SensorContext) -> Noted:
     """A photograph or radiograph: nothing to calibrate, its codes as they are."""
     shot = context.average(context.sensor.object)
     values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
+    notes = []
     if shot.lost is not None:
         notes.append(describe_gaps(shot.lost, context.camera.name))
         values = np.where(shot.lost.reshape(values.shape), np.float32(np.nan), values)
@@ -352,10 +370,11 @@ def develop_image(context: SensorContext, notes: list[str]) -> Cube:
     variance = None
     if shot.variance is not None:
         variance = mean_variance(shot, step=context.step).reshape(values.shape)
-    return cube_of(context, np.ascontiguousarray(values, np.float32), flags, variance, "counts")
+    values = np.ascontiguousarray(values, np.float32)
+    return cube_of(context, values, flags, variance, "counts"), notes
 
 
-def develop_bands(context: SensorContext, notes: list[str]) -> Cube:
+def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
     bands = context.sensor.bands
     reflectances = np.broadcast_to(white_reflectance(context.campaign, bands), len(bands))
@@ -363,6 +382,7 @@ def develop_bands(context: SensorContext, notes: list[str]) -> Cube:
     shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     variance: np.ndarray | None = np.empty(shape, np.float32)
+    notes: list[str] = []
     quantity = "reflectance"
     for start in range(0, len(bands), GROUP):
         group = []
@@ -379,7 +399,7 @@ def develop_bands(context: SensorContext, notes: list[str]) -> Cube:
             _interleave(variances, variance, start)
         else:
             variance = None
-    return cube_of(context, values, flags, variance, quantity)
+    return cube_of(context, values, flags, variance, quantity), notes
 
 
 def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:
