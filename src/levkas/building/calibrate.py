@@ -24,7 +24,6 @@ from levkas.building.line_templates import best_white, noise_behind_mirror, thin
 from levkas.building.native_cubes import GROUP, ROWS, Native
 from levkas.building.spectra import white_reflectance
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.invalid_values import describe_gaps
 from levkas.calibration.sensor_context import (
     CodesRefused,
     SensorContext,
@@ -40,7 +39,7 @@ from levkas.calibration.sensor_context import (
     times_in,
     times_of,
 )
-from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.templates import CalibrationRefused, Template, average, describe_gaps
 from levkas.core.cube import Cube, Flag
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root

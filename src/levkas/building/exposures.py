@@ -10,9 +10,8 @@ import numpy as np
 
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.flatfield import Calibrated, flat_field
-from levkas.calibration.invalid_values import describe_gaps, gaps_of
 from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.core.cube import Cube, Flag
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values

@@ -1,6 +1,6 @@
 """Kernel of `lines`: raw lines of a push-broom camera to values, flags and sigma in one passage.
 
-What `flattening` makes of them, to the last bits of sums that stand in another order.
+What `flatfield` makes of them, to the last bits of sums that stand in another order.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from levkas.calibration.flatfield_kernel import of_mean
+from levkas.calibration.flatfield import of_mean
 from levkas.core.cube import Flag
 from levkas.double_lanes import (
     doubles,

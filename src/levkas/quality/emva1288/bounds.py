@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration.blocks import Blocks
-from levkas.calibration.estimates import DarkModel
+from levkas.quality.emva1288.blocks import Blocks
+from levkas.quality.emva1288.estimates import DarkModel
 from levkas.quality.emva1288.photon_transfer import Dark, model_darks
 
 LIT = (0.15, 0.9)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.calibration.clipping import DarkLevel, fit_clipped_dark, is_clipped
 from levkas.calibration.patterns import channel_table, split
 from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import CalibrationRefused
+from levkas.quality.emva1288.clipped_darks import DarkLevel, fit_clipped_dark, is_clipped
 from levkas.quality.emva1288.gathered import Key, Sensor, reduce_stack
 from levkas.quality.emva1288.photon_transfer import Dark, model_darks
 

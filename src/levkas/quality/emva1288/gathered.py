@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.calibration.blocks import Blocks, block_statistics
 from levkas.calibration.code_spacing import Levels
 from levkas.calibration.linearity import Linearity
 from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import Template
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
 from levkas.quality.emva1288.drift import Drift
 from levkas.quality.emva1288.photon_transfer import Dark
 

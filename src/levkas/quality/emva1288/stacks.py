@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.blocks import Blocks
 from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import average
+from levkas.quality.emva1288.blocks import Blocks
 from levkas.quality.emva1288.dark_levels import (
     level_under,
     measure_dark,

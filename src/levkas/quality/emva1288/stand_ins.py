@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.calibration.pairing import pair_blocks
 from levkas.calibration.sensor_context import exposure_of
 from levkas.quality.emva1288.dark_levels import level_under
 from levkas.quality.emva1288.gathered import Key, Sensor, by_exposure
+from levkas.quality.emva1288.pairing import pair_blocks
 from levkas.quality.emva1288.photon_transfer import Dark
 
 if TYPE_CHECKING:

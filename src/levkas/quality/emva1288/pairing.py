@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from levkas.calibration.blocks import SIDE, STRAY, Blocks, without_plane
 from levkas.calibration.patterns import channel_table, split
 from levkas.calibration.templates import Template
+from levkas.quality.emva1288.blocks import SIDE, STRAY, Blocks, without_plane
 
 MOST_APART = 6.0
 """Ratio of two levels beyond which the darker one's noise is all that is seen."""

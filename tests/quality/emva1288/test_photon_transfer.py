@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.blocks import Blocks, block_statistics
-from levkas.calibration.clipping import fit_clipped_dark, is_clipped
 from levkas.calibration.code_spacing import count_codes, find_levels
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
+from levkas.quality.emva1288.clipped_darks import fit_clipped_dark, is_clipped
 from levkas.quality.emva1288.drift import Light, measure_drift
 from levkas.quality.emva1288.photon_transfer import Dark, measure_sensor
 from levkas.simulation.sensing import expose, fixed_pattern, key
