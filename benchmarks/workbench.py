@@ -25,10 +25,9 @@ from levkas.geometry.transforms import Affine
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.correlation import find_partner
-from levkas.workbench.frame import RegistrationView
+from levkas.workbench.frame import RegistrationView, SensorView
 from levkas.workbench.library import Library
 from levkas.workbench.pictures import ShownPicture, encode, warped_tile
-from levkas.workbench.frame import SensorView
 from levkas.workbench.session import CorrectionSession, FoundPartner
 
 SIZE = (1392, 1040)

@@ -21,7 +21,7 @@ from levkas.pages.page import (
     render_report,
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
-from levkas.quality.targets.places import choose_places
+from levkas.quality.image_quality.light import choose_places
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -79,6 +79,10 @@ def evaluate(
             points=points, frame=frame, objects=objects or (), overwrite=overwrite,
             draw=lambda rows: draw_steps(rows, as_json),
         )  # fmt: skip
+        if output is not None:
+            from levkas.pages.comparison import write_page
+
+            write_page(table, output, overwrite=overwrite)
         print_report("evaluate", as_json, True, list(table.problems), **table.to_dict())
         if not as_json:
             typer.echo(table.text)

@@ -97,7 +97,7 @@ def radiometry(
     found = examine_with_seed(path, cameras=cameras, seed=seed)
     written = None
     if output is not None:
-        from levkas.quality.emva1288.page import write_page
+        from levkas.pages.emva1288 import write_page
 
         written = str(write_page(found, output))
     if not as_json:

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from levkas.cli import app
 from levkas.core.problems import Refused
+from levkas.pages.emva1288 import render_page
 from levkas.quality.emva1288 import examine_with_seed
 from levkas.quality.emva1288.facts import describe_files, describe_frame
-from levkas.quality.emva1288.page import render_page
 
 CAMPAIGN = """
 [campaign]

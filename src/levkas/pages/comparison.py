@@ -20,13 +20,30 @@ INKS = {
 OTHER_INK = "#777777"
 
 
-def write_page(comparison: Comparison, folder: Path) -> Path:
-    """Write comparison.html and comparison.json into a folder; return the page."""
-    from levkas.core.files import write_json, write_text
+def write_page(comparison: Comparison, folder: str | Path, *, overwrite: bool = False) -> Path:
+    """Write comparison.html and comparison.json into a folder, and return the page.
 
-    write_json(folder / "comparison.json", comparison.to_dict())
-    path = folder / "comparison.html"
-    write_text(path, render_page(comparison))
+    Parameters
+    ----------
+    comparison : Comparison
+    folder : path
+        Where the SSIM maps are.
+    overwrite : bool
+        Whether files may be replaced there that no comparison wrote, or that were changed since.
+
+    Raises
+    ------
+    WriteRefused
+        Where a file of somebody else's stands in the way.
+    """
+    from levkas.core.files import write_json, write_text
+    from levkas.core.ownership import OwnFiles
+
+    own = OwnFiles(Path(folder).resolve(), overwrite=overwrite)
+    path = own.folder / "comparison.html"
+    with own.writing():
+        write_json(own.folder / "comparison.json", comparison.to_dict())
+        write_text(path, render_page(comparison))
     return path
 
 
@@ -35,7 +52,7 @@ def render_page(comparison: Comparison) -> str:
     import jinja2
 
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    text = resources("levkas.quality.comparison").joinpath("page.html").read_text(encoding="utf-8")
+    text = resources("levkas.pages").joinpath("comparison.html").read_text(encoding="utf-8")
     return environment.from_string(text).render(
         summary=[_summary_cells(one) for one in comparison.summary()],
         problems=comparison.problems,

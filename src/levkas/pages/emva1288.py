@@ -14,7 +14,7 @@ from levkas.quality.emva1288.facts import describe_levels
 from levkas.quality.emva1288.photon_transfer import PhotonTransfer
 
 if TYPE_CHECKING:
-    from levkas.quality.emva1288.reports import Examination, SensorReport
+    from levkas.quality.emva1288.report import Examination, SensorReport
 
 WIDTH, HEIGHT = 460, 300
 LEFT, BOTTOM, TOP, RIGHT = 52, 40, 14, 12
@@ -49,7 +49,7 @@ def render_page(found: Examination) -> str:
     import jinja2
 
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    text = resources("levkas.quality.emva1288").joinpath("page.html").read_text(encoding="utf-8")
+    text = resources("levkas.pages").joinpath("emva1288.html").read_text(encoding="utf-8")
     root = found.root if found.root.is_dir() else found.root.parent
     sensors = [_section(sensor) for sensor in found.sensors]
     return environment.from_string(text).render(title=root.resolve().name, sensors=sensors)
