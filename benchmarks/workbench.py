@@ -132,7 +132,7 @@ class Planted(Library):
             view, main, record, {}, session, "900 nm", "550 nm",
             lambda capture, band: picture, lambda capture, band: picture.pixels,
         )  # fmt: skip
-        self.campaign = SimpleNamespace(campaign=SimpleNamespace(title="Planted pairs"))
+        self.campaign = SimpleNamespace(campaign=SimpleNamespace(title="Planted pairs"), root=path)
 
     def list(self) -> list[dict]:
         words = ("setup", "sensor", "bands", "reason", "corrections")
@@ -142,8 +142,9 @@ class Planted(Library):
     def open(self, key: str) -> RegistrationView:
         return self._planted
 
-    def _keep(self, edits: FrameEdits) -> None:
-        write_edits(self.path / "edits.toml", Edits({("icon", "nir"): edits}))
+    def _keep(self, before: FrameEdits, after: FrameEdits) -> FrameEdits:
+        write_edits(self.path / "edits.toml", Edits({("icon", "nir"): after}))
+        return after
 
 
 DELETE = """async (row) => {

@@ -18,6 +18,9 @@ export default defineConfig(
       // `find<HTMLInputElement>(id)`, and what the server or a file is known to answer.
       "@typescript-eslint/no-unnecessary-type-parameters": "off",
       "max-lines": ["error", 400],
+      "max-lines-per-function": ["error", 60],
+      "max-params": ["error", 8],
+      "max-depth": ["error", 5],
     },
   },
   ...["viewer", "workbench", "shared"].map((part) => ({

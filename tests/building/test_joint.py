@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from levkas.building import build, status
-from levkas.building.register import Measured, adjusted
-from levkas.building.rig_mates import NEIGHBOURS, RigMates
+from levkas.building.graph import NEIGHBOURS, mates_of
+from levkas.building.joint import adjusted
+from levkas.building.register import Measured
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.geometry.transforms import Affine
@@ -66,7 +67,9 @@ def _adjusted(folder, spoilt=0.0):
     measured = {n: Measured.read(kept / n / "infrared" / "measured.npz") for n in NAMES}
     aside = Affine(np.array([[1, 0, spoilt], [0, 1, spoilt]]))
     for name, one in measured.items():
-        measured[name] = replace(one, sightings=tuple(s.enlarged(aside) for s in one.sightings))
+        measured[name] = replace(
+            one, observations=tuple(s.enlarged(aside) for s in one.observations)
+        )
     others = {f"{name}/infrared": one for name, one in measured.items() if name != "one"}
     return adjusted(measured["one"], others, None).record
 
@@ -169,13 +172,14 @@ def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
 def test_of_many_captures_the_nearest_by_name_are_mates_and_one_more_changes_few(built):
     campaign = load_campaign(built)
 
-    def mates_of(names):
+    def mates(names):
         captures = [Capture(name, "infrared", "", ()) for name in names]
-        all_of_them = RigMates(campaign, None, None, captures[::-1])
-        return {c.object: [m.object for m in all_of_them.of(c)] for c in captures}
+        return {
+            c.object: [m.object for m in mates_of(campaign, c, captures[::-1])] for c in captures
+        }
 
     names = [f"panel {n:02d}" for n in range(40)]
-    before, after = mates_of(names), mates_of([*names, "panel 20b"])
+    before, after = mates(names), mates([*names, "panel 20b"])
     assert before["panel 00"] == [f"panel {n:02d}" for n in (1, 2, 3, 4, 5, 6, *range(34, 40))]
     assert {len(mates) for mates in before.values()} == {2 * NEIGHBOURS}
     assert sum(before[name] != after[name] for name in names) == 2 * NEIGHBOURS

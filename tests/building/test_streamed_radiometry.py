@@ -17,7 +17,7 @@ from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
 from levkas.geometry.transforms import Affine
 from levkas.quality.image_quality import sharpness
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 CAMPAIGN = """
 [campaign]

@@ -224,12 +224,12 @@ def test_the_keys_of_the_papers_method_are_its_arguments():
 
     from levkas.campaign.schema.tables import ONLY_OF_THE_PAPER
     from levkas.registration.features import DETECTORS
-    from levkas.registration.matching import METHODS
+    from levkas.registration.matching import MATCHERS
     from levkas.registration.mirhashemi2019 import register_mirhashemi2019
 
     assert set(ONLY_OF_THE_PAPER) <= set(inspect.signature(register_mirhashemi2019).parameters)
     assert set(DETECTORS) == {"sift", "orb", "kaze", "akaze"}
-    assert set(METHODS) == {"mutual-ratio", "mutual", "ratio"}
+    assert set(MATCHERS) == {"mutual-ratio", "mutual", "ratio"}
 
 
 WHOLE = tomllib.loads(

@@ -40,9 +40,8 @@ def run(*arguments, most_s=MOST_S):
 @pytest.fixture(scope="module", autouse=True)
 def imported(tmp_path_factory):
     """Import what the commands import, so that no test's time includes it."""
-    import levkas.campaign.guess.campaigns
-
     import levkas.building
+    import levkas.campaign.guess.proposal
     import levkas.planning.exposure_advice
     import levkas.quality.emva1288  # noqa: F401
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from levkas.campaign.edits import read_edits
 from levkas.geometry.transforms import Affine
-from levkas.registration.uncertainty import Sigma
+from levkas.registration.record import Sigma
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.library import FrameMissing, Library, id_of
 from levkas.workbench.maps import MapMissing, draw_sigma, find_kinds

@@ -8,8 +8,8 @@ import numpy as np
 
 from levkas.quality.comparison.opencv import fit_homography, ratio_matches
 from levkas.quality.comparison.pairs import Answer
+from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints
-from levkas.registration.images import stretch
 
 if TYPE_CHECKING:
     from levkas.quality.comparison.pairs import Pair

@@ -6,7 +6,7 @@ export interface Key {
   keys: string[];
   words: string;
   match: (event: KeyboardEvent) => boolean;
-  act: (event: KeyboardEvent) => void;
+  act: (event: KeyboardEvent) => unknown;
   /** Called when the key is let go of; such a key does not repeat. */
   release?: () => void;
 }
@@ -23,13 +23,13 @@ export function listenToKeys(keys: Key[]): void {
     // Space and Enter press what has the focus; arrows move it.
     if ([" ", "Enter"].includes(event.key) && target.closest(PRESSED)) return;
     if (event.key.startsWith("Arrow") && target.closest(MOVED)) return;
-    const key = keys.find((one) => one.match(event));
-    if (!key) return;
+    const found = keys.find((one) => one.match(event));
+    if (!found) return;
     event.preventDefault();
-    if (!event.repeat || !key.release) key.act(event);
+    if (!event.repeat || !found.release) found.act(event);
   });
   const release = (event?: KeyboardEvent): void => {
-    for (const key of keys) if (!event || key.match(event)) key.release?.();
+    for (const one of keys) if (!event || one.match(event)) one.release?.();
   };
   addEventListener("keyup", release);
   addEventListener("blur", () => release());
@@ -43,10 +43,17 @@ export function plain(...names: string[]): (event: KeyboardEvent) => boolean {
     names.includes(event.key.length === 1 ? event.key.toLowerCase() : event.key);
 }
 
+/** Make a key that does one thing: its name in the help, the keys that match, and what they do. */
+export function key(name: string, pressed: string[], words: string, act: Key["act"]): Key {
+  return { keys: name.split(" "), words, match: plain(...pressed), act };
+}
+
 /** Whether Ctrl, or Meta on a Mac, is held. */
 export function isCommand(event: KeyboardEvent): boolean {
   return event.ctrlKey || event.metaKey;
 }
+
+export const ARROWS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"];
 
 /** The direction of an arrow key, x to the right and y down. */
 export function direction(event: KeyboardEvent): [number, number] {
@@ -56,12 +63,12 @@ export function direction(event: KeyboardEvent): [number, number] {
 
 /** Make the dialog that lists the keys, between two paragraphs of words. */
 export function helpDialog(keys: Key[], before: string, after: string): HTMLDialogElement {
-  const rows = keys.map((key) =>
+  const rows = keys.map((one) =>
     make(
       "tr",
       {},
-      make("th", { scope: "row" }, ...key.keys.flatMap((name) => [make("kbd", {}, name), " "])),
-      make("td", {}, key.words),
+      make("th", { scope: "row" }, ...one.keys.flatMap((name) => [make("kbd", {}, name), " "])),
+      make("td", {}, one.words),
     ),
   );
   return openableDialog(

@@ -1,4 +1,5 @@
 // Charts in SVG: they take their colours from the style sheet, print sharply, and their text is text.
+// uPlot would be 51 kB, an eighth of each page, and leave error bars, gaps and marks to be drawn here.
 import { draw } from "./element";
 import type { Point } from "./pane";
 

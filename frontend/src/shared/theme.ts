@@ -8,7 +8,7 @@ export function startTheme(button: HTMLButtonElement): void {
   const root = document.documentElement;
   const chosen = read();
   if (chosen) root.dataset["theme"] = chosen;
-  const say = (): void => {
+  const describe = (): void => {
     const next = current() === "dark" ? "light" : "dark";
     button.textContent = next === "dark" ? "☾" : "☀";
     button.setAttribute("aria-label", `Use ${next} colours`);
@@ -22,10 +22,10 @@ export function startTheme(button: HTMLButtonElement): void {
     } catch {
       // A page opened from a file may have no storage: the choice then lasts as long as the page.
     }
-    say();
+    describe();
   });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", say);
-  say();
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", describe);
+  describe();
 }
 
 const known = new Map<string, string>();

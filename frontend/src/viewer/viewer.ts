@@ -4,7 +4,16 @@ import "../shared/base.css";
 import "./page.css";
 import "./viewer.css";
 import { find } from "../shared/element";
-import { direction, helpDialog, isCommand, listenToKeys, plain, type Key } from "../shared/keys";
+import {
+  ARROWS,
+  direction,
+  helpDialog,
+  isCommand,
+  key,
+  listenToKeys,
+  plain,
+  type Key,
+} from "../shared/keys";
 import type { Point } from "../shared/pane";
 import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
@@ -86,74 +95,54 @@ function movePin(x: number, y: number): void {
 
 const digit = (event: KeyboardEvent): number =>
   isCommand(event) || event.altKey ? 0 : Number(/^Digit([1-9])$/.exec(event.code)?.[1] ?? 0);
-const arrows = plain("ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown");
-const modeKey = (letter: string, mode: Mode, words: string): Key => ({
-  keys: [letter.toUpperCase()],
+const digitKey = (name: string, words: string, slot: Slot, shift: boolean): Key => ({
+  keys: name.split(" "),
   words,
-  match: plain(letter),
-  act: () => stage.setMode(stage.mode.value === mode ? "single" : mode),
+  match: (event) => digit(event) > 0 && event.shiftKey === shift,
+  act: (event) => layers.choose(slot, layers.layers[digit(event) - 1]),
 });
-const follow = (id: string): void => document.getElementById(id)?.click();
+const arrowKey = (name: string, words: string, shift: boolean, act: Key["act"]): Key => ({
+  keys: [name],
+  words,
+  match: (event) => event.shiftKey === shift && plain(...ARROWS)(event),
+  act,
+});
+const modeKey = (letter: string, mode: Mode, words: string): Key =>
+  key(letter, [letter.toLowerCase()], words, () =>
+    stage.setMode(stage.mode.value === mode ? "single" : mode),
+  );
+const follow = (id: string) => (): void => document.getElementById(id)?.click();
 
 const keys: Key[] = [
+  digitKey("1 … 9", "Show a layer (A)", "a", false),
+  digitKey("Shift 1 …", "Put a layer into B", "b", true),
   {
-    keys: ["1", "…", "9"],
-    words: "Show a layer (A)",
-    match: (event) => digit(event) > 0 && !event.shiftKey,
-    act: (event) => layers.choose("a", layers.layers[digit(event) - 1]),
-  },
-  {
-    keys: ["Shift 1", "…"],
-    words: "Put a layer into B",
-    match: (event) => digit(event) > 0 && event.shiftKey,
-    act: (event) => layers.choose("b", layers.layers[digit(event) - 1]),
-  },
-  {
-    keys: ["Space"],
-    words: "Hold: flicker between A and B",
-    match: plain(" "),
-    act: () => stage.hold(true),
+    ...key("Space", [" "], "Hold: flicker between A and B", () => stage.hold(true)),
     release: () => stage.hold(false),
   },
-  modeKey("c", "curtain", "Curtain"),
-  modeKey("k", "flicker", "Flicker on and off"),
-  modeKey("s", "side", "Side by side"),
-  modeKey("d", "difference", "Difference"),
-  { keys: ["X"], words: "Swap A and B", match: plain("x"), act: () => state.swap() },
-  { keys: ["["], words: "Previous object", match: plain("["), act: () => follow("previous") },
-  { keys: ["]"], words: "Next object", match: plain("]"), act: () => follow("next") },
-  { keys: ["F"], words: "Fit the picture", match: plain("f"), act: () => stage.fit() },
-  {
-    keys: ["+", "−"],
-    words: "Zoom",
-    match: plain("+", "=", "-", "_"),
-    act: ({ key }) => stage.zoom("+=".includes(key) ? ZOOM_STEP : 1 / ZOOM_STEP),
-  },
-  {
-    keys: ["← ↑ → ↓"],
-    words: "Pan",
-    match: (event) => arrows(event) && !event.shiftKey,
-    act: (event) => stage.pan(...direction(event)),
-  },
-  {
-    keys: ["R"],
-    words: "Read and pin the middle of the view",
-    match: plain("r"),
-    act: () => (state.pin.value = stage.left.centre),
-  },
-  {
-    keys: ["Shift ← ↑ → ↓"],
-    words: "Move the pin by a pixel",
-    match: (event) => arrows(event) && event.shiftKey,
-    act: (event) => movePin(...direction(event)),
-  },
-  {
-    keys: ["Esc"],
-    words: "Let go of the pin",
-    match: plain("Escape"),
-    act: () => (state.pin.value = null),
-  },
-  { keys: ["?"], words: "This page", match: plain("?"), act: () => help.showModal() },
+  modeKey("C", "curtain", "Curtain"),
+  modeKey("K", "flicker", "Flicker on and off"),
+  modeKey("S", "side", "Side by side"),
+  modeKey("D", "difference", "Difference"),
+  key("X", ["x"], "Swap A and B", () => state.swap()),
+  key("[", ["["], "Previous object", follow("previous")),
+  key("]", ["]"], "Next object", follow("next")),
+  key("F", ["f"], "Fit the picture", () => stage.fit()),
+  key("+ −", ["+", "=", "-", "_"], "Zoom", (event) =>
+    stage.zoom("+=".includes(event.key) ? ZOOM_STEP : 1 / ZOOM_STEP),
+  ),
+  arrowKey("← ↑ → ↓", "Pan", false, (event) => stage.pan(...direction(event))),
+  key(
+    "R",
+    ["r"],
+    "Read and pin the middle of the view",
+    () => (state.pin.value = stage.left.centre),
+  ),
+  arrowKey("Shift ← ↑ → ↓", "Move the pin by a pixel", true, (event) =>
+    movePin(...direction(event)),
+  ),
+  key("Esc", ["Escape"], "Let go of the pin", () => (state.pin.value = null)),
+  key("?", ["?"], "This page", () => help.showModal()),
 ];
 const help = helpDialog(
   keys,

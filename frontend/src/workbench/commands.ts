@@ -1,5 +1,5 @@
 // What each key does.
-import { direction, isCommand, plain, type Key } from "../shared/keys";
+import { ARROWS, direction, isCommand, key, type Key } from "../shared/keys";
 import type { PairCard } from "./pair";
 import { MODES, type PairStage } from "./stage";
 import type { Store } from "./store";
@@ -19,99 +19,74 @@ export interface Parts {
 }
 
 /** List the keys of the workbench. */
-export function commands({ store, stage, table, pair, step, help }: Parts): Key[] {
-  const isZ = (event: KeyboardEvent): boolean =>
-    isCommand(event) && event.key.toLowerCase() === "z";
-  const isY = (event: KeyboardEvent): boolean =>
-    isCommand(event) && event.key.toLowerCase() === "y";
-  const simple = (key: string, name: string, words: string, act: () => unknown): Key => ({
-    keys: [name],
-    words,
-    match: plain(key),
-    act,
-  });
+export function commands(parts: Parts): Key[] {
+  return [...pairKeys(parts), ...viewKeys(parts)];
+}
+
+function pairKeys({ store, stage, table, pair }: Parts): Key[] {
+  const nudge = (event: KeyboardEvent): void => {
+    const [dx, dy] = direction(event);
+    const by = event.shiftKey ? 1 : NUDGE_PX;
+    if (!pair.nudge(dx * by, dy * by)) stage.pan(dx, dy);
+  };
+  const goToWorst = (): void => {
+    const row = table.worst();
+    if (row >= 0) table.pick(row);
+  };
+  const keep = "add the proposed pair; keep a measured place as check point";
+  const move = "move the pair by 0.1 px, with Shift by 1 px; the pictures where none is chosen";
+  const propose = "propose a pair in the middle of the reference; in an overlay, measure there";
   return [
-    simple("Enter", "Enter", "add the proposed pair; keep a measured place as check point", () =>
-      pair.accept(),
-    ),
-    simple("Escape", "Esc", "let go", () => pair.cancel()),
-    {
-      keys: ["←", "→", "↑", "↓"],
-      words: "move the pair by 0.1 px, with Shift by 1 px; the pictures where none is chosen",
-      match: plain("ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"),
-      act: (event) => {
-        const [dx, dy] = direction(event);
-        const by = event.shiftKey ? 1 : NUDGE_PX;
-        if (!pair.nudge(dx * by, dy * by)) stage.pan(dx, dy);
-      },
-    },
-    simple(
-      "n",
-      "N",
-      "propose a pair in the middle of the reference; in an overlay, measure there",
-      () => stage.pointAtMiddle(),
-    ),
-    {
-      keys: ["Del"],
-      words: "delete the pair",
-      match: plain("Delete", "Backspace"),
-      act: () => pair.act("delete"),
-    },
-    simple("r", "R", "restore it", () => pair.act("restore")),
-    simple("p", "P", "pin it: never to be removed", () => pair.act("pin")),
-    simple("s", "S", "snap it to where its surroundings agree", () => pair.act("snap")),
-    simple("c", "C", "make it a check point", () => pair.act("check")),
-    simple("w", "W", "go to the worst pair", () => {
-      const row = table.worst();
-      if (row >= 0) table.pick(row);
-    }),
+    key("Enter", ["Enter"], keep, () => pair.accept()),
+    key("Esc", ["Escape"], "let go", () => pair.cancel()),
+    key("← → ↑ ↓", ARROWS, move, nudge),
+    key("N", ["n"], propose, () => stage.pointAtMiddle()),
+    key("Del", ["Delete", "Backspace"], "delete the pair", () => pair.act("delete")),
+    key("R", ["r"], "restore it", () => pair.act("restore")),
+    key("P", ["p"], "pin it: never to be removed", () => pair.act("pin")),
+    key("S", ["s"], "snap it to where its surroundings agree", () => pair.act("snap")),
+    key("C", ["c"], "make it a check point", () => pair.act("check")),
+    key("W", ["w"], "go to the worst pair", goToWorst),
     {
       keys: ["Ctrl-Z"],
       words: "undo, without end",
-      match: (event) => isZ(event) && !event.shiftKey,
-      act: () => void store.edit({ operation: "undo" }),
+      match: (event) => isLetter(event, "z") && !event.shiftKey,
+      act: () => store.edit({ operation: "undo" }),
     },
     {
       keys: ["Ctrl-Shift-Z", "Ctrl-Y"],
       words: "redo",
-      match: (event) => (isZ(event) && event.shiftKey) || isY(event),
-      act: () => void store.edit({ operation: "redo" }),
+      match: (event) => (isLetter(event, "z") && event.shiftKey) || isLetter(event, "y"),
+      act: () => store.edit({ operation: "redo" }),
     },
+  ];
+}
+
+function viewKeys({ stage, step, help }: Parts): Key[] {
+  const digits = MODES.map((_, i) => String(i + 1));
+  const modes = MODES.map(({ label }) => label.toLowerCase()).join(", ");
+  const bands = "band before, after in the picture to register; with Shift in the reference";
+  return [
+    key(`1 … ${MODES.length}`, digits, modes, (event) =>
+      stage.setMode(MODES[Number(event.key) - 1]!.value),
+    ),
     {
-      keys: ["1", "…", String(MODES.length)],
-      words: MODES.map(({ label }) => label.toLowerCase()).join(", "),
-      match: plain(...MODES.map((_, i) => String(i + 1))),
-      act: (event) => stage.setMode(MODES[Number(event.key) - 1]!.value),
-    },
-    {
-      keys: ["Space"],
-      words: "hold to flicker in an overlay",
-      match: plain(" "),
-      act: () => stage.hold(true),
+      ...key("Space", [" "], "hold to flicker in an overlay", () => stage.hold(true)),
       release: () => stage.hold(false),
     },
-    simple("f", "F", "fit the whole picture", () => stage.fit()),
-    {
-      keys: ["+", "-"],
-      words: "zoom",
-      match: plain("+", "-", "="),
-      act: (event) => stage.zoom(event.key === "-" ? 1 / ZOOM_STEP : ZOOM_STEP),
-    },
-    {
-      keys: [",", "."],
-      words: "band before, after in the picture to register; with Shift in the reference",
-      match: plain(",", ".", ";", ":", "<", ">"),
-      act: ({ key, shiftKey }) => {
-        const side = shiftKey || ";:<>".includes(key) ? "left" : "right";
-        stage.bands[side].step([".", ":", ">"].includes(key) ? 1 : -1);
-      },
-    },
-    {
-      keys: ["[", "]"],
-      words: "previous, next camera",
-      match: plain("[", "]"),
-      act: (event) => step(event.key === "]" ? 1 : -1),
-    },
-    simple("?", "?", "this page", help),
+    key("F", ["f"], "fit the whole picture", () => stage.fit()),
+    key("+ -", ["+", "-", "="], "zoom", (event) =>
+      stage.zoom(event.key === "-" ? 1 / ZOOM_STEP : ZOOM_STEP),
+    ),
+    key(", .", [",", ".", ";", ":", "<", ">"], bands, (event) => {
+      const side = event.shiftKey || ";:<>".includes(event.key) ? "left" : "right";
+      stage.bands[side].step([".", ":", ">"].includes(event.key) ? 1 : -1);
+    }),
+    key("[ ]", ["[", "]"], "previous, next camera", (event) => step(event.key === "]" ? 1 : -1)),
+    key("?", ["?"], "this page", help),
   ];
+}
+
+function isLetter(event: KeyboardEvent, letter: string): boolean {
+  return isCommand(event) && event.key.toLowerCase() === letter;
 }

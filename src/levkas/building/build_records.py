@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.core.digests import hash_file, stamp_of
 from levkas.core.files import (
@@ -29,6 +29,8 @@ from levkas.readers.text import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+
+    from levkas.campaign.discovery.captures import Capture
 
 STAGES = ("calibrate", "measure", "register", "resample")
 """Of a capture, in their order."""
@@ -64,6 +66,24 @@ class Key:
             "setup": self.setup,
             "stage": self.stage,
         }
+
+
+CATALOGUE = Key("", stage="catalogue")
+
+
+def key_of(capture: Capture, stage: str) -> Key:
+    """Return the key of a stage of a capture."""
+    return Key(capture.object, capture.camera, capture.setup, stage)
+
+
+class Written(NamedTuple):
+    """What a stage has written: its files, those beside the database, and what later stages read of it."""
+
+    files: Iterable[Path]
+    notes: dict[str, Any]
+    aside: tuple[Path, ...] = ()
+    warnings: tuple[str, ...] = ()
+    problems: tuple[Problem, ...] = ()
 
 
 class Hashes:

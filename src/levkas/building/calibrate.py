@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.building.build_records import Written
+from levkas.building.capture_statistics import focus_of, note_light, note_sensels
 from levkas.building.exposures import (
     average_shots,
     check_scaling,
@@ -15,15 +17,33 @@ from levkas.building.exposures import (
     defects_of,
     expose,
     flatten,
+    line_noise,
     mark_glare_in,
     noise_of,
     require_same_size,
     white_of,
 )
 from levkas.building.line_templates import best_white, noise_behind_mirror, thinned
-from levkas.building.native_cubes import GROUP, ROWS, Native
-from levkas.building.spectra import white_reflectance
+from levkas.building.native_cubes import (
+    GROUP,
+    ROWS,
+    Native,
+    least_bytes,
+    read_native,
+    require_memory,
+    write_native,
+)
+from levkas.building.scan_opening import open_scan
+from levkas.building.scans import Scan, is_streamed
+from levkas.building.spectra import broad_centroids, white_reflectance
+from levkas.building.streaming import write_scan
+from levkas.calibration.defects import replace_defects
+from levkas.calibration.denoising import denoise, describe_removed
+from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
+from levkas.calibration.mosaic import demosaic
+from levkas.calibration.noise_fit import mean_variance
+from levkas.calibration.pushbroom import average_lines, join_strips
 from levkas.calibration.sensor_context import (
     CodesRefused,
     SensorContext,
@@ -40,9 +60,13 @@ from levkas.calibration.sensor_context import (
     times_of,
 )
 from levkas.calibration.templates import CalibrationRefused, Template, average, describe_gaps
+from levkas.calibration.whites import thinning
 from levkas.core.cube import Cube, Flag
+from levkas.core.disk import require_space
+from levkas.core.files import together
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root
+from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 if TYPE_CHECKING:
@@ -51,8 +75,64 @@ if TYPE_CHECKING:
     from levkas.calibration.pushbroom import Seam
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef
+    from levkas.database.layout import Places
 
 MOST_PROBLEMS = 50
+
+
+def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native | Scan:
+    """Calibrate a capture; a scan that is larger than memory is opened, and calibrated as it is written.
+
+    Raises
+    ------
+    Refused
+        UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
+    """
+    if is_streamed(capture, campaign):
+        return open_scan(capture, campaign, templates)
+    require_memory(capture, campaign.cameras[capture.camera].kind)
+    return develop(capture, campaign, templates)
+
+
+def write_calibrated(
+    made: Native | Scan,
+    capture: Capture,
+    campaign: Campaign,
+    places: Places,
+    before: Callable[[], object],
+) -> Written:
+    """Write a calibrated capture in native pixels; `before` as of `core.files.together`."""
+    credits = credits_of(campaign, capture.object, made.captured or "")
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    with together(before):
+        if isinstance(made, Native):
+            for cube in made.cubes.values():
+                require_space(places.output, least_bytes(cube))
+            files = write_native(made, capture, places, credits, centroids)
+        else:
+            files = write_scan(made, capture, places, credits, centroids)
+    notes = {
+        "quantity": made.quantity,
+        "warnings": list(made.warnings),
+        "captured": made.captured or "",
+        "learnt": dict(made.learnt),
+        "focus": focus_of(made) if isinstance(made, Native) else made.focus,
+    }
+    return Written(files, notes, warnings=made.warnings)
+
+
+def load_calibrated(
+    capture: Capture,
+    campaign: Campaign,
+    places: Places,
+    notes: Mapping[str, Any],
+    templates: TemplateCache,
+) -> Native | Scan:
+    """Read back what `write_calibrated` wrote, without sigma; `notes` as it returned them."""
+    if is_streamed(capture, campaign):
+        return open_scan(capture, campaign, templates)
+    warnings = tuple(notes.get("warnings", ()))
+    return read_native(capture, places, notes.get("quantity", "counts"), warnings)
 
 
 def develop(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Native:
@@ -106,9 +186,6 @@ def _all_problems(
 
 def develop_mosaic(bench: SensorContext, notes: list[str]) -> Cube:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
-    from levkas.building.capture_statistics import note_light, note_sensels
-    from levkas.calibration.defects import replace_defects
-    from levkas.calibration.mosaic import demosaic
 
     sensor, camera = bench.sensor, bench.camera
     darks = bench.templates(sensor.dark)
@@ -165,9 +242,6 @@ def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | No
 
 def develop_cube(bench: SensorContext, notes: list[str]) -> Cube:
     """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
-    from levkas.building.capture_statistics import note_light
-    from levkas.calibration.pushbroom import average_lines, join_strips
-    from levkas.calibration.whites import thinning
 
     sensor, mirror = bench.sensor, bench.camera.scan == "mirror"
 
@@ -248,13 +322,6 @@ def _require_one_time(bench: SensorContext, white: Template | None) -> None:
         raise CalibrationRefused(placed(problem, bench.sensor.object))
 
 
-def line_noise(
-    bench: SensorContext, darks: Sequence[Template], white: Template | None
-) -> NoiseModel | None:
-    """Noise of a push-broom camera: its white is one line, seen many times."""
-    return noise_of(bench, [], [white] if white else [], list(darks))
-
-
 def _describe_seam(number: int, seam: Seam) -> str:
     worst = float(np.nanmax(np.abs(seam.difference)))
     return (
@@ -267,7 +334,6 @@ def _denoised(
     values: np.ndarray, variance: np.ndarray | None, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Project a cube on its signal subspace (HySime), and say what that took away."""
-    from levkas.calibration.denoising import denoise, describe_removed
 
     if variance is not None:  # rounded as the sigma of lines that are read some at a time
         variance = np.square(round_root(variance, out=variance), out=variance)
@@ -278,7 +344,6 @@ def _denoised(
 
 def develop_image(bench: SensorContext, notes: list[str]) -> Cube:
     """A photograph or radiograph: nothing to calibrate, its codes as they are."""
-    from levkas.calibration.noise_fit import mean_variance
 
     shot = bench.average(bench.sensor.object)
     values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
@@ -331,9 +396,6 @@ def _band(
     bench: SensorContext, label: str, reflectance: float, noise: NoiseModel | None
 ) -> Calibrated:
     """One band of one file, or of one file an exposure."""
-    from levkas.building.capture_statistics import note_light
-    from levkas.calibration.defects import replace_defects
-    from levkas.calibration.equalising import equalise_phases
 
     sensor = bench.sensor
     darks = bench.templates(_of_band(sensor.dark, label))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +13,13 @@ from levkas.core.cube import Flag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from levkas.building.native_cubes import Native
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.calibration.templates import Template
     from levkas.core.cube import Band, Cube
+    from levkas.database.tiff_pages import TiffPages
     from levkas.quality.image_quality.light import LightField
 
 FEW_BANDS = 5
@@ -230,6 +233,33 @@ def describe_flags(counts: np.ndarray) -> dict[str, float]:
         for flag in Flag
         if flag.name
     }
+
+
+@dataclass(frozen=True)
+class DefaultLayer:
+    """A published layer on the same grid, read some rows at a time.
+
+    Parameters
+    ----------
+    values, flags : TiffPages
+    """
+
+    values: TiffPages
+    flags: TiffPages
+
+    @classmethod
+    def open(cls, values: Path, flags: Path, shape: tuple[int, int, int]) -> DefaultLayer | None:
+        """Open a layer's files; None where there is none of that (height, width, bands)."""
+        from levkas.database.tiff_pages import open_pages
+
+        if not (values.is_file() and flags.is_file()):
+            return None
+        layer = cls(open_pages(values), open_pages(flags))
+        return layer if layer.values.shape == layer.flags.shape == shape else None
+
+    def rows(self, start: int = 0, stop: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return values and flags of some rows, (rows, width, bands)."""
+        return self.values.read(start, stop), self.flags.read(start, stop)
 
 
 def ranges_of(

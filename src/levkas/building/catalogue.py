@@ -6,8 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building import fingerprints
-from levkas.building.build_records import BuildRecords, Key
+from levkas.building.build_records import BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest
 from levkas.building.progress import Step
 from levkas.building.removal import CATALOGUE
@@ -148,7 +147,7 @@ def _entries(
         )
     ]
     for capture in captures:
-        if row := ledger.told(fingerprints.keys_of(capture)["resample"]).get("entry"):
+        if row := ledger.told(key_of(capture, "resample")).get("entry"):
             entries.append(entry_of(row))
     return sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.catalogue import Entry
+    from levkas.database.layout import Places
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
@@ -212,7 +213,6 @@ class Developed:
 def develop_chart(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Developed:
     """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
     from levkas.building.calibrate import develop
-    from levkas.building.camera_pages import joined_sigma
 
     mosaics = frozenset(s.name for s in capture.sensors if s.pattern is not None)
     parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
@@ -504,3 +504,40 @@ def _named(wavelengths: Any) -> tuple[Band, ...]:
     return tuple(
         Band(f"{w:g} nm" if np.isfinite(w) else f"channel {i + 1}", w) for i, w in enumerate(known)
     )
+
+
+def write_chart(
+    places: Places, campaign: Campaign, capture: Capture, made: Developed, measure: ChartMeasure
+) -> list[Path]:
+    """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
+    from levkas.building.spectra import broad_centroids
+    from levkas.core.files import write_json
+    from levkas.database.credits import Credits
+    from levkas.database.layers import Layer, write_tiffs
+
+    chart, described = capture.object, campaign.campaign
+    folder = places.output / "charts" / chart
+    credits = Credits(
+        title=f"{measure.chart.name}, {capture.layer}",
+        creator=described.creator,
+        date=made.captured or described.date or "",
+        rights=described.licence,
+    )
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    layer = Layer(chart, capture.camera, capture.setup, credits=credits, centroids=centroids)
+    written = []
+    for sensor, cube in made.cubes.items():
+        stem = "_".join(part for part in (layer.stem, sensor) if part)
+        written += write_tiffs(folder / stem, layer, cube)
+    record = folder / f"{layer.stem}.json"
+    write_json(record, {"chart": measure.chart.name, **measure.to_dict()})
+    return [*written, record]
+
+
+def joined_sigma(one: np.ndarray | None, other: np.ndarray | None) -> np.ndarray | None:
+    """Return sigma of the mean of two halves; None where it is not known of both."""
+    if one is None or other is None:
+        return None
+    return np.sqrt(one.astype(np.float64) ** 2 + other.astype(np.float64) ** 2).astype(
+        np.float32
+    ) / np.float32(2)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.campaign import CampaignInvalid
-from levkas.campaign.schema.cross_checks import no_place
+from levkas.campaign.schema.cross_checks import unusable_output
 from levkas.core.ownership import IMPRINT, MARK, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
@@ -71,7 +71,7 @@ def check_apart(campaign: Campaign, output: Path, captures: Iterable[Capture]) -
     frames = (frame for s in sensors for frame in (*s.object, *s.dark, *s.white))
     folders = {folder.resolve() for folder in {frame.path.parent for frame in frames}}
     among = folders - {campaign.root, *campaign.root.parents}
-    why = no_place(output, campaign.root)
+    why = unusable_output(output, campaign.root)
     if not why and any(output in (folder, *folder.parents) for folder in folders):
         why = "the database would be written over raw frames"
     elif not why and any(folder in output.parents for folder in among):

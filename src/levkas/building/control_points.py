@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.registration.manual_points import Given
+from levkas.registration.manual_points import ManualPoints
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,7 +58,9 @@ def placed_in(capture: Capture, band: str, channel: str) -> tuple[str, str]:
     return first.name, channel if channel in labels else labels[len(labels) // 2]
 
 
-def declared_points(campaign: Campaign, capture: Capture, channel: str = "") -> dict[str, Given]:
+def declared_points(
+    campaign: Campaign, capture: Capture, channel: str = ""
+) -> dict[str, ManualPoints]:
     """Return the points of a capture by sensor, as a registration takes them; `channel` as of `placed_in`.
 
     Raises
@@ -70,7 +72,7 @@ def declared_points(campaign: Campaign, capture: Capture, channel: str = "") -> 
     if path is None:
         return {}
     labels = {b.label: sensor.name for sensor in capture.sensors for b in sensor.bands}
-    found: dict[str, Given] = {}
+    found: dict[str, ManualPoints] = {}
     for band, points in _of_capture(campaign, capture, path).items():
         if band and band not in labels:
             from levkas.registration.control_points import PointsRefused
@@ -108,16 +110,16 @@ def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
     }
 
 
-def placed_pairs(pairs: Given, band: str) -> Given:
+def placed_pairs(pairs: ManualPoints, band: str) -> ManualPoints:
     """Return pairs whose check points were placed in one band."""
     return replace(pairs, placed=(band,) * len(pairs.checks))
 
 
-def joined(one: Given, other: Given) -> Given:
+def joined(one: ManualPoints, other: ManualPoints) -> ManualPoints:
     """Return the pairs of both, whose check points all say in which band they were placed."""
-    kinds = [f.name for f in fields(Given) if f.name != "placed"]
+    kinds = [f.name for f in fields(ManualPoints) if f.name != "placed"]
     pairs = {kind: np.concatenate([getattr(one, kind), getattr(other, kind)]) for kind in kinds}
-    return Given(**pairs, placed=one.placed + other.placed)
+    return ManualPoints(**pairs, placed=one.placed + other.placed)
 
 
 def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, ControlPoints]:
@@ -145,7 +147,7 @@ def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, C
     return {"": read_points(path)}
 
 
-def _given(points: ControlPoints, use: str) -> Given:
+def _given(points: ControlPoints, use: str) -> ManualPoints:
     pairs = np.hstack([points.reference, points.target])
     checks = points.enabled & (points.check | (use == "check"))
-    return Given(added=pairs[points.enabled & ~checks], checks=pairs[checks])
+    return ManualPoints(added=pairs[points.enabled & ~checks], checks=pairs[checks])

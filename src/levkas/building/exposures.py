@@ -8,13 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.building.capture_statistics import note_noise
 from levkas.calibration.darks import SAME_TIME
-from levkas.calibration.flatfield import Calibrated, flat_field
+from levkas.calibration.defects import find_defects
+from levkas.calibration.exposures import best_exposure, merge_exposures
+from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
+from levkas.calibration.linearity import check_linearity, require_reciprocity
+from levkas.calibration.motion import find_moved
+from levkas.calibration.noise_fit import fit_noise, fit_noise_single, level_of
+from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
+from levkas.calibration.whites import reflectance_table
+from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root, round_values
+from levkas.quality.image_quality.glare import mark_glare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,8 +46,6 @@ def average_shots(bench: SensorContext, frames: Sequence[FrameRef]) -> list[Temp
     """Average the object's shots, exposure by exposure."""
     times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
     if len(times) > 1 and bench.camera.exposures == "one":
-        from levkas.campaign.discovery.captures import CaptureRefused
-
         raise CaptureRefused(
             Problem(
                 "E_EXPOSURES",
@@ -56,7 +64,6 @@ def expose(
     bench: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Exposed:
     """The object's frames as one: averaged, the best exposure, or all merged above dark."""
-    from levkas.calibration.exposures import best_exposure
 
     if len(shots) == 1:
         return Exposed(shots[0])
@@ -70,7 +77,6 @@ def _merge(
     bench: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Merged:
     """An exposure series in counts a second above dark."""
-    from levkas.calibration.exposures import merge_exposures
 
     if bench.saturation is None:
         raise CalibrationRefused(
@@ -97,7 +103,6 @@ def white_of(
     merged: bool = False,
 ) -> Template | None:
     """The white of one exposure, the best one; or several of them merged, above dark."""
-    from levkas.calibration.exposures import best_exposure
 
     if not frames:
         return None
@@ -123,7 +128,6 @@ def check_scaling(
     CalibrationRefused
         E_EXPOSURES where a series shows that counts do not scale, with exposure and level.
     """
-    from levkas.calibration.linearity import check_linearity, require_reciprocity
 
     taken, other = exposed.shot.exposure_s, white.exposure_s if white else None
     if exposed.shot.above_dark or not taken or not other or abs(taken / other - 1) <= SAME_TIME:
@@ -150,8 +154,6 @@ def noise_of(
     darks: list[Template],
 ) -> NoiseModel | None:
     """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
-    from levkas.building.capture_statistics import note_noise
-    from levkas.calibration.noise_fit import fit_noise, fit_noise_single
 
     dark = darks[0] if darks else None
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
@@ -280,10 +282,6 @@ def _rounding(
     **_: Any,
 ) -> dict[str, float]:
     """Return what a step from code to code is of the values of each band, where the light is middling."""
-    from levkas.calibration.flatfield import pair_darks
-    from levkas.calibration.noise_fit import level_of
-    from levkas.calibration.patterns import channel_table
-    from levkas.calibration.whites import reflectance_table
 
     if white is None:
         return dict.fromkeys(labels, bench.step)
@@ -305,7 +303,6 @@ def _moved(
     bench: SensorContext, shot: Template, dark: list[Template], noise: NoiseModel | None
 ) -> np.ndarray | None:
     """Return what moved between the object's shots; None where that cannot be told."""
-    from levkas.calibration.motion import find_moved
 
     if shot.count < 2 or noise is None or noise.source != "temporal":
         return None
@@ -352,7 +349,6 @@ def cube_of(
 
 def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> np.ndarray | None:
     """Hot sensels of the longest dark and dead ones of the white."""
-    from levkas.calibration.defects import find_defects
 
     if not darks and white is None:
         return None
@@ -365,7 +361,12 @@ def mark_glare_in(cube: Cube, *, squared: bool = False) -> Cube:
     With `squared` its sigma is the square of it.
     """
     if cube.quantity == "reflectance":
-        from levkas.quality.image_quality.glare import mark_glare
-
         mark_glare(cube.values, cube.flags, cube.sigma, squared=squared)
     return cube
+
+
+def line_noise(
+    bench: SensorContext, darks: Sequence[Template], white: Template | None
+) -> NoiseModel | None:
+    """Noise of a push-broom camera: its white is one line, seen many times."""
+    return noise_of(bench, [], [white] if white else [], list(darks))

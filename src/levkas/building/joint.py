@@ -9,33 +9,42 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.register import Measured
+from levkas.building.register import Measured, draw_figures, verdict_problems
 from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
-from levkas.registration.assessment import ONLY, judge, terms_of
-from levkas.registration.basis import describe_basis
-from levkas.registration.checks import Checks
-from levkas.registration.evidence import (
-    FINE,
+from levkas.registration.joint import JointResult, SensorObservations, adjust_jointly
+from levkas.registration.manual_points import measure_checks, nearest_rows
+from levkas.registration.models import solve_2x2
+from levkas.registration.record import Matches, Sigma, describe_windows
+from levkas.registration.uncertainty import measure_sigma, with_chromatic
+from levkas.registration.verdict import ONLY, judge_windows
+from levkas.registration.verification import SETTINGS as VERIFICATION
+from levkas.registration.verification import (
     grid_points,
     measure_cells,
     measure_map,
     measure_windows,
 )
-from levkas.registration.evidence import GRID as SHAPE_GRID
-from levkas.registration.joint import Adjusted, adjust
-from levkas.registration.manual_points import measure_checks, near
-from levkas.registration.models import solve_pairs
-from levkas.registration.observations import Sighting
-from levkas.registration.record import Matches
-from levkas.registration.uncertainty import Sigma, measure_sigma, with_colour
+from levkas.registration.window_matching import CheckWindows
 
 if TYPE_CHECKING:
-    from levkas.registration.observations import Sighting
+    from levkas.campaign.discovery.captures import Capture
     from levkas.registration.record import Matches
 
 GRID = (25, 19)
 #: A map is never known better than this, whatever its windows say, when what moves it is judged.
 LEAST_SIGMA_PX = 0.02
+
+
+def adjust_capture(
+    capture: Capture,
+    mine: Measured,
+    others: Mapping[str, Measured],
+    reference: Mapping[str, Sigma] | None,
+) -> Measured:
+    """Return a capture's registration as `adjusted` gives it, with problems and figures."""
+    found = adjusted(mine, others, reference)
+    problems = found.problems or verdict_problems(found.record, capture, None)
+    return replace(found, problems=problems, figures=draw_figures(found.record))
 
 
 def adjusted(
@@ -58,36 +67,36 @@ def adjusted(
         found lie in the target where they were found, whatever map is judged by them. As it was where it
         was refused.
     """
-    if mine.problems or not mine.sightings:
+    if mine.problems or not mine.observations:
         return mine
     record, matches = deepcopy(mine.record), dict(mine.matches)
-    for place, sighting in enumerate(mine.sightings):
+    for place, observed in enumerate(mine.observations):
         mates = [
             (name, seen)
             for name, other in sorted(others.items())
-            for seen in other.sightings
-            if seen.sensor == sighting.sensor
+            for seen in other.observations
+            if seen.sensor == observed.sensor
         ]
         if not mates:
             continue
-        found = adjust(sighting, [seen for _, seen in mates])
+        found = adjust_jointly(observed, [seen for _, seen in mates])
         if not found.mates:
             continue
-        transforms = _transforms(sighting, found)
-        told = _told(record, sighting, found, [mates[k][0] for k in found.mates], transforms)
+        transforms = _transforms(observed, found)
+        told = _told(record, observed, found, [mates[k][0] for k in found.mates], transforms)
         basis = record["trace"]["sensors"][place]
         checks = _checked_anew(record, basis, transforms)
-        excess = _excess(record, sighting, transforms)
-        _write_bands(record, sighting, found, transforms, reference, checks)
-        _write_model(record, place, sighting, found, told)
-        _write_evidence(record, sighting, found, told, checks, transforms, excess)
+        excess = _excess(record, observed, transforms)
+        _write_bands(record, observed, found, transforms, reference, checks)
+        _write_model(record, place, observed, found, told)
+        _write_evidence(record, observed, found, told, checks, transforms, excess)
         if checks is not None:
-            rung = found.rung
-            again = rung and describe_basis(
-                sighting.sensor, basis["source"], basis["band"], rung, checks
+            selected = found.selected
+            again = selected and describe_windows(
+                observed.sensor, basis["source"], basis["band"], selected, checks
             )
             record["trace"]["sensors"][place] = again or basis | {"checks": checks.to_dict()}
-        sensor = sighting.sensor if place else ""
+        sensor = observed.sensor if place else ""
         if sensor in matches:
             matches[sensor] = _measured_anew(matches[sensor], found.base)
     if record["model"]["sensors"] != mine.record["model"]["sensors"]:
@@ -98,19 +107,19 @@ def adjusted(
 
 def _checked_anew(
     record: dict[str, Any], basis: Mapping[str, Any], transforms: Mapping[str, Transform]
-) -> Checks | None:
+) -> CheckWindows | None:
     """Return the windows that were free to be found, as they lie under the new map; None where there are none."""
     if not basis.get("checks"):
         return None
     before = from_dict(record["bands"][basis["band"]]["transform"])
-    return Checks.from_dict(basis["checks"]).through(before, transforms[basis["band"]])
+    return CheckWindows.from_dict(basis["checks"]).through(before, transforms[basis["band"]])
 
 
 def _excess(
-    record: dict[str, Any], sighting: Sighting, transforms: Mapping[str, Transform]
+    record: dict[str, Any], observed: SensorObservations, transforms: Mapping[str, Transform]
 ) -> dict[str, Any]:
     """Return the band that moved farthest for what its own windows allow: its name, px and sigmas, in the mean."""
-    points = _points(record, sighting)
+    points = _points(record, observed)
     worst: dict[str, Any] = {"band": "", "px": 0.0, "sigmas": 0.0}
     for label, transform in transforms.items():
         band = record["bands"][label]
@@ -124,44 +133,44 @@ def _excess(
     return worst
 
 
-def _points(record: dict[str, Any], sighting: Sighting) -> np.ndarray:
+def _points(record: dict[str, Any], observed: SensorObservations) -> np.ndarray:
     """Return places over what a sensor saw, (n, 2) reference px."""
     width, height = record["reference"]["size"]
     x, y = (np.linspace(0, n - 1, k) for n, k in zip((width, height), GRID, strict=True))
     points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    if sighting.seen is not None:
-        low, high = sighting.seen.points.min(0), sighting.seen.points.max(0)
+    if observed.seen is not None:
+        low, high = observed.seen.points.min(0), observed.seen.points.max(0)
         points = points[((points >= low) & (points <= high)).all(1)]
     return points
 
 
 def _shifts(before: Transform, after: Transform, points: np.ndarray) -> np.ndarray:
     """Return by how many reference px a map moves, (n,)."""
-    shift = solve_pairs(before.jacobian(points), after(points) - before(points))
+    shift = solve_2x2(before.jacobian(points), after(points) - before(points))
     return np.asarray(np.linalg.norm(shift, axis=1))
 
 
-def _transforms(sighting: Sighting, found: Adjusted) -> dict[str, Transform]:
-    own = sighting.seen is None
+def _transforms(observed: SensorObservations, found: JointResult) -> dict[str, Transform]:
+    own = observed.seen is None
     return {
         label: Affine.identity()
         if own and not found.chromatic.amounts[i].any()
         else found.chromatic.transform(i)
         if own
         else Composed(found.chromatic.transform(i), found.base)
-        for i, label in enumerate(sighting.labels)
+        for i, label in enumerate(observed.labels)
     }
 
 
 def _told(
     record: dict[str, Any],
-    sighting: Sighting,
-    found: Adjusted,
+    observed: SensorObservations,
+    found: JointResult,
     names: Sequence[str],
     transforms: Mapping[str, Transform],
 ) -> dict[str, Any]:
     """What is said of the adjustment: with whom, and how far it moved the bands."""
-    points = _points(record, sighting)
+    points = _points(record, observed)
     moved: list[float] = []
     for label, transform in transforms.items():
         before = from_dict(record["bands"][label]["transform"])
@@ -170,32 +179,32 @@ def _told(
         "with": list(names),
         "moved_px": {"mean": round(float(np.mean(moved)), 4), "max": round(float(max(moved)), 4)},
     }
-    if found.rung is not None:
-        told["alone"] = {"held_out_px": round(sighting.held_out, 5)}
-        told["held_out_px"] = round(float(found.rung.scores[found.rung.name]), 5)
+    if found.selected is not None:
+        told["alone"] = {"held_out_px": round(observed.held_out, 5)}
+        told["held_out_px"] = round(found.selected.held_out_error, 5)
     return told
 
 
 def _write_bands(
     record: dict[str, Any],
-    sighting: Sighting,
-    found: Adjusted,
+    observed: SensorObservations,
+    found: JointResult,
     transforms: Mapping[str, Transform],
     reference: Mapping[str, Sigma] | None,
-    checks: Checks | None,
+    checks: CheckWindows | None,
 ) -> None:
     """Write the maps, and how well they are known now."""
     width, height = record["reference"]["size"]
     sigma: dict[str, Sigma] = {}
-    if found.rung is not None or sighting.seen is None:
+    if found.selected is not None or observed.seen is None:
         sigma = measure_sigma(
-            (height, width), sighting.labels, found.chromatic, found.rung, reference, found.behind,
+            (height, width), observed.labels, found.chromatic, found.selected, reference, found.shared,
             checks,
         )  # fmt: skip
     else:
-        for number, label in enumerate(sighting.labels):
+        for number, label in enumerate(observed.labels):
             known = Sigma.from_dict(record["bands"][label]["sigma"])
-            sigma[label] = with_colour(known, number, sighting.chromatic, found.chromatic)
+            sigma[label] = with_chromatic(known, number, observed.chromatic, found.chromatic)
     for label, transform in transforms.items():
         band = record["bands"][label]
         band["transform"] = transform.to_dict()
@@ -204,47 +213,51 @@ def _write_bands(
 
 
 def _write_model(
-    record: dict[str, Any], place: int, sighting: Sighting, found: Adjusted, told: dict[str, Any]
+    record: dict[str, Any],
+    place: int,
+    observed: SensorObservations,
+    found: JointResult,
+    told: dict[str, Any],
 ) -> None:
     """Write which model was taken, and with whom the capture was adjusted."""
     model = record["model"]["sensors"][place]
     model["joint"] = told
     model["chromatic"] = found.chromatic.kind
-    if found.rung is not None and found.behind is not None:
-        told["alone"]["base"], model["base"] = model["base"], found.rung.name
-        told["alone"]["ladder"], model["ladder"] = model["ladder"], found.rung.scores
+    if found.selected is not None and found.shared is not None:
+        told["alone"]["base"], model["base"] = model["base"], found.selected.name
+        told["alone"]["ladder"], model["ladder"] = model["ladder"], found.selected.scores
 
 
 def _write_evidence(
     record: dict[str, Any],
-    sighting: Sighting,
-    found: Adjusted,
+    observed: SensorObservations,
+    found: JointResult,
     told: dict[str, Any],
-    checks: Checks | None,
+    checks: CheckWindows | None,
     transforms: Mapping[str, Transform],
     excess: dict[str, Any],
 ) -> None:
     """Measure what the verdict rests on through the new map."""
-    name = sighting.sensor or ONLY
+    name = observed.sensor or ONLY
     numbers = record["verdict"]["numbers"][name]
     numbers["joint_excess"] = excess
-    if found.rung is not None:
+    if found.selected is not None and found.selected.spec is not None:
         numbers["held_out_px"] = told["held_out_px"]
-        numbers["terms"] = terms_of(found.rung.name)
+        numbers["terms"] = found.selected.spec.coefficients
     if checks is not None:
         borne_out = numbers["borne_out"]
         box = tuple(borne_out["box"])
-        map_ = transforms[record["trace"]["sensors"][_place(record, sighting)]["band"]]
-        points, fine = grid_points(box, SHAPE_GRID), grid_points(box, FINE)
+        map_ = transforms[record["trace"]["sensors"][_place(record, observed)]["band"]]
+        points, fine = grid_points(box, VERIFICATION.grid), grid_points(box, VERIFICATION.fine)
         in_view, shown = (_shown(borne_out["outside"], places) for places in (points, fine))
         borne_out |= measure_windows(checks) | measure_map(map_, points, in_view)
         borne_out |= measure_cells(box, shown, checks, np.empty((0, 2)))
         numbers["checked"] = borne_out["checked"]
 
 
-def _place(record: dict[str, Any], sighting: Sighting) -> int:
+def _place(record: dict[str, Any], observed: SensorObservations) -> int:
     names = [sensor["sensor"] for sensor in record["trace"]["sensors"]]
-    return names.index(sighting.sensor)
+    return names.index(observed.sensor)
 
 
 def _shown(outside: Sequence[Sequence[float]], points: np.ndarray) -> np.ndarray:
@@ -258,7 +271,7 @@ def _shown(outside: Sequence[Sequence[float]], points: np.ndarray) -> np.ndarray
 
 def _write_verdict(record: dict[str, Any]) -> None:
     """Judge what is written now, and say with whom each sensor was adjusted."""
-    verdict = judge(_whole(record["verdict"]["numbers"])).to_dict()
+    verdict = judge_windows(_whole(record["verdict"]["numbers"])).to_dict()
     said = []
     for sensor in record["model"]["sensors"]:
         told = sensor.get("joint")
@@ -301,7 +314,7 @@ def _measured_anew(pairs: Matches, base: Transform) -> Matches:
 
 def _distances(pairs: Matches, transform: Transform) -> np.ndarray:
     miss = pairs.target - transform(pairs.reference)
-    shift = solve_pairs(transform.jacobian(pairs.reference), miss)
+    shift = solve_2x2(transform.jacobian(pairs.reference), miss)
     return np.asarray(np.linalg.norm(shift, axis=1))
 
 
@@ -313,5 +326,5 @@ def _write_checks(record: dict[str, Any], matches: dict[str, Matches]) -> None:
         one["error"] = float(measure_checks(pair, transform)[0])
         for sensor, pairs in matches.items():
             there = np.hstack([pairs.reference, pairs.target]).reshape(-1, 4)
-            here = (near(there, pair) >= 0) & (pairs.state == "check")
+            here = (nearest_rows(there, pair) >= 0) & (pairs.state == "check")
             matches[sensor] = replace(pairs, residual=np.where(here, one["error"], pairs.residual))

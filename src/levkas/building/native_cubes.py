@@ -10,9 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.cube import UNRELIABLE, Band, Cube
+from levkas.core.files import make_folder
 from levkas.core.machine import count_threads, free_memory, memory_bound
 from levkas.core.problems import Problem, Refused
-from levkas.registration.images import BandImage
+from levkas.database.layers import Layer, write_tiffs
+from levkas.database.spectral_tiff import read_tiff_pages
+from levkas.readers.frames import read_facts
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -132,6 +136,28 @@ class PackedSigma:
         return sigma
 
 
+@dataclass(frozen=True)
+class FiledSigma:
+    """Sigma of a cube in the database."""
+
+    path: Path
+
+    def unpack(self) -> np.ndarray:
+        """Return sigma as it was written, float32."""
+        return read_tiff_pages(self.path)
+
+
+def sigmas_of(capture: Capture, places: Places) -> dict[str, FiledSigma]:
+    """Return the sigma of every sensor of a capture that has one in the database."""
+    paths = {
+        s.name: places.native(
+            capture.object, capture.camera, capture.setup, s.name, kind=".sigma.tif"
+        )
+        for s in capture.sensors
+    }
+    return {name: FiledSigma(path) for name, path in paths.items() if path.is_file()}
+
+
 def _pack(part: np.ndarray) -> bytes:
     import imagecodecs
 
@@ -165,8 +191,6 @@ def write_native(
     centroids: Mapping[str, float],
 ) -> list[Path]:
     """Write the cubes, their flags and, where known, their sigma; return the files."""
-    from levkas.core.files import make_folder
-    from levkas.database.layers import Layer, write_tiffs
 
     made = []
     layer = Layer(
@@ -196,13 +220,7 @@ def read_native(
     return Native(cubes, aligns, None, warnings)
 
 
-def read_sigma(capture: Capture, places: Places, sensor: str) -> np.ndarray | None:
-    """Read back the sigma of one sensor, None where it is not known."""
-    return _read(capture, places, sensor, ".sigma")
-
-
 def _read(capture: Capture, places: Places, sensor: str, kind: str) -> np.ndarray | None:
-    from levkas.database.spectral_tiff import read_tiff_pages
 
     path = places.native(capture.object, capture.camera, capture.setup, sensor, kind=f"{kind}.tif")
     return read_tiff_pages(path) if path.is_file() else None
@@ -278,7 +296,6 @@ def count_values(capture: Capture, kind: str) -> int:
 
 
 def _samples_in(path: Path) -> int:
-    from levkas.readers.frames import read_facts
 
     try:
         return prod(int(n) for n in read_facts(path).shape)

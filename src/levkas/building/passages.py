@@ -8,13 +8,14 @@ import numpy as np
 
 from levkas.calibration.denoising import describe_removed
 from levkas.calibration.templates import CalibrationRefused, describe_lost, gaps_of, no_values
-from levkas.registration.images import BandImage
+from levkas.core.cube import UNRELIABLE
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from levkas.building.scans import Scan
-    from levkas.core.cube import UNRELIABLE, Cube
+    from levkas.core.cube import Cube
 
 
 class Passage:

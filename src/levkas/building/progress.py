@@ -62,6 +62,8 @@ class BuildReport:
     stages: tuple[Step, ...]
     problems: list[Problem] = field(default_factory=list)
     warnings: tuple[str, ...] = ()
+    graph: str = ""
+    """Of `status`: the campaign's graph as a Mermaid flow chart."""
 
     @property
     def ok(self) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
 from levkas.building import fingerprints
-from levkas.building.rig_mates import joint_keys
+from levkas.building.graph import keys_of
 from levkas.building.sources import LIBRARIES
 from levkas.calibration.sensor_context import Times, times_of
 from levkas.core.problems import Refused
@@ -44,7 +44,7 @@ def provenance_of(
     """
     steps = []
     for capture in captures:
-        for key in joint_keys(campaign, capture).values():
+        for key in keys_of(campaign, capture).values():
             if step := _step(ledger, key):
                 frames = _frames(campaign, capture, step["inputs"])
                 steps.append(step | ({"frames": frames} if key.stage == "calibrate" else {}))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.building import fingerprints
-from levkas.building.build_records import STAGES, BuildRecords, Key
+from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
+from levkas.building.graph import keys_of
 from levkas.building.progress import Step
-from levkas.building.rig_mates import joint_keys
 from levkas.core.disk import DISK_CODES
 from levkas.core.problems import Problem, Refused
 
@@ -36,7 +35,7 @@ def no_longer_there(
     A capture that is refused is still one of the campaign's. `objects` are those that are built; None
     for all, and for the pages of cameras.
     """
-    known = {key for c in captures for key in joint_keys(campaign, c).values()} | {*pages}
+    known = {key for c in captures for key in keys_of(campaign, c).values()} | {*pages}
     known |= {Key(name, stage="report") for name in _names(captures, refusals)}
     return [
         key
@@ -95,34 +94,6 @@ def is_of_the_disk(problems: Iterable[Problem]) -> bool:
     return bool(codes) and codes <= DISK_CODES
 
 
-class Standing:
-    """Remembers the products of stages as they were before this build."""
-
-    def __init__(self, ledger: BuildRecords) -> None:
-        self._ledger = ledger
-        self._stood: dict[Key, dict[str, str]] = {}
-
-    def note(self, keys: Iterable[Key]) -> None:
-        """Look at some stages, before any of them is done anew."""
-        for key in keys:
-            self._stood.setdefault(key, self._ledger.products(key))
-
-    def holds(self, keys: Iterable[Key]) -> bool:
-        """Tell whether all that these stages made stands undamaged, and is what it was.
-
-        A layer that is older than the registration or the reference beside it would be false.
-        """
-        return all(
-            self._stood.get(key)
-            and self._stood[key] == self._ledger.products(key)
-            and not self._ledger.damaged(key)
-            for key in dict.fromkeys(keys)
-        )
-
-
-CATALOGUE = Key("", stage="catalogue")
-
-
 def withdraw(
     capture: Capture, places: Places, ledger: BuildRecords, stage: str = "resample"
 ) -> None:
@@ -138,7 +109,7 @@ def withdraw(
         ledger.drop(key)
     # By name, not by record: an interrupted build has dropped the record and left the files.
     ledger.forget(CATALOGUE)
-    ledger.forget(fingerprints.keys_of(capture)["resample"])
+    ledger.forget(key_of(capture, "resample"))
     files = [
         places.layer(capture.object, capture.camera, capture.setup, kind=kind)
         for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")

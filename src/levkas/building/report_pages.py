@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas import __version__
-from levkas.building.fingerprints import keys_of, written
+from levkas.building import provenance
+from levkas.building.build_records import Key, key_of
+from levkas.building.fingerprints import written
+from levkas.campaign.schema.toml import to_toml
+from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.database.registrations import read_registration
 from levkas.pages.page import (
     CloseUpRow,
@@ -18,7 +23,7 @@ from levkas.pages.page import (
     describe_flags,
     describe_model,
     embed_png,
-    render_report,
+    render_page,
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
 from levkas.quality.image_quality.light import choose_places
@@ -32,6 +37,31 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
+
+
+def write_report(
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    captures: list[Capture],
+    steps: list[Step],
+) -> list[Path]:
+    """Write the page of an object, its museum facts and its provenance; return the files.
+
+    Raises
+    ------
+    WriteRefused
+    """
+    name = captures[0].object
+    folder = places.folder(name)
+    page, facts, made_of = (folder / n for n in ("report.html", "object.toml", provenance.NAME))
+    described = campaign.objects.get(name)
+    make_folder(folder)
+    with together(partial(records.forget, Key(name, stage="report"))):
+        write_text(page, report_of(campaign, places, records, name, captures, steps))
+        write_text(facts, to_toml({"name": name, **(described.model_dump() if described else {})}))
+        write_json(made_of, provenance.provenance_of(campaign, records, name, captures))
+    return [page, facts, made_of]
 
 
 def report_of(
@@ -60,8 +90,9 @@ def report_of(
     ]
     reference = campaign.reference
     sampling = _sampling(places, captures)
-    return render_report(
-        ObjectReport(
+    return render_page(
+        "report.html",
+        page=ObjectReport(
             title=(facts.title if facts else "") or name,
             facts=[text for text in dict.fromkeys(told) if text],
             reference=f"{reference.camera}:{reference.band or 'middle band'}",
@@ -72,7 +103,7 @@ def report_of(
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=radiometry_rows(ledger, captures),
             setups=close_ups(places, captures),
-        )
+        ),
     )
 
 
@@ -80,12 +111,14 @@ def _layer(
     campaign: Campaign, places: Places, ledger: BuildRecords, capture: Capture
 ) -> LayerReport | None:
     path = places.registration(capture.object, capture.layer)
-    keys = keys_of(capture)
-    calibrated = ledger.told(keys["calibrate"])
+    calibrated = ledger.told(key_of(capture, "calibrate"))
     if not path.is_file() or not calibrated:
         return None
     record: dict[str, Any] = read_registration(path)
-    registered, resampled = ledger.told(keys["register"]), ledger.told(keys["resample"])
+    registered, resampled = (
+        ledger.told(key_of(capture, "register")),
+        ledger.told(key_of(capture, "resample")),
+    )
     verdict, errors = record["verdict"], record.get("errors", {})
     preview = places.layer(capture.object, capture.camera, capture.setup, kind=".png")
     shown = preview.is_file() and verdict["decision"] != "refuse"
@@ -183,9 +216,10 @@ def radiometry_rows(ledger: BuildRecords, captures: Sequence[Capture]) -> list[R
     """Return the rows of the layers that were built."""
     rows = []
     for capture in captures:
-        keys = keys_of(capture)
         row = describe_layer(
-            capture.layer, ledger.told(keys["calibrate"]), ledger.told(keys["resample"])
+            capture.layer,
+            ledger.told(key_of(capture, "calibrate")),
+            ledger.told(key_of(capture, "resample")),
         )
         if row is not None:
             rows.append(row)

@@ -2,23 +2,47 @@
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from math import nan
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from levkas.building.build_records import Written
+from levkas.building.calibrate import demosaicing_of
+from levkas.building.capture_statistics import (
+    DefaultLayer,
+    count_flags,
+    describe_flags,
+    flag_and_count,
+    ranges_of,
+)
+from levkas.building.native_cubes import FiledSigma, Native, PackedSigma, least_bytes
+from levkas.building.reference import ReferenceFrame, maps_of
+from levkas.building.spectra import broad_centroids
+from levkas.building.streaming import Passing, resample_scan, white_of
+from levkas.calibration.mosaic import interpolate, method_of
 from levkas.core.cube import Cube, Flag
+from levkas.core.disk import require_space
+from levkas.core.rounding import round_root, round_values
+from levkas.database.credits import credits_of
+from levkas.database.grey import grey_of, read_grey
+from levkas.database.layers import Layer, write_layer
+from levkas.database.preview import encode_png
+from levkas.database.streaming_writer import write_rows
+from levkas.geometry.grid import Grid
+from levkas.geometry.resample import warp
+from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.quality.evaluation.similarity import structural_similarity
 from levkas.quality.image_quality.glare import setup_gains
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from levkas.building.native_cubes import Native
     from levkas.building.scans import Scan
-    from levkas.database.tiff_pages import TiffPages
-    from levkas.geometry.grid import Grid
-    from levkas.geometry.transforms import Transform
+    from levkas.campaign.campaign import Camera
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.catalogue import Entry
 
 LONGEST_MAP = 640
 """Longest side of an SSIM map on a page, px."""
@@ -36,6 +60,144 @@ class Mosaic(NamedTuple):
     channels: Sequence[str]
 
 
+@dataclass(frozen=True)
+class Target:
+    """The layer that a capture is resampled to.
+
+    Parameters
+    ----------
+    capture : Capture
+    layer : Layer
+    grid : Grid
+    transforms : dict of label to Transform
+        Reference px → native px.
+    verdict : str
+        Of the registration, for the catalogue.
+    encoded : bool
+        Whether values are those of an image file, which are shown as they are.
+    default : DefaultLayer or None
+        The same camera's layer under its default setup, where it was published like this one.
+    """
+
+    capture: Capture
+    layer: Layer
+    grid: Grid
+    transforms: dict[str, Transform]
+    verdict: str
+    encoded: bool
+    default: DefaultLayer | None
+
+
+def target_of(
+    capture: Capture,
+    native: Native | Scan,
+    frame: ReferenceFrame,
+    record: dict[str, Any],
+    captured: str,
+) -> Target:
+    """Return the layer that a capture is resampled to; `record` is that of its registration."""
+    campaign, places, name = frame.campaign, frame.places, capture.object
+    grid, sampling, _ = frame.layout()
+    layer = Layer(
+        *(name, capture.camera, capture.setup, sampling or nan),
+        credits_of(campaign, name, captured),
+        broad_centroids(campaign, capture.camera, capture.bands),
+    )
+    shape = (grid.size[1], grid.size[0], len(native.bands))
+    default = None
+    if capture.setup and native.quantity == "reflectance":
+        values, flags = (places.layer(name, capture.camera, kind=k) for k in (".tif", ".flags.tif"))
+        default = DefaultLayer.open(values, flags, shape)
+    encoded = campaign.cameras[capture.camera].kind == "image"
+    verdict = record["verdict"]["decision"]
+    return Target(capture, layer, grid, maps_of(record), verdict, encoded, default)
+
+
+def mosaics_of(capture: Capture, camera: Camera) -> dict[str, Mosaic]:
+    """Return the sensors of a capture whose values were demosaiced."""
+    if camera.kind not in ("mosaic", "sensors"):
+        return {}
+    return {
+        s.name: Mosaic(s.pattern, demosaicing_of(camera, s.pattern), [b.label for b in s.bands])
+        for s in capture.sensors
+        if s.pattern is not None
+    }
+
+
+def flag_glare_in(cube: Cube, target: Target) -> dict[str, int]:
+    """Set the flags of glare in a layer; return the pixels by sign."""
+    return flag_and_count(cube, target.default.rows() if target.default else None)
+
+
+def write_resampled(
+    cube: Cube,
+    glare: dict[str, int],
+    target: Target,
+    frame: ReferenceFrame,
+    before: Callable[[], object],
+) -> Written:
+    """Write a layer; `before` as of `core.files.together`."""
+    require_space(frame.places.output, 2 * least_bytes(cube))  # as TIFF and as Zarr
+    entry, files = write_layer(
+        frame.places.output,
+        target.layer,
+        cube,
+        verdict=target.verdict,
+        encoded=target.encoded,
+        before=before,
+    )
+    ranges = ranges_of(cube.values, cube.flags, cube.sigma, cube.bands)
+    grey = grey_of(cube.values, cube.flags)
+    notes = _notes(entry, similarity(frame, target.capture, grey), count_flags(cube.flags))
+    return Written(files, {**notes, "glare": glare, "ranges": ranges})
+
+
+def stream_resampled(
+    scan: Scan, target: Target, frame: ReferenceFrame, before: Callable[[], object]
+) -> Written:
+    """Resample and write a scan some rows at a time; `before` as of `core.files.together`."""
+    grid, default = target.grid, target.default
+    maps = [Composed(grid.transform, target.transforms[band.label]) for band in scan.bands]
+    passing = Passing(default, gains_of_scan(default, scan, maps) if default else None)
+    made = write_rows(
+        frame.places.output,
+        target.layer,
+        passing.noting(resample_scan(scan, maps, grid.size, spool=frame.places.kept)),
+        size=grid.size,
+        bands=scan.bands,
+        quantity=scan.quantity,
+        sigma=scan.has_sigma,
+        verdict=target.verdict,
+        white=white_of(scan),
+        before=before,
+    )
+    notes = _notes(made.entry, similarity(frame, target.capture, passing.grey), passing.flags)
+    return Written(
+        made.files, {**notes, "glare": passing.glare, "ranges": passing.ranges(scan.bands)}
+    )
+
+
+def _notes(entry: Entry, similar: dict[str, Any], flags: np.ndarray) -> dict[str, Any]:
+    return {**similar, "flags": describe_flags(flags), "entry": entry.to_row()}
+
+
+def similarity(
+    frame: ReferenceFrame, capture: Capture, grey: tuple[np.ndarray, np.ndarray]
+) -> dict[str, Any]:
+    """Return SSIM against the reference layer, and its map as PNG text, for the report."""
+    none = {"ssim": None, "ssim_map": ""}
+    if capture is frame.capture:
+        frame.grey = grey
+        return none
+    if frame.grey is None:
+        frame.grey = read_grey(frame.places.layer(capture.object, frame.capture.camera))
+    score, full = structural_similarity(frame.grey[0], grey[0], frame.grey[1] & grey[1])
+    if np.isnan(score):
+        return none
+    picture = base64.b64encode(encode_png(shrink_map(full))).decode("ascii")
+    return {"ssim": score, "ssim_map": picture}
+
+
 def shrink_map(full: np.ndarray) -> np.ndarray:
     """Return an SSIM map as bytes, 0 to 255 for 0 to 1, at most `LONGEST_MAP` px long."""
     step = max(1, -(-max(full.shape) // LONGEST_MAP))
@@ -48,35 +210,30 @@ def resample(
     native: Native,
     transforms: dict[str, Transform],
     grid: Grid,
-    sigma_of: Callable[[str], np.ndarray | None],
-    *,
-    mosaics: Mapping[str, Mosaic] | None = None,
+    sigmas: dict[str, PackedSigma | FiledSigma],
+    mosaics: Mapping[str, Mosaic],
 ) -> Cube:
     """Return the capture on the grid; orientation, crop, scale and registration are one map.
 
-    `sigma_of` gives the sigma of a sensor, and gives it away. `mosaics` are the sensors that were
+    `sigmas` are taken out one by one, so that their memory goes. `mosaics` are the sensors that were
     demosaiced: neighbours of theirs share noise.
     """
-    from levkas.core.rounding import round_root, round_values
-    from levkas.geometry.resample import warp
-    from levkas.geometry.transforms import Composed
-
     shape = (grid.size[1], grid.size[0])
     parts = []
     for sensor, cube in native.cubes.items():
         maps = [Composed(grid.transform, transforms[band.label]) for band in cube.bands]
-        sigma = sigma_of(sensor)
+        sigma = sigmas.pop(sensor).unpack() if sensor in sigmas else None
         # In place: a scan's sigma is most of a gigabyte.
         variance = None if sigma is None else np.square(sigma, out=sigma)
-        if variance is not None and mosaics and sensor in mosaics:
+        if variance is not None and sensor in mosaics:
             variance *= shared_noise(mosaics[sensor], maps, shape)
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         found = warped.variance
         if found is not None:
             found = round_root(found, out=found)
         parts.append((round_values(warped.values, out=warped.values), warped.flags, found))
-    values, flags, sigmas = zip(*parts, strict=True)
-    known = [s for s in sigmas if s is not None]
+    values, flags, spreads = zip(*parts, strict=True)
+    known = [s for s in spreads if s is not None]
     return Cube(
         _joined(values),
         _joined(flags),
@@ -102,10 +259,6 @@ def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, in
     White noise of a mosaic is interpolated as the values were, and warped as they are in the middle of
     the grid: the mean of its squares over that of Σw²u².
     """
-    from levkas.calibration.mosaic import interpolate, method_of
-    from levkas.geometry.resample import warp
-    from levkas.geometry.transforms import Affine
-
     noise = np.random.default_rng(0).standard_normal((NOISE_PX, NOISE_PX)).astype(np.float32)
     table, method = method_of(*mosaic)
     none = np.zeros(noise.shape, np.uint8)
@@ -137,33 +290,6 @@ def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
 COMPARED = 20_000
 """Pixels of a scan's pictures from which the ratio of two setups is taken, evenly over the layer."""
 UNKNOWN = Flag.OUTSIDE | Flag.SATURATED
-
-
-@dataclass(frozen=True)
-class DefaultLayer:
-    """A published layer on the same grid, read some rows at a time.
-
-    Parameters
-    ----------
-    values, flags : TiffPages
-    """
-
-    values: TiffPages
-    flags: TiffPages
-
-    @classmethod
-    def open(cls, values: Path, flags: Path, shape: tuple[int, int, int]) -> DefaultLayer | None:
-        """Open a layer's files; None where there is none of that (height, width, bands)."""
-        from levkas.database.tiff_pages import open_pages
-
-        if not (values.is_file() and flags.is_file()):
-            return None
-        layer = cls(open_pages(values), open_pages(flags))
-        return layer if layer.values.shape == layer.flags.shape == shape else None
-
-    def rows(self, start: int = 0, stop: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return values and flags of some rows, (rows, width, bands)."""
-        return self.values.read(start, stop), self.flags.read(start, stop)
 
 
 def gains_of_scan(layer: DefaultLayer, scan: Scan, maps: Sequence[Transform]) -> np.ndarray:

@@ -82,8 +82,8 @@ def _doubt_times(
 
 def _of_lines(bench: SensorContext) -> tuple[tuple[Template, ...], Template | None, Any]:
     """Return darks, white and noise of a push-broom camera: one line, seen many times."""
-    from levkas.building.calibrate import line_noise
     from levkas.building.capture_statistics import note_light
+    from levkas.building.exposures import line_noise
     from levkas.calibration.pushbroom import average_lines
 
     def make(frames: Any) -> Template:

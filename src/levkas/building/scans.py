@@ -17,7 +17,7 @@ from levkas.calibration.templates import Template, bands_alike
 from levkas.core.cube import Cube, Flag
 from levkas.core.machine import count_threads, tile_rows
 from levkas.core.rounding import round_root, round_values
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

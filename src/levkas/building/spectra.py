@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from math import isnan, nan
+from math import isnan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
+from levkas.readers.spectra import are_spectra, parse_spectra
 from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
@@ -86,37 +85,15 @@ def read_sensitivity(path: Path, labels: Sequence[str]) -> tuple[np.ndarray, np.
         Where it cannot be read, a wavelength stands twice, or it has not as many columns as there
         are channels.
     """
-    from levkas.core.problems import Problem, Refused
-
-    rows: list[list[float]] = []
-    head: list[str] = []
+    expected = "a CSV of wavelength in nm and a column a channel"
     try:
-        text = read_text(path, "a CSV of wavelength in nm and a column a channel")
-        for row in csv.reader(io.StringIO(text, newline="")):
-            cells = [cell.strip() for cell in row]
-            if not any(cells) or cells[0].startswith("#"):
-                continue
-            try:
-                rows.append([float(c) if c else nan for c in cells])
-            except ValueError:
-                if rows or head:
-                    raise
-                head = cells
-        table = np.array(rows, float)
-        if table.ndim != 2 or len(table) < 2 or table.shape[1] < 2:
-            raise ValueError(f"{len(rows)} rows of numbers")
-        table = table[np.argsort(table[:, 0])]
-        if np.isinf(table).any() or not table[0, 0] > 0 or not (np.diff(table[:, 0]) > 0).all():
-            raise ValueError("wavelengths that stand twice, or are none, or values without end")
-    except (ValueError, csv.Error) as error:
+        table, head = parse_spectra(read_text(path, expected))
+        if not are_spectra(table):
+            raise ValueError(f"{len(table)} rows, or wavelengths that are none or not distinct")
+    except ValueError as error:
+        message = "the sensitivities cannot be read"
         raise Refused(
-            Problem(
-                "E_UNREADABLE",
-                "the sensitivities cannot be read",
-                str(path),
-                found=str(error),
-                expected="a CSV of wavelength in nm and a column a channel",
-            )
+            Problem("E_UNREADABLE", message, str(path), found=str(error), expected=expected)
         ) from error
     columns = list(range(1, table.shape[1]))
     if len(head) == table.shape[1] and all(label in head for label in labels):
@@ -147,6 +124,7 @@ def centroids(wavelengths: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 VISIBLE = (400.0, 700.0)
+LOWEST_NM = 100.0
 
 
 class SpectrumRefused(Refused):
@@ -203,40 +181,29 @@ def read_table(path: Path) -> np.ndarray:
 
     Raises SpectrumRefused where it is not that.
     """
-    rows, headed = [], False
+    expected = "a CSV of wavelength in nm and value"
     try:
-        lines = io.StringIO(read_text(path, "a CSV of wavelength in nm and value"), newline="")
-        for row in csv.reader(lines):
-            if not row or row[0].lstrip().startswith("#"):
-                continue
-            try:
-                rows.append((float(row[0]), float(row[1])))
-            except (ValueError, IndexError):
-                if rows or headed:
-                    raise
-                headed = True
+        table, _ = parse_spectra(read_text(path, expected), columns=2)
     except TextRefused as refused:
         raise SpectrumRefused(*refused.problems) from None
-    except (ValueError, IndexError, csv.Error) as error:
+    except ValueError as error:
         raise SpectrumRefused(
             Problem(
                 "E_UNREADABLE",
                 "the spectrum cannot be read",
                 str(path),
                 found=str(error),
-                expected="a CSV of wavelength in nm and value",
+                expected=expected,
                 fix="Name the right file, or save the table again as CSV.",
             )
         ) from error
-    table = np.array(sorted(rows), float).reshape(-1, 2)
-    twice = len(table) > 1 and not (np.diff(table[:, 0]) > 0).all()
-    if len(table) < 2 or twice or not np.isfinite(table).all() or table[0, 0] < 100:
+    if not are_spectra(table) or not np.isfinite(table).all() or table[0, 0] < LOWEST_NM:
         raise SpectrumRefused(
             Problem(
                 "E_VALUE",
                 "this is no spectrum",
                 str(path),
-                found="a wavelength that stands twice" if twice else f"{len(table)} rows",
+                found=f"{len(table)} rows, or wavelengths that are not distinct",
                 expected="two rows or more of wavelength in nm and value",
                 fix="Name the right file, or mend its rows.",
             )

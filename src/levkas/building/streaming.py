@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from levkas.building.resample import DefaultLayer
+    from levkas.building.capture_statistics import DefaultLayer
     from levkas.building.scans import Scan
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.credits import Credits

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,7 +13,6 @@ import numpy as np
 from levkas.calibration.code_spacing import find_step
 from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
-from levkas.core.digests import Stamp, stamp_of
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 
@@ -288,14 +287,8 @@ def times_of(frame: FrameRef) -> Times:
     """Return the exposure that the name or the manifest states, else EXIF or the header of the file."""
     if frame.exposure_s is not None:
         return frame.exposure_s
-    facts = _facts_of(frame.path, stamp_of(frame.path))
+    facts = read_facts(frame.path)
     return facts.band_times_s or facts.exposure_s
-
-
-@lru_cache(maxsize=4096)
-def _facts_of(path: Path, _stamp: Stamp) -> Facts:
-    """Facts of one file, read once: of a camera raw they cost half a second."""
-    return read_facts(path)
 
 
 def require_exposures(bench: SensorContext) -> None:
@@ -315,7 +308,7 @@ def require_exposures(bench: SensorContext) -> None:
     said = {
         frame: facts.exposure_unclear
         for frame in silent
-        if (facts := _facts_of(frame.path, stamp_of(frame.path))).exposure_unclear
+        if (facts := read_facts(frame.path)).exposure_unclear
     }
     if not stated and len({said.get(frame) for frame in silent}) == 1:
         return

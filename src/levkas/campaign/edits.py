@@ -95,10 +95,10 @@ class FrameEdits:
         }
         return {kind: np.array(found, float).reshape(-1, 4) for kind, found in rows.items()}
 
-    def told(self) -> str:
-        """Say in a few words what a build depends on, with a hash of all of it; empty for nothing.
+    def describe(self) -> str:
+        """Return in a few words what a build depends on, with a hash of all of it; empty for nothing.
 
-        >>> FrameEdits(added=((1, 2, 3, 4),), note="by eye").told()
+        >>> FrameEdits(added=((1, 2, 3, 4),), note="by eye").describe()
         '1 added (e67e0ce8)'
         """
         record = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "note"}
@@ -144,7 +144,7 @@ class Edits:
 
     frames: Mapping[tuple[str, str], FrameEdits] = field(default_factory=dict)
 
-    def of(self, name: str, layer: str) -> dict[str, FrameEdits]:
+    def of_layer(self, name: str, layer: str) -> dict[str, FrameEdits]:
         """Return the corrections of a layer: band ("" for its first sensor) → what was corrected."""
         found = {}
         for (object_, frame), edits in sorted(self.frames.items()):
@@ -187,8 +187,8 @@ def _validated(record: dict[str, Any], path: Path) -> Edits:
         document = EditsDocument.model_validate(record)
     except ValidationError as invalid:
         errors = invalid.errors(include_url=False, include_context=False)
-        told = explain(record, errors, EditsDocument)
-        raise EditsInvalid(*(with_explanation(p, path) for p in told)) from None
+        problems = explain(record, errors, EditsDocument)
+        raise EditsInvalid(*(with_explanation(p, path) for p in problems)) from None
     frames = {
         (name, frame): FrameEdits(**{k: _rounded(v) for k, v in dict(keys).items()})
         for name, table in document.objects.items()
@@ -215,7 +215,7 @@ def change_edits(
     Parameters
     ----------
     path : Path
-        edits.toml, or where it shall stand.
+        edits.toml, which may not exist yet.
     name : str
         Of the object.
     frame_of : callable
@@ -283,7 +283,7 @@ def _bytes_of(path: Path) -> bytes:
 def _clashes(
     before: FrameEdits, after: FrameEdits, present: FrameEdits, merged: FrameEdits, where: str
 ) -> list[Problem]:
-    """What a change and the present state say of one thing, differently."""
+    """Return the conflicts of a change with the present state."""
     found = [
         Problem(
             "E_CONFLICT",
@@ -371,7 +371,7 @@ def _revise(table: Any, key: str, value: Any) -> None:
 
 
 def _put(table: Any, key: str, value: Any) -> None:
-    """Set a key; a new one stands before the comments that lead to the next table."""
+    """Set a key; a new one comes before the comments that lead to the next table."""
     body = table.value.body if hasattr(table.value, "body") else []
     trailing = []
     while key not in table and body and body[-1][0] is None:
@@ -383,11 +383,13 @@ def _put(table: Any, key: str, value: Any) -> None:
 
 def to_text(edits: Edits) -> str:
     """Return the text of edits.toml."""
+    from levkas.campaign.schema.toml import to_inline_toml
+
     lines = [HEAD]
     for (name, frame), one in sorted(edits.frames.items()):
         if not one:
             continue
-        lines.append(f"[objects.{_text(name)}.cameras.{_text(frame)}]")
+        lines.append(f"[objects.{to_inline_toml(name)}.cameras.{to_inline_toml(frame)}]")
         for key in (f.name for f in fields(FrameEdits)):
             value = getattr(one, key)
             if isinstance(value, tuple) and value:
@@ -397,7 +399,7 @@ def to_text(edits: Edits) -> str:
             elif isinstance(value, float):
                 lines.append(f"{key} = {value!r}")
             elif value:
-                lines.append(f"{key} = {_text(value)}")
+                lines.append(f"{key} = {to_inline_toml(value)}")
         lines.append("")
     return "\n".join(lines)
 
@@ -422,13 +424,13 @@ def _rounded(value: Any) -> Any:
 
 
 def _contradictions(edits: Edits) -> Iterator[Problem]:
-    """Yield pairs of which two things are said at once."""
+    """Yield pairs that are corrected in two ways at once."""
     for (name, frame), one in sorted(edits.frames.items()):
-        said: dict[Pair, str] = {}
+        kinds: dict[Pair, str] = {}
         where = f"objects.{name}.cameras.{frame}"
         for key in ("deleted", "restored", "pinned", "added", "checks", "moved"):
             for row in getattr(one, key):
-                before = said.setdefault(row[:4], key)
+                before = kinds.setdefault(row[:4], key)
                 if before != key:
                     yield Problem(
                         "E_VALUE",
@@ -455,10 +457,5 @@ def _contradictions(edits: Edits) -> Iterator[Problem]:
 
 
 def with_explanation(problem: Problem, path: Path) -> Problem:
-    """Return a problem with the file, and where the keys are explained unless it says its fix."""
+    """Return a problem with the file, and where the keys are explained unless it has a fix of its own."""
     return replace(problem, file=str(path), fix=problem.fix or EXPLAINED)
-
-
-def _text(value: str) -> str:
-    """A TOML basic string; JSON's are the same but for one character."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -77,12 +77,19 @@ def status(
     campaign: CampaignPath,
     output: DatabasePath = None,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    graph: Annotated[
+        bool,
+        typer.Option("--graph", help="Draw the stages and what each reads, as a Mermaid chart."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Say what of a database is stale, and why."""
     from levkas.building import status as status_of
 
     report = status_of(campaign, output=output, verify=verify)
+    if graph and not as_json:
+        typer.echo(report.graph, nl=False)
+        return
     finish("status", report, as_json)
 
 

@@ -46,7 +46,7 @@ def light(
         require_free(path, overwrite=overwrite)
     record = light_record(setup, name, optimised=optimise, seed=seed)
     if report is not None:
-        from levkas.planning.report import write_report
+        from levkas.pages.plan import write_report
 
         record["report"] = str(write_report(report, record.setup, name, seed=seed))
     if render is not None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from levkas.pages.page import render_page
 from levkas.pages.plots import Line, plot
 from levkas.quality.comparison.methods import COMPARED
 
@@ -20,16 +20,8 @@ INKS = {
 OTHER_INK = "#777777"
 
 
-def write_page(comparison: Comparison, folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Write comparison.html and comparison.json into a folder, and return the page.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    folder : path
-        Where the SSIM maps are.
-    overwrite : bool
-        Whether files may be replaced there that no comparison wrote, or that were changed since.
+def write_page(comparison: Comparison, folder: Path, *, overwrite: bool = False) -> Path:
+    """Write comparison.html and comparison.json into a folder; return the page.
 
     Raises
     ------
@@ -39,21 +31,18 @@ def write_page(comparison: Comparison, folder: str | Path, *, overwrite: bool = 
     from levkas.core.files import write_json, write_text
     from levkas.core.ownership import OwnFiles
 
-    own = OwnFiles(Path(folder).resolve(), overwrite=overwrite)
-    path = own.folder / "comparison.html"
-    with own.writing():
-        write_json(own.folder / "comparison.json", comparison.to_dict())
-        write_text(path, render_page(comparison))
+    folder = folder.resolve()
+    path = folder / "comparison.html"
+    with OwnFiles(folder, overwrite=overwrite).writing():
+        write_json(folder / "comparison.json", comparison.to_dict())
+        write_text(path, render_comparison(comparison))
     return path
 
 
-def render_page(comparison: Comparison) -> str:
+def render_comparison(comparison: Comparison) -> str:
     """Return the page as HTML; the maps are pictures beside it."""
-    import jinja2
-
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    text = resources("levkas.pages").joinpath("comparison.html").read_text(encoding="utf-8")
-    return environment.from_string(text).render(
+    return render_page(
+        "comparison.html",
         summary=[_summary_cells(one) for one in comparison.summary()],
         problems=comparison.problems,
         keys=[(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],

@@ -18,7 +18,6 @@ _HOMES = {
     "plan_exposure": "exposure_plan",
     "plan_dose": "exposure_plan",
     "regulating_filter": "filter_design",
-    "write_report": "report",
     "render_sheet": "contact_sheet",
     "fit_lamps": "lamp_fit",
     "illuminate": "irradiance",

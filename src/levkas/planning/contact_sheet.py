@@ -90,8 +90,7 @@ def render_setups(
 
 def _best(setup: StudioSetup, seed: int) -> Lighting:
     """The pair that the search finds, with the spectrum of the first lighting's lamp."""
-    from levkas.planning.optimisation import optimise
-    from levkas.planning.report import judge_of
+    from levkas.planning.optimisation import judge_of, optimise
 
     judge = judge_of(setup)
     found = optimise(judge, rng=np.random.default_rng(seed)).best

@@ -91,7 +91,7 @@ def not_known(file: Path, facts: Facts) -> Problem:
 def _declared(file: Path) -> tuple[Camera | None, Path | None]:
     """Return the camera of the campaign above a file that has it among its frames, and campaign.toml."""
     from levkas.campaign.campaign import load_campaign
-    from levkas.campaign.discovery.file_index import look
+    from levkas.campaign.discovery.file_index import scan_folders
 
     file = file.resolve()
     above = next((p for p in file.parents if (p / "campaign.toml").is_file()), None)
@@ -99,7 +99,7 @@ def _declared(file: Path) -> tuple[Camera | None, Path | None]:
         return None, None
     try:
         campaign = load_campaign(above)
-        frames = look(campaign).frames
+        frames = scan_folders(campaign).frames
     except Refused:
         return None, None
     for (camera, _), found in frames.items():

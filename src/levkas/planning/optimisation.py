@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.criteria import NAMES, TOLERANCES, WEIGHTS, Arrangement
+from levkas.planning.criteria import NAMES, TOLERANCES, WEIGHTS, Arrangement, Judge
+from levkas.planning.light import eye_of
 
 if TYPE_CHECKING:
-    from levkas.planning.criteria import Judge
+    from levkas.planning.setup import Lighting, StudioSetup
 
 FIRST_STEP, LAST_STEP = 0.16, 0.002
 """Of the search, in shares of the bounds."""
@@ -188,3 +189,11 @@ def _why(judge: Judge, best: Arrangement, values: dict[str, float]) -> list[str]
         f"{100 * judge.values_of(best, aim=other)['drop']:.1f} %."
     )
     return told
+
+
+def judge_of(setup: StudioSetup, lighting: Lighting | None = None) -> Judge:
+    """Return the judge of a setup's object, with the beam of a lighting's first lamp."""
+    lighting = setup.lighting() if lighting is None else lighting
+    return Judge(
+        setup.object, setup.bench.room, eye_mm=float(eye_of(setup)[2]), lobe=lighting.lamps[0].lobe
+    )

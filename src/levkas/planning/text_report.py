@@ -40,8 +40,7 @@ def light_record(
         contradictions=[c for f in plan_framing(setup) for c in f.contradictions],
     )
     if optimised:
-        from levkas.planning.optimisation import optimise, trade_off
-        from levkas.planning.report import judge_of
+        from levkas.planning.optimisation import judge_of, optimise, trade_off
 
         judge = judge_of(setup, setup.lighting(name))
         best = optimise(judge, rng=np.random.default_rng(seed))

@@ -211,7 +211,8 @@ def publish(
         Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
         publication still stands then.
     """
-    from levkas.core.files import publishing, sweep_beside
+    from levkas.core.files import publishing
+    from levkas.core.sweeping import sweep_beside
     from levkas.database.manifest import write_manifest
     from levkas.publish.bagging import check_target, write_bag
 

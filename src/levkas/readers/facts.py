@@ -1,4 +1,4 @@
-"""What a file says of itself before a pixel is decoded."""
+"""Facts of a file's headers, and the refusals of files that cannot be what they declare."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Facts:
     band_times_s : tuple of float or None
         Exposures band by band, where an ENVI header lists several; `exposure_s` is None then.
     exposure_unclear : str or None
-        What an ENVI header says of the exposure without its unit.
+        The exposure of an ENVI header that states no unit.
     captured : str or None
         ISO 8601, local time of the camera unless the file states an offset.
     model : str or None
@@ -162,7 +162,7 @@ def check_size(
 def check_expansion(
     path: Path, samples: int, itemsize: int, stored: int, *, most: int = LARGEST_EXPANSION
 ) -> None:
-    """Refuse a large frame from a small file, unless $LEVKAS_MEMORY says how much it may take.
+    """Refuse a large frame from a small file, unless $LEVKAS_MEMORY allows for it.
 
     Parameters
     ----------

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.registration.manual_points import REASONS
-from levkas.registration.replay import reject_of
+from levkas.registration.manual_points import MARKS
+from levkas.workbench.replay import reject_of
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SAMPLED_ROUNDS = 120
 ALIGNED = 8
 MOST_OF_A_BYTE = 256
-BY_HAND = {reason: name for name, reason in REASONS.items()}
+BY_HAND = {mark: kind for kind, mark in MARKS.items()}
 
 
 def describe(
@@ -46,7 +46,7 @@ def describe(
     told : dict
         Columns are of one length; ``trace.models`` holds the polynomial of some rounds, so that a
         screen can draw any moment of the removal itself. ``hand`` is what a person did to a pair: a key
-        of `REASONS`, or empty.
+        of `MARKS`, or empty.
     """
     view = session.view
     matches = view.matches
@@ -71,7 +71,7 @@ def describe(
         "reject": session.edits.reject or session.found.reject or reject_of(session.found.size),
         "stop": session.edits.stop or session.found.stop,
         "overridden": {k: getattr(session.edits, k) is not None for k in ("reject", "stop")},
-        "corrections": session.edits.told(),
+        "corrections": session.edits.describe(),
         "note": session.edits.note,
         "can": session.can,
     }

@@ -298,10 +298,14 @@ class RegistrationView:
         shift = np.zeros(2)
         if theirs != self.band and self.built is not None and theirs in self._built:
             shift = (self._built[theirs](point[None]) - self.built(point[None]))[0]
-        near = np.concatenate([here[0], there[0] + shift])
-        local = _shifted(forward, near, at=point) if np.isfinite(near).all() else forward
+        nearest_rows = np.concatenate([here[0], there[0] + shift])
+        local = (
+            _shifted(forward, nearest_rows, at=point)
+            if np.isfinite(nearest_rows).all()
+            else forward
+        )
         pictures = self.picture("reference", ours), self.picture("target", theirs)
-        found = find_partner(*pictures, local, near[:2], reach=reach)
+        found = find_partner(*pictures, local, nearest_rows[:2], reach=reach)
         x, y = np.array(found.target) - shift
         return replace(found, target=(float(x), float(y)))
 
@@ -344,7 +348,7 @@ class RegistrationView:
     def take(self, files: list[bytes], dialect: str | None) -> dict[str, Any]:
         """Add the pairs of a file: those that are there already stay as they are."""
         from levkas.registration.control_points import parse_points
-        from levkas.registration.manual_points import near
+        from levkas.registration.manual_points import nearest_rows
 
         found = self.session.found
         points = parse_points(
@@ -353,7 +357,7 @@ class RegistrationView:
         rows = np.hstack([points.reference, points.target])
         matches = self.session.view.matches
         here = np.hstack([matches.reference, matches.target]).reshape(-1, 4)
-        new = (near(rows, here) < 0) & np.asarray(points.enabled, bool)
+        new = (nearest_rows(rows, here) < 0) & np.asarray(points.enabled, bool)
         check = np.asarray(points.check, bool)
         self.session.add_all(
             [tuple(row) for row in rows[new & ~check].tolist()],

@@ -106,7 +106,7 @@ class Library:
                     "reference": self._is_reference(view),
                     "decision": verdict.get("decision", "not built"),
                     "reason": next(iter(verdict.get("reasons", [])), ""),
-                    "corrections": self._edits(view).told(),
+                    "corrections": self._edits(view).describe(),
                 }
             )
         return listed
@@ -233,7 +233,7 @@ class Library:
         return parse_matches(text)
 
     def _edits(self, view: SensorView) -> FrameEdits:
-        edits = read_edits(self.edits_path).of(view.capture.object, view.capture.layer)
+        edits = read_edits(self.edits_path).of_layer(view.capture.object, view.capture.layer)
         return edits.get(self._band_of(view, edits), FrameEdits())
 
     def _band_of(self, view: SensorView, edits: Mapping[str, FrameEdits]) -> str:
@@ -246,7 +246,7 @@ class Library:
         capture = view.capture
 
         def frame_of(edits: Edits) -> str:
-            band = self._band_of(view, edits.of(capture.object, capture.layer))
+            band = self._band_of(view, edits.of_layer(capture.object, capture.layer))
             return f"{capture.layer}:{band}" if band else capture.layer
 
         return change_edits(self.edits_path, capture.object, frame_of, before, after)

@@ -15,12 +15,12 @@ import numpy as np
 
 from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.geometry.transforms import Affine, Inverse, Transform
-from levkas.registration.manual_points import REASONS, Given, Marked, measure_checks
+from levkas.registration.manual_points import ManualPoints, MarkedMatches, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
-from levkas.registration.record import Matches, RegistrationRefused
-from levkas.registration.replay import reject_of, replay
+from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
 from levkas.workbench.operations import OPERATIONS, refused, set_threshold
+from levkas.workbench.replay import reject_of, replay
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +54,7 @@ class FoundPartner:
     @classmethod
     def of(cls, matches: Matches, **more: Any) -> FoundPartner:
         """Take what a build recorded, and leave out what came from a person."""
-        own = (matches.reason == REASONS["added"]) | (matches.state == "check")
+        own = (matches.reason == HandMark.ADDED) | (matches.state == MatchState.CHECK)
         names = Matches.__dataclass_fields__
         return cls(Matches(**{n: getattr(matches, n)[~own] for n in names}), **more)
 
@@ -242,7 +242,7 @@ class CorrectionSession:
 
 def look(found: FoundPartner, edits: FrameEdits) -> SessionView:
     """Replay the removal of outliers on what was found and corrected."""
-    given = Given(**edits.pairs())
+    given = ManualPoints(**edits.pairs())
     marked = given.mark(found.matches.reference, found.matches.target)
     kept = np.concatenate([found.matches.kept, np.ones(len(marked.reason), bool)])
     kept = kept[: len(marked.reason)]
@@ -257,7 +257,7 @@ def look(found: FoundPartner, edits: FrameEdits) -> SessionView:
 
 
 def _fit(
-    found: FoundPartner, edits: FrameEdits, marked: Marked, kept: np.ndarray
+    found: FoundPartner, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
 ) -> tuple[Cleaned | None, str]:
     if (~marked.dropped).sum() < LEAST_FITTED:
         return None, f"{int((~marked.dropped).sum())} pairs: a map needs at least {LEAST_FITTED}"
@@ -270,7 +270,7 @@ def _fit(
             target_size=found.target_size,
             reject=edits.reject or found.reject,
             stop=edits.stop or found.stop,
-            sure=marked.sure,
+            sure=marked.fixed,
             dropped=marked.dropped,
         )
     except RegistrationRefused as refusal:
@@ -278,7 +278,7 @@ def _fit(
     return cleaned, ""
 
 
-def _stiff(found: FoundPartner, marked: Marked) -> Transform:
+def _stiff(found: FoundPartner, marked: MarkedMatches) -> Transform:
     """Scale alone, shifted on to the pairs that there are."""
     back = scale_only(found.size, found.target_size)
     use = ~marked.dropped
@@ -288,7 +288,7 @@ def _stiff(found: FoundPartner, marked: Marked) -> Transform:
     return Inverse(Affine(np.column_stack([back.matrix[:, :2], back.matrix[:, 2] + shift])))
 
 
-def _described(marked: Marked, fitted: Cleaned, stop: float) -> Matches:
+def _described(marked: MarkedMatches, fitted: Cleaned, stop: float) -> Matches:
     # A reason for every pair of thousands would cost more than the fit: the round says it all.
     told = np.full(len(marked.reason), "", object)
     told[fitted.round == 0] = CUT
@@ -305,7 +305,7 @@ def _described(marked: Marked, fitted: Cleaned, stop: float) -> Matches:
     )
 
 
-def _unfitted(marked: Marked) -> Matches:
+def _unfitted(marked: MarkedMatches) -> Matches:
     state = np.where(marked.dropped, "removed", "kept").astype(object)
     return Matches.of(marked.reference, marked.target, state=state, reason=marked.reason)
 

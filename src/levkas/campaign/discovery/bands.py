@@ -1,4 +1,4 @@
-"""Which bands a file holds: a mosaic's channels, a cube's or a photograph's, by header and as declared."""
+"""Bands of files: a mosaic's channels, a cube's or a photograph's bands, or one file a band."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
-    from levkas.campaign.schema.tables import Sensor
+    from levkas.campaign.schema.tables import SensorKeys
     from levkas.readers.frames import Facts
 
 NEAREST_NM = 0.5
@@ -64,7 +64,7 @@ def bands_of_mosaic(
 
 
 def bands_in_file(
-    camera: Camera, sensor: Sensor | None, facts: Facts, *, pages: bool = False
+    camera: Camera, sensor: SensorKeys | None, facts: Facts, *, pages: bool = False
 ) -> tuple[Band, ...]:
     """Bands of a file that holds them all: a cube, a photograph, a sensor without a mosaic.
 
@@ -108,17 +108,21 @@ def bands_in_file(
 
 
 def _default_names(
-    camera: Camera, sensor: Sensor | None, facts: Facts, count: int, centres: Sequence[float] | None
+    camera: Camera,
+    sensor: SensorKeys | None,
+    facts: Facts,
+    count: int,
+    centres: Sequence[float] | None,
 ) -> Sequence[str]:
     if camera.kind == "image":
         return ("R", "G", "B") if count == 3 else ("grey",)
-    told = facts.band_names if facts.band_names and len(facts.band_names) == count else None
+    names = facts.band_names if facts.band_names and len(facts.band_names) == count else None
     if sensor is not None and count == 1:
-        return told or (sensor.name,)
+        return names or (sensor.name,)
     if centres:
         return band_labels(centres)
-    if told and len(set(told)) == count:
-        return told
+    if names and len(set(names)) == count:
+        return names
     return [f"band {i + 1}" for i in range(count)]
 
 
@@ -142,7 +146,7 @@ def _check_near(
             )
 
 
-def relabel(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ...]:
+def with_declared_centres(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ...]:
     """Give channels of a mosaic, or of several sensors, the centres that are declared for them."""
     centres = camera.centres
     if centres is None:
@@ -154,10 +158,10 @@ def relabel(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ..
     return tuple(replace(b, wavelength=w) for b, w in zip(bands, centres, strict=True))
 
 
-def described(declared: Sequence[float | str]) -> str:
-    """Say what was declared.
+def bands_text(declared: Sequence[float | str]) -> str:
+    """Return the declared bands in words.
 
-    >>> described([400.0, 410.0, 420.0])
+    >>> bands_text([400.0, 410.0, 420.0])
     '400–420 nm by 10 nm is 3 bands'
     """
     count = len(declared)
@@ -173,10 +177,10 @@ def count_problem(
     camera: Camera, field: str, declared: int, found: int, what: str, path: str
 ) -> Problem:
     """Return the problem of bands whose number does not fit `field`."""
-    told = described(camera.centres) if field == "wavelengths" and camera.centres else ""
+    declaration = bands_text(camera.centres) if field == "wavelengths" and camera.centres else ""
     return Problem(
         "E_BAND_COUNT",
-        f"{camera.name}: {told or f'{declared} {field} are declared'}, there are {found} {what}",
+        f"{camera.name}: {declaration or f'{declared} {field} are declared'}, there are {found} {what}",
         path or None,
         f"cameras.{camera.name}.{field}",
         found,
@@ -191,14 +195,14 @@ SAME_NM = 1e-6
 
 
 def band_key(frame: FrameRef) -> Key | None:
-    """What tells a frame's band: its wavelength, else its name, else nothing."""
+    """Return the key of a frame's band: its wavelength, else its name, else None."""
     return frame.wavelength if frame.wavelength is not None else frame.band
 
 
-def shown(key: Key | None) -> str:
+def key_text(key: Key | None) -> str:
     """Return a band's key as text.
 
-    >>> shown(366.55)
+    >>> key_text(366.55)
     '366.55 nm'
     """
     return f"{key:g} nm" if isinstance(key, float) else str(key)
@@ -207,7 +211,7 @@ def shown(key: Key | None) -> str:
 def bands_by_name(
     camera: Camera, frames: Sequence[FrameRef], others: set[Key], folder: str
 ) -> tuple[list[FrameRef], tuple[Band, ...]]:
-    """Order frames whose names tell their band, and check them against what is expected.
+    """Order frames whose names have their band, and check them against what is expected.
 
     Parameters
     ----------
@@ -287,7 +291,7 @@ def _sure(frame: FrameRef) -> Key:
 
 
 def _names_of(frames: Sequence[FrameRef], keys: Sequence[Key]) -> tuple[str, ...] | None:
-    """Names that stand beside wavelengths in the files' names."""
+    """Return the names beside wavelengths in the files' names."""
     names = {f.wavelength: f.band for f in frames if f.wavelength is not None}
     found = tuple(str(names[k]) for k in keys if isinstance(k, float) and names.get(k))
     return found if len(set(found)) == len(keys) else None
@@ -306,13 +310,13 @@ def _checked(
     surplus = [k for k in keys if k not in taken]
     if not missing and not surplus:
         return [k for k in match.values() if k is not None]
-    told = described(declared) if declared else f"other targets have {len(expected)} bands"
+    expectation = bands_text(declared) if declared else f"other targets have {len(expected)} bands"
     lack = "missing " if missing else "not declared: "
     field = "wavelengths" if isinstance(expected[0], float) else "bands"
     raise CaptureRefused(
         Problem(
             "E_BAND_MISSING" if missing else "E_BAND_COUNT",
-            f"{camera.name}: {told}, the folder has {len(keys)} ({lack}{_listed(missing or surplus)})",
+            f"{camera.name}: {expectation}, the folder has {len(keys)} ({lack}{_listed(missing or surplus)})",
             folder,
             f"cameras.{camera.name}.{field}",
             len(keys),
@@ -344,7 +348,7 @@ def _listed(keys: Sequence[Key]) -> str:
     some, more = keys[:6], " …" if len(keys) > 6 else ""
     if all(isinstance(k, float) for k in some):
         return ", ".join(f"{k:g}" for k in some) + f"{more} nm"
-    return ", ".join(map(shown, some)) + more
+    return ", ".join(map(key_text, some)) + more
 
 
 def _nameless(camera: Camera, frames: list[FrameRef]) -> Problem:

@@ -1,10 +1,11 @@
-"""Which files hold which frame of which capture, checked against what the campaign declares."""
+"""Find the captures of a campaign: frames and bands of every sensor, with the darks and whites they need."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from levkas.campaign.discovery.bands import (
     bands_of_mosaic,
     count_problem,
     label_templates,
-    relabel,
+    with_declared_centres,
 )
 from levkas.campaign.discovery.captures import (
     Capture,
@@ -26,24 +27,24 @@ from levkas.campaign.discovery.captures import (
     SensorFrames,
 )
 from levkas.campaign.discovery.file_index import (
-    Found,
-    Survey,
+    FileIndex,
+    FoundFile,
     declared_targets,
     in_natural_order,
-    look,
     nearest,
     patterns_of,
+    scan_folders,
 )
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
-from levkas.campaign.schema.cross_checks import is_safe_name, meant
+from levkas.campaign.schema.cross_checks import closest_match, is_safe_name
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
-    from levkas.campaign.discovery.file_index import Survey
-    from levkas.campaign.schema.tables import Sensor
+    from levkas.campaign.discovery.file_index import FileIndex
+    from levkas.campaign.schema.tables import SensorKeys
     from levkas.core.cube import Band
 
 __all__ = [
@@ -57,11 +58,14 @@ __all__ = [
 ]
 
 
-def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_captures(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a campaign.
 
-    A camera or setup that has frames of some objects did not take the others: nothing is said. One
+    A camera or setup that has frames of some objects did not take the others, without a refusal. One
     that has frames of none is refused for each; so is an object without a reference image.
+    `index` is what `scan_folders` found, where the folders were walked already.
 
     Returns
     -------
@@ -75,19 +79,19 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     CaptureRefused
         Where there is no object at all.
     """
-    survey = look(campaign)
-    survey.objects = _objects(survey)
+    index = index or scan_folders(campaign)
+    index.objects = _objects(index)
     reference = campaign.reference.camera
-    order = sorted(survey.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
+    order = sorted(index.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
     captures: list[Capture] = []
     refusals: Refusals = {}
-    for name in survey.objects:
+    for name in index.objects:
         for camera_name, setup in order:
-            if not _is_promised(survey, name, camera_name, setup):
+            if not _is_promised(index, name, camera_name, setup):
                 continue
             try:
-                _require_frames(survey, name, camera_name, setup)
-                sensors = frames_of_sensors(survey, name, campaign.cameras[camera_name], setup)
+                _require_frames(index, name, camera_name, setup)
+                sensors = frames_of_sensors(index, name, campaign.cameras[camera_name], setup)
                 capture = Capture(name, camera_name, setup, sensors)
                 _check_reference_bands(campaign, capture)
                 captures.append(capture)
@@ -96,22 +100,24 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     return captures, refusals
 
 
-def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_charts(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a declared chart, by the cameras and setups that took it.
 
-    Returns as `find_captures`; plain images, which are not calibrated, are left out.
+    Takes and returns as `find_captures`; plain images, which are not calibrated, are left out.
     """
-    survey = look(campaign)
+    index = index or scan_folders(campaign)
     captures: list[Capture] = []
     refusals: Refusals = {}
     for name in campaign.targets.charts:
-        for camera, setup in survey.frames:
+        for camera, setup in index.frames:
             if campaign.cameras[camera].kind == "image":
                 continue
-            if not survey.of(name, camera, setup):
+            if not index.of(name, camera, setup):
                 continue
             try:
-                sensors = frames_of_sensors(survey, name, campaign.cameras[camera], setup)
+                sensors = frames_of_sensors(index, name, campaign.cameras[camera], setup)
                 captures.append(Capture(name, camera, setup, sensors))
             except Refused as refused:
                 refusals[name, camera, setup] = refused
@@ -121,56 +127,56 @@ def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
 # --- objects ----------------------------------------------------------------------------------
 
 
-def _objects(survey: Survey) -> list[str]:
+def _objects(index: FileIndex) -> list[str]:
     """Objects as declared; else every target that is nothing else, whichever camera saw it."""
-    campaign = survey.campaign
+    campaign = index.campaign
     if campaign.targets.objects:
         return list(campaign.targets.objects)
     others = set(declared_targets(campaign)) - set(campaign.objects)
-    seen = {f.target for found in survey.frames.values() for f in found} - others
-    names = seen | set(campaign.objects)
+    found_targets = {f.target for found in index.frames.values() for f in found} - others
+    names = found_targets | set(campaign.objects)
     if not names:
-        raise _no_objects(survey)
+        raise _no_objects(index)
     return sorted(names, key=lambda n: (natural(n), n))
 
 
-def _no_objects(survey: Survey) -> Refused:
+def _no_objects(index: FileIndex) -> Refused:
     """Why a campaign is empty: a folder, a pattern, or names that are all templates."""
-    reference = survey.campaign.reference.camera
-    found = survey.frames[reference, ""]
-    if (reference, "") in survey.broken:
-        return survey.broken[reference, ""]
+    reference = index.campaign.reference.camera
+    found = index.frames[reference, ""]
+    if (reference, "") in index.broken:
+        return index.broken[reference, ""]
     if not found:
-        return CaptureRefused(_no_frames(survey, reference, "", "an object", None))
+        return CaptureRefused(_no_frames(index, reference, "", "an object", None))
     return CaptureRefused(
         Problem(
             "E_NO_FRAMES",
             f"{reference}: no file fits for an object",
-            str(survey.campaign.path),
+            str(index.campaign.path),
             f"cameras.{reference}.files",
             f"only {', '.join(sorted({f.target for f in found}, key=natural))}",
             "a {target} that is no dark, white or chart in "
-            + " or ".join(p.text for p in patterns_of(survey, reference)),
+            + " or ".join(p.text for p in patterns_of(index, reference)),
             "Put the object's frames where the pattern looks, or mend it.",
         )
     )
 
 
-def _is_promised(survey: Survey, name: str, camera: str, setup: str) -> bool:
+def _is_promised(index: FileIndex, name: str, camera: str, setup: str) -> bool:
     """Whether a camera is expected to have taken an object under a setup."""
-    if survey.of(name, camera, setup) or (camera, setup) in survey.broken:
+    if index.of(name, camera, setup) or (camera, setup) in index.broken:
         return True
-    if (camera, setup) == (survey.campaign.reference.camera, ""):
+    if (camera, setup) == (index.campaign.reference.camera, ""):
         return True
-    if survey.has_objects(camera, setup):
+    if index.has_objects(camera, setup):
         return False
     only_in_setups = not setup and any(
-        "{setup}" in t for t in survey.campaign.cameras[camera].patterns
+        "{setup}" in t for t in index.campaign.cameras[camera].patterns
     )
-    return not (only_in_setups and any(c == camera and s for c, s in survey.frames))
+    return not (only_in_setups and any(c == camera and s for c, s in index.frames))
 
 
-def _require_frames(survey: Survey, name: str, camera: str, setup: str) -> None:
+def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> None:
     if not is_safe_name(name):
         raise CaptureRefused(
             Problem(
@@ -182,35 +188,35 @@ def _require_frames(survey: Survey, name: str, camera: str, setup: str) -> None:
                 fix="Rename the frames, or list `targets.objects` to leave it out.",
             )
         )
-    if (camera, setup) in survey.broken:
-        raise survey.broken[camera, setup]
-    frames = survey.frames[camera, setup]
-    if survey.of(name, camera, setup):
+    if (camera, setup) in index.broken:
+        raise index.broken[camera, setup]
+    frames = index.frames[camera, setup]
+    if index.of(name, camera, setup):
         return
-    if (camera, setup) != (survey.campaign.reference.camera, "") or not frames:
-        raise CaptureRefused(_no_frames(survey, camera, setup, repr(name), name))
-    others = sorted({c for c, under in survey.frames if survey.of(name, c, under)})
+    if (camera, setup) != (index.campaign.reference.camera, "") or not frames:
+        raise CaptureRefused(_no_frames(index, camera, setup, repr(name), name))
+    others = sorted({c for c, under in index.frames if index.of(name, c, under)})
     known = sorted({f.target for f in frames}, key=natural)
     raise CaptureRefused(
         Problem(
             "E_NO_FRAMES",
             f"{name}: the reference camera {camera} has no image of it",
-            str(survey.campaign.path),
+            str(index.campaign.path),
             f"cameras.{camera}.files",
             f"seen by {', '.join(others)}" if others else f"targets {', '.join(known)}",
-            f"{{target}} = {name} in {' or '.join(p.text for p in patterns_of(survey, camera))}",
-            meant(name, known)
+            f"{{target}} = {name} in {' or '.join(p.text for p in patterns_of(index, camera))}",
+            closest_match(name, known)
             if not others
             else "Add the image, or list in `targets.objects` only the objects that have one.",
         )
     )
 
 
-def _no_frames(survey: Survey, camera: str, setup: str, what: str, target: str | None) -> Problem:
+def _no_frames(index: FileIndex, camera: str, setup: str, what: str, target: str | None) -> Problem:
     """No file fits: show the pattern, and the names that came nearest."""
-    patterns = patterns_of(survey, camera, setup)
-    wanted = patterns[0].given("target", target) if target else patterns[0]
-    folder, names = nearest(survey.campaign.root, wanted, folders=survey.folders)
+    patterns = patterns_of(index, camera, setup)
+    wanted = patterns[0].with_value("target", target) if target else patterns[0]
+    folder, names = nearest(index.campaign.root, wanted, folders=index.folders)
     where = f"setups.{setup}.cameras.{camera}.files" if setup else f"cameras.{camera}.files"
     return Problem(
         "E_NO_FRAMES",
@@ -240,7 +246,7 @@ def _check_reference_bands(campaign: Campaign, capture: Capture) -> None:
 
 
 def frames_of_sensors(
-    survey: Survey, name: str, camera: Camera, setup: str
+    index: FileIndex, name: str, camera: Camera, setup: str
 ) -> tuple[SensorFrames, ...]:
     """Return what every sensor of a camera saw of an object, everything declared found.
 
@@ -253,7 +259,7 @@ def frames_of_sensors(
     sensors: list[SensorFrames] = []
     for sensor in camera.sensors or (None,):
         try:
-            sensors.append(_sensor(survey, name, camera, setup, sensor))
+            sensors.append(_sensor(index, name, camera, setup, sensor))
         except Refused as refused:
             problems.extend(refused.problems)
     if problems:
@@ -261,88 +267,78 @@ def frames_of_sensors(
     bands = [band for s in sensors for band in s.bands]
     twice = [label for label, n in Counter(b.label for b in bands).items() if n > 1]
     if twice:
-        raise CaptureRefused(_same_names(survey, camera, twice))
+        raise CaptureRefused(_same_names(index, camera, twice))
     if camera.kind in ("mosaic", "sensors"):
-        bands = list(relabel(camera, bands, sensors[0].object[0].path))
-    parts = [bands[i : i + len(s.bands)] for s, i in zip(sensors, _starts(sensors), strict=True)]
-    return tuple(replace(s, bands=tuple(p)) for s, p in zip(sensors, parts, strict=True))
-
-
-def _starts(sensors: Sequence[SensorFrames]) -> list[int]:
-    counts = [len(s.bands) for s in sensors]
-    return [sum(counts[:i]) for i in range(len(counts))]
+        bands = list(with_declared_centres(camera, bands, sensors[0].object[0].path))
+    left = iter(bands)
+    return tuple(replace(s, bands=tuple(islice(left, len(s.bands)))) for s in sensors)
 
 
 def _sensor(
-    survey: Survey, name: str, camera: Camera, setup: str, sensor: Sensor | None
+    index: FileIndex, name: str, camera: Camera, setup: str, sensor: SensorKeys | None
 ) -> SensorFrames:
+    """Return the frames of one sensor of an object, with its bands, darks and whites."""
     label = sensor.name if sensor else ""
 
-    def frames_of(targets: Iterable[str], setup: str) -> list[Found]:
-        found = [f for t in dict.fromkeys(targets) for f in survey.of(t, camera.name, setup)]
+    def frames_of(targets: Iterable[str], setup: str) -> list[FoundFile]:
+        found = [f for t in dict.fromkeys(targets) for f in index.of(t, camera.name, setup)]
         return [f for f in in_natural_order(found) if f.sensor == label]
 
-    seen = frames_of([name], setup)
-    if not seen:
-        raise CaptureRefused(_no_sensor(survey, name, camera, label))
-    dark_names, white_names = survey.campaign.darks_of(camera), survey.campaign.whites_of(camera)
+    found = frames_of([name], setup)
+    if not found:
+        raise CaptureRefused(_no_sensor(index, name, camera, label))
+    dark_names, white_names = index.campaign.darks_of(camera), index.campaign.whites_of(camera)
     darks = [_ref(f) for f in frames_of(dark_names, setup) or frames_of(dark_names, "")]
     whites = [_ref(f) for f in frames_of(white_names, setup)]
     missing = [
-        _no_template(survey, camera, label, setup, kind, names)
+        _no_template(index, camera, label, setup, kind, names)
         for kind, names, got in (("dark", dark_names, darks), ("white", white_names, whites))
         if names and not got
     ]
     if missing:
         raise CaptureRefused(*missing)
-    frames, pattern, bands = _frames_and_bands(survey, camera, sensor, seen, setup)
-    darks, whites = (_fitted(survey, camera, t, frames, bands) for t in (darks, whites))
-    _check_exposures(camera, seen, frames, bands)
+    frames, pattern, bands = _frames_and_bands(index, camera, sensor, found, setup)
+    darks, whites = (_fitted(index, camera, t, frames, bands) for t in (darks, whites))
+    _check_exposures(camera, found, frames)
     for kind, templates in (("dark", darks), ("white", whites)):
-        _check_every_band(survey, camera, kind, templates, bands)
+        _check_every_band(camera, kind, templates, bands)
     align = sensor.align if sensor else "measure"
     return SensorFrames(label, pattern, bands, align, tuple(frames), tuple(darks), tuple(whites))
 
 
-def _ref(found: Found) -> FrameRef:
-    """What a name says, as a frame; an empty text is a band that is not told."""
-    told = {k: v for k, v in vars(found).items() if k not in ("pattern", "band")}
-    return FrameRef(**told, band=found.band or None)
+def _ref(found: FoundFile) -> FrameRef:
+    """Return a found file as a frame; an empty text is a band that is not known."""
+    values = {k: v for k, v in vars(found).items() if k not in ("pattern", "band")}
+    return FrameRef(**values, band=found.band or None)
 
 
 def _frames_and_bands(
-    survey: Survey, camera: Camera, sensor: Sensor | None, seen: list[Found], setup: str
+    index: FileIndex, camera: Camera, sensor: SensorKeys | None, found: list[FoundFile], setup: str
 ) -> tuple[list[FrameRef], Rows | None, tuple[Band, ...]]:
-    """Frames of the object with their bands, the mosaic's pattern, and the bands."""
-    frames, first = [_ref(f) for f in seen], seen[0].path
+    """Return the frames of the object with their bands, the mosaic's pattern, and the bands."""
+    frames, first = [_ref(f) for f in found], found[0].path
     pattern = sensor.pattern if sensor else camera.pattern
     names = (sensor.bands if sensor else ()) or (camera.bands if camera.kind == "mosaic" else ())
     if camera.kind == "mosaic" or (sensor and pattern):
-        facts = survey.facts(first) if pattern is None else None
+        facts = index.facts(first) if pattern is None else None
         return frames, *bands_of_mosaic(camera, pattern, names, facts)
     if camera.kind != "bands":
-        bands = bands_in_file(camera, sensor, survey.facts(first))
+        bands = bands_in_file(camera, sensor, index.facts(first))
         if camera.kind == "cube":
-            for frame in frames[1:]:
-                _check_count(survey, camera, frame, len(bands))
+            _check_counts(index, camera, frames[1:], len(bands))
         return frames, None, bands
     if all(band_key(f) is None for f in frames):
-        bands = bands_in_file(camera, None, survey.facts(first), pages=True)
-        for frame in frames[1:]:
-            _check_count(survey, camera, frame, len(bands))
+        bands = bands_in_file(camera, None, index.facts(first), pages=True)
+        _check_counts(index, camera, frames[1:], len(bands))
         paged = [replace(f, band=b.label, page=i) for i, b in enumerate(bands) for f in frames]
         return paged, pattern, bands
-    frames, bands = bands_by_name(
-        camera,
-        frames,
-        survey.bands(camera, sensor.name if sensor else "", setup),
-        str(first.parent),
-    )
+    others = index.bands(camera, sensor.name if sensor else "", setup)
+    frames, bands = bands_by_name(camera, frames, others, str(first.parent))
     return frames, pattern, bands
 
 
 def _fitted(
-    survey: Survey,
+    index: FileIndex,
     camera: Camera,
     templates: list[FrameRef],
     frames: list[FrameRef],
@@ -350,42 +346,40 @@ def _fitted(
 ) -> list[FrameRef]:
     """Give templates the bands they belong to, by name or by page; without either they serve all."""
     if camera.kind == "cube":
-        for template in templates:
-            _check_count(survey, camera, template, len(bands))
+        _check_counts(index, camera, templates, len(bands))
     if camera.kind != "bands":
         return templates
     paged: list[FrameRef] = []
     for template in templates:
         pages = 1
         if band_key(template) is None and frames[0].page is not None:
-            pages = survey.facts(template.path).pages
+            pages = index.facts(template.path).pages
         if pages == 1:
             paged.append(template)
             continue
-        _check_count(survey, camera, template, len(bands))
+        _check_counts(index, camera, [template], len(bands))
         paged += [replace(template, band=b.label, page=i) for i, b in enumerate(bands)]
     return label_templates(paged, frames, bands)
 
 
-def _check_count(survey: Survey, camera: Camera, frame: FrameRef, bands: int) -> None:
-    """Refuse a cube, or a TIFF of pages, that has not as many bands as the object's first file."""
-    facts = survey.facts(frame.path)
-    samples = facts.shape[2] if len(facts.shape) == 3 else 1
-    found = samples if facts.kind == "envi" or samples > 1 else facts.pages
-    if found != bands:
-        raise CaptureRefused(
-            count_problem(camera, "bands", bands, found, f"in {frame.path.name}", str(frame.path))
-        )
+def _check_counts(index: FileIndex, camera: Camera, frames: list[FrameRef], bands: int) -> None:
+    """Refuse cubes, or TIFFs of pages, that have not as many bands as the object's first file."""
+    for frame in frames:
+        facts = index.facts(frame.path)
+        samples = facts.shape[2] if len(facts.shape) == 3 else 1
+        found = samples if facts.kind == "envi" or samples > 1 else facts.pages
+        if found != bands:
+            where = f"in {frame.path.name}"
+            problem = count_problem(camera, "bands", bands, found, where, str(frame.path))
+            raise CaptureRefused(problem)
 
 
-# --- what several files mean ------------------------------------------------------------------
+# --- several files of one band ----------------------------------------------------------------
 
 
-def _check_exposures(
-    camera: Camera, seen: list[Found], frames: list[FrameRef], bands: tuple[Band, ...]
-) -> None:
-    """Several files are shots, strips or exposures only where campaign.toml says so."""
-    shots_are_said = {f.path: "shot" in f.pattern.fields for f in seen}
+def _check_exposures(camera: Camera, found: list[FoundFile], frames: list[FrameRef]) -> None:
+    """Refuse several files of one band, unless campaign.toml declares them shots, strips or exposures."""
+    shots_are_declared = {f.path: "shot" in f.pattern.fields for f in found}
     groups: dict[str | None, list[FrameRef]] = {}
     for frame in frames:
         groups.setdefault(frame.band, []).append(frame)
@@ -398,7 +392,7 @@ def _check_exposures(
             continue
         for time in {f.exposure_s for f in group}:
             same = [f for f in group if f.exposure_s == time]
-            if len(same) > 1 and not all(shots_are_said[f.path] for f in same):
+            if len(same) > 1 and not all(shots_are_declared[f.path] for f in same):
                 raise CaptureRefused(_two_files(camera, what, same))
 
 
@@ -432,13 +426,13 @@ def _two_files(camera: Camera, what: str, frames: list[FrameRef]) -> Problem:
 
 
 def _check_every_band(
-    survey: Survey, camera: Camera, kind: str, templates: list[FrameRef], bands: tuple[Band, ...]
+    camera: Camera, kind: str, templates: list[FrameRef], bands: tuple[Band, ...]
 ) -> None:
     """Refuse templates that belong to bands and leave one of the object's without."""
     if not templates or any(f.band is None for f in templates):
         return
-    told = {f.band for f in templates}
-    lacking = [b.label for b in bands if b.label not in told]
+    served = {f.band for f in templates}
+    lacking = [b.label for b in bands if b.label not in served]
     if lacking:
         raise CaptureRefused(
             Problem(
@@ -453,11 +447,11 @@ def _check_every_band(
         )
 
 
-def _same_names(survey: Survey, camera: Camera, twice: list[str]) -> Problem:
+def _same_names(index: FileIndex, camera: Camera, twice: list[str]) -> Problem:
     return Problem(
         "E_BAND_TWICE",
         f"{camera.name}: two channels have one name",
-        str(survey.campaign.path),
+        str(index.campaign.path),
         f"cameras.{camera.name}.bands",
         ", ".join(twice),
         "names that differ",
@@ -465,15 +459,15 @@ def _same_names(survey: Survey, camera: Camera, twice: list[str]) -> Problem:
     )
 
 
-# --- what is not there ------------------------------------------------------------------------
+# --- missing frames ----------------------------------------------------------------------------
 
 
-def _no_sensor(survey: Survey, name: str, camera: Camera, sensor: str) -> Problem:
-    patterns = " or ".join(p.text for p in patterns_of(survey, camera.name, sensor=sensor))
+def _no_sensor(index: FileIndex, name: str, camera: Camera, sensor: str) -> Problem:
+    patterns = " or ".join(p.text for p in patterns_of(index, camera.name, sensor=sensor))
     return Problem(
         "E_BAND_MISSING",
         f"{camera.name}: sensor {sensor} has no frame of {name!r}",
-        str(survey.campaign.path),
+        str(index.campaign.path),
         f"cameras.{camera.name}.sensors.{sensor}.files",
         "no file",
         patterns,
@@ -482,15 +476,15 @@ def _no_sensor(survey: Survey, name: str, camera: Camera, sensor: str) -> Proble
 
 
 def _no_template(
-    survey: Survey, camera: Camera, sensor: str, setup: str, kind: str, names: tuple[str, ...]
+    index: FileIndex, camera: Camera, sensor: str, setup: str, kind: str, names: tuple[str, ...]
 ) -> Problem:
     own = getattr(camera, kind) is not None
-    patterns = dict.fromkeys(p.text for p in patterns_of(survey, camera.name, setup))
+    patterns = dict.fromkeys(p.text for p in patterns_of(index, camera.name, setup))
     under = f" under {setup}" if setup else ""
     return Problem(
         "E_TEMPLATE_MISSING",
         f"{' '.join(filter(None, (camera.name, sensor)))}{under}: the declared {kind} was not found",
-        str(survey.campaign.path),
+        str(index.campaign.path),
         f"cameras.{camera.name}.{kind}" if own else f"targets.{kind}",
         "no file",
         f"{{target}} = {' or '.join(names)} in {' or '.join(patterns)}",
@@ -513,25 +507,27 @@ def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
         labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
         known.setdefault(capture.object, {})[capture.layer] = labels
     problems = []
-    seen: dict[tuple[str, str, str], str] = {}
+    edited: dict[tuple[str, str, str], str] = {}
     for name, frame in sorted(edits.frames):
         layer, _, band = frame.partition(":")
         where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
-        for kind, asked, names in (
+        for kind, wanted, names in (
             ("object", name, list(known)),
             ("camera", layer, list(layers)),
             ("band", band, list(layers.get(layer, {}))),
         ):
-            if asked and asked not in names:
-                said = ", ".join(sorted(names))
-                problem = Problem("E_VALUE", f"there is no such {kind}", None, where, asked, said)
+            if wanted and wanted not in names:
+                known_names = ", ".join(sorted(names))
+                problem = Problem(
+                    "E_VALUE", f"there is no such {kind}", None, where, wanted, known_names
+                )
                 problems.append(with_explanation(problem, path))
                 break
         else:
             sensors = layers[layer]
             place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
-            if (first := seen.setdefault(place, frame)) != frame:
-                message = "two tables speak of one sensor"
+            if (first := edited.setdefault(place, frame)) != frame:
+                message = "the sensor is edited twice"
                 problem = Problem(
                     "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
                 )

@@ -1,4 +1,4 @@
-"""Exposures that a table beside the frames tells, where neither names nor EXIF do."""
+"""Read exposures from a table beside the frames, where neither names nor EXIF have them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def read_manifest(path: Path) -> dict[str, float]:
     Raises
     ------
     CaptureRefused
-        Where it cannot be read; every row that says no exposure > 0 is listed, at most ten.
+        Where it cannot be read; every row without an exposure > 0 is listed, at most ten.
     """
     exposures: dict[str, float] = {}
     problems = []

@@ -11,15 +11,15 @@ from typing import Any
 from levkas.core.problems import Problem, Refused
 
 MOST_STEPS = 200_000
-"""Of one name; only placeholders that stand twice with many readings of the first come near it."""
+"""Steps for one name; only repeated placeholders with many readings of the first come near it."""
 _DIGITS = re.compile(r"\d+")
 _OPEN = re.compile(r"(?<![^\W_])")
 _CLOSED = re.compile(r"(?![^\W_])")
 
 
 @dataclass(frozen=True)
-class Fixed:
-    """Text that stands as it is, upper and lower case alike in its suffix."""
+class LiteralPiece:
+    """Literal text, upper and lower case alike in its suffix."""
 
     source: re.Pattern[str]
 
@@ -30,7 +30,7 @@ class Fixed:
 
 
 @dataclass(frozen=True)
-class Span:
+class TextPiece:
     """Any text within a name, of `least` letters or more; as much as it can be, or as little."""
 
     least: int = 0
@@ -44,7 +44,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Number:
+class NumberPiece:
     """A number with or without decimals, never a part of a longer one."""
 
     def ends(self, text: str, start: int) -> Iterator[int]:
@@ -62,7 +62,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class OneOf:
+class ChoicePiece:
     """One of some values; beside a wildcard no part of a longer word."""
 
     values: tuple[str, ...]
@@ -89,7 +89,7 @@ class OneOf:
 
 
 @dataclass(frozen=True)
-class Depths:
+class FoldersPiece:
     """Any number of whole folders, none included; as many as there can be."""
 
     def ends(self, text: str, start: int) -> Iterator[int]:
@@ -105,15 +105,15 @@ def end_of_name(text: str, start: int) -> int:
     return len(text) if slash < 0 else slash
 
 
-Kind = Fixed | Span | Number | OneOf | Depths
-Piece = tuple[Kind, str]
+PieceKind = LiteralPiece | TextPiece | NumberPiece | ChoicePiece | FoldersPiece
+Piece = tuple[PieceKind, str]
 """What it matches, and the name of the placeholder; empty for none."""
 
 
 def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
-    """Return what a text says by placeholder; None where it does not fit.
+    """Return the values of the placeholders in a text; None where it does not fit.
 
-    A placeholder that stands twice stands for the same text.
+    A placeholder that occurs twice has one value.
 
     Raises
     ------
@@ -127,18 +127,18 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
     known: list[dict[str, str]] = []
     waiting: list[Iterator[int]] = []
 
-    def enter(index: int, start: int, said: dict[str, str]) -> None:
+    def enter(index: int, start: int, values: dict[str, str]) -> None:
         """Go on with a piece at a place, unless it failed there."""
-        tried = failed.get(_state(pieces, index, text, start, said))
+        tried = failed.get(_state(pieces, index, text, start, values))
         if tried is not None and tried <= start:
             return
         kind, name = pieces[index]
         places.append(start)
-        known.append(said)
-        if name in said:
-            same = text.startswith(said[name], start)
-            waiting.append(iter([start + len(said[name])] if same else []))
-        elif isinstance(kind, Span):
+        known.append(values)
+        if name in values:
+            same = text.startswith(values[name], start)
+            waiting.append(iter([start + len(values[name])] if same else []))
+        elif isinstance(kind, TextPiece):
             waiting.append(kind.ends(text, start, tried))
         else:
             waiting.append(kind.ends(text, start))
@@ -147,19 +147,19 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
     for _ in range(MOST_STEPS):
         if not waiting:
             return None
-        index, start, said = len(waiting) - 1, places[-1], known[-1]
+        index, start, values = len(waiting) - 1, places[-1], known[-1]
         end = next(waiting[-1], None)
         if end is None:
-            failed[_state(pieces, index, text, start, said)] = start
+            failed[_state(pieces, index, text, start, values)] = start
             for stack in (waiting, places, known):
                 stack.pop()  # type: ignore[attr-defined]
         elif index + 1 < len(pieces):
             name = names[index]
-            if name in twice and name not in said:
-                said = {**said, name: text[start:end]}
-            enter(index + 1, end, said)
+            if name in twice and name not in values:
+                values = {**values, name: text[start:end]}
+            enter(index + 1, end, values)
         elif end == len(text):
-            return _told(names, [*places, end], text)
+            return _values_by_name(names, [*places, end], text)
     raise Refused(
         Problem(
             "E_VALUE",
@@ -173,19 +173,19 @@ def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
 
 
 def _state(
-    pieces: Sequence[Piece], index: int, text: str, start: int, said: dict[str, str]
+    pieces: Sequence[Piece], index: int, text: str, start: int, values: dict[str, str]
 ) -> tuple[object, ...]:
     """Return what a failure depends on: of a span the name that it lies in, for a later start ends where it may."""
-    free = isinstance(pieces[index][0], Span) and pieces[index][1] not in said
-    return index, end_of_name(text, start) if free else start, free, *said.items()
+    free = isinstance(pieces[index][0], TextPiece) and pieces[index][1] not in values
+    return index, end_of_name(text, start) if free else start, free, *values.items()
 
 
-def _told(names: Sequence[str], places: Sequence[int], text: str) -> dict[str, str]:
-    told: dict[str, str] = {}
+def _values_by_name(names: Sequence[str], places: Sequence[int], text: str) -> dict[str, str]:
+    found: dict[str, str] = {}
     for name, start, end in zip(names, places[:-1], places[1:], strict=True):
         if name:
-            told.setdefault(name, text[start:end])
-    return told
+            found.setdefault(name, text[start:end])
+    return found
 
 
 FIELDS = ("target", "setup", "band", "wavelength", "exposure", "shot", "sensor")
@@ -204,7 +204,7 @@ SECONDS = {
 _PIECE = re.compile(r"(\{[^{}]*\}|\*\*|\*)")
 _NUMBER = r"(?<!\d)(?<!\d\.)\d+(?:\.\d+)?(?!\d)"  # never the tail of a longer number
 _BODY = {
-    "target": r"[^/]+",  # as much as it can: the rest of a pattern says what is not its
+    "target": r"[^/]+",  # as much as it can: the rest of a pattern bounds it
     "setup": r"[^/]+?",
     "band": r"[^/]+?",
     "sensor": r"[^/]+?",
@@ -212,14 +212,14 @@ _BODY = {
     "wavelength": _NUMBER,
     "exposure": _NUMBER,
 }
-_KIND: dict[str, Kind] = {
-    "target": Span(1),
-    "setup": Span(1, greedy=False),
-    "band": Span(1, greedy=False),
-    "sensor": Span(1, greedy=False),
-    "shot": Span(0, greedy=False),
-    "wavelength": Number(),
-    "exposure": Number(),
+_KIND: dict[str, PieceKind] = {
+    "target": TextPiece(1),
+    "setup": TextPiece(1, greedy=False),
+    "band": TextPiece(1, greedy=False),
+    "sensor": TextPiece(1, greedy=False),
+    "shot": TextPiece(0, greedy=False),
+    "wavelength": NumberPiece(),
+    "exposure": NumberPiece(),
 }
 LONGEST = 4096
 """Letters of a path, as file systems have it."""
@@ -313,19 +313,19 @@ class Pattern:
         """Whether it starts at the root of the file system."""
         return self.text.startswith("/")
 
-    def given(self, field: str, value: str) -> Pattern:
+    def with_value(self, field: str, value: str) -> Pattern:
         """Return the pattern with one placeholder filled in."""
         return Pattern.parse(self.text.replace(f"{{{field}}}", value))
 
     def fits_segment(self, index: int, name: str) -> bool:
-        """Whether a file's or folder's name could stand at one place between slashes."""
+        """Whether a file's or folder's name fits one segment of the pattern."""
         last = index == len(self.segments) - 1
         return _match(self.segments[index], NOTHING_KNOWN, last, name, named=False) is not None
 
     def read(
         self, path: str, known: Mapping[str, Collection[str]] | tuple[Known, ...] | None = None
     ) -> dict[str, Any] | None:
-        """Return what a path says, by field; None where it does not fit.
+        """Return the values of the fields in a path; None where it does not fit.
 
         Parameters
         ----------
@@ -380,13 +380,13 @@ def natural(text: str) -> list[tuple[int, int, str]]:
 
 def ways_to_read(known: Mapping[str, Collection[str]]) -> tuple[Known, ...]:
     """Return what names are read with: everything known, then all but the target, then nothing."""
-    told = Known((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
-    but_target = Known(item for item in told if item[0] != "target")
-    return tuple(dict.fromkeys((told, but_target, NOTHING_KNOWN)))
+    found = Known((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
+    but_target = Known(item for item in found if item[0] != "target")
+    return tuple(dict.fromkeys((found, but_target, NOTHING_KNOWN)))
 
 
 def _match(text: str, known: Known, ends: bool, name: str, *, named: bool) -> dict[str, str] | None:
-    """Return what a name says by placeholder; None where it does not fit."""
+    """Return the values of the placeholders in a name; None where it does not fit."""
     if known.is_long or _free(text) > (2 if len(name) > SHORT else TAME):
         return match_pieces(_pieces(text, known, named, ends), name)
     found = _compiled(text, known, named, ends).fullmatch(name)
@@ -402,7 +402,7 @@ def _free(text: str) -> int:
 
 
 def _split(text: str) -> list[str]:
-    """Return stars, placeholders and what stands between; ``\0`` for any number of folders."""
+    """Return stars, placeholders and the text between; ``\0`` for any number of folders."""
     pieces = [p for p in _PIECE.split(text) if p]
     if "**" not in pieces:
         return pieces
@@ -416,17 +416,19 @@ def _pieces(text: str, known: Known, named: bool, ends: bool) -> tuple[Piece, ..
     out: list[Piece] = []
     for i, piece in enumerate(pieces):
         if piece == "\0":
-            out.append((Depths(), ""))
+            out.append((FoldersPiece(), ""))
         elif piece == "*":
-            out.append((Span(), ""))
+            out.append((TextPiece(), ""))
         elif not piece.startswith("{"):
-            out.append((Fixed(re.compile(_literal(piece, ends and i == len(pieces) - 1))), ""))
+            out.append(
+                (LiteralPiece(re.compile(_literal(piece, ends and i == len(pieces) - 1))), "")
+            )
         else:
             name = piece[1:-1]
             kind = _KIND[name]
             if name in values:
                 before, after = (_beside(pieces[j : j + 1]) for j in (i - 1, i + 1))
-                kind = OneOf(_longest_first(values[name]), before, after)
+                kind = ChoicePiece(_longest_first(values[name]), before, after)
             out.append((kind, name if named else ""))
     return tuple(out)
 

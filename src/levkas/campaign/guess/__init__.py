@@ -19,7 +19,7 @@ FILE = "campaign.toml"
 def look(folder: str | Path) -> Proposal:
     """Guess a campaign from the names, headers and numbers of the files below a folder.
 
-    Nothing is written. What cannot be told from the files is listed as unknown.
+    Nothing is written. What the files do not show is listed as unknown.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def look(folder: str | Path) -> Proposal:
     Returns
     -------
     proposal : Proposal
-        `text` is a whole campaign.toml with comments, `to_dict()` what it says.
+        `text` is a whole campaign.toml with comments, `to_dict()` its content.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import (
     CLIPPED,
     MOST_SAMPLED,
-    Mosaic,
+    GuessedMosaic,
     Samples,
     Statistics,
     find_mosaic,
@@ -121,7 +121,7 @@ def tile_side(frames: Sequence[NamedFile], samples: Samples) -> int:
 
 def mosaic_of(
     frames: Sequence[NamedFile], samples: Samples, warmth: Mapping[str, float]
-) -> Mosaic | None:
+) -> GuessedMosaic | None:
     """Return the mosaic that frames of one sensor show, its channels named; None for none."""
     bright, dark = _bright_and_dark(frames, samples)
     if bright is None or not (side := find_mosaic(bright.phases, dark=dark)):
@@ -135,7 +135,7 @@ def mosaic_of(
     return name_mosaic(side, bright.phases[side], dark=dark, shown=shown, warmth=warmth)
 
 
-def mosaic_behind_filters(group: CameraGroup, samples: Samples) -> Mosaic | None:
+def mosaic_behind_filters(group: CameraGroup, samples: Samples) -> GuessedMosaic | None:
     """Return the mosaic behind narrow filters, whose phases differ in other ways in every band; None for none."""
     by_band = _by_wavelength(group.of_role("white") or group.of_role("object"))
     narrow: dict[float, Statistics] = {}

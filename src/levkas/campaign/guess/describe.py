@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ from levkas.campaign.guess.file_patterns import FilePatterns, find_patterns
 from levkas.campaign.guess.groups import CameraGroup, safe_name
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
+from levkas.readers.spectra import parse_spectra
 
 READ_BYTES, ROWS = 20_000, 8
 """Of a table that is looked at."""
@@ -57,9 +57,9 @@ class CameraGuess:
     hints : tuple of str
         Keys that may be wanted, as comments.
     unknown : tuple of str
-        What the files do not say.
+        What the files leave open.
     centres : tuple of float
-        Wavelengths of its bands, nm, as names or headers say them.
+        Wavelengths of its bands, nm, from names or headers.
     targets : dict
         Target → role.
     setups : dict
@@ -210,8 +210,8 @@ def _describe_sensors(
     """Mosaic and channel names of each sensor."""
     for number, (name, frames) in enumerate(files.sensors.items(), 1):
         facts, keys = frames[0].facts, {}
-        told = facts.pattern or facts.wavelengths
-        mosaic = None if told else mosaic_of(frames, samples, warmth)
+        declared = facts.pattern or facts.wavelengths
+        mosaic = None if declared else mosaic_of(frames, samples, warmth)
         if facts.pattern or mosaic:
             why = mosaic.why if mosaic else "from the header"
             keys["pattern"] = Guess(
@@ -241,11 +241,11 @@ def _centres(group: CameraGroup, files: FilePatterns) -> tuple[float, ...]:
     """Wavelengths of a camera's bands, in their order."""
     if files.wavelengths:
         return files.wavelengths
-    told = [f.facts.wavelengths or () for f in group.objects]
+    centres = [f.facts.wavelengths or () for f in group.objects]
     if files.sensors:
-        told = [frames[0].facts.wavelengths or () for frames in files.sensors.values()]
-        return tuple(w for waves in told for w in waves)
-    return tuple(told[0])
+        centres = [frames[0].facts.wavelengths or () for frames in files.sensors.values()]
+        return tuple(w for waves in centres for w in waves)
+    return tuple(centres[0])
 
 
 # --- bands, bits, exposures -------------------------------------------------------------------
@@ -277,9 +277,9 @@ def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dic
     if facts.dtype != "uint16" or facts.kind == "raw" or facts.saturation:
         return {}
     found = [
-        told
+        statistics
         for role in ("white", "object", "chart")
-        for told in samples.of_some(group.of_role(role), MOST_SAMPLED)
+        for statistics in samples.of_some(group.of_role(role), MOST_SAMPLED)
     ]
     if not found:
         return {}
@@ -309,9 +309,9 @@ def _exposure_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
     times: dict[tuple[str, str | None, str], set[object]] = {}
     sensors = files.sensor_of()
     for frame in group.of_role("object"):
-        told = frame.number("exposure") or frame.facts.exposure_s
+        exposure = frame.number("exposure") or frame.facts.exposure_s
         key = (frame.target, frame.number("wavelength"), sensors.get(frame.path, ""))
-        times.setdefault(key, set()).add(told)
+        times.setdefault(key, set()).add(exposure)
     most = max((len(t - {None}) for t in times.values()), default=0)
     if most < 2:
         return {}
@@ -333,8 +333,8 @@ def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
                 silent.setdefault(role, set()).add(frame.facts.exposure_unclear)
     if stated:
         spans = {role: sorted({min(times), max(times)}) for role, times in stated.items()}
-        told = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
-        notes.about.append(f"Exposures: {', '.join(told)}.")
+        levels = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
+        notes.about.append(f"Exposures: {', '.join(levels)}.")
     unclear = {text for texts in silent.values() for text in texts}
     if stated and silent:
         notes.unknown.append(
@@ -354,9 +354,9 @@ def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -
     for role in ("dark", "white", "object"):
         found = samples.of_some(group.of_role(role), 3)
         means[role] = float(np.mean([s.mean for s in found])) if found else float("nan")
-    told = [f"{role} {_level(means[role])}" for role in means if not isnan(means[role])]
-    if len(told) > 1:
-        notes.about.append(f"Mean levels: {', '.join(told)} counts.")
+    levels = [f"{role} {_level(means[role])}" for role in means if not isnan(means[role])]
+    if len(levels) > 1:
+        notes.about.append(f"Mean levels: {', '.join(levels)} counts.")
     dark, white, shown = means["dark"], means["white"], means["object"]
     if dark > max(white, shown):
         notes.unknown.append(
@@ -404,7 +404,7 @@ def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
     for table in tables:
         if re.search(r"white|reflect", Path(table).stem, re.IGNORECASE):
             _, rows = _read(root / table)
-            if rows and all(len(r) == 2 and 0 < r[1] <= 1.5 for r in rows):
+            if len(rows) and rows.shape[1] == 2 and ((rows[:, 1] > 0) & (rows[:, 1] <= 1.5)).all():
                 return table
     return None
 
@@ -417,7 +417,7 @@ def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> 
         if camera.name.casefold() not in Path(table).stem.casefold():
             continue
         names, rows = _read(root / table)
-        if not rows or len(names) < 2:
+        if not len(rows) or len(names) < 2:
             continue
         keys = {**camera.keys, "sensitivity": Guess(table, "the table that bears its name")}
         sensors = _renamed(camera.sensors, names[1:])
@@ -439,20 +439,20 @@ def _renamed(sensors: tuple[SensorGuess, ...], names: Sequence[str]) -> tuple[Se
 
 
 def _still(camera: CameraGuess, sensors: tuple[SensorGuess, ...]) -> tuple[str, ...]:
-    """What remains unknown when a table tells what the channels see."""
-    told = sensors != camera.sensors
-    return tuple(text for text in camera.unknown if not (told and "sees;" in text))
+    """Return what remains unknown with a table of sensitivities."""
+    renamed = sensors != camera.sensors
+    return tuple(text for text in camera.unknown if not (renamed and "sees;" in text))
 
 
-def _read(path: Path) -> tuple[list[str], list[list[float]]]:
+def _read(path: Path) -> tuple[list[str], np.ndarray]:
     """Return the header and the first rows of a table over wavelength; no rows where it is none."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as handle:
             lines = handle.read(READ_BYTES).splitlines()[: ROWS + 1]
-        header, *cells = [row for row in csv.reader(lines) if row]
-        rows = [[float(cell) for cell in row] for row in cells]
-    except (OSError, ValueError, csv.Error):
-        return [], []
+        table, head = parse_spectra("\n".join(lines))
+    except (OSError, ValueError):
+        return [], np.empty((0, 0))
     low, high = WAVELENGTHS_NM
-    fits = all(len(r) == len(header) > 1 and low < r[0] < high for r in rows)
-    return [name.strip() for name in header], rows if fits else []
+    fits = len(head) > 1 and table.shape[1:] == (len(head),) and np.isfinite(table).all()
+    fits = fits and bool(((table[:, 0] > low) & (table[:, 0] < high)).all())
+    return head, table if fits else table[:0]

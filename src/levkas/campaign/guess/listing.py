@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from levkas.campaign.discovery.file_index import DEEPEST, Folders, walk
+from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, walk_folders
 from levkas.core.problems import Refused
 from levkas.readers.facts import Facts
 
@@ -77,7 +77,7 @@ def list_captures(root: str | Path) -> Listing:
 
     listing = Listing(Path(root))
     paths: list[tuple[tuple[str, ...], Path]] = []
-    for above, names in walk(listing.root, Folders()):
+    for above, names in walk_folders(listing.root, FolderListings()):
         if any(name.endswith((".kept", ".removed")) for name in above):
             continue
         if names is None:
@@ -118,11 +118,10 @@ def list_captures(root: str | Path) -> Listing:
 
 def _facts_of_image(path: Path) -> Facts:
     """Read the facts of a capture; an ENVI library of spectra is refused as no image."""
-    from levkas.readers.envi import parse_header
+    from levkas.readers.envi_header import parse_header
     from levkas.readers.facts import unreadable
     from levkas.readers.frames import read_facts
 
-    header = parse_header(path) if path.suffix.lower() == ".hdr" else {}
-    if "library" in str(header.get("file type", "")).lower():
+    if path.suffix.lower() == ".hdr" and "library" in parse_header(path).text("file type").lower():
         raise unreadable(path, "a library of spectra, no image")
     return read_facts(path)

@@ -190,7 +190,7 @@ def _step(values: np.ndarray) -> int:
 
 
 @dataclass(frozen=True)
-class Mosaic:
+class GuessedMosaic:
     """A guessed mosaic: rows of channel names, why, and what remains unknown ("" for nothing)."""
 
     rows: tuple[tuple[str, ...], ...]
@@ -212,7 +212,7 @@ def name_mosaic(
     shown: Mapping[str, np.ndarray] | None = None,
     warmth: Mapping[str, float] | None = None,
     narrow: Mapping[float, np.ndarray] | None = None,
-) -> Mosaic:
+) -> GuessedMosaic:
     """Name the channels of a mosaic.
 
     Parameters
@@ -244,14 +244,14 @@ def name_mosaic(
         names = [f"B{i + 1}" for i in range(side * side)]
         rows = tuple(tuple(names[r * side : (r + 1) * side]) for r in range(side))
         unknown = "what each channel of the mosaic sees: the names are in reading order"
-        return Mosaic(rows, f"levels repeat every {side} sensels", unknown)
+        return GuessedMosaic(rows, f"levels repeat every {side} sensels", unknown)
     greens, ends = (DIAGONALS[diagonal], DIAGONALS[1 - diagonal])
     red, why, unknown = _first_is_red(ends, bright - dark, dark, shown or {}, warmth or {})
     grid = np.full((2, 2), "B", dtype=object)
     grid[greens[0]] = grid[greens[1]] = "G"
     grid[ends[0] if red else ends[1]] = "R"
     rows = tuple(tuple(str(n) for n in row) for row in grid)
-    return Mosaic(rows, f"two phases on a diagonal are alike: greens{why}", unknown)
+    return GuessedMosaic(rows, f"two phases on a diagonal are alike: greens{why}", unknown)
 
 
 def _first_is_red(
@@ -290,7 +290,7 @@ def _greens(levels: np.ndarray) -> int | None:
     return 0 if main < other else 1
 
 
-def _by_wavelength(narrow: Mapping[float, np.ndarray], dark: float) -> Mosaic | None:
+def _by_wavelength(narrow: Mapping[float, np.ndarray], dark: float) -> GuessedMosaic | None:
     """Red, green and blue are the phases that see long, middle and short waves best."""
     shares: dict[str, np.ndarray] = {}
     for name, (low, high) in (("R", LONG_NM), ("G", MIDDLE_NM), ("B", SHORT_NM)):
@@ -305,7 +305,7 @@ def _by_wavelength(narrow: Mapping[float, np.ndarray], dark: float) -> Mosaic | 
     if len(greens) != 2 or abs(greens[0] - greens[1]).sum() != 2:
         return None
     rows = tuple(tuple(str(n) for n in row) for row in grid)
-    return Mosaic(rows, "one phase sees the long waves best (R), one the short ones (B)")
+    return GuessedMosaic(rows, "one phase sees the long waves best (R), one the short ones (B)")
 
 
 # --- frames, decoded once ---------------------------------------------------------------------

@@ -57,7 +57,7 @@ class Proposal:
     Parameters
     ----------
     root : Path
-        The folder that was looked at, where campaign.toml would stand.
+        The folder that was looked at, where campaign.toml belongs.
     described : dict
         Keys of [campaign].
     cameras : tuple of CameraGuess
@@ -67,7 +67,7 @@ class Proposal:
     hints : tuple of str
         Keys of [targets] that may be wanted, as comments.
     unknown : tuple of str
-        What a person must say; empty where nothing is left open.
+        What a person must fill in; empty where nothing is left open.
     left_out : tuple of str
         FilePatterns that are in no camera, and why.
     """
@@ -87,11 +87,11 @@ class Proposal:
         return "\n".join(_document(self)) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what campaign.toml says, as a parser reads it."""
+        """Return the content of campaign.toml, as a parser reads it."""
         return tomllib.loads(self.text)
 
     def to_report(self) -> dict[str, Any]:
-        """Return what `--json` says: the campaign, its text, what is unknown, what is left out."""
+        """Return the report of `--json`: the campaign, its text, what is unknown, what is left out."""
         return {
             "campaign": self.to_dict(),
             "toml": self.text,
@@ -243,17 +243,17 @@ def _targets(
     charts = {t: _chart(t) for t in sorted(by_role["chart"], key=natural)}
     if charts:
         keys["charts"] = Guess(charts, "by their names; check which chart each is")
-    seen = next(c.targets for c in cameras if c.name == reference)
+    registered = next(c.targets for c in cameras if c.name == reference)
     objects = sorted(by_role["object"], key=natural)
     if unsafe := [name for name in objects if not is_safe_name(name)]:
         unknown.append(
             f"how to call {', '.join(unsafe[:MOST_LISTED])}: file names cannot hold this"
         )
     objects = [name for name in objects if name not in unsafe]
-    lost = [name for name in objects if name not in seen]
+    lost = [name for name in objects if name not in registered]
     if lost:
         unknown.append(f"where the reference camera's image of {', '.join(lost[:MOST_LISTED])} is")
-    objects = [name for name in objects if name in seen]
+    objects = [name for name in objects if name in registered]
     if objects:
         keys["objects"] = Guess(objects, "all other targets" if dark or white or charts else "")
     return keys, objects, unknown
@@ -303,7 +303,7 @@ def _date(listing: Listing) -> dict[str, Guess]:
 
 
 def _shortened(lines: Sequence[str]) -> list[str]:
-    """Leave out what was said before, and the tail of a long list."""
+    """Leave out repetitions, and the tail of a long list."""
     shown = list(dict.fromkeys(lines))
     if len(shown) <= 3 * MOST_LISTED:
         return shown

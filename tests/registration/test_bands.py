@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.registration.images import BandImage, area_average, grey, stretch
+from levkas.registration.bands import BandImage, area_average, grey, stretch
 
 
 def test_grey_is_the_mean_of_all_bands():

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine, Composed, Homography, Lens
-from levkas.registration.chromatic import Chromatic
-from levkas.registration.joint import adjust
-from levkas.registration.model_selection import Terms, climb
+from levkas.registration.chromatic import ChromaticShifts
+from levkas.registration.joint import SensorObservations, adjust_jointly
+from levkas.registration.model_selection import SelectionTerms, select_model
 from levkas.registration.models import Observations
-from levkas.registration.observations import Sighting
-from levkas.registration.pooled_chromatic import share
+from levkas.registration.pooled_chromatic import pool_chromatic
 
 SIZE = np.array([420.0, 320.0])
 CELL = 12.0
@@ -30,7 +29,7 @@ def truth(number):
 
 
 def colour(bands=1, width=2, **known):
-    return Chromatic(
+    return ChromaticShifts(
         "shift", (SIZE - 1) / 2, 210.0, np.zeros((bands, width)), np.full((bands, width), 1e-4),
         **known,
     )  # fmt: skip
@@ -56,11 +55,16 @@ def sighting(number, *, bulge=0.0, noise=NOISE, labels=("a",)):
     target = seen(lifted) + np.einsum("nab,nb->na", jacobian, drawn)
     known = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
     observed = Observations(points, target, jacobian, known)
-    terms = Terms(4 * CELL, 2.01 * CELL, CELL)
-    rung = climb(observed, spacing=terms.spacing, apart=terms.apart, cell=terms.cell)
-    held_out = rung.scores[rung.name]
-    return Sighting(
-        "", labels, rung.transform, colour(len(labels)), held_out, rung.observations, terms
+    terms = SelectionTerms(4 * CELL, 2.01 * CELL, CELL, depth_step=True)
+    selected = select_model(observed, terms)
+    return SensorObservations(
+        "",
+        labels,
+        selected.transform,
+        colour(len(labels)),
+        selected.held_out_error,
+        selected.observations,
+        terms,
     )
 
 
@@ -77,8 +81,8 @@ def test_mates_bring_noisy_captures_nearer_to_the_truth():
     captures = [sighting(k) for k in range(4)]
     before = after = 0.0
     for k, mine in enumerate(captures[:3]):
-        found = adjust(mine, captures[:k] + captures[k + 1 :])
-        assert found.rung is not None
+        found = adjust_jointly(mine, captures[:k] + captures[k + 1 :])
+        assert found.selected is not None
         assert found.mates == (0, 1, 2)
         before, after = before + missed(mine.base, k), after + missed(found.base, k)
     # How each painting lies is its own affair: eight of twelve terms.
@@ -87,32 +91,37 @@ def test_mates_bring_noisy_captures_nearer_to_the_truth():
 
 def test_a_panel_of_another_shape_takes_no_part():
     mine, like, other = sighting(0), sighting(1), sighting(2, bulge=1.6)
-    found = adjust(mine, [other])
+    found = adjust_jointly(mine, [other])
     assert found.mates == ()
-    assert found.rung is None
+    assert found.selected is None
     assert found.base is mine.base
-    assert adjust(mine, [other, like]).mates == (1,)
+    assert adjust_jointly(mine, [other, like]).mates == (1,)
 
 
 def test_what_was_not_seen_from_the_same_place_takes_no_part():
     mine, far = sighting(0), sighting(1)
     bent = far.seen.points + 3.0 * np.sin(far.seen.points / 60)
     moved = Observations(bent, far.seen.target, far.seen.jacobian, far.seen.information)
-    stranger = Sighting("", far.labels, far.base, far.chromatic, far.held_out, moved, far.terms)
-    assert adjust(mine, [stranger]).mates == ()
+    stranger = SensorObservations(
+        "", far.labels, far.base, far.chromatic, far.held_out, moved, far.terms
+    )
+    assert adjust_jointly(mine, [stranger]).mates == ()
 
 
 def test_the_order_of_the_mates_only_numbers_them():
     mine, *others = (sighting(k) for k in range(3))
-    one, other = adjust(mine, others), adjust(mine, others[::-1])
+    one, other = adjust_jointly(mine, others), adjust_jointly(mine, others[::-1])
     points = SIZE * np.random.default_rng(1).random((50, 2))
     np.testing.assert_allclose(one.base(points), other.base(points), atol=1e-6)
 
 
 def test_the_reference_s_own_bands_are_shared_and_its_frame_stays():
-    own = [Sighting("", ("a", "b", "c"), Affine.identity(), measured(k, fixed=1)) for k in range(4)]
-    found = adjust(own[0], own[1:])
-    assert found.rung is None
+    own = [
+        SensorObservations("", ("a", "b", "c"), Affine.identity(), measured(k, fixed=1))
+        for k in range(4)
+    ]
+    found = adjust_jointly(own[0], own[1:])
+    assert found.selected is None
     assert not found.chromatic.amounts[1].any()
 
 
@@ -129,7 +138,7 @@ def measured(number, *, noise=0.05, drift=0.0, fixed=None):
     if fixed is not None:
         amounts -= amounts[fixed]
         variances[fixed] = 0.0
-    return Chromatic("similarity", (SIZE - 1) / 2, 210.0, amounts, variances)
+    return ChromaticShifts("similarity", (SIZE - 1) / 2, 210.0, amounts, variances)
 
 
 def off(one, truth=COLOURS):
@@ -140,7 +149,7 @@ def off(one, truth=COLOURS):
 
 def test_bands_of_several_captures_are_known_better_than_of_one():
     alone = [measured(k) for k in range(6)]
-    together = [share(alone, k) for k in range(len(alone))]
+    together = [pool_chromatic(alone, k) for k in range(len(alone))]
     before, after = (np.mean([off(c) for c in some]) for some in (alone, together))
     assert after < 0.65 * before
     assert all((t.variances <= a.variances).all() for t, a in zip(together, alone, strict=True))
@@ -150,25 +159,25 @@ def test_bands_that_really_differ_from_capture_to_capture_stay_apart():
     rng_of = [np.random.default_rng(50 + k) for k in range(6)]
     real = [COLOURS + rng.normal(0, 0.5, COLOURS.shape) for rng in rng_of]
     alone = [measured(k, noise=0.02, drift=0.5) for k in range(6)]
-    together = [share(alone, k) for k in range(len(alone))]
+    together = [pool_chromatic(alone, k) for k in range(len(alone))]
     for one, shared, truth in zip(alone, together, real, strict=True):
         assert off(shared, truth) < 1.2 * off(one, truth)
 
 
 def test_what_all_bands_have_in_common_is_never_shared():
     alone = [measured(k, noise=0.001) for k in range(3)]
-    moved = Chromatic(
+    moved = ChromaticShifts(
         "similarity", alone[0].centre, 210.0, alone[0].amounts + 2.0, alone[0].variances
     )
-    shared = share([moved, *alone[1:]])
+    shared = pool_chromatic([moved, *alone[1:]])
     np.testing.assert_allclose(shared.amounts.mean(0), moved.amounts.mean(0), atol=0.01)
 
 
 def test_one_capture_alone_and_bands_never_measured_come_back_as_they_are():
     one = measured(0)
-    assert share([one]) is one
-    blind = Chromatic("similarity", one.centre, 210.0, one.amounts, None)
-    np.testing.assert_array_equal(share([blind, blind]).amounts, one.amounts)
+    assert pool_chromatic([one]) is one
+    blind = ChromaticShifts("similarity", one.centre, 210.0, one.amounts, None)
+    np.testing.assert_array_equal(pool_chromatic([blind, blind]).amounts, one.amounts)
 
 
 # --- what is kept -----------------------------------------------------------------------------
@@ -178,8 +187,8 @@ def test_one_capture_alone_and_bands_never_measured_come_back_as_they_are():
 def test_a_sighting_comes_back_from_its_arrays_as_it_was(seen):
     one = sighting(3, labels=("a", "b"))
     if not seen:
-        one = Sighting("left", ("a", "b"), Affine.identity(), colour(2))
-    again = Sighting.from_arrays(one.to_arrays())
+        one = SensorObservations("left", ("a", "b"), Affine.identity(), colour(2))
+    again = SensorObservations.from_arrays(one.to_arrays())
     assert (again.sensor, again.labels, again.terms) == (one.sensor, one.labels, one.terms)
     assert json.dumps(again.base.to_dict()) == json.dumps(one.base.to_dict())
     np.testing.assert_array_equal(again.chromatic.variances, one.chromatic.variances)

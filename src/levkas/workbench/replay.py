@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from levkas.geometry.transforms import Affine, Transform
-from levkas.registration.mirhashemi2019 import REJECT_SHARE, scale_only
+from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
 from levkas.registration.outliers import Cleaned, clean, cut
 
 ORDERS = ((20, 3), (12, 2), (3, 1))
@@ -22,7 +22,7 @@ def reject_of(size: tuple[int, int]) -> float:
     >>> round(reject_of((1392, 1040)), 1)
     108.6
     """
-    return float(np.hypot(*size)) * REJECT_SHARE
+    return float(np.hypot(*size)) * SETTINGS.reject_share
 
 
 def order_of(count: int) -> int:

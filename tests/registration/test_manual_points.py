@@ -5,10 +5,10 @@ import pytest
 
 from levkas.geometry.transforms import Affine, Homography
 from levkas.registration import BandImage, register
-from levkas.registration.manual_points import Given, near
+from levkas.registration.initial import fit_initial_transform
+from levkas.registration.manual_points import ManualPoints, nearest_rows
 from levkas.registration.outliers import clean
 from levkas.registration.record import RegistrationRefused
-from levkas.registration.seeded import start_from
 
 SIZE = (800, 600)
 
@@ -64,8 +64,8 @@ def test_masks_of_nothing_change_nothing():
 def test_places_are_found_again_by_their_rounded_coordinates():
     rng = np.random.default_rng(0)
     exact = rng.uniform(0, 3000, (500, 4))
-    assert np.array_equal(near(exact.round(2), exact), np.arange(500))
-    assert (near(exact + np.array([0.05, 0, 0, 0]), exact) == -1).all()
+    assert np.array_equal(nearest_rows(exact.round(2), exact), np.arange(500))
+    assert (nearest_rows(exact + np.array([0.05, 0, 0, 0]), exact) == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_places_are_found_again_by_their_rounded_coordinates():
 def test_four_pairs_start_what_they_lie_on(matrix):
     truth = Homography(np.array(matrix, float))
     corners = np.array([[50.0, 40], [700, 60], [720, 500], [30, 520]])
-    found = start_from(np.hstack([corners, truth(corners)]))
+    found = fit_initial_transform(np.hstack([corners, truth(corners)]))
     inside = np.array([[300.0, 300], [100, 450]])
     assert np.linalg.norm(found.transform(inside) - truth(inside), axis=1).max() < 3.5
     assert found.mirrored == (matrix[0][0] < 0)
@@ -99,7 +99,7 @@ def pair(studio):
 
 def given_of(truth, points, kind="added", off=0.0):
     pairs = np.hstack([points, truth(points) + off])
-    return {"": Given(**{kind: pairs})}
+    return {"": ManualPoints(**{kind: pairs})}
 
 
 @pytest.mark.parametrize("method", ["levkas", "mirhashemi2019"])
@@ -107,7 +107,7 @@ def test_every_method_keeps_what_is_given_and_measures_check_points(pair, method
     reference, target, truth = pair
     points = np.array([[60.0, 50], [240, 60], [230, 180], [70, 170]])
     pairs = np.hstack([points, truth(points)])
-    hand = {"": Given(added=pairs[:2], checks=pairs[2:])}
+    hand = {"": ManualPoints(added=pairs[:2], checks=pairs[2:])}
     found = register([reference], [target], reference_band="550 nm", method=method, given=hand)
     rows = {tuple(r): (s, w) for r, s, w in zip(found.matches.reference.tolist(),
             found.matches.state, found.matches.reason, strict=True)}  # fmt: skip
@@ -123,9 +123,9 @@ def test_a_deleted_pair_is_not_used_and_says_so(pair, method):
     plain = register([reference], [target], reference_band="550 nm", method=method)
     row = int(np.flatnonzero(plain.matches.kept)[0])
     gone = np.concatenate([plain.matches.reference[row], plain.matches.target[row]])[None]
-    hand = {"": Given(deleted=gone.round(2))}
+    hand = {"": ManualPoints(deleted=gone.round(2))}
     found = register([reference], [target], reference_band="550 nm", method=method, given=hand)
-    at = near(gone, np.hstack([found.matches.reference, found.matches.target]))[0]
+    at = nearest_rows(gone, np.hstack([found.matches.reference, found.matches.target]))[0]
     assert (found.matches.state[at], found.matches.reason[at]) == ("removed", "deleted by hand")
 
 

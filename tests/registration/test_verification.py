@@ -5,8 +5,8 @@ import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, RegistrationRefused, register
-from levkas.registration.pose_clustering import vote
-from levkas.registration.verification import corroborate, predict
+from levkas.registration.pose_clustering import find_pose_cluster
+from levkas.registration.verification import predict, verify
 
 STILL = Affine.identity()
 
@@ -88,20 +88,20 @@ def test_a_band_without_a_finite_value_is_refused_by_name(front):
 
 def test_a_map_that_folds_is_no_start(front):
     from levkas.geometry.transforms import Polynomial
-    from levkas.registration.initial import plausible
+    from levkas.registration.initial import is_plausible
 
     x = np.linspace(0, 299, 15)
     points = np.stack(np.meshgrid(x, x), -1).reshape(-1, 2)
     bent = np.stack([points[:, 0] * (1.2 - points[:, 0] / 299), points[:, 1]], 1)
-    assert not plausible(Polynomial.fit(points, bent, order=2), (0, 0, 299, 299), False)
+    assert not is_plausible(Polynomial.fit(points, bent, order=2), (0, 0, 299, 299), False)
 
 
 def test_a_map_that_is_wholly_off_is_borne_out_nowhere(front):
     image = front - np.mean(front)
     valid = np.ones(front.shape, bool)
-    right, _ = corroborate(image[None], image, 1, STILL, valid, valid)
+    right, _ = verify(image[None], image, 1, STILL, valid, valid)
     # What another place shows is predicted as well as blocks of gains allow, and no more.
-    wrong, _ = corroborate(image[None], np.roll(image, (70, 90), (0, 1)), 1, STILL, valid, valid)
+    wrong, _ = verify(image[None], np.roll(image, (70, 90), (0, 1)), 1, STILL, valid, valid)
     assert right["coverage"] == 1 and right["rival"] < 0.8
     assert wrong["found"] < 0.2 * right["found"]
 
@@ -120,7 +120,7 @@ def test_nothing_is_voted_for_among_matches_at_random():
     rng = np.random.default_rng(7)
     p, q = rng.uniform(0, 400, (2, 150, 2))
     turn, growth = rng.uniform(0, 360, 150), np.exp(rng.normal(0, 0.5, 150))
-    found = vote(p, q, growth, turn, np.ones(150), 400)
+    found = find_pose_cluster(p, q, growth, turn, np.ones(150), 400)
     assert found is None or found.sum() < 25
 
 
@@ -134,6 +134,6 @@ def test_one_right_match_in_two_hundred_is_found():
     q[:right] += rng.normal(0, 2, (right, 2))
     growth[:right] = 1.3 * np.exp(rng.normal(0, 0.1, right))
     turn[:right] = 90 + rng.normal(0, 6, right) + 180 * rng.integers(0, 2, right)
-    found = vote(p, q, growth, turn, rng.uniform(0, 1, count), 400)
+    found = find_pose_cluster(p, q, growth, turn, rng.uniform(0, 1, count), 400)
     assert found[:right].mean() > 0.8
     assert found[right:].sum() < 20

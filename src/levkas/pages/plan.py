@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +9,9 @@ import numpy as np
 
 from levkas.colour.illuminants import illuminant
 from levkas.core.files import write_text
-from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS, Judge
-from levkas.planning.diagrams import draw_bench
-from levkas.planning.exposure_plan import plan_dose, plan_exposure
-from levkas.planning.framing import plan_framing
-from levkas.planning.light import compare_lightings, eye_of, plan_light
-from levkas.planning.maps import (
+from levkas.pages.page import render_page
+from levkas.pages.plan_plots import (
+    draw_bench,
     draw_evenness,
     draw_filter,
     draw_glare,
@@ -23,14 +19,18 @@ from levkas.planning.maps import (
     draw_spectra,
     draw_trade_off,
 )
-from levkas.planning.optimisation import optimise, trade_off
+from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS
+from levkas.planning.exposure_plan import plan_dose, plan_exposure
+from levkas.planning.framing import plan_framing
+from levkas.planning.light import compare_lightings, plan_light
+from levkas.planning.optimisation import judge_of, optimise, trade_off
 from levkas.planning.spectra import GRID, colour_temperature, unevenness
 from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
     from levkas.planning.light import LightPlan
     from levkas.planning.optimisation import Optimum
-    from levkas.planning.setup import Lighting, StudioLamp, StudioSetup
+    from levkas.planning.setup import StudioLamp, StudioSetup
 
 
 def write_report(
@@ -53,21 +53,9 @@ def write_report(
     PlanRefused
         Where there is no such lighting.
     """
-    import jinja2
-
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = resources("levkas.planning").joinpath("plan.html").read_text(encoding="utf-8")
     page = report_facts(setup, name, rng=np.random.default_rng(seed))
-    write_text(path, environment.from_string(template).render(page=page))
+    write_text(path, render_page("plan.html", page=page))
     return Path(path)
-
-
-def judge_of(setup: StudioSetup, lighting: Lighting | None = None) -> Judge:
-    """Return the judge of a setup's object, with the beam of a lighting's first lamp."""
-    lighting = setup.lighting() if lighting is None else lighting
-    return Judge(
-        setup.object, setup.bench.room, eye_mm=float(eye_of(setup)[2]), lobe=lighting.lamps[0].lobe
-    )
 
 
 def report_facts(
