@@ -33,7 +33,6 @@ PURPOSES = {
     "iiif-prezi3": "publish: IIIF manifests",
     "imagecodecs": "compressed TIFFs",
     "jinja2": "report pages",
-    "llvmlite": "resampling kernels",
     "markupsafe": "pages of the viewer",
     "numba": "resampling and registration kernels",
     "numcodecs": "checksums of the Zarr store",
