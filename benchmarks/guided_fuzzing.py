@@ -32,12 +32,12 @@ MODULES = (
     *(
         "levkas.campaign.campaign",
         "levkas.campaign.edits",
-        "levkas.building.channels",
-        "levkas.building.whiteboard",
+        "levkas.building.spectra",
+        "levkas.building.spectra",
     ),
     *(
         "levkas.planning.spectra",
-        "levkas.planning.luminous_intensity",
+        "levkas.planning.irradiance",
         "levkas.quality.targets.charts",
     ),
     *("tifffile.tifffile", "exifread", "tomllib._parser", "json.decoder"),

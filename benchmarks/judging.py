@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from levkas.building.channels import read_sensitivity
-from levkas.building.whiteboard import read_spectrum
+from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.edits import read_edits
@@ -26,9 +25,9 @@ from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
-from levkas.readers.exif import read_exif
 from levkas.readers.frames import read_facts, read_frame
-from levkas.readers.texts import read_json, read_text
+from levkas.readers.images import read_exif
+from levkas.readers.text import read_json, read_text
 from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
 from levkas.registration.control_points.reading import read_points
 
@@ -140,8 +139,7 @@ def read_campaign(path):
 def read_corrections(path):
     """Read edits.toml; every pair is finite."""
     for edits in read_edits(path).frames.values():
-        given = edits.given()
-        for pairs in (given.added, given.pinned, given.restored, given.deleted, given.checks):
+        for pairs in edits.pairs().values():
             finite(pairs)
 
 

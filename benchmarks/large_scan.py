@@ -78,8 +78,8 @@ def work(folder: Path, memory: float) -> None:
     import threading
 
     from levkas.building.scan_opening import open_scan
-    from levkas.building.shelf import Shelf
     from levkas.building.streaming import resample_scan
+    from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_captures
     from levkas.database.layers import Layer
@@ -99,7 +99,7 @@ def work(folder: Path, memory: float) -> None:
     threading.Thread(target=watch, daemon=True).start()
     campaign = load_campaign(folder)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "scan")
-    scan = open_scan(capture, campaign, Shelf(folder, None, shared=False))
+    scan = open_scan(capture, campaign, TemplateCache(folder, None, shared=False))
     lines, samples, bands = scan.shape
     size = (samples // 2, lines // 2)
     lens = Lens(np.array([samples / 2, lines / 2]), lines / 2.0, (1e-4, 0.0))

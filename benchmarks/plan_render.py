@@ -8,8 +8,8 @@ import sys
 import numpy as np
 
 from levkas.planning.criteria import Arrangement
-from levkas.planning.glare import _specular
 from levkas.planning.irradiance import illuminate
+from levkas.planning.light import _specular
 from levkas.planning.luminous_intensity import Lobe, lobe_exponent
 from levkas.planning.microfacet import AIR, gold_index
 from levkas.planning.mitsuba_scene import camera_object, lamp_objects, load_mitsuba

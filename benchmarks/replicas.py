@@ -21,7 +21,7 @@ CAMERAS = ("d80", "lctf-nir", "msbs", "v10")
 NAMES = ("icon1", "icon2")
 
 
-class Replicas(campaigns.Session):
+class Replicas(campaigns.SimulatedSession):
     """Every object on the first one's panel, laid as it was, painted by its pattern."""
 
     saints = 1
@@ -40,14 +40,14 @@ class Replicas(campaigns.Session):
 def simulated(folder: Path, seed: int, scale: float) -> Path:
     """Simulate and build a campaign of copies; return its database."""
     Replicas.saints = 1 + seed % 3
-    plain, campaigns.Session = campaigns.Session, Replicas
+    plain, campaigns.SimulatedSession = campaigns.SimulatedSession, Replicas
     try:
         for _ in campaigns.simulate_campaign(
             folder, seed=seed, preset="small", scale=scale, objects=2
         ):
             pass
     finally:
-        campaigns.Session = plain
+        campaigns.SimulatedSession = plain
     for _ in build(folder):
         pass
     return folder / "database"

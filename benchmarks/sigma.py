@@ -17,7 +17,8 @@ import numpy as np
 
 from levkas.geometry.transforms import from_dict
 from levkas.quality.evaluation.similarity import read_truth
-from levkas.registration.uncertainty import NINE_OF_TEN, Sigma
+from levkas.registration.record import Sigma
+from levkas.registration.uncertainty import NINE_OF_TEN
 
 
 def held(record: dict, truth) -> list[tuple[float, float, float]]:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from levkas.building.resampling import Mosaic, shared_noise
+from levkas.building.resample import Mosaic, shared_noise
 from levkas.building.run import build
 from levkas.calibration.patterns import channel_table
 from levkas.database.spectral_tiff import read_tiff_pages

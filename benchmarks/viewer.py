@@ -23,7 +23,7 @@ from playwright.sync_api import sync_playwright
 from levkas.core.cube import Band, Cube
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
-from levkas.viewer import About, write_viewer
+from levkas.publish.viewer import About, write_viewer
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 PAINTS = """() => new Promise(done => {

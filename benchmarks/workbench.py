@@ -25,18 +25,17 @@ from levkas.geometry.transforms import Affine
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.correlation import find_partner
-from levkas.workbench.frame import Frame
+from levkas.workbench.frame import RegistrationView, SensorView
 from levkas.workbench.library import Library
-from levkas.workbench.pictures import Picture, encode, warped_tile
-from levkas.workbench.sensor_view import SensorView
-from levkas.workbench.session import Found, Session
+from levkas.workbench.pictures import ShownPicture, encode, warped_tile
+from levkas.workbench.session import CorrectionSession, FoundPartner
 
 SIZE = (1392, 1040)
 REPEATS = 15
 ON_SCREEN = 25
 
 
-def plant(n: int, wrong: int) -> Found:
+def plant(n: int, wrong: int) -> FoundPartner:
     """Return `n` pairs of a bent map, `wrong` of them 2 to 90 px off."""
     rng = np.random.default_rng(1)
     target = rng.uniform(0, SIZE, (n, 2))
@@ -45,7 +44,7 @@ def plant(n: int, wrong: int) -> Found:
     reference += rng.normal(0, 0.2, (n, 2))
     angle, reach = rng.uniform(0, 2 * np.pi, wrong), rng.uniform(2, 90, wrong)
     reference[:wrong] += np.stack([np.cos(angle), np.sin(angle)], 1) * reach[:, None]
-    return Found(Matches.of(reference, target), SIZE, SIZE)
+    return FoundPartner(Matches.of(reference, target), SIZE, SIZE)
 
 
 def timed(work, repeats: int = REPEATS) -> float:
@@ -65,7 +64,7 @@ def edits(n: int, wrong: int, folder: Path) -> list[tuple[str, float]]:
     def save(edits: FrameEdits) -> None:
         write_edits(path, Edits({("icon", "nir"): edits}))
 
-    session = Session(plant(n, wrong))
+    session = CorrectionSession(plant(n, wrong))
     told = describe(session)
     rows = iter(range(wrong, n))
 
@@ -88,7 +87,7 @@ def tiles() -> list[tuple[str, float]]:
     """Tiles of a picture of 100 million pixels."""
     rng = np.random.default_rng(0)
     block = rng.integers(0, 255, (1000, 1000)).astype(np.uint8)
-    picture = Picture(np.tile(block, (10, 10)))
+    picture = ShownPicture(np.tile(block, (10, 10)))
     began = time.perf_counter()
     assert picture.levels
     reduced = time.perf_counter() - began
@@ -112,7 +111,7 @@ def tiles() -> list[tuple[str, float]]:
 class Planted(Library):
     """One camera whose pairs were planted."""
 
-    def __init__(self, found: Found, path: Path) -> None:
+    def __init__(self, found: FoundPartner, path: Path) -> None:
         super().__init__(path)
         view, main = (
             SensorView(
@@ -124,30 +123,33 @@ class Planted(Library):
                 for name, label in (("nir", "900 nm"), ("vis", "550 nm"))
             )
         )
-        picture = Picture(np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8))
+        picture = ShownPicture(
+            np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8)
+        )
         record = {"verdict": {"decision": "accept", "reasons": [], "next_step": ""}, "bands": {}}
-        session = Session(found, FrameEdits(), self._keep)
-        self._planted = Frame(
+        session = CorrectionSession(found, FrameEdits(), self._keep)
+        self._planted = RegistrationView(
             view, main, record, {}, session, "900 nm", "550 nm",
             lambda capture, band: picture, lambda capture, band: picture.pixels,
         )  # fmt: skip
-        self.campaign = SimpleNamespace(campaign=SimpleNamespace(title="Planted pairs"))
+        self.campaign = SimpleNamespace(campaign=SimpleNamespace(title="Planted pairs"), root=path)
 
     def list(self) -> list[dict]:
         words = ("setup", "sensor", "bands", "reason", "corrections")
         row = dict.fromkeys(words, "") | {"id": "planted", "reference": False, "object": "icon"}
         return [{**row, "camera": "nir", "title": "icon", "decision": "accept"}]
 
-    def open(self, key: str) -> Frame:
+    def open(self, key: str) -> RegistrationView:
         return self._planted
 
-    def _keep(self, edits: FrameEdits) -> None:
-        write_edits(self.path / "edits.toml", Edits({("icon", "nir"): edits}))
+    def _keep(self, before: FrameEdits, after: FrameEdits) -> FrameEdits:
+        write_edits(self.path / "edits.toml", Edits({("icon", "nir"): after}))
+        return after
 
 
 DELETE = """async (row) => {
   const { store } = levkasWorkbench;
-  store.select(row);
+  store.choose({ row });
   await new Promise((r) => setTimeout(r, 150));
   const began = performance.now();
   dispatchEvent(new KeyboardEvent("keydown", { key: "Delete" }));
@@ -160,7 +162,7 @@ DELETE = """async (row) => {
 OVERLAY = """async (row) => {
   const { store, stage } = levkasWorkbench;
   const frame = () => new Promise((r) => requestAnimationFrame(() => setTimeout(r)));
-  store.select(row);
+  store.choose({ row });
   await new Promise((r) => setTimeout(r, 150));
   const began = performance.now();
   dispatchEvent(new KeyboardEvent("keydown", { key: "Delete" }));

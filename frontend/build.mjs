@@ -1,8 +1,23 @@
 // Bundles the pages into one folder: `node build.mjs OUTDIR`. Classic scripts, as file:// loads no modules.
 import { build } from "esbuild";
+import { readdir, readFile } from "node:fs/promises";
+import { join } from "node:path";
 
 const outdir = process.argv[2];
 if (!outdir) throw new Error("usage: node build.mjs OUTDIR");
+
+/** Puts the licence of a bundled package beside its code, as MIT and BSD licences ask for. */
+const licences = {
+  name: "licences",
+  setup({ onLoad }) {
+    onLoad({ filter: /node_modules[\\/].*\.m?js$/ }, async ({ path }) => {
+      const [home] = /.*node_modules[\\/](@[^\\/]+[\\/])?[^\\/]+/.exec(path);
+      const file = (await readdir(home)).find((name) => /^licen[cs]e/i.test(name));
+      const licence = await readFile(join(home, file), "utf8");
+      return { contents: `/*! ${licence.trim()} */\n${await readFile(path, "utf8")}` };
+    });
+  },
+};
 
 await build({
   entryPoints: {
@@ -18,4 +33,5 @@ await build({
   charset: "utf8",
   legalComments: "eof",
   logLevel: "warning",
+  plugins: [licences],
 });

@@ -9,6 +9,8 @@ import pytest
 import levkas
 from levkas.building import build, summarise
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 

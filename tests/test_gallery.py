@@ -81,6 +81,7 @@ def test_sampled_noise_lies_on_its_closed_form(script, tmp_path):
     assert (np.diff(sampled) > 0).all() and sampled[0] < 6.6 and sampled[-1] > 17
 
 
+@pytest.mark.slow
 def test_the_grid_turns_the_icon_upright_and_leaves_the_table_out(script, tmp_path):
     figure = script("figure_8_grid").main(tmp_path / "8.png")
     assert decoded(tmp_path / "8.png").std() > 5

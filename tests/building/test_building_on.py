@@ -149,13 +149,18 @@ CHANGES = {
     ],
     "another reference band": [says('band = "G"', 'band = "R"')],
 }
+QUICK = ("date, region", "frames cut short and lost, whites swapped")
+"""Those that the fast tests hold."""
 
 
 def differences(one, other):
     return sorted(name for name in {**one, **other} if one.get(name) != other.get(name))
 
 
-@pytest.mark.parametrize("what", CHANGES)
+@pytest.mark.parametrize(
+    "what",
+    [pytest.param(one, marks=[pytest.mark.slow] * (one not in QUICK)) for one in CHANGES],
+)
 def test_building_on_ends_in_the_bytes_of_building_anew(campaign, what):
     for change in CHANGES[what]:
         change(campaign)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import levkas
 from levkas.building import build, status, summarise
-from levkas.building.charting import measure_charts
+from levkas.building.charts import measure_charts
 from levkas.cli import app
 from levkas.core.digests import hash_file
 from levkas.core.problems import Refused

@@ -68,6 +68,7 @@ def test_only_what_is_named_is_stale_and_status_says_why(corrected):
     assert all(state == "fresh" for state, _ in others)
 
 
+@pytest.mark.slow
 def test_corrections_are_replayed_to_the_same_bytes(corrected, turned_plates, tmp_path):
     folder, _, _ = corrected
     fresh = turned_plates.make(tmp_path / "elsewhere")

@@ -9,18 +9,46 @@ import numpy as np
 import pytest
 
 from levkas.building import build, summarise
+from levkas.building.run import check_detectors
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.geometry.transforms import from_dict
-from levkas.registration.features import available_detectors
+from levkas.registration.features import DETECTORS, available_detectors
+
+pytestmark = pytest.mark.slow
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "campaign.md"
 (ROW,) = (
     line for line in DOCS.read_text(encoding="utf-8").splitlines() if "| `detector` |" in line
 )
+SMALL = """
+[campaign]
+reference = "vis"
+[cameras.vis]
+kind = "image"
+files = "{target}.png"
+"""
 OFFERED = sorted(set(re.findall(r'`"([a-z]+)"`', ROW)))
 
 
 def test_the_docs_offer_what_opencv_has_and_no_more():
     assert set(OFFERED) <= set(available_detectors()) and {"sift", "orb"} <= set(OFFERED)
+
+
+def test_a_detector_that_opencv_lacks_is_refused_with_those_that_it_has(tmp_path):
+    here = available_detectors()
+    assert {"sift", "orb"} <= set(here)
+    for detector in DETECTORS:
+        for table in ("registration", "cameras.vis.registration"):
+            keys = f'[{table}]\nmethod = "mirhashemi2019"\ndetector = "{detector}"\n'
+            (tmp_path / "campaign.toml").write_text(SMALL + keys)
+            if detector in here:
+                check_detectors(load_campaign(tmp_path))
+                continue
+            with pytest.raises(CampaignInvalid, match="OpenCV") as refused:
+                check_detectors(load_campaign(tmp_path))
+            (problem,) = refused.value.problems
+            assert problem.field == f"{table}.detector" and problem.found == detector
+            assert all(f'"{name}"' in problem.expected for name in here)
 
 
 @pytest.fixture(scope="module")

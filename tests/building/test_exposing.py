@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.developing import develop
-from levkas.building.ledger import Hashes
-from levkas.building.shelf import Shelf
+from levkas.building.build_records import Hashes
+from levkas.building.calibrate import develop
+from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Flag
@@ -76,7 +76,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     captures, refused = find_captures(campaign)
     assert not refused
-    shelf = Shelf(folder / "kept", Hashes(folder / "hashes.json"), shared=False)
+    shelf = TemplateCache(folder / "kept", Hashes(folder / "hashes.json"), shared=False)
     return develop(captures[0], campaign, shelf)
 
 

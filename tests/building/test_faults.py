@@ -35,7 +35,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building import build, objects, registering, summarise
+from levkas.building import build, executor, register, summarise
 from levkas.core import files
 from levkas.core.digests import hash_tree
 from levkas.core.json_safe import to_json
@@ -49,6 +49,8 @@ from levkas.database.validate import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
+QUICK = (("new", "full"), ("new", "kill"), ("over", "failing"))
+"""Those that the fast tests hold."""
 POINTS = 7
 """Of every scene and kind in an ordinary run; benchmarks/faults.py takes all."""
 SIZE = (110, 96)
@@ -124,9 +126,9 @@ def capture(folder, name, big, blank):
 
 def remembered():
     """`register_capture`, which gives what it gave before for the same pixels."""
-    real, known = registering.register_capture, {}
+    real, known = register.register_capture, {}
 
-    def register(native, *rest):
+    def registered(native, *rest):
         key = hashlib.sha256(b"".join(c.values.tobytes() for c in native.cubes.values())).digest()
         if key not in known:
             try:
@@ -137,7 +139,7 @@ def remembered():
             raise known[key]
         return known[key]
 
-    return register
+    return registered
 
 
 @dataclass
@@ -225,6 +227,7 @@ def without(campaign, lost, root):
     return hash_tree(scene.output)
 
 
+@pytest.mark.slow
 def test_what_stood_there_before_leaves_no_trace(scenes, tmp_path):
     assert scenes["over"].after == scenes["new"].after
     afresh = Scene("afresh", scenes["withdrawn"].campaign, tmp_path / "w" / "db", tmp_path / "none")
@@ -240,8 +243,8 @@ def scenes(tmp_path_factory):
 
 def hasten(patch):
     """Spare what a kill does not ask for: registering again, memory, and the syncs themselves."""
-    patch.setattr(registering, "register_capture", remembered())
-    patch.setattr(objects, "give_back_memory", lambda: None)
+    patch.setattr(register, "register_capture", remembered())
+    patch.setattr(executor, "give_back_memory", lambda: None)
     patch.setattr(os, "fsync", lambda descriptor: None)
     patch.setattr(files, "_sync_file_system", lambda descriptor: None)
 
@@ -393,8 +396,14 @@ def spread(count, points):
     return sorted({int(n) for n in np.linspace(1, count, points)})
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        pytest.param(name, kind, marks=[pytest.mark.slow] * ((name, kind) not in QUICK))
+        for name in SCENES
+        for kind in KINDS
+    ],
+)
 def test_after_a_fault_all_is_whole_and_a_second_build_gives_the_same_bytes(scenes, name, kind):
     scene = scenes[name]
     shift = KINDS.index(kind)  # other points for every kind
@@ -497,6 +506,7 @@ def strike_for_real(scene, at):
     return Outcome(("exit", status), torn, tuple(mend(scene)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "share"), [("new", 0.3), ("over", 0.7)])
 def test_real_kills(scenes, name, share):
     outcome = strike_for_real(scenes[name], int(share * len(scenes[name].steps)))
@@ -524,13 +534,14 @@ def write_carelessly(patch):
         files.make_folder(path)
         yield files.Folder(Path(path), Path(path))
 
-    for name in ("files", "database.spectral_tiff", "database.store", "building.shelf"):
+    for name in ("files", "database.spectral_tiff", "database.store", "building.template_cache"):
         module = importlib.import_module(f"levkas.{name}")
         for function in (replacing, publishing):
             if hasattr(module, function.__name__):
                 patch.setattr(module, function.__name__, function)
 
 
+@pytest.mark.slow
 def test_a_careless_writer_is_found_out(scenes):
     seen = Counter()
     for name in ("new", "over"):

@@ -2,10 +2,12 @@
 
 import pytest
 
-from levkas.building import build, fitting
+from levkas.building import build, native_cubes
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.simulation import simulate_campaign
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,9 @@ def built(folder, output):
 def test_what_does_not_fit_is_refused_before_it_is_read(simulated, tmp_path, monkeypatch):
     campaign = load_campaign(simulated)
     captures = {c.camera: c for c in find_captures(campaign)[0]}
-    values = {n: fitting.count_values(c, campaign.cameras[n].kind) for n, c in captures.items()}
+    values = {
+        n: native_cubes.count_values(c, campaign.cameras[n].kind) for n, c in captures.items()
+    }
     header = captures["v10"].sensors[0].object[0].path.with_suffix(".hdr")
     sides = {
         key.strip(): int(number)
@@ -33,9 +37,9 @@ def test_what_does_not_fit_is_refused_before_it_is_read(simulated, tmp_path, mon
         if key.strip() in ("samples", "lines", "bands")
     }
     assert values["v10"] == sides["samples"] * sides["lines"] * sides["bands"]
-    needed = fitting.CUBE_BYTES * values["v10"]
+    needed = native_cubes.CUBE_BYTES * values["v10"]
     free = iter([1e12, needed - 1.0, needed + 0.0] + 9 * [1e12])  # the reference comes first
-    monkeypatch.setattr(fitting, "memory_bound", lambda: next(free))
+    monkeypatch.setattr(native_cubes, "memory_bound", lambda: next(free))
     ended = built(simulated, tmp_path / "database")
     (problem,) = ended["v10", "calibrate"].problems
     assert problem.code == "E_MEMORY" and problem.file and "GB" in problem.expected
@@ -47,16 +51,16 @@ def test_what_does_not_fit_is_refused_before_it_is_read(simulated, tmp_path, mon
 def test_a_stage_that_runs_out_of_memory_is_refused_and_the_others_go_on(
     simulated, tmp_path, monkeypatch
 ):
-    from levkas.building import developing
+    from levkas.building import calibrate
 
-    develop = developing.develop
+    develop = calibrate.develop
 
     def starving(capture, *more):
         if capture.camera == "d80":
             raise MemoryError("Unable to allocate 37.3 GiB")
         return develop(capture, *more)
 
-    monkeypatch.setattr(developing, "develop", starving)
+    monkeypatch.setattr(calibrate, "develop", starving)
     ended = built(simulated, tmp_path / "database")
     (problem,) = ended["d80", "calibrate"].problems
     assert problem.code == "E_MEMORY" and "37.3 GiB" in problem.message

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from levkas.building.hand_points import declared_points, told_points
+from levkas.building.control_points import declared_points, told_points
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.registration.control_points import ControlPoints, PointsRefused, write_points
 
@@ -111,7 +111,7 @@ def test_a_build_measures_check_points_and_starts_from_seeds_to_what_was_planted
     import cv2
 
     from levkas.building import build
-    from levkas.readers.texts import read_json
+    from levkas.readers.text import read_json
 
     rng = np.random.default_rng(3)
     big = np.full((300, 360), 90, np.float32)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from levkas.building import build, status
-from levkas.building.adjusting import adjusted
-from levkas.building.measured import Measured
-from levkas.building.rig_mates import NEIGHBOURS, RigMates
+from levkas.building.graph import NEIGHBOURS, mates_of
+from levkas.building.joint import adjusted
+from levkas.building.register import Measured
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
-from levkas.campaign.discovery.find_captures import Capture
+from levkas.campaign.discovery.captures import Capture
 from levkas.geometry.transforms import Affine
 
 NAMES = ("one", "two", "three")
@@ -67,7 +67,9 @@ def _adjusted(folder, spoilt=0.0):
     measured = {n: Measured.read(kept / n / "infrared" / "measured.npz") for n in NAMES}
     aside = Affine(np.array([[1, 0, spoilt], [0, 1, spoilt]]))
     for name, one in measured.items():
-        measured[name] = replace(one, sightings=tuple(s.enlarged(aside) for s in one.sightings))
+        measured[name] = replace(
+            one, observations=tuple(s.enlarged(aside) for s in one.observations)
+        )
     others = {f"{name}/infrared": one for name, one in measured.items() if name != "one"}
     return adjusted(measured["one"], others, None).record
 
@@ -107,6 +109,7 @@ def test_what_changes_in_one_object_is_told_of_the_others_and_redone(built):
     assert states["one/photo register"].state == "fresh"
 
 
+@pytest.mark.slow
 def test_one_object_alone_is_built_as_with_all_of_them(built, tmp_path):
     whole = _files(built)
     alone = tmp_path / "alone"
@@ -150,6 +153,7 @@ def test_a_kept_registration_that_was_damaged_is_never_read_silently(built):
     assert _files(built) == before
 
 
+@pytest.mark.slow
 def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
     other = tmp_path / "other"
     shutil.copytree(plates, other, ignore=shutil.ignore_patterns("database*"))
@@ -168,13 +172,14 @@ def test_the_order_of_the_objects_changes_no_byte(plates, tmp_path):
 def test_of_many_captures_the_nearest_by_name_are_mates_and_one_more_changes_few(built):
     campaign = load_campaign(built)
 
-    def mates_of(names):
+    def mates(names):
         captures = [Capture(name, "infrared", "", ()) for name in names]
-        all_of_them = RigMates(campaign, None, None, captures[::-1])
-        return {c.object: [m.object for m in all_of_them.of(c)] for c in captures}
+        return {
+            c.object: [m.object for m in mates_of(campaign, c, captures[::-1])] for c in captures
+        }
 
     names = [f"panel {n:02d}" for n in range(40)]
-    before, after = mates_of(names), mates_of([*names, "panel 20b"])
+    before, after = mates(names), mates([*names, "panel 20b"])
     assert before["panel 00"] == [f"panel {n:02d}" for n in (1, 2, 3, 4, 5, 6, *range(34, 40))]
     assert {len(mates) for mates in before.values()} == {2 * NEIGHBOURS}
     assert sum(before[name] != after[name] for name in names) == 2 * NEIGHBOURS

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from levkas.building.developing import develop
-from levkas.building.ledger import Hashes
+from levkas.building.build_records import Hashes
+from levkas.building.calibrate import develop
 from levkas.building.scan_opening import open_scan
-from levkas.building.shelf import Shelf
+from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.problems import Refused
@@ -74,7 +74,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     (capture,), refused = find_captures(campaign)
     assert not refused, refused
-    shelf = Shelf(folder / "kept", Hashes(folder / "hashes.json"), shared=False)
+    shelf = TemplateCache(folder / "kept", Hashes(folder / "hashes.json"), shared=False)
     native = develop(capture, campaign, shelf)
     (cube,) = native.cubes.values()
     scan = open_scan(capture, campaign, shelf)

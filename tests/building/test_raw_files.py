@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from levkas.building import build, scans, status, summarise
-from levkas.building.ledger import Hashes
-from levkas.building.shelf import Shelf
+from levkas.building.build_records import Hashes
+from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import average
-from levkas.campaign.discovery.find_captures import FrameRef
+from levkas.campaign.discovery.captures import FrameRef
 from levkas.core.digests import hash_file, hash_tree, stamp_of
 from levkas.readers.envi import read_envi
 
@@ -121,7 +121,7 @@ def test_provenance_has_every_file_of_every_frame_with_role_and_exposure(campaig
 
 
 def test_templates_with_equal_headers_are_not_taken_for_one(campaign):
-    shelf = Shelf(campaign / "shelf", Hashes(campaign / "hashes.json"), shared=True)
+    shelf = TemplateCache(campaign / "shelf", Hashes(campaign / "hashes.json"), shared=True)
 
     def template(name):
         path = campaign / f"scan/{name}.hdr"

@@ -7,9 +7,9 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from levkas.building.developing import develop
-from levkas.building.ledger import Ledger
-from levkas.building.shelf import Shelf
+from levkas.building.build_records import BuildRecords
+from levkas.building.calibrate import develop
+from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -55,7 +55,9 @@ def developed(folder):
     (capture,), refusals = find_captures(read)
     assert not refusals
     places = Places(folder / "database")
-    shelf = Shelf(folder / "kept", Ledger(places.kept, places.output).hashes, shared=True)
+    shelf = TemplateCache(
+        folder / "kept", BuildRecords(places.kept, places.output).hashes, shared=True
+    )
     native = develop(capture, read, shelf)
     return native.cubes[""], native.warnings
 

@@ -31,10 +31,10 @@ def plate(make_plates, tmp_path_factory):
 @pytest.mark.parametrize(
     "name",
     [
-        "1 threads, 64 rows",
-        "2 threads, whole rows",
+        pytest.param("1 threads, 64 rows", marks=pytest.mark.slow),
+        pytest.param("2 threads, whole rows", marks=pytest.mark.slow),
         "3 threads, 97 rows",
-        "Turkish, Kathmandu, 400 days on",
+        pytest.param("Turkish, Kathmandu, 400 days on", marks=pytest.mark.slow),
     ],
 )
 def test_the_bytes_are_the_same(name, plate, other_ways, tmp_path):

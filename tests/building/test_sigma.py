@@ -8,8 +8,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from sigma_of_builds import CASES, run
 
+QUICK = ("bands", "mosaic")
+"""Those that the fast tests hold."""
 
-@pytest.mark.parametrize("name", CASES)
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(one, marks=[pytest.mark.slow] * (one not in QUICK)) for one in CASES],
+)
 def test_sigma_holds_in_every_band_and_decade_of_reflectance(name):
     rows = run(name, (160, 200))
     assert len({row[1] for row in rows}) == 5

@@ -3,22 +3,21 @@
 import numpy as np
 import pytest
 
-from levkas.building import focusing, streaming
-from levkas.building.default_setup import DefaultLayer, gains_of_scan
-from levkas.building.developing import develop
-from levkas.building.flatfielding import mark_glare_in
-from levkas.building.focusing import Middle, focus_of
-from levkas.building.measuring import flag_and_count
-from levkas.building.native import Native
+from levkas.building import capture_statistics, streaming
+from levkas.building.calibrate import develop
+from levkas.building.capture_statistics import Middle, flag_and_count, focus_of
+from levkas.building.exposures import mark_glare_in
+from levkas.building.native_cubes import Native
+from levkas.building.resample import DefaultLayer, gains_of_scan
 from levkas.building.scan_opening import open_scan
-from levkas.building.shelf import Shelf
+from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_layer
 from levkas.geometry.transforms import Affine
 from levkas.quality.image_quality import sharpness
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 CAMPAIGN = """
 [campaign]
@@ -55,7 +54,7 @@ def test_glare_is_flagged_in_the_lines_as_in_the_whole_cube(tmp_path, monkeypatc
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     campaign = load_campaign(tmp_path)
     (capture,), _ = find_captures(campaign)
-    shelf = Shelf(tmp_path, None, shared=False)
+    shelf = TemplateCache(tmp_path, None, shared=False)
     monkeypatch.setenv("LEVKAS_TILE", tile)
     whole = develop(capture, campaign, shelf).cubes[""].flags
     flags = open_scan(capture, campaign, shelf).lines(0, shape[0]).flags
@@ -75,7 +74,7 @@ def test_focus_of_lines_that_pass_by_is_that_of_the_whole_cube(monkeypatch, rows
     from scipy.ndimage import gaussian_filter
 
     monkeypatch.setattr(sharpness, "LONGEST", 160)
-    monkeypatch.setattr(focusing, "MOST_BANDS", 3)
+    monkeypatch.setattr(capture_statistics, "MOST_BANDS", 3)
     rng = np.random.default_rng(2)
     scene = np.kron(rng.random((10, 8)), np.ones((24, 24)))
     stack = [gaussian_filter(scene, 0.7 + 0.25 * b) for b in range(5)]

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building import build, line_templates, registering, scans, streaming, summarise
-from levkas.building.developing import develop
+from levkas.building import build, line_templates, register, scans, streaming, summarise
+from levkas.building.calibrate import develop
 from levkas.building.held_lines import HeldLines
 from levkas.building.passages import Passage
 from levkas.building.scan_opening import open_scan
 from levkas.building.scans import Scan, is_streamed
-from levkas.building.shelf import Shelf
+from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -40,7 +40,7 @@ def scan_and_cube(simulated, monkeypatch):
     campaign = load_campaign(simulated)
     capture = next(c for c in find_captures(campaign)[0] if c.camera == "v10")
     assert is_streamed(capture, campaign)
-    shelf = Shelf(simulated, None, shared=False)
+    shelf = TemplateCache(simulated, None, shared=False)
     cube = next(iter(develop(capture, campaign, shelf).cubes.values()))
     return open_scan(capture, campaign, shelf), cube
 
@@ -170,23 +170,27 @@ def test_rows_are_written_as_the_whole_is(tmp_path, step):
 @pytest.fixture(scope="module")
 def registers():
     """`register_capture`, which gives what it gave before for the same pictures: they take longest."""
-    real, known = registering.register_capture, {}
+    real, known = register.register_capture, {}
 
-    def register(native, *rest):
+    def registered(native, *rest):
         pictures = [(i.label, i.values.tobytes(), i.valid.tobytes()) for i in native.images()]
         key = hash(tuple(pictures))
         if key not in known:
             known[key] = real(native, *rest)
         return known[key]
 
-    return register
+    return registered
 
 
-@pytest.mark.parametrize("white", [True, False], ids=["reflectance", "counts"])
+@pytest.mark.parametrize(
+    "white",
+    [True, pytest.param(False, marks=pytest.mark.slow)],
+    ids=["reflectance", "counts"],
+)
 def test_a_streamed_scan_is_built_to_the_same_bytes_by_any_rows(
     simulated, tmp_path, monkeypatch, registers, white
 ):
-    monkeypatch.setattr(registering, "register_capture", registers)
+    monkeypatch.setattr(register, "register_capture", registers)
     campaign = tmp_path / "campaign"
     shutil.copytree(simulated, campaign)
     if not white:
@@ -245,7 +249,7 @@ def write_scan(folder, cubes, more=""):
     (folder / "campaign.toml").write_text(text)
     campaign = load_campaign(folder)
     (capture,), _ = find_captures(campaign)
-    shelf = Shelf(folder, None, shared=False)
+    shelf = TemplateCache(folder, None, shared=False)
     return open_scan(capture, campaign, shelf), lambda: develop(capture, campaign, shelf)
 
 
@@ -292,6 +296,7 @@ def test_a_band_of_a_scan_without_a_finite_value_is_refused(tmp_path):
         assert "panel.hdr" in refused.value.problems[0].file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", ["", 'scan = "mirror"\n'], ids=["push-broom", "mirror"])
 def test_hysime_of_a_streamed_scan_is_that_of_the_whole_cube(tmp_path, monkeypatch, more):
     rng, at = np.random.default_rng(3), np.linspace(0, 1, 60)
@@ -422,7 +427,7 @@ def test_templates_that_cannot_serve_are_refused_before_a_line_of_a_mirror_scan_
     campaign = load_campaign(tmp_path)
     (capture,), _ = find_captures(campaign)
     with pytest.raises(CalibrationRefused) as whole:
-        develop(capture, campaign, Shelf(tmp_path, None, shared=False))
+        develop(capture, campaign, TemplateCache(tmp_path, None, shared=False))
     assert streamed.value.problems[0].code == whole.value.problems[0].code == code
     if code != "E_SIZE":
         assert streamed.value.problems == whole.value.problems

@@ -10,8 +10,8 @@ import time
 import pytest
 
 from levkas.building import build, status, summarise
-from levkas.building.ledger import Key, Ledger
-from levkas.building.turns import in_turn
+from levkas.building.build_records import BuildRecords, Key
+from levkas.building.claiming import in_turn
 from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
 from levkas.database.validate import validate
@@ -64,12 +64,14 @@ def check_whole(folder, output, alone):
     assert validate(output).ok
 
 
+@pytest.mark.slow
 def test_two_processes_at_once_make_what_one_makes(plates, tmp_path):
     folder, alone = plates
     start_together(folder, tmp_path / "database", (), ())
     check_whole(folder, tmp_path / "database", alone)
 
 
+@pytest.mark.slow
 def test_two_processes_with_an_object_each_lose_no_row_of_the_catalogue(plates, tmp_path):
     folder, alone = plates
     start_together(folder, tmp_path / "database", ("one",), ("two",))
@@ -94,6 +96,7 @@ def test_two_threads_at_once_make_what_one_makes(plates, tmp_path):
     check_whole(folder, tmp_path / "database", alone)
 
 
+@pytest.mark.slow
 def test_two_builds_step_by_step_in_turn_make_what_one_makes(plates, tmp_path):
     folder, alone = plates
     output = tmp_path / "database"
@@ -106,7 +109,7 @@ def test_two_builds_step_by_step_in_turn_make_what_one_makes(plates, tmp_path):
 def test_what_a_build_noted_outlasts_another_that_does_the_stage_again(tmp_path):
     (tmp_path / "database").mkdir()
     key = Key("one", "photo", stage="calibrate")
-    mine, other = (Ledger(tmp_path / "kept", tmp_path / "database") for _ in range(2))
+    mine, other = (BuildRecords(tmp_path / "kept", tmp_path / "database") for _ in range(2))
     mine.keep(key, {"code": "1"}, [], captured="2019-08-29")
     other.forget(key)
     assert mine.told(key) == {"captured": "2019-08-29"} and other.told(key) == {}

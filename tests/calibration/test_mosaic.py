@@ -38,6 +38,7 @@ def test_constants_are_exact_even_in_the_smallest_frame(pattern):
     np.testing.assert_allclose(made, 7, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", BAYER)
 @pytest.mark.parametrize("method", ["malvar", "bilinear"])
 def test_bayer_values_are_those_of_colour_demosaicing_away_from_borders(pattern, method):

@@ -5,9 +5,9 @@ import pytest
 
 from levkas.calibration.blocks import Blocks, block_statistics
 from levkas.calibration.clipping import fit_clipped_dark, is_clipped
+from levkas.calibration.code_spacing import count_codes, find_levels
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
-from levkas.quality.emva1288.code_spacing import count_codes, find_levels
 from levkas.quality.emva1288.drift import Light, measure_drift
 from levkas.quality.emva1288.photon_transfer import Dark, measure_sensor
 from levkas.simulation.sensing import expose, fixed_pattern, key
@@ -81,8 +81,8 @@ def plain():
     [
         (known(black=64.0), False),
         (known(black=0.0, dark=2.0, dsnu=0.3), False),  # three darks of four are zero
-        (known(black=16.0), True),
-        (known(black=0.0, dark=0.0, dsnu=0.0, read=8.0), True),  # curved and clipped
+        pytest.param(known(black=16.0), True, marks=pytest.mark.slow),
+        pytest.param(known(black=0.0, dark=0.0, dsnu=0.0, read=8.0), True, marks=pytest.mark.slow),
     ],
     ids=["plain", "clipped", "curved", "curved and clipped"],
 )
@@ -96,6 +96,7 @@ def test_a_known_sensor_comes_back(sensor, curved):
     assert found.black.value == pytest.approx(sensor.black + sensor.gain * sensor.dark, abs=0.05)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_and_are_narrow(plain):
     for name, truth in (("gain", 0.09), ("prnu", 0.019), ("full_well", 4031 / 0.09 - 32)):
         found = getattr(plain, name)
@@ -109,6 +110,7 @@ def test_dynamic_range_is_emvas(plain):
     assert plain.snr.value == pytest.approx(np.sqrt(plain.full_well.value))
 
 
+@pytest.mark.slow
 def test_flicker_of_the_lamp_is_no_noise():
     # 1 % of 3,200 counts is 1,000 counts²: three times the shot noise, if it counted.
     found, _ = Camera(known(black=64.0), flicker=0.01).measure(draws=4)
@@ -202,6 +204,7 @@ def test_single_shots_beside_stacks_still_tell_prnu():
     assert found.prnu.value == pytest.approx(0.019, rel=0.03)
 
 
+@pytest.mark.slow
 def test_hot_sensels_and_shading_do_not_change_prnu():
     # 30 % of vignetting would be 8 % of spread; two hot sensels in 10,000 are in every tenth block.
     sensor = known(black=64.0)

@@ -42,7 +42,7 @@ def test_what_is_written_is_read(tmp_path_factory, name, frame, edits):
     read = read_edits(path)
     assert set(read.frames) == set(written.frames)
     for key, one in read.frames.items():
-        assert one.given().added.tolist() == written.frames[key].given().added.tolist()
+        assert one.pairs()["added"].tolist() == written.frames[key].pairs()["added"].tolist()
         assert one == written.frames[key]
 
 
@@ -52,7 +52,7 @@ def test_the_order_of_corrections_does_not_matter(tmp_path):
     for order in (rows, rows[::-1]):
         write_edits(tmp_path / "edits.toml", Edits({("icon", "nir"): FrameEdits(added=order)}))
         texts.add((tmp_path / "edits.toml").read_bytes())
-        assert FrameEdits(added=order).told() == FrameEdits(added=rows).told()
+        assert FrameEdits(added=order).describe() == FrameEdits(added=rows).describe()
     assert len(texts) == 1
 
 
@@ -91,6 +91,8 @@ def test_one_pair_cannot_be_deleted_and_pinned(tmp_path):
 
 def test_a_note_changes_no_build():
     one = FrameEdits(added=(round_pair((1, 2, 3, 4)),))
-    assert one.told() == FrameEdits(added=one.added, note="seen under the microscope").told()
-    assert one.told() != FrameEdits(added=(round_pair((1, 2, 3, 4.01)),)).told()
-    assert FrameEdits(note="only a note").told() == ""
+    assert (
+        one.describe() == FrameEdits(added=one.added, note="seen under the microscope").describe()
+    )
+    assert one.describe() != FrameEdits(added=(round_pair((1, 2, 3, 4.01)),)).describe()
+    assert FrameEdits(note="only a note").describe() == ""

@@ -41,7 +41,7 @@ def run(*arguments, most_s=MOST_S):
 def imported(tmp_path_factory):
     """Import what the commands import, so that no test's time includes it."""
     import levkas.building
-    import levkas.campaign.guess.campaigns
+    import levkas.campaign.guess.proposal
     import levkas.planning.exposure_advice
     import levkas.quality.emva1288  # noqa: F401
 
@@ -300,6 +300,7 @@ objects = ["icon"]
 """
 
 
+@pytest.mark.slow
 def test_small_files_of_twenty_thousand_pixels_square_end_in_a_refusal(tmp_path):
     """Each decodes to 400 or 800 MB: nine of them had a build killed by the system."""
     asked = []

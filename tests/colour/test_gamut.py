@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from levkas.colour.gamut import gamut_cells, lab_colours, lab_of, munsell_lab, xyz_to_lab
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb
-from levkas.publish.colours import _joined, draw_gamut
+from levkas.publish.swatches import _joined, draw_gamut
 
 
 def test_lab_of_greys_is_their_lightness():
@@ -14,6 +14,7 @@ def test_lab_of_greys_is_their_lightness():
     assert lab == pytest.approx(np.array([[50.0, 0, 0]] * 2), abs=0.02)
 
 
+@pytest.mark.slow
 def test_colour_science_gives_the_same_lab():
     import colour
 

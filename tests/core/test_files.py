@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from levkas.core import digests, disk, files, json_safe
 from levkas.core.disk import WriteRefused
+from levkas.core.sweeping import sweep
 
 OLD, NEW = b"old" * 1000, b"new" * 400_000
 
@@ -88,7 +89,7 @@ def test_a_fault_at_any_step_leaves_the_old_or_the_new_and_nothing_else(
             assert state(folder) in (start, whole(folder, job))
         monkeypatch.setattr(files, "fault", files._no_fault)
         job(folder)
-        files.sweep(folder)
+        sweep(folder)
         assert state(folder) == whole(folder, job)
 
 
@@ -122,7 +123,7 @@ def test_a_kill_at_any_step_then_a_second_run_gives_the_same_bytes(tmp_path, job
         assert visible in (start, whole(folder, job))
         if status == 0:
             break
-        files.sweep(folder)
+        sweep(folder)
         job(folder)
         assert state(folder) == whole(folder, job)
     assert at >= 5
@@ -175,7 +176,7 @@ def test_sweep_spares_what_is_being_written(tmp_path):
         (tmp_path / "old.levkas.partial-0123abcd").write_bytes(b"left behind")
         (tmp_path / "set.levkas.partial-0123abcd").mkdir()
         (tmp_path / "by another program.partial-0123abcd").write_bytes(b"z")
-        assert [p.name for p in files.sweep(tmp_path)] == [
+        assert [p.name for p in sweep(tmp_path)] == [
             "old.levkas.partial-0123abcd",
             "set.levkas.partial-0123abcd",
         ]
@@ -223,7 +224,7 @@ def test_what_belongs_together_changes_together(tmp_path):
     before, seen = joint_before(tmp_path), []
 
     def look():
-        swept = files.sweep(tmp_path)
+        swept = sweep(tmp_path)
         seen.append((swept, {n: d for n, d in state(tmp_path).items() if "partial" not in n}))
 
     joint_job(tmp_path, look)

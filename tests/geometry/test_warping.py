@@ -98,6 +98,7 @@ def test_maps_of_their_own_agree_with_an_exact_evaluation(cube, spread):
         assert np.abs(warped.values[..., b] - expected)[inside].max() < 2 * TOLERANCE_PX
 
 
+@pytest.mark.slow
 def test_uint16_is_interpolated_as_float32_is(cube):
     counts = np.round(cube * 65535).astype(np.uint16)
     expected = warp(counts.astype(np.float32), camera_map(), SHAPE, variance=cube)

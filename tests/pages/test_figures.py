@@ -1,5 +1,7 @@
 """Figures of a registration."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -33,5 +35,10 @@ def test_the_course_of_a_removal_is_drawn_from_one_round_on(wrong, rounds):
 def test_frames_of_one_size_are_drawn_one_on_the_other():
     matches, trace = traced(0)
     np.testing.assert_array_equal(trace.frame, frame_corners((300, 200)))
-    outlines = draw_trace(matches, trace)[0].svg.split('<polygon points="')[1:3]
-    assert outlines[0].split('"')[0] == outlines[1].split('"')[0]
+    outline = {
+        ink: re.search(
+            r'd="([^"]*)"[^>]*stroke: ' + re.escape(ink), draw_trace(matches, trace)[0].svg
+        )[1]
+        for ink in ("var(--ref)", "currentColor")
+    }
+    assert outline["var(--ref)"] == outline["currentColor"]

@@ -1,23 +1,36 @@
-"""Small plots: what is drawn where, and what has no place on a logarithmic axis."""
+"""Plots: what has no place on a logarithmic axis, colours of the page, the same bytes."""
 
 import re
 
 from levkas.pages.plots import Line, plot
 
 
-def heights(svg):
-    points = re.search(r'polyline points="([^"]*)"', svg)[1]
-    return [float(p.split(",")[1]) for p in points.split()]
+def marks(svg):
+    """Heights of the marks of the first line."""
+    return [
+        float(y) for y in re.findall(r'<use [^>]*y="([\d.]+)"[^>]*style="fill: var\(--ref\)', svg)
+    ]
 
 
 def test_decades_are_equally_far_apart_on_a_logarithmic_y():
     svg = plot([Line("a", [1, 2, 3], [0.01, 0.1, 1.0])], x="x", y="y", log_y=True)
-    low, middle, high = heights(svg)
+    low, middle, high = marks(svg)
     assert low > middle > high and abs((low - middle) - (middle - high)) < 0.2
     assert all(f">{tick}</text>" in svg for tick in ("0.01", "0.1", "1"))
 
 
 def test_what_has_no_logarithm_is_left_out():
     svg = plot([Line("a", [1, 2, 3, 4], [0.0, 0.1, None, 1.0])], x="x", y="y", log_y=True)
-    assert len(heights(svg)) == 2
+    assert len(marks(svg)) == 2
     assert plot([Line("a", [1, 2], [0.0, -1.0])], x="x", y="y", log_y=True) == ""
+
+
+def test_a_plot_has_the_colours_of_its_page_a_name_for_readers_and_the_same_bytes():
+    one, other = (
+        plot([Line("<a>", [1, 2], [1, 2]), Line("b", [1, 2], [2, 1], "tgt")], x="x", y="y & z")
+        for _ in range(2)
+    )
+    assert one == other
+    assert "var(--ref)" in one and "var(--tgt)" in one and "#0101" not in one
+    assert 'role="img" aria-label="y &amp; z over x"' in one and "&lt;a&gt;" in one
+    assert "metadata" not in one and "<!--" not in one and ' id="axes' not in one

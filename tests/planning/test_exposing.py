@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from levkas.planning import PlanRefused, load_setup, plan_dose, plan_exposure
-from levkas.planning.dose import CLASSES, annual_share
-from levkas.planning.exposing import (
+from levkas.planning.exposure_plan import (
+    CLASSES,
+    annual_share,
     electron_rates,
     flicker_bound,
     illuminance_from_exposure,

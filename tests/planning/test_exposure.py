@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 
 from levkas.calibration.noise_model import Sensor
 from levkas.cli import app
-from levkas.planning.advice_text import advice_text
-from levkas.planning.exposure_advice import NoAdvice, coach
+from levkas.planning.exposure_advice import NoAdvice, advice_text, coach
 from levkas.planning.exposure_levels import advise, judge_iso, limiting, read_channel, safe_mean
 
 SENSOR = Sensor(dark=0.0, read=10.0, prnu=0.01, dsnu=0.0, gain=0.1, black=64.0)

@@ -4,17 +4,21 @@ import numpy as np
 import pytest
 
 from levkas.planning.criteria import Arrangement, Judge
-from levkas.planning.glare import glare, rough_texture
 from levkas.planning.irradiance import drop, illuminate
-from levkas.planning.light import bright_fields, compare_lightings, plan_light
+from levkas.planning.light import bright_fields, compare_lightings, glare, plan_light, rough_texture
 from levkas.planning.luminous_intensity import Lobe, lobe_exponent
 from levkas.planning.microfacet import facet_lobe, fresnel, lobe_reach_deg, specular, transmitted
-from levkas.planning.surface import sample_surface, tilt_deg
-from levkas.planning.tables import Bend, ObjectKeys, Room, Sheets, Varnish
-from levkas.planning.texture import first_order_gain, hidden_share, shading_contrast
+from levkas.planning.surface import (
+    first_order_gain,
+    hidden_share,
+    sample_surface,
+    shading_contrast,
+    tilt_deg,
+)
+from levkas.planning.tables import Bend, Room, Sheets, StudioObjectKeys, Varnish
 
-FLAT = ObjectKeys(size_mm=(420, 320))
-BENT = ObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0))
+FLAT = StudioObjectKeys(size_mm=(420, 320))
+BENT = StudioObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0))
 EYE = np.array([0.0, 0.0, 1900.0])
 
 
@@ -102,7 +106,7 @@ def test_one_lamp_alone_drops_by_44_per_cent():
 
 def test_the_straight_axis_is_evener_than_the_bent_one():
     along = drop_of(pair(beam=20.0, aim=1.0), BENT)
-    upright = ObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0, straight="height"))
+    upright = StudioObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0, straight="height"))
     across = drop_of(pair(beam=20.0, aim=1.0), upright)
     assert along == pytest.approx(9.2, abs=0.05) and across == pytest.approx(11.7, abs=0.05)
 
@@ -218,5 +222,5 @@ def test_a_soft_light_of_no_size_is_a_point(bench):
 def test_a_matte_object_has_no_glare(bench):
     plain = glare(FLAT, sample_surface(FLAT, 9), bench.lighting(), EYE, Sheets())
     assert plain.varnish is None and plain.gold is None
-    shiny = ObjectKeys(size_mm=(420, 320), varnish=Varnish(roughness=0.3))
+    shiny = StudioObjectKeys(size_mm=(420, 320), varnish=Varnish(roughness=0.3))
     assert glare(shiny, sample_surface(FLAT, 9), bench.lighting(), EYE, Sheets()).varnish.max() > 0

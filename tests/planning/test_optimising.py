@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from levkas.planning.criteria import TOLERANCES, WEIGHTS, Arrangement, Judge
-from levkas.planning.optimising import optimise, trade_off
-from levkas.planning.tables import Bend, Gilding, ObjectKeys
+from levkas.planning.optimisation import optimise, trade_off
+from levkas.planning.tables import Bend, Gilding, StudioObjectKeys
 
 
 def judged(bench, thing=None):
@@ -30,7 +30,7 @@ def test_the_lamps_follow_the_straight_axis_when_the_panel_is_turned(bench):
 
 
 def test_a_flat_matte_panel_is_lit_from_higher_up(bench):
-    matte = ObjectKeys(size_mm=(420, 320))
+    matte = StudioObjectKeys(size_mm=(420, 320))
     found = optimise(judged(bench, matte), rng=np.random.default_rng(1))
     assert found.best.angle_deg < 56
     assert found.values["varnish"] == found.values["gold"] == 0

@@ -84,7 +84,7 @@ def database(_database: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(_database, tmp_path / "database"))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def publish() -> Callable[..., Path]:
     """Return a function that publishes and gives the folder."""
     from levkas.publish import run

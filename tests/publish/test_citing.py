@@ -5,14 +5,13 @@ from datacite import schema45
 from hypothesis import given
 from hypothesis import strategies as st
 
-from levkas.publish.citation import cite, spell_cff
-from levkas.publish.datacite import check_datacite, describe_datacite
-from levkas.publish.facts import Facts, Person, facts_of
+from levkas.database.splits import SHARES, split_objects
+from levkas.publish.citation import check_datacite, cite, describe_datacite, spell_cff
+from levkas.publish.metadata import Person, PublicationFacts, facts_of
 from levkas.publish.readme import plain
 from levkas.publish.run import check
-from levkas.publish.splits import SHARES, split_objects
 
-WHOLE = Facts(
+WHOLE = PublicationFacts(
     "campaign.toml",
     title="Icons",
     creators=(

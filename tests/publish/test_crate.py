@@ -1,11 +1,13 @@
 import json
+import shutil
 import warnings
 
 import pytest
 
 from levkas.core.json_safe import to_json
 from levkas.publish.crate import NAME
-from levkas.publish.crate_rules import ask_validator, check_crate
+
+from .crate_rules import ask_validator, check_crate
 
 STEPS = {
     "object": "icon1",
@@ -25,14 +27,21 @@ STEPS = {
 }
 
 
-@pytest.fixture
-def folder(database, publish):
+@pytest.fixture(scope="module")
+def published(_database, publish, tmp_path_factory):
     from levkas.database.manifest import write_manifest
 
+    database = tmp_path_factory.mktemp("crate") / "database"
+    shutil.copytree(_database, database)
     (database / "objects/icon1/provenance.json").write_text(json.dumps(STEPS))
     (database / "objects/icon1/a name %20 ü.txt").write_text("x")
     write_manifest(database)
     return publish(database)
+
+
+@pytest.fixture
+def folder(published, tmp_path):
+    return shutil.copytree(published, tmp_path / published.name)
 
 
 def graph_of(folder):
@@ -126,6 +135,7 @@ def test_two_entities_of_one_id_are_found(folder):
     assert "two entities" in str(check_crate(folder)[0])
 
 
+@pytest.mark.slow
 def test_roc_validator_agrees(folder):
     valid, text = ask_validator(folder)
     if valid is None:

@@ -8,8 +8,9 @@ from PIL import Image
 
 from levkas.core.digests import hash_tree
 from levkas.publish.iiif import LOCAL, never_html
-from levkas.publish.iiif_rules import check_iiif
 from levkas.publish.tiles import cut_tiles, tile_names
+
+from .iiif_rules import check_iiif
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from levkas.core.problems import Refused
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.validate import validate
 from levkas.publish import run
-from levkas.publish.facts import licence_of, read_facts
+from levkas.publish.metadata import licence_of, read_facts
 from levkas.publish.publication import PublishRefused
 
 
@@ -32,6 +32,7 @@ def test_the_published_folder_is_whole_and_opens(database, publish):
     assert list(levkas.open(folder)) == ["icon1", "icon2"]
 
 
+@pytest.mark.slow
 def test_publishing_twice_and_elsewhere_gives_the_same_bytes(database, publish, tmp_path):
     first = hash_tree(publish(database))
     assert hash_tree(publish(database)) == first

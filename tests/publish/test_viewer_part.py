@@ -47,7 +47,7 @@ def test_every_page_leads_to_what_stands_beside_it_and_the_medium_edition_has_pa
 
 def test_without_built_pages_the_viewer_is_left_out_and_that_is_said(database, monkeypatch):
     from levkas.publish import run
-    from levkas.viewer import run as viewing
+    from levkas.publish.viewer import run as viewing
 
     def missing(name):
         raise ScreenMissing(*NOT_BUILT)

@@ -803,7 +803,7 @@ def readers():
     from levkas.campaign.discovery.manifest import read_manifest
     from levkas.campaign.schema.toml import read_toml
     from levkas.readers.frames import read_facts, read_frame
-    from levkas.readers.texts import read_json
+    from levkas.readers.text import read_json
 
     return {
         "frame": (read_facts, read_frame),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
-from levkas.readers.png import SIGNATURE
+from levkas.readers.images import PNG
 
 RNG = np.random.default_rng(3)
 
@@ -24,7 +24,7 @@ def write_png(path, rows, *, width, depth=8, colour=0, before=b""):
     head = struct.pack(">IIBBBBB", width, len(rows), depth, colour, 0, 0, 0)
     pixels = zlib.compress(b"".join(b"\0" + row for row in rows))
     chunks = chunk(b"IHDR", head) + before + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
-    path.write_bytes(SIGNATURE + chunks)
+    path.write_bytes(PNG + chunks)
     return path
 
 
@@ -92,7 +92,7 @@ def test_pixels_for_fewer_rows_than_declared_are_refused(tmp_path):
     path = write_png(tmp_path / "short.png", [bytes(9)] * 5, width=9)
     data = path.read_bytes()
     head = struct.pack(">IIBBBBB", 9, 8, 8, 0, 0, 0, 0)
-    path.write_bytes(SIGNATURE + chunk(b"IHDR", head) + data[33:])
+    path.write_bytes(PNG + chunk(b"IHDR", head) + data[33:])
     with pytest.raises(UnreadableCapture, match="Not enough image data"):
         read_frame(path)
 
@@ -101,7 +101,7 @@ def test_pixels_for_fewer_rows_than_declared_are_refused(tmp_path):
 def test_a_declared_size_that_the_file_cannot_hold_is_refused(tmp_path, side):
     path = write_png(tmp_path / "bomb.png", [b"\0"], width=1)
     head = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
-    path.write_bytes(SIGNATURE + chunk(b"IHDR", head) + path.read_bytes()[33:])
+    path.write_bytes(PNG + chunk(b"IHDR", head) + path.read_bytes()[33:])
     for read in (read_facts, read_frame):
         with pytest.raises(UnreadableCapture) as refused:
             read(path)

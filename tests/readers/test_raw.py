@@ -169,15 +169,29 @@ def test_a_mosaic_of_zeros_alone_was_not_decoded(tmp_path):
         read_frame(write_dng(tmp_path / "a.dng", np.zeros((64, 96), np.uint16)))
 
 
+def test_one_decoder_reads_many_files_and_another_follows_a_dead_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(raw, "_idle", [])
+    paths = [write_dng(tmp_path / f"{i}.dng", MOSAIC + i) for i in range(3)]
+    for i, path in enumerate(paths):
+        assert np.array_equal(read_frame(path), MOSAIC + i) and read_facts(path).kind == "raw"
+    (decoder,) = raw._idle
+    decoder.kill()
+    decoder.wait()
+    assert np.array_equal(read_frame(paths[0]), MOSAIC)
+    assert raw._idle[0].pid != decoder.pid
+
+
 @pytest.mark.skipif(not hasattr(raw.signal, "setitimer"), reason="processor time of Unix")
 def test_a_decoder_that_does_not_end_is_ended_by_its_processor_time(tmp_path, monkeypatch):
     path = write_dng(tmp_path / "a.dng", MOSAIC)
     program = tmp_path / "endless.py"
     program.write_text(
-        f"import runpy, sys\nfound = runpy.run_path({str(raw.PROGRAM)!r})\n"
-        "limit = found['limit_reading']\nlimit.__globals__['READING_S'] = 0.1\n"
-        "limit(sys.argv[1])\nwhile True:\n    pass\n"
+        f"import runpy\nfound = runpy.run_path({str(raw.PROGRAM)!r})\n"
+        "names = found['limit_reading'].__globals__\nnames['READING_S'] = 0.1\n"
+        "def endless(path, pixels):\n    found['limit_reading'](0)\n    while True:\n        pass\n"
+        "names['read'] = endless\nfound['serve']()\n"
     )
     monkeypatch.setattr(raw, "PROGRAM", program)
+    monkeypatch.setattr(raw, "_idle", [])
     with pytest.raises(UnreadableCapture, match="processor time"):
         read_facts(path)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from levkas.building.channels import read_sensitivity
-from levkas.building.whiteboard import read_spectrum
+from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.core.problems import Refused
 from levkas.planning.luminous_intensity import read_lobe
 from levkas.planning.tables import LampKeys

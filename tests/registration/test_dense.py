@@ -6,13 +6,24 @@ from scipy import ndimage, spatial
 
 from levkas.geometry.spline import SplineShift
 from levkas.geometry.transforms import Affine, Composed, Homography, Lens, from_dict
-from levkas.registration.chromatic import fit_chromatic, still
-from levkas.registration.initial import start
-from levkas.registration.key_points import Detector, KeyPictures, inverted, mirrored
-from levkas.registration.local_shifts import Predictor, Windows
-from levkas.registration.model_selection import RUNGS, climb
-from levkas.registration.models import Observations, fit_polynomial, fit_similarity, temper
-from levkas.registration.predictors import condense, rooted
+from levkas.registration.bands import sqrt_transform
+from levkas.registration.chromatic import fit_chromatic, zero_displacement
+from levkas.registration.features import (
+    CameraFeatures,
+    ScaledFeatures,
+    invert_descriptors,
+    mirror_descriptors,
+)
+from levkas.registration.initial import find_initial_transform
+from levkas.registration.local_shifts import Predictor, WindowShifts
+from levkas.registration.model_selection import HOMOGRAPHY, MODELS, SelectionTerms, select_model
+from levkas.registration.models import (
+    Observations,
+    fit_polynomial,
+    fit_similarity,
+    inflate_covariance,
+)
+from levkas.registration.predictors import principal_components
 from levkas.registration.sampling import highpass, reduce, warp
 
 RNG = np.random.default_rng
@@ -89,11 +100,11 @@ def test_fits_are_exact_on_their_own_family():
 def test_ladder_takes_the_lens_for_a_lens_and_not_more_than_an_affine_for_an_affine():
     points = lattice(18)
     affine = Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
-    low = climb(observed(affine, points, RNG(3)), spacing=60)
-    assert list(RUNGS).index(low.name) <= list(RUNGS).index("homography")
+    low = select_model(observed(affine, points, RNG(3)), SelectionTerms(spacing=60))
+    assert list(MODELS).index(low.spec) <= list(MODELS).index(HOMOGRAPHY)
     plane = Homography(np.array([[1.2, 0.01, 3], [0.0, 1.21, 5], [3e-5, -2e-5, 1]]))
     lens = Composed(plane, Lens(np.array([240.0, 180]), 240.0, (0.02, -0.004)))
-    high = climb(observed(lens, points, RNG(4), outliers=0.1), spacing=60)
+    high = select_model(observed(lens, points, RNG(4), outliers=0.1), SelectionTerms(spacing=60))
     error = np.linalg.norm(high.transform(points) - lens(points), axis=1)
     assert high.scores["homography+lens"] < high.scores["homography"] / 2
     assert error.mean() < 0.02
@@ -110,9 +121,9 @@ def test_windows_that_share_pixels_do_not_vouch_for_a_richer_model():
             noise = np.apply_along_axis(np.convolve, axis, noise, tent, "valid")
         seen = observed(truth, points, RNG(seed), noise=0.01)
         seen = replace(seen, target=seen.target + noise.reshape(-1, 2))
-        rungs = list(RUNGS)
-        overfit += rungs.index(climb(seen, spacing=60).name.partition("+spline")[0]) > 2
-        sound += climb(seen, spacing=60, apart=2.01 * cell).name in rungs[:3]
+        rungs = list(MODELS)
+        overfit += rungs.index(select_model(seen, SelectionTerms(spacing=60)).spec.plain) > 2
+        sound += select_model(seen, SelectionTerms(spacing=60, apart=2.01 * cell)).spec in rungs[:3]
     assert overfit >= 3
     assert sound >= 3
 
@@ -122,11 +133,13 @@ def test_a_stiff_model_is_not_sure_where_another_might_as_well_be_right():
     truth = Homography(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7], [6e-6, -4e-6, 1]]))
     alone, among, wrong = [], [], []
     for seed in range(6):
-        rung = climb(observed(truth, points, RNG(seed), noise=1.5), spacing=60)
-        miss = rung.transform(points) - truth(points)
+        selected = select_model(
+            observed(truth, points, RNG(seed), noise=1.5), SelectionTerms(spacing=60)
+        )
+        miss = selected.transform(points) - truth(points)
         wrong.append((miss**2).mean())
-        alone.append((replace(rung, rivals=()).sigma(points) ** 2).mean())
-        among.append((rung.sigma(points) ** 2).mean())
+        alone.append((replace(selected, alternatives=()).sigma(points) ** 2).mean())
+        among.append((selected.sigma(points) ** 2).mean())
     assert np.mean(among) > 1.1 * np.mean(alone)
     assert 0.3 < np.sqrt(np.mean(wrong) / np.mean(among)) < 1.8
 
@@ -134,9 +147,15 @@ def test_a_stiff_model_is_not_sure_where_another_might_as_well_be_right():
 def test_a_map_from_elsewhere_stands_where_windows_know_less():
     points, truth = lattice(6), Affine(np.array([[1.1, 0.02, 4], [-0.01, 1.09, 7]]))
     seen = observed(truth, points, RNG(1), noise=2.0)
-    assert climb(seen, spacing=60, coarse=True, standing=truth).transform is truth
+    assert (
+        select_model(seen, SelectionTerms(spacing=60, coarse=True), standing=truth).transform
+        is truth
+    )
     off = Affine(np.array([[1.1, 0.02, 14], [-0.01, 1.09, 7]]))
-    assert climb(seen, spacing=60, coarse=True, standing=off).transform is not off
+    assert (
+        select_model(seen, SelectionTerms(spacing=60, coarse=True), standing=off).transform
+        is not off
+    )
 
 
 def test_sigma_of_the_jackknife_is_of_the_size_of_the_true_error():
@@ -144,9 +163,11 @@ def test_sigma_of_the_jackknife_is_of_the_size_of_the_true_error():
     truth = Affine(np.array([[1.0, 0.02, 4], [-0.01, 1.0, 7]]))
     ratios = []
     for seed in range(8):
-        rung = climb(observed(truth, points, RNG(seed), noise=0.1), spacing=60)
-        error = np.linalg.norm(rung.transform(points) - truth(points), axis=1)
-        ratios.append(np.sqrt((error**2).mean() / 2 / (rung.sigma(points) ** 2).mean()))
+        selected = select_model(
+            observed(truth, points, RNG(seed), noise=0.1), SelectionTerms(spacing=60)
+        )
+        error = np.linalg.norm(selected.transform(points) - truth(points), axis=1)
+        ratios.append(np.sqrt((error**2).mean() / 2 / (selected.sigma(points) ** 2).mean()))
     assert 0.5 < np.median(ratios) < 2
 
 
@@ -155,7 +176,7 @@ def test_common_variance_is_found_and_outliers_lose_their_weight():
     residuals = 0.1 * rng.standard_normal((500, 2))
     residuals[:20] += 5
     information = np.broadcast_to(np.eye(2) * 1e6, (500, 2, 2))
-    floored, weights = temper(residuals, information)
+    floored, weights = inflate_covariance(residuals, information)
     assert floored[0, 0, 0] == pytest.approx(100, rel=0.2)
     assert weights[:20].max() < 1e-3 < 0.3 < np.median(weights)
 
@@ -163,7 +184,9 @@ def test_common_variance_is_found_and_outliers_lose_their_weight():
 def windows_of(field, points, rng, noise):
     shift = field(points) + noise * rng.standard_normal(points.shape)
     information = np.broadcast_to(np.eye(2) / noise**2, (len(points), 2, 2)).copy()
-    return Windows(points, shift, information, np.ones(len(points)), np.zeros((len(points), 1, 1)))
+    return WindowShifts(
+        points, shift, information, np.ones(len(points)), np.zeros((len(points), 1, 1))
+    )
 
 
 def test_magnifications_of_bands_are_recovered_smoothly_and_a_blind_band_is_interpolated():
@@ -172,8 +195,10 @@ def test_magnifications_of_bands_are_recovered_smoothly_and_a_blind_band_is_inte
     wavelengths = np.arange(450.0, 700, 25)
     truth = 0.002 * (wavelengths - 550) / 100
     seen = [windows_of(lambda p, m=m: -m * (p - centre), points, rng, 0.05) for m in truth]
-    seen[2] = Windows(points, seen[2].shift, np.zeros((400, 2, 2)), seen[2].r2, seen[2].leaning)
-    model = fit_chromatic(seen, still(10, centre, spread), wavelengths, fixed=4)
+    seen[2] = WindowShifts(
+        points, seen[2].shift, np.zeros((400, 2, 2)), seen[2].r2, seen[2].position_sensitivity
+    )
+    model = fit_chromatic(seen, zero_displacement(10, centre, spread), wavelengths, fixed=4)
     for band, magnification in enumerate(truth):
         wanted = points + magnification * (points - centre)
         error = np.linalg.norm(model.transform(band)(points) - wanted, axis=1)
@@ -189,7 +214,7 @@ def test_bands_that_predict_one_another_come_to_rest_though_one_is_mistaken():
     leaning /= leaning.sum(1, keepdims=True)
     truth = 0.0004 * (np.arange(10) - 5)
     bow = 0.02 * ((points[:, :1] - centre[0]) / spread) ** 2 * [1.0, 0.0]
-    model, left = still(10, centre, spread), np.zeros(1)
+    model, left = zero_displacement(10, centre, spread), np.zeros(1)
     for _ in range(8):
         placed = np.stack([model.transform(i)(points) - points for i in range(10)])
         away = placed - truth[:, None, None] * (points - centre)
@@ -197,7 +222,7 @@ def test_bands_that_predict_one_another_come_to_rest_though_one_is_mistaken():
         apart[0] += bow
         seen = [windows_of(lambda p, a=a: a, points, rng, 0.01) for a in apart]
         wavelengths = np.linspace(450.0, 700, 10)
-        model = fit_chromatic(seen, model, wavelengths, fixed=5, leaning=leaning)
+        model = fit_chromatic(seen, model, wavelengths, fixed=5, sensitivity=leaning)
         placed = np.stack([model.transform(i)(points) - points for i in range(10)])
         left = placed - truth[:, None, None] * (points - centre)
     assert np.linalg.norm(left, axis=2).mean() < 0.04
@@ -207,7 +232,7 @@ def test_key_points_find_mirrored_turned_and_inverted_pictures():
     rng = RNG(7)
     picture = texture(rng, (260, 320), 2.0) + 0.5 * texture(rng, (260, 320), 5.0)
     other = np.ascontiguousarray(-np.rot90(picture[:, ::-1]))
-    found = start(KeyPictures([picture]), KeyPictures([other]))
+    found = find_initial_transform(CameraFeatures([picture]), CameraFeatures([other]))
     assert found is not None and found.mirrored
     # rot90 of the mirror: (x, y) → (y, x)
     points = lattice(6, (300.0, 240.0)) + 8
@@ -216,15 +241,17 @@ def test_key_points_find_mirrored_turned_and_inverted_pictures():
 
 def test_descriptor_permutations_are_involutions():
     d = RNG(8).random((3, 128)).astype(np.float32)
-    assert np.array_equal(inverted(inverted(d)), d)
-    assert np.array_equal(mirrored(mirrored(d)), d)
+    assert np.array_equal(invert_descriptors(invert_descriptors(d)), d)
+    assert np.array_equal(mirror_descriptors(mirror_descriptors(d)), d)
 
 
 def test_edges_know_no_sign():
     picture = texture(RNG(3), (240, 320), 4.0)
-    ours, theirs = (KeyPictures([image]).at(1000)[Detector.EDGES] for image in (picture, -picture))
-    assert len(ours.positions) > 100
-    near = spatial.cKDTree(theirs.positions).query(ours.positions)[0]
+    ours, theirs = (
+        CameraFeatures([image]).at(1000)[ScaledFeatures.EDGES] for image in (picture, -picture)
+    )
+    assert len(ours.points) > 100
+    near = spatial.cKDTree(theirs.points).query(ours.points)[0]
     assert (near < 0.01).mean() > 0.98
 
 
@@ -238,7 +265,7 @@ def test_a_patchwork_whose_contrast_turns_here_and_there_is_found():
         patches = rng.uniform(0.1, 0.9, 160)[near] + rng.normal(0, 0.01, near.shape)
         pictures.append(ndimage.gaussian_filter(patches, 1.0).astype(np.float32))
     turned = np.ascontiguousarray(np.rot90(pictures[1])[20:, :280])
-    found = start(KeyPictures([pictures[0]]), KeyPictures([turned]))
+    found = find_initial_transform(CameraFeatures([pictures[0]]), CameraFeatures([turned]))
     assert found is not None
     x, y = np.meshgrid(np.arange(40.0, 360, 40), np.arange(40.0, 260, 40))
     points = np.stack([x.ravel(), y.ravel()], 1)
@@ -249,18 +276,18 @@ def test_a_patchwork_whose_contrast_turns_here_and_there_is_found():
 def test_unrelated_pictures_have_no_start():
     rng = RNG(9)
     a, b = (texture(rng, (260, 320), 2.0) for _ in range(2))
-    assert start(KeyPictures([a]), KeyPictures([b])) is None
+    assert find_initial_transform(CameraFeatures([a]), CameraFeatures([b])) is None
 
 
 def test_principal_images_span_their_bands_and_leanings_sum_to_one():
     rng = RNG(10)
     layers = [texture(rng) for _ in range(2)]
     weights = (0.0, 0.3, 0.6, 1.0)
-    bands = [rooted(1 + (1 - t) * layers[0] + t * layers[1]) for t in weights]
-    palette = condense(np.stack(bands)).ready()
+    bands = [sqrt_transform(1 + (1 - t) * layers[0] + t * layers[1]) for t in weights]
+    palette = principal_components(np.stack(bands)).high_passed()
     seen = Predictor(palette.images, cell=12).compare(highpass(bands[1]))
     assert np.median(seen.r2[seen.r2 > 0]) > 0.99
-    assert palette.leaning(seen).sum() == pytest.approx(1)
+    assert palette.position_sensitivity(seen).sum() == pytest.approx(1)
 
 
 def test_spline_shift_goes_there_and_back_and_is_stored():

@@ -1,6 +1,5 @@
 """Key points lie where they are, in an order of their own; matching is exact and one to one."""
 
-import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -11,7 +10,7 @@ from levkas.registration.features import (
     available_detectors,
     find_key_points,
 )
-from levkas.registration.matching import METHODS, find_neighbours, match
+from levkas.registration.matching import MATCHERS, find_neighbours, match
 from levkas.registration.record import RegistrationRefused
 
 
@@ -40,25 +39,6 @@ def test_sift_has_no_bias_between_pictures_of_different_scale(scene):
     good = np.hypot(*miss.T) < 2
     assert good.sum() > 100
     assert np.abs(np.median(miss[good], 0)).max() < 0.05
-
-
-def test_sift_is_found_without_the_switch_of_newer_releases(scene, monkeypatch):
-    image = picture(scene)
-    precise = find_key_points(image, everywhere(image), limit=10**6)
-    create = cv2.SIFT_create
-
-    def older(**options):
-        if "enable_precise_upscale" in options:
-            raise TypeError("unknown option")
-        return create(**options)
-
-    monkeypatch.setattr(cv2, "SIFT_create", older)
-    rough = find_key_points(image, everywhere(image), limit=10**6)
-    from scipy.spatial import cKDTree
-
-    distance, near = cKDTree(rough.points).query(precise.points)
-    offset = np.median(rough.points[near[distance < 0.5]] - precise.points[distance < 0.5], 0)
-    assert np.abs(offset).max() < 0.05
 
 
 def test_key_points_are_the_same_each_time_and_sorted(scene):
@@ -142,7 +122,7 @@ def test_binary_descriptors_are_compared_bit_by_bit():
     np.testing.assert_array_equal(found.nearest, bits.argmin(1))
 
 
-@pytest.mark.parametrize("matching", sorted(METHODS))
+@pytest.mark.parametrize("matching", sorted(MATCHERS))
 def test_no_place_is_used_twice(matching):
     rng = np.random.default_rng(4)
     a, b = whole(rng, 200), whole(rng, 150)

@@ -88,6 +88,7 @@ def test_own_bands_stay_where_they_are(pair):
         assert np.linalg.norm(transform(points) - points, axis=1).mean() < 0.03, label
 
 
+@pytest.mark.slow
 def test_same_input_gives_same_answer(pair):
     reference, target, _ = pair
     one, two = (register(reference, target[:1], reference_band="550 nm") for _ in range(2))

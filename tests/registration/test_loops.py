@@ -1,6 +1,7 @@
 """Loops of independent registrations come back to where they began, or say why they do not."""
 
 import numpy as np
+import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.quality.evaluation.loops import View, close_loops, points_on
@@ -30,6 +31,7 @@ def test_right_maps_close_and_a_wrong_one_shows_by_how_much(studio):
     np.testing.assert_allclose(loop.error.mean(), 0.8, atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_pair_that_cannot_be_registered_says_why(studio):
     one = view(studio, "one", studio.paint(72), shifted(1.0, 0, 0), seed=3)
     other = view(studio, "other", studio.paint(73), shifted(1.0, 0, 0), seed=4)

@@ -1,6 +1,7 @@
 """The paper's method as a named mode: planted maps are recovered, what cannot be is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -203,7 +204,8 @@ def test_scale_alone_lays_centre_upon_centre():
 def test_a_large_reference_is_matched_in_a_smaller_picture(reference, pair, monkeypatch):
     from levkas.registration import mirhashemi2019
 
-    monkeypatch.setattr(mirhashemi2019, "MOST_PX", 40_000)
+    small = replace(mirhashemi2019.SETTINGS, most_px=40_000)
+    monkeypatch.setattr(mirhashemi2019, "SETTINGS", small)
     found = register(reference, pair[0], reference_band="b0", method="mirhashemi2019")
     assert found.verdict.decision != "refuse"
     assert error(found.transforms["b0"], pair[1]).mean() < 0.3  # 0.76 of the sampling

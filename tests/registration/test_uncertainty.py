@@ -5,8 +5,9 @@ import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.registration import BandImage, register
-from levkas.registration.chromatic import Chromatic, still
-from levkas.registration.uncertainty import NINE_OF_TEN, Sigma, measure_sigma
+from levkas.registration.chromatic import ChromaticShifts, zero_displacement
+from levkas.registration.record import Sigma
+from levkas.registration.uncertainty import NINE_OF_TEN, measure_sigma
 
 
 def test_a_record_gives_back_the_same_sigma():
@@ -17,16 +18,20 @@ def test_a_record_gives_back_the_same_sigma():
 
 
 def test_a_band_that_was_only_shifted_is_known_alike_everywhere():
-    fields = Chromatic("shift", np.array([50.0, 40]), 50.0, np.zeros((2, 2)), np.full((2, 2), 0.01))
+    fields = ChromaticShifts(
+        "shift", np.array([50.0, 40]), 50.0, np.zeros((2, 2)), np.full((2, 2), 0.01)
+    )
     sigma = measure_sigma((80, 100), ["a", "b"], fields)["a"]
     # Two times the standard deviation of the shift along either axis, 0.1 px.
     np.testing.assert_allclose(sigma.values, 2.0 * 0.1, atol=1e-4)
 
 
 def test_what_is_not_known_of_the_reference_is_not_known_of_what_it_predicts():
-    base = measure_sigma((80, 100), ["a"], still(1, np.array([50.0, 40]), 50.0))["a"]
+    base = measure_sigma((80, 100), ["a"], zero_displacement(1, np.array([50.0, 40]), 50.0))["a"]
     known = {"r": Sigma(base.x, base.y, np.full(base.values.shape, 0.03))}
-    sigma = measure_sigma((80, 100), ["a"], still(1, np.array([50.0, 40]), 50.0), None, known)["a"]
+    sigma = measure_sigma(
+        (80, 100), ["a"], zero_displacement(1, np.array([50.0, 40]), 50.0), None, known
+    )["a"]
     np.testing.assert_allclose(sigma.values, 0.03)
 
 

@@ -10,10 +10,10 @@ import tifffile
 
 from levkas.calibration.noise_model import noise_variance
 from levkas.quality.evaluation.similarity import read_truth
-from levkas.simulation.campaigns import Session, Simulated, simulate_campaign
+from levkas.simulation.campaigns import Simulated, SimulatedSession, simulate_campaign
 from levkas.simulation.capture import WHITE_REFLECTANCE, look
 from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras
-from levkas.simulation.truth import Truth
+from levkas.simulation.truth import SimulatedTruth
 
 TINY = replace(PRESETS["small"], scale=0.1, fineness=1.0, supersampling=2)
 
@@ -66,13 +66,14 @@ def test_the_truth_has_the_layout_that_evaluate_reads(tiny):
         assert all(np.isfinite(p).all() for p in known.bands.values())
     known = read_truth(folder / "truth", "icon1", "lctf-vis")
     np.testing.assert_allclose(known.bands["550 nm"], known.reference, atol=1e-9)
-    again = Truth.load(folder / "truth")
+    again = SimulatedTruth.load(folder / "truth")
     np.testing.assert_array_equal(
         again.map(known.reference, "v10", "900 nm"),
         result.truth.map(known.reference, "v10", "900 nm"),
     )
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_of_any_subset(tiny, tmp_path):
     folder, _ = tiny
     simulate(tmp_path / "one", cameras=["v10"])
@@ -88,7 +89,7 @@ def test_the_same_seed_gives_the_same_bytes_and_of_any_subset(tiny, tmp_path):
 def test_flat_fielding_recovers_the_reflectance_within_its_noise():
     preset = replace(TINY, scale=0.12)
     models = choose_cameras(preset, ["lctf-vis"])
-    session = Session(preset, models, 3, 1)
+    session = SimulatedSession(preset, models, 3, 1)
     camera = session.cameras["lctf-vis"]
     model = camera.model
     band, sensor = model.bands[7], model.sensors[0]
@@ -116,6 +117,7 @@ def test_flat_fielding_recovers_the_reflectance_within_its_noise():
     assert 0.94 < (np.abs(score) < 1.96).mean() < 0.96
 
 
+@pytest.mark.slow
 def test_the_hard_preset_turns_the_scanner_on_its_side(tmp_path):
     hard = replace(
         PRESETS["hard"], scale=0.08, thin=True, fineness=1.0, charts=False, supersampling=2

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from levkas.simulation.cameras import SensorModel, camera_models
-from levkas.simulation.capture import Camera, look
+from levkas.simulation.capture import SimulatedCamera, look
 from levkas.simulation.icon import paint_icon
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 
 PANEL = Panel(radius_mm=3000.0, depth_mm=3.0)
 
@@ -27,7 +27,7 @@ def test_each_sensel_of_a_mosaic_holds_its_own_channel(painting, pattern):
     bands = camera_models()["lctf-vis"].bands[::3][: max(map(max, pattern)) + 1]
     sensor = SensorModel("", tuple(range(len(bands))), pattern)
     model = replace(camera_models()["d80"], bands=bands, sensors=(sensor,)).scaled(0.05)
-    camera = Camera(model, root=4, supersampling=2)
+    camera = SimulatedCamera(model, root=4, supersampling=2)
     sight = look(model, model.view(), PANEL, painting)
     frame = next(camera.shoot("icon1", sight))
     n = len(pattern)
@@ -41,7 +41,7 @@ def test_each_sensel_of_a_mosaic_holds_its_own_channel(painting, pattern):
 
 def test_a_scanner_repeats_its_line_of_sensels(painting):
     model = camera_models(thin=True)["v10"].scaled(0.1)
-    camera = Camera(model, root=4, supersampling=2)
+    camera = SimulatedCamera(model, root=4, supersampling=2)
     fixed = camera.pattern(model.sensors[0], "550 nm")
     assert np.ptp(fixed.response, axis=0).max() == 0 < np.ptp(fixed.response, axis=1).min()
     other = camera.pattern(model.sensors[0], "600 nm")
@@ -52,7 +52,7 @@ def test_a_scanner_repeats_its_line_of_sensels(painting):
 
 def test_a_setup_changes_the_light_but_not_the_sensels():
     model = camera_models()["d80"].scaled(0.05)
-    own, lamp = Camera(model, root=4), Camera(model, root=4, setup="45-degree")
+    own, lamp = SimulatedCamera(model, root=4), SimulatedCamera(model, root=4, setup="45-degree")
     assert np.abs(own.illumination - lamp.illumination).max() > 0.005
     sensor = model.sensors[0]
     np.testing.assert_array_equal(own.pattern(sensor).response, lamp.pattern(sensor).response)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from levkas.core.problems import Refused
-from levkas.simulation.optics import Chromatic, View, base_to_panel, panel_to_base, turn
-from levkas.simulation.panel import Panel
-from levkas.simulation.truth import BandGeometry, CameraGeometry, Truth
+from levkas.simulation.optics import ChromaticOptics, Viewpoint, base_to_panel, panel_to_base, turn
+from levkas.simulation.painting import Panel
+from levkas.simulation.truth import BandGeometry, CameraGeometry, SimulatedTruth
 
 BENT = Panel(radius_mm=2500.0, depth_mm=4.0, bevel_mm=4.0, twist_mm=1.0)
 DISTANCE = 1850.0
@@ -14,7 +14,7 @@ DISTANCE = 1850.0
 
 def view(*, motion=None, tilt=(0.8, -1.1, 0.6), scale=1.0):
     rotation = turn(*tilt)
-    return View(
+    return Viewpoint(
         round(1392 * scale),
         round(1040 * scale),
         tuple(rotation.ravel()),
@@ -36,7 +36,7 @@ def board_points(n=400, share=0.98):
 
 
 def truth(panel=BENT, tilt=(0.8, -1.1, 0.6)):
-    colour = Chromatic((1e-3, 5e-4), (0.2,), (-0.1,), (0.3,))
+    colour = ChromaticOptics((1e-3, 5e-4), (0.2,), (-0.1,), (0.3,))
     bands = (BandGeometry("550 nm", 550.0), BandGeometry("900 nm", 900.0))
     turned = np.array([[1.0, -0.002, 3.0], [0.002, 1.0, -5.0]])
     chips = (BandGeometry("G", 540.0, "a"), BandGeometry("IR", 820.0, "b"))
@@ -50,7 +50,7 @@ def truth(panel=BENT, tilt=(0.8, -1.1, 0.6)):
         "scan": view(motion=(0.01, 1.0, 0.0)),
         "split": view(tilt=(-1.0, 0.5, -0.4)),
     }
-    return Truth(("main", "550 nm"), {"icon1": panel}, cameras, {"icon1": views})
+    return SimulatedTruth(("main", "550 nm"), {"icon1": panel}, cameras, {"icon1": views})
 
 
 @pytest.mark.parametrize("motion", [None, (0.01, 1.0, 0.0)], ids=["frame", "scanner"])
@@ -63,7 +63,7 @@ def test_a_pixel_sees_the_point_that_is_projected_into_it(motion):
 
 
 def test_a_flat_panel_seen_straight_on_is_a_scaling():
-    plain = View(100, 80, tuple(np.eye(3).ravel()), (0, 0, 1000.0), 2000.0, (49.5, 39.5), 50.0)
+    plain = Viewpoint(100, 80, tuple(np.eye(3).ravel()), (0, 0, 1000.0), 2000.0, (49.5, 39.5), 50.0)
     points = np.array([[0.0, 0.0], [10.0, -5.0]])
     np.testing.assert_allclose(
         panel_to_base(points, plain, Panel()), [[49.5, 39.5], [69.5, 29.5]], atol=1e-5
@@ -71,7 +71,9 @@ def test_a_flat_panel_seen_straight_on_is_a_scaling():
 
 
 def test_a_lowered_point_moves_towards_the_middle_by_its_parallax():
-    plain = View(900, 700, tuple(np.eye(3).ravel()), (0, 0, 1900.0), 3800.0, (450.0, 350.0), 450.0)
+    plain = Viewpoint(
+        900, 700, tuple(np.eye(3).ravel()), (0, 0, 1900.0), 3800.0, (450.0, 350.0), 450.0
+    )
     point = np.array([[150.0, 0.0]])
     low, flat = (panel_to_base(point, plain, Panel(depth_mm=d))[0, 0] for d in (4.0, 0.0))
     # 150 mm · 2 px/mm, seen over 1904 instead of 1900 mm.
@@ -120,7 +122,7 @@ def test_a_band_that_is_not_there_is_refused():
 def test_written_truth_is_read_back_exactly(tmp_path):
     t = truth()
     t.save(tmp_path)
-    again = Truth.load(tmp_path)
+    again = SimulatedTruth.load(tmp_path)
     points = np.load(tmp_path / "icon1_ref_px.npy")
     rows = np.load(tmp_path / "icon1_scan_px.npy")
     assert 2500 < len(points) < 3500

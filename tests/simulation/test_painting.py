@@ -5,13 +5,18 @@ import pytest
 
 from levkas.simulation.cameras import camera_models
 from levkas.simulation.capture import look
-from levkas.simulation.charts import chart_panel, paint_chart, patch_centres, patch_spectra
 from levkas.simulation.icon import paint_icon
 from levkas.simulation.lighting import SETUPS, compose, light
 from levkas.simulation.optics import base_to_band, panel_to_base
-from levkas.simulation.painting import Painting
-from levkas.simulation.panel import Panel
-from levkas.simulation.photographs import PhotographRefused, paint_photograph
+from levkas.simulation.painting import Painting, Panel
+from levkas.simulation.photographs import (
+    PhotographRefused,
+    chart_panel,
+    paint_chart,
+    paint_photograph,
+    patch_centres,
+    patch_spectra,
+)
 from levkas.simulation.pigments import (
     LIBRARY_NUMBERS,
     PAINTS,
@@ -79,6 +84,7 @@ def test_every_sample_of_the_icon_is_wholly_covered(icon):
     assert used.sum() >= 16
 
 
+@pytest.mark.slow
 def test_the_icon_is_the_same_at_any_fineness(icon):
     fine = paint_icon(PANEL, 4.0, np.random.default_rng(4)).reduced(2)
     shape = tuple(
@@ -131,6 +137,7 @@ def test_lamps_at_70_degrees_darken_varnish_by_an_eighth_and_tame_gold():
     assert high.varnish.max() > 3 * low.varnish.max()
 
 
+@pytest.mark.slow
 def test_a_chart_before_a_camera_shows_its_patches():
     camera = camera_models()["lctf-vis"].scaled(0.2)
     view, panel, chart = camera.view(), chart_panel(), paint_chart(2.0)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from levkas.simulation.optics import (
-    Chromatic,
-    View,
+    ChromaticOptics,
+    Viewpoint,
     band_to_base,
     base_to_band,
     panel_to_base,
     turn,
 )
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 from levkas.simulation.rendering import Texture, footprint, render, tabulate
 
 # A disc over a bend of the relief has no single place: only the smooth parts are measured.
@@ -40,7 +40,7 @@ def discs():
 
 
 def camera(motion=None):
-    return View(
+    return Viewpoint(
         360, 270, tuple(turn(0.6, -0.9, 0.7).ravel()), (1.0, -0.5, 1850.0), 2.7 * 1850.0,
         (181.0, 133.0), 180.0, (-0.02, 0.004), (4e-4, -3e-4), motion, 1 / 2.7, (0.1, 40.0, 0.4),
     )  # fmt: skip
@@ -62,7 +62,7 @@ def centroids(image, expected, half=8):
 def test_discs_lie_where_the_map_says(discs, motion, wavelength, supersampling):
     texture, centres = discs
     view = camera(motion)
-    colour = Chromatic((3e-3, 1e-3), (0.4,), (-0.3,), (0.4,)).at(wavelength)
+    colour = ChromaticOptics((3e-3, 1e-3), (0.4,), (-0.3,), (0.4,)).at(wavelength)
     affine = np.array([[1.0, -0.003, 4.3], [0.003, 1.0, -2.6]])
     image = render(
         texture, tabulate(view, PANEL), *band_to_base(view, colour, affine),
@@ -88,7 +88,7 @@ def test_a_uniform_board_gives_its_value_and_the_surroundings_theirs():
 def test_the_edge_of_the_board_is_an_area_average():
     flat, plain = (
         Panel(width_mm=20.0, height_mm=20.0),
-        View(40, 40, tuple(np.eye(3).ravel()), (0.125, 0, 1000.0), 1000.0, (20.0, 20.0), 20.0),
+        Viewpoint(40, 40, tuple(np.eye(3).ravel()), (0.125, 0, 1000.0), 1000.0, (20.0, 20.0), 20.0),
     )
     image = render(Texture(np.ones((200, 200), np.float32), 10.0), tabulate(plain, flat), np.eye(2, 3),
                    blur=0.0, supersampling=8)  # fmt: skip

@@ -9,12 +9,12 @@ from PIL import Image
 
 from levkas.campaign.edits import read_edits
 from levkas.geometry.transforms import Affine
-from levkas.registration.uncertainty import Sigma
+from levkas.registration.record import Sigma
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.library import FrameMissing, Library, id_of
 from levkas.workbench.maps import MapMissing, draw_sigma, find_kinds
 from levkas.workbench.operations import OperationRefused
-from levkas.workbench.pictures import TILE_PX, Picture, warped_tile
+from levkas.workbench.pictures import TILE_PX, ShownPicture, warped_tile
 
 PLACES = np.array([[120.0, 90.0], [300.0, 110.0], [150.0, 250.0], [330.0, 260.0]])
 
@@ -67,7 +67,7 @@ def test_a_map_that_is_off_shows_by_how_much(frame):
 
 
 def test_a_blank_place_has_no_score(frame):
-    blank = Picture(np.full((340, 420), 90, np.uint8))
+    blank = ShownPicture(np.full((340, 420), 90, np.uint8))
     found = find_partner(blank, frame.picture("target"), frame.built, PLACES[0])
     assert found.score == 0 and found.target == pytest.approx(frame.built(PLACES[:1])[0])
 
@@ -85,7 +85,7 @@ def test_a_pair_set_roughly_snaps_to_its_place(frame, correctable):
 
 def test_tiles_put_together_are_the_picture():
     pixels = np.random.default_rng(0).integers(0, 255, (700, 1100)).astype(np.uint8)
-    picture = Picture(pixels)
+    picture = ShownPicture(pixels)
     rows = [np.hstack([picture.tile(0, c, r) for c in range(5)]) for r in range(3)]
     assert np.array_equal(np.vstack(rows), pixels)
     assert [level.shape for level in picture.levels] == [

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from levkas.building.registering import corrections_of
+from levkas.building.register import corrections_of
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import read_edits
 from levkas.geometry.transforms import Affine

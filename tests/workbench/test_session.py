@@ -9,7 +9,7 @@ from levkas.campaign.edits import FrameEdits
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, from_bytes, to_bytes
 from levkas.workbench.operations import OPERATIONS, OperationRefused
-from levkas.workbench.session import Found, Session
+from levkas.workbench.session import CorrectionSession, FoundPartner
 
 SIZE = (1000, 800)
 
@@ -26,7 +26,7 @@ def plant(n=300, wrong=0, off=4.0, seed=0, stop=6.0):
     reference = truth(target) + rng.normal(0, 0.1, (n, 2))
     angle = rng.uniform(0, 2 * np.pi, wrong)
     reference[:wrong] += off * np.stack([np.cos(angle), np.sin(angle)], 1)
-    return Found(Matches.of(reference, target), SIZE, SIZE, None, stop)
+    return FoundPartner(Matches.of(reference, target), SIZE, SIZE, None, stop)
 
 
 def pair_of(session, row):
@@ -35,7 +35,7 @@ def pair_of(session, row):
 
 
 def test_the_wrong_pair_is_the_worst_and_its_deletion_lets_the_error_fall():
-    session = Session(plant(wrong=1))
+    session = CorrectionSession(plant(wrong=1))
     before = describe(session)
     worst = int(np.nanargmax(session.view.matches.residual))
     assert worst == 0 and before["summary"]["max"] > 3.5
@@ -49,7 +49,7 @@ def test_the_wrong_pair_is_the_worst_and_its_deletion_lets_the_error_fall():
 
 
 def test_a_removed_pair_that_is_pinned_or_restored_stays():
-    session = Session(plant(wrong=1, stop=1.0))
+    session = CorrectionSession(plant(wrong=1, stop=1.0))
     assert describe(session)["state"][0] == "removed"
     for operation, reason in (("pin", "pinned by hand"), ("restore", "restored by hand")):
         session.apply(operation, pair_of(session, 0))
@@ -60,7 +60,7 @@ def test_a_removed_pair_that_is_pinned_or_restored_stays():
 
 
 def test_a_check_point_measures_and_is_not_fitted():
-    session = Session(plant())
+    session = CorrectionSession(plant())
     before = session.view.cleaned.model.coefficients.copy()
     place = np.array([400.0, 300.0])
     session.apply("check", [*(truth(place[None])[0] + [3.0, 0.0]), *place])
@@ -71,7 +71,7 @@ def test_a_check_point_measures_and_is_not_fitted():
 
 
 def test_a_found_pair_made_a_check_point_leaves_the_fit():
-    session = Session(plant(wrong=1))
+    session = CorrectionSession(plant(wrong=1))
     session.apply("check", pair_of(session, 0))
     told = describe(session)
     assert told["state"].count("check") == 1 and told["summary"]["max"] < 0.5
@@ -79,7 +79,7 @@ def test_a_found_pair_made_a_check_point_leaves_the_fit():
 
 
 def test_a_moved_pair_is_where_it_was_put_and_undo_brings_it_back():
-    session = Session(plant(wrong=1))
+    session = CorrectionSession(plant(wrong=1))
     pair = pair_of(session, 0)
     better = [*truth(np.array([pair[2:]]))[0], *pair[2:]]
     session.apply("move", pair, better)
@@ -90,8 +90,8 @@ def test_a_moved_pair_is_where_it_was_put_and_undo_brings_it_back():
 
 
 def test_four_added_pairs_make_a_map_where_there_was_none():
-    nothing = Found(Matches.of(np.zeros((0, 2)), np.zeros((0, 2))), SIZE, SIZE)
-    session = Session(nothing)
+    nothing = FoundPartner(Matches.of(np.zeros((0, 2)), np.zeros((0, 2))), SIZE, SIZE)
+    session = CorrectionSession(nothing)
     assert "at least 3" in describe(session)["refusal"]
     matrix = np.array([[0.6, -0.8], [0.8, 0.6]])
     corners = np.array([[100.0, 100], [900, 120], [880, 700], [120, 690]])
@@ -104,7 +104,7 @@ def test_four_added_pairs_make_a_map_where_there_was_none():
 
 
 def test_sliders_replay_the_removal_and_are_one_change_each():
-    session = Session(plant(wrong=60))
+    session = CorrectionSession(plant(wrong=60))
     assert describe(session)["summary"]["kept"] == 300
     for value in (3.0, 2.0, 1.0):
         session.slide("stop", value)
@@ -118,7 +118,7 @@ def test_sliders_replay_the_removal_and_are_one_change_each():
 
 
 def test_pictures_are_brought_over_anew_only_where_the_map_has_moved():
-    session = Session(plant(n=2000, wrong=1, off=90, stop=99))
+    session = CorrectionSession(plant(n=2000, wrong=1, off=90, stop=99))
     first = session.drawn
     session.apply("delete", pair_of(session, 0))
     assert session.drawn == session.version > first
@@ -134,7 +134,7 @@ def test_pictures_are_brought_over_anew_only_where_the_map_has_moved():
 
 
 def test_an_answer_in_bytes_says_what_a_plain_one_says():
-    session = Session(plant(wrong=60, stop=1.0))
+    session = CorrectionSession(plant(wrong=60, stop=1.0))
     session.apply("delete", describe(session)["pairs"][70])
     plain, told = describe(session), from_bytes(to_bytes(describe(session, packed=True)))
     for name in ("residual", "leave_one_out", "weight", "round", "pairs"):
@@ -148,14 +148,14 @@ def test_an_answer_in_bytes_says_what_a_plain_one_says():
 
 
 def test_an_answer_of_no_pairs_comes_back_too():
-    told = describe(Session(plant(n=0)), packed=True)
+    told = describe(CorrectionSession(plant(n=0)), packed=True)
     again = from_bytes(to_bytes(told))
     assert again["pairs"].shape == (0, 4) and again["trace"] is None
     assert again["state"]["words"] == [] and len(again["state"]["codes"]) == 0
 
 
 def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():
-    session = Session(plant(wrong=60, stop=1.0))
+    session = CorrectionSession(plant(wrong=60, stop=1.0))
     told = describe(session)
     trace = told["trace"]
     assert len(trace["largest"]) == 61 and trace["removed"][-1] == -1
@@ -170,7 +170,7 @@ def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():
 
 
 def test_places_that_cannot_be_are_refused():
-    session = Session(plant())
+    session = CorrectionSession(plant())
     for pair in ([1, 2, 3], [1, 2, 3, float("nan")], [1e7, 2, 3, 4]):
         with pytest.raises(OperationRefused):
             session.apply("add", pair)
@@ -192,7 +192,7 @@ def test_undo_brings_back_every_state_and_redo_every_later_one(steps):
         saved.append(after)
         return after
 
-    session = Session(plant(n=40), save=save)
+    session = CorrectionSession(plant(n=40), save=save)
     seen = [session.edits]
     for name, row in steps:
         pair = pair_of(session, row)

@@ -1,44 +1,74 @@
 // False colour: three single bands as red, green and blue, mixed tile by tile while they are looked at.
-import type OpenSeadragon from "openseadragon";
+import { proposeThree } from "../shared/falsecolour";
+import type { Layer as Tiles } from "../shared/pane";
 import type { Layer, Picture } from "./record";
 
-const WANTED_NM = [900, 650, 550]; // of false-colour infrared
 const INKS = ["#f00", "#0f0", "#00f"];
-const START = "mix-";
+const MIX = /^mix-(\d+)-(\d+)-(\d+)$/;
+const BAND = /^band-(\d+)$/;
 
 /** Key of the mixture of three bands, by their numbers: ``mix-10-5-3``. */
-export function mixKey(numbers: number[]): string {
-  return START + numbers.join("-");
+export function mixKey(numbers: readonly number[]): string {
+  return `mix-${numbers.join("-")}`;
 }
 
-export function isMix(key: string | undefined): boolean {
-  return key?.startsWith(START) ?? false;
+/** The numbers of the three bands of a mixture; null for the key of another picture. */
+export function mixNumbers(key: string): number[] | null {
+  return MIX.exec(key)?.slice(1).map(Number) ?? null;
 }
 
-/** Single bands of a layer that have a picture, by their numbers. */
-export function bandsOf(layer: Layer): { number: number; picture: Picture }[] {
-  return layer.pictures.filter((p) => p.kind === "band").map((picture) => ({ number: Number(picture.key.replace("band-", "")), picture }));
+/** The number of the band that a picture shows; -1 for other pictures. */
+export function bandNumber({ key }: Picture): number {
+  return Number(BAND.exec(key)?.[1] ?? -1);
 }
 
-/** Infrared, red and green where the layer has them; else its last, its middle and its first band. */
+/** Pictures of single bands of a layer. */
+export function bandsOf(layer: Layer): Picture[] {
+  return layer.pictures.filter(({ kind }) => kind === "band");
+}
+
+/** Where a band lies, nm: its wavelength, or the centroid of a broad one; null where neither is known. */
+export function placeOf(layer: Layer, number: number): number | null {
+  const band = layer.bands[number];
+  return band?.wavelength ?? band?.centroid ?? null;
+}
+
+/** Key of the mixture that is shown first; undefined where a layer has fewer than three bands. */
 export function proposeMix(layer: Layer): string | undefined {
-  const bands = bandsOf(layer);
-  if (bands.length < 3) return undefined;
-  const place = (number: number): number | null => layer.bands[number]?.wavelength ?? layer.bands[number]?.centroid ?? null;
-  const spread = [bands.length - 1, Math.floor((bands.length - 1) / 2), 0].map((i) => bands[i]!.number);
-  if (bands.some(({ number }) => place(number) === null)) return mixKey(spread);
-  const nearest = WANTED_NM.map((wanted) => bands.reduce((best, band) => (Math.abs(place(band.number)! - wanted) < Math.abs(place(best.number)! - wanted) ? band : best)).number);
-  return mixKey(new Set(nearest).size === 3 ? nearest : spread);
+  const numbers = bandsOf(layer).map(bandNumber);
+  if (numbers.length < 3) return undefined;
+  const chosen = proposeThree(numbers.map((number) => placeOf(layer, number)));
+  return mixKey(chosen.map((i) => numbers[i]!));
 }
 
-/** The mixture of three bands as a picture, where the layer has all three. */
-export function mix(layer: Layer, key: string): Picture | undefined {
-  const numbers = key.slice(START.length).split("-").map(Number);
-  const parts = numbers.map((n) => layer.pictures.find((p) => p.key === `band-${n}`));
+/** A picture of a layer by its key, or a mixture of three of its bands. */
+export function pictureOf(layer: Layer, key: string): Picture | undefined {
+  const numbers = mixNumbers(key);
+  if (!numbers) return layer.pictures.find((picture) => picture.key === key);
+  const parts = numbers.flatMap(
+    (number) => bandsOf(layer).find((picture) => bandNumber(picture) === number) ?? [],
+  );
   const [first] = parts;
-  if (numbers.length !== 3 || !first || parts.some((p) => !p)) return undefined;
-  const labels = parts.map((p) => p!.label).join(" / ");
-  return { ...first, key, label: `False colour, ${labels}`, kind: "mix", note: `${labels} as red, green and blue, each from 0 to its own white`, mixed: parts as Picture[] };
+  if (!first || parts.length !== 3) return undefined;
+  const labels = parts.map(({ label }) => label).join(" / ");
+  return {
+    ...first,
+    key,
+    label: `False colour, ${labels}`,
+    kind: "mix",
+    note: `${labels} as red, green and blue, each from 0 to its own white`,
+    mixed: parts,
+  };
+}
+
+/** The address of one tile of a picture. */
+export function addressOf(
+  { folder, format }: Picture,
+  level: number,
+  x: number,
+  y: number,
+): string {
+  return `${folder.split("/").map(encodeURIComponent).join("/")}/${level}/${x}_${y}.${format}`;
 }
 
 interface Job {
@@ -48,9 +78,9 @@ interface Job {
 }
 
 /** What OpenSeadragon needs to show a mixture: a tile is asked for by the addresses of its three parts. */
-export function mixedSource(parts: Picture[], addressOf: (picture: Picture, level: number, x: number, y: number) => string): Partial<OpenSeadragon.TileSourceOptions> {
+export function mixedSource(parts: Picture[]): Tiles["source"] {
   return {
-    getTileUrl: (level: number, x: number, y: number) => parts.map((part) => addressOf(part, level, x, y)).join("|"),
+    getTileUrl: (level, x, y) => parts.map((part) => addressOf(part, level, x, y)).join("|"),
     downloadTileStart: (job: Job) => {
       Promise.all(job.src.split("|").map(loadImage)).then(
         (images) => job.finish(blend(images), null, "context2d"),
@@ -58,29 +88,29 @@ export function mixedSource(parts: Picture[], addressOf: (picture: Picture, leve
       );
     },
     downloadTileAbort: () => {},
-  } as unknown as Partial<OpenSeadragon.TileSourceOptions>;
+  } as Tiles["source"];
 }
 
 function loadImage(address: string): Promise<HTMLImageElement> {
   return new Promise((resolve, reject) => {
     const image = new Image();
     image.onload = () => resolve(image);
-    image.onerror = reject;
+    image.onerror = () => reject(new Error(`${address} cannot be read`));
     image.src = address;
   });
 }
 
 /** Ink each grey picture in its colour, and add them up. Nothing is read back: a page from file:// may not. */
 function blend(images: HTMLImageElement[]): CanvasRenderingContext2D {
-  const [width, height] = [images[0]!.naturalWidth, images[0]!.naturalHeight];
-  const [sum, one] = [sheet(width, height), sheet(width, height)];
+  const { naturalWidth, naturalHeight } = images[0]!;
+  const [sum, one] = [sheet(naturalWidth, naturalHeight), sheet(naturalWidth, naturalHeight)];
   sum.globalCompositeOperation = "lighter";
   images.forEach((image, i) => {
     one.globalCompositeOperation = "source-over";
     one.drawImage(image, 0, 0);
     one.globalCompositeOperation = "multiply";
     one.fillStyle = INKS[i]!;
-    one.fillRect(0, 0, width, height);
+    one.fillRect(0, 0, naturalWidth, naturalHeight);
     sum.drawImage(one.canvas, 0, 0);
   });
   return sum;

@@ -1,6 +1,5 @@
 // How long a millimetre is on the screen, in round numbers.
-import { make } from "../element";
-import type { Stage } from "./stage";
+import { make } from "../shared/element";
 
 const LONGEST_PX = 150;
 const ROUND = [1, 2, 5];
@@ -11,23 +10,26 @@ export class ScaleBar {
   private readonly text = make("span", {});
   readonly element = make("div", { class: "scalebar" }, this.bar, this.text);
 
-  constructor(private readonly stage: Stage, private readonly pxPerMm: number | null) {}
+  constructor(private readonly pxPerMm: number | null) {}
 
-  update(): void {
-    const unit = this.stage.scale * (this.pxPerMm ?? 1); // screen pixels a mm, or a pixel
+  /** Show a round length at `scale` screen pixels a pixel. */
+  update(scale: number): void {
+    const unit = scale * (this.pxPerMm ?? 1); // screen pixels a mm, or a pixel
     if (!Number.isFinite(unit) || unit <= 0) return;
     const length = roundBelow(LONGEST_PX / unit);
     this.bar.style.width = `${length * unit}px`;
-    this.text.textContent = this.pxPerMm ? say(length) : `${length} px`;
+    this.text.textContent = this.pxPerMm ? describeMillimetres(length) : `${length} px`;
   }
 }
 
-function roundBelow(most: number): number {
+/** The largest of 1, 2 and 5 times a power of ten that is not above `most`. */
+export function roundBelow(most: number): number {
   const power = 10 ** Math.floor(Math.log10(most));
   return Math.max(...ROUND.map((n) => n * power).filter((n) => n <= most));
 }
 
-function say(mm: number): string {
+/** A length in m, cm, mm or µm, whichever gives a number from one on. */
+export function describeMillimetres(mm: number): string {
   if (mm >= 1000) return `${mm / 1000} m`;
   if (mm >= 10) return `${mm / 10} cm`;
   return mm >= 1 ? `${mm} mm` : `${Number((mm * 1000).toPrecision(3))} µm`;

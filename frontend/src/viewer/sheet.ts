@@ -1,13 +1,13 @@
 // The contact sheet: search and filters over cards that stand in the page already.
-import "../style/tokens.css";
+import "../shared/base.css";
 import "./page.css";
 import "./sheet.css";
-import { find } from "../element";
-import { startTheme } from "../theme";
+import { find } from "../shared/element";
+import { startTheme } from "../shared/theme";
 
 const cards = [...document.querySelectorAll<HTMLElement>(".card")].map((element) => ({
   element,
-  text: plain(`${element.textContent ?? ""} ${element.dataset["cameras"] ?? ""}`),
+  text: plain(`${element.textContent} ${element.dataset["cameras"] ?? ""}`),
   verdict: element.dataset["verdict"] ?? "",
   cameras: JSON.parse(element.dataset["cameras"] ?? "[]") as string[],
 }));
@@ -34,7 +34,10 @@ function filter(): void {
   const words = plain(search.value).split(" ").filter(Boolean);
   let count = 0;
   for (const card of cards) {
-    const fits = words.every((word) => card.text.includes(word)) && (!camera.value || card.cameras.includes(camera.value)) && (!verdict.value || card.verdict === verdict.value);
+    const fits =
+      words.every((word) => card.text.includes(word)) &&
+      (!camera.value || card.cameras.includes(camera.value)) &&
+      (!verdict.value || card.verdict === verdict.value);
     card.element.hidden = !fits;
     if (fits) count++;
   }

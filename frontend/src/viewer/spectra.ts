@@ -8,12 +8,9 @@ export interface Spectrum {
   flags: Uint8Array | null;
 }
 
-interface Tile {
+interface Tile extends Spectrum {
   columns: number;
   rows: number;
-  values: Float32Array;
-  sigma: Float32Array | null;
-  flags: Uint8Array | null;
 }
 
 const KEPT = 24; // tiles a layer
@@ -22,7 +19,10 @@ const KEPT = 24; // tiles a layer
 export class Spectra {
   private readonly tiles = new Map<string, Promise<Tile>>();
 
-  constructor(private readonly layer: Layer, private readonly facts: SpectraFacts) {}
+  constructor(
+    private readonly layer: Layer,
+    private readonly facts: SpectraFacts,
+  ) {}
 
   /** Read one pixel; x and y are integers on the grid. */
   async read(x: number, y: number): Promise<Spectrum> {
@@ -59,24 +59,38 @@ export class Spectra {
     const { width, height, bands, folder, sigma, flags } = this.facts;
     const columns = Math.min(this.facts.columns, width - column * this.facts.columns);
     const rows = Math.min(this.facts.rows, height - row * this.facts.rows);
-    const text = await loadScript(`${folder}/${column}_${row}.js`, `${this.layer.id}/spectra/${column}_${row}`);
+    const text = await loadScript(
+      `${folder}/${column}_${row}.js`,
+      `${this.layer.id}/spectra/${column}_${row}`,
+    );
     const data = await inflate(toBytes(String(text)));
     const count = columns * rows * bands;
-    const wide = (start: number): Float32Array => new Float32Array(restore(data, start, columns, rows, bands, 4).buffer);
+    const restored = (start: number, octets: number): Uint8Array<ArrayBuffer> =>
+      restore(data, { start, columns, rows, bands, octets });
     return {
       columns,
       rows,
-      values: wide(0),
-      sigma: sigma ? wide(4 * count) : null,
-      flags: flags ? restore(data, sigma ? 8 * count : 4 * count, columns, rows, bands, 1) : null,
+      values: new Float32Array(restored(0, 4).buffer),
+      sigma: sigma ? new Float32Array(restored(4 * count, 4).buffer) : null,
+      flags: flags ? restored(sigma ? 8 * count : 4 * count, 1) : null,
     };
   }
 }
 
+/** Where an array of bands x rows x columns stands among bytes, and how many bytes a sample has. */
+export interface Block {
+  start: number;
+  columns: number;
+  rows: number;
+  bands: number;
+  octets: number;
+}
+
 /** Undo differences along x and the split into byte planes: the reverse of Levkas' `encode_block`. */
-function restore(data: Uint8Array, start: number, columns: number, rows: number, bands: number, octets: number): Uint8Array<ArrayBuffer> {
+export function restore(data: Uint8Array, block: Block): Uint8Array<ArrayBuffer> {
+  const { columns, rows, bands, octets } = block;
   const result = new Uint8Array(columns * rows * bands * octets);
-  let from = start;
+  let from = block.start;
   for (let band = 0; band < bands; band++)
     for (let octet = 0; octet < octets; octet++)
       for (let row = 0; row < rows; row++) {

@@ -1,18 +1,14 @@
 // Data that stands in script files, as a page from file:// may not fetch anything.
 
-type Told = (payload: unknown) => void;
-
-const waiting = new Map<string, Told>();
+const waiting = new Map<string, (payload: unknown) => void>();
 
 declare global {
-  interface Window {
-    levkasTile: (key: string, payload: unknown) => void;
-  }
+  var levkasTile: (key: string, payload: unknown) => void;
 }
 
-window.levkasTile = (key, payload) => waiting.get(key)?.(payload);
+globalThis.levkasTile = (key, payload) => waiting.get(key)?.(payload);
 
-/** Load a script file and give what it tells under `key`; rejects where it is not there. */
+/** Load a script file and return what it holds under `key`; rejects where it is not there. */
 export function loadScript(address: string, key: string): Promise<unknown> {
   return new Promise((resolve, reject) => {
     const script = document.createElement("script");
@@ -23,7 +19,7 @@ export function loadScript(address: string, key: string): Promise<unknown> {
     script.addEventListener("load", () => {
       script.remove();
       waiting.delete(key);
-      reject(new Error(`${address} says nothing of ${key}`)); // nothing happens where it did
+      reject(new Error(`${address} holds nothing under ${key}`)); // no effect where it does
     });
     document.head.append(script);
   });

@@ -1,168 +1,205 @@
 // The page of one object: its parts, wired together.
-import "../style/tokens.css";
+import { effect } from "@preact/signals-core";
+import "../shared/base.css";
 import "./page.css";
 import "./viewer.css";
-import { find } from "../element";
-import { startTheme } from "../theme";
-import { helpDialog, listen, type Key } from "./keys";
+import { find } from "../shared/element";
+import {
+  ARROWS,
+  direction,
+  helpDialog,
+  isCommand,
+  key,
+  listenToKeys,
+  plain,
+  type Key,
+} from "../shared/keys";
+import type { Point } from "../shared/pane";
+import type { Mode } from "../shared/stage";
+import { startTheme } from "../shared/theme";
+import { watch } from "../shared/watch";
 import { LayerList } from "./layers";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
 import { ScaleBar } from "./scalebar";
-import { Stage, type Mode, type Pixel, type Slot } from "./stage";
-import { Toolbar } from "./toolbar";
+import { PaintingStage } from "./stage";
+import { State, type Slot } from "./state";
+import { fillToolbar, MODES } from "./toolbar";
 
 const ZOOM_STEP = 1.4;
+const NEAR_PX = 6; // of the screen
+const SAVE_AFTER_MS = 300;
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
-const stage = new Stage(find("stage"), record.grid);
+const state = new State();
+const stage = new PaintingStage(find("stage"), [record.grid.width, record.grid.height], state);
+const layers = new LayerList(find("layers"), record, state);
 const readout = new Readout(find("spectrum"), record, HINT);
-const scaleBar = new ScaleBar(stage, record.grid.px_per_mm);
-const caption = find("caption");
-let pin: Pixel | null = null;
-let saving = 0;
-let started = false;
+const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
 startTheme(find<HTMLButtonElement>("theme"));
 find("stage").append(scaleBar.element);
-stage.onView = () => {
-  scaleBar.update();
-  remember();
+fillToolbar(find("modes"), find("settings"), stage);
+stage.setMode("single");
+layers.onCompare = () => {
+  if (stage.mode.value === "single") stage.setMode("curtain");
 };
 
-// --- layers and modes -----------------------------------------------------------------------------
-
-const layers = new LayerList(find("layers"), record, (slot, choice) => {
-  stage.show(slot, choice.picture);
-  tellCaption();
-  remember();
-});
-const toolbar = new Toolbar(find("modes"), find("settings"), stage, (mode) => {
-  stage.setMode(mode);
-  document.body.dataset["mode"] = mode;
-  tellCaption();
-  remember();
-});
-
-layers.onCompare = () => stage.mode === "single" && toolbar.choose("curtain");
-
-function tellCaption(): void {
+effect(() => {
   const name = (slot: Slot): string => {
-    const choice = layers?.chosen[slot];
+    const choice = state[slot].value;
     return choice ? `${choice.layer.name}, ${choice.picture.label}` : "nothing";
   };
-  caption.textContent = stage.mode === "single" ? name("a") : `A: ${name("a")} · B: ${name("b")}`;
-}
+  const both = stage.mode.value !== "single";
+  find("caption").textContent = both ? `A: ${name("a")} · B: ${name("b")}` : name("a");
+  document.body.dataset["mode"] = stage.mode.value;
+});
+watch([state.a, state.b], () => void stage.load());
 
 // --- the pixel under the cursor -------------------------------------------------------------------
 
-let pending: Pixel | null = null;
+let pointed: Point | null = null;
 
 stage.onPoint = (pixel) => {
-  if (pin || !pixel) return;
-  if (!pending) requestAnimationFrame(() => {
-    const place = pending;
-    pending = null;
-    if (place && !pin) void readout.show(place, false);
-  });
-  pending = pixel;
+  if (state.pin.value || !pixel) return;
+  if (!pointed)
+    requestAnimationFrame(() => {
+      if (pointed && !state.pin.value) void readout.show(pointed, false);
+      pointed = null;
+    });
+  pointed = pixel;
 };
-stage.onPick = (pixel) => setPin(pin && near(pin, pixel) ? null : pixel);
+stage.onPick = (pixel) => {
+  const { value: pin } = state.pin;
+  const apart = pin ? Math.hypot(pin[0] - pixel[0], pin[1] - pixel[1]) : Infinity;
+  state.pin.value = apart * stage.left.scale < NEAR_PX ? null : pixel;
+};
 
-function near(one: Pixel, other: Pixel): boolean {
-  return Math.hypot(one.x - other.x, one.y - other.y) * stage.scale < 6;
-}
-
-function setPin(pixel: Pixel | null): void {
-  pin = pixel;
-  stage.mark(pixel);
-  if (pixel) void readout.show(pixel, true);
+effect(() => {
+  const pin = state.pin.value;
+  stage.mark(pin);
+  if (pin) void readout.show(pin, true);
   else readout.clear();
-  remember();
-}
+});
 
 function movePin(x: number, y: number): void {
-  const from = pin ?? stage.centre;
-  const within = (value: number, size: number): number => Math.min(Math.max(Math.round(value), 0), size - 1);
-  setPin({ x: within(from.x + x, record.grid.width), y: within(from.y + y, record.grid.height) });
+  const from = state.pin.value ?? stage.left.centre;
+  const within = (at: number, size: number): number =>
+    Math.min(Math.max(Math.round(at), 0), size - 1);
+  const { width, height } = record.grid;
+  state.pin.value = [within(from[0] + x, width), within(from[1] + y, height)];
 }
 
 // --- keys -----------------------------------------------------------------------------------------
 
-const is = (...names: string[]) => (event: KeyboardEvent): boolean => names.includes(event.key.length === 1 ? event.key.toLowerCase() : event.key);
-const digit = (event: KeyboardEvent): number => (/^Digit[1-9]$/.test(event.code) ? Number(event.code.slice(5)) : 0);
-const arrow = (event: KeyboardEvent): [number, number] => ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] })[event.key] as [number, number];
-const modeKey = (letter: string, mode: Mode, words: string): Key => ({
-  keys: [letter.toUpperCase()],
+const digit = (event: KeyboardEvent): number =>
+  isCommand(event) || event.altKey ? 0 : Number(/^Digit([1-9])$/.exec(event.code)?.[1] ?? 0);
+const digitKey = (name: string, words: string, slot: Slot, shift: boolean): Key => ({
+  keys: name.split(" "),
   words,
-  match: is(letter),
-  act: () => toolbar.choose(stage.mode === mode ? "single" : mode),
+  match: (event) => digit(event) > 0 && event.shiftKey === shift,
+  act: (event) => layers.choose(slot, layers.layers[digit(event) - 1]),
 });
+const arrowKey = (name: string, words: string, shift: boolean, act: Key["act"]): Key => ({
+  keys: [name],
+  words,
+  match: (event) => event.shiftKey === shift && plain(...ARROWS)(event),
+  act,
+});
+const modeKey = (letter: string, mode: Mode, words: string): Key =>
+  key(letter, [letter.toLowerCase()], words, () =>
+    stage.setMode(stage.mode.value === mode ? "single" : mode),
+  );
+const follow = (id: string) => (): void => document.getElementById(id)?.click();
 
 const keys: Key[] = [
-  { keys: ["1", "…", "9"], words: "Show a layer (A)", match: (e) => digit(e) > 0 && !e.shiftKey, act: (e) => layers.choose("a", layers.layers[digit(e) - 1]) },
-  { keys: ["Shift 1", "…"], words: "Put a layer into B", match: (e) => digit(e) > 0 && e.shiftKey, act: (e) => layers.choose("b", layers.layers[digit(e) - 1]) },
-  { keys: ["Space"], words: "Hold: flicker between A and B", match: is(" "), act: () => stage.hold(true), release: () => stage.hold(false) },
-  modeKey("c", "curtain", "Curtain"),
-  modeKey("k", "flicker", "Flicker on and off"),
-  modeKey("s", "side", "Side by side"),
-  modeKey("d", "difference", "Difference"),
-  { keys: ["X"], words: "Swap A and B", match: is("x"), act: () => layers.swap() },
-  { keys: ["["], words: "Previous object", match: is("["), act: () => document.getElementById("previous")?.click() },
-  { keys: ["]"], words: "Next object", match: is("]"), act: () => document.getElementById("next")?.click() },
-  { keys: ["F"], words: "Fit the picture", match: is("f"), act: () => stage.fit() },
-  { keys: ["+", "−"], words: "Zoom", match: is("+", "=", "-", "_"), act: (e) => stage.zoom("+=".includes(e.key) ? ZOOM_STEP : 1 / ZOOM_STEP) },
-  { keys: ["← ↑ → ↓"], words: "Pan", match: (e) => e.key.startsWith("Arrow") && !e.shiftKey, act: (e) => stage.pan(...arrow(e)) },
-  { keys: ["R"], words: "Read and pin the middle of the view", match: is("r"), act: () => setPin(stage.centre) },
-  { keys: ["Shift ← ↑ → ↓"], words: "Move the pin by a pixel", match: (e) => e.key.startsWith("Arrow") && e.shiftKey, act: (e) => movePin(...arrow(e)) },
-  { keys: ["Esc"], words: "Let go of the pin", match: is("Escape"), act: () => setPin(null) },
-  { keys: ["?"], words: "This page", match: is("?"), act: () => help.showModal() },
+  digitKey("1 … 9", "Show a layer (A)", "a", false),
+  digitKey("Shift 1 …", "Put a layer into B", "b", true),
+  {
+    ...key("Space", [" "], "Hold: flicker between A and B", () => stage.hold(true)),
+    release: () => stage.hold(false),
+  },
+  modeKey("C", "curtain", "Curtain"),
+  modeKey("K", "flicker", "Flicker on and off"),
+  modeKey("S", "side", "Side by side"),
+  modeKey("D", "difference", "Difference"),
+  key("X", ["x"], "Swap A and B", () => state.swap()),
+  key("[", ["["], "Previous object", follow("previous")),
+  key("]", ["]"], "Next object", follow("next")),
+  key("F", ["f"], "Fit the picture", () => stage.fit()),
+  key("+ −", ["+", "=", "-", "_"], "Zoom", (event) =>
+    stage.zoom("+=".includes(event.key) ? ZOOM_STEP : 1 / ZOOM_STEP),
+  ),
+  arrowKey("← ↑ → ↓", "Pan", false, (event) => stage.pan(...direction(event))),
+  key(
+    "R",
+    ["r"],
+    "Read and pin the middle of the view",
+    () => (state.pin.value = stage.left.centre),
+  ),
+  arrowKey("Shift ← ↑ → ↓", "Move the pin by a pixel", true, (event) =>
+    movePin(...direction(event)),
+  ),
+  key("Esc", ["Escape"], "Let go of the pin", () => (state.pin.value = null)),
+  key("?", ["?"], "This page", () => help.showModal()),
 ];
-const help = helpDialog(keys);
-listen(keys);
+const help = helpDialog(
+  keys,
+  "Drag to pan, turn the wheel to zoom, double-click to zoom in. Point at the painting to read every camera's spectrum there; click to pin a place, click it again to let go.",
+  "Fast flicker can trouble people with photosensitive epilepsy: keep it at 2 Hz or below then.",
+);
+listenToKeys(keys);
 find("help-button").addEventListener("click", () => help.showModal());
 
 // --- the address remembers what is shown ----------------------------------------------------------
 
+let saving = 0;
+
 function remember(): void {
-  if (!started) return;
   clearTimeout(saving);
   saving = window.setTimeout(() => {
-    const { a, b } = layers.chosen;
-    const centre = stage.centre;
-    const facts: Record<string, string> = { mode: stage.mode, at: [centre.x, centre.y].map((n) => n.toFixed(1)).join(","), scale: stage.scale.toPrecision(5) };
-    if (a) facts["a"] = `${a.layer.name}/${a.picture.key}`;
-    if (b) facts["b"] = `${b.layer.name}/${b.picture.key}`;
-    if (pin) facts["pin"] = [pin.x, pin.y].map((n) => n.toFixed(2)).join(",");
-    history.replaceState(null, "", `#${new URLSearchParams(facts)}`);
-  }, 300);
+    const [x, y, scale] = stage.heading;
+    const facts = new URLSearchParams({ mode: stage.mode.value });
+    facts.set("at", [x, y].map((at) => at.toFixed(1)).join());
+    facts.set("scale", scale.toPrecision(5));
+    for (const slot of ["a", "b"] as const) {
+      const choice = state[slot].value;
+      if (choice) facts.set(slot, `${choice.layer.name}/${choice.picture.key}`);
+    }
+    if (state.pin.value) facts.set("pin", state.pin.value.map((at) => at.toFixed(2)).join());
+    history.replaceState(null, "", `#${facts.toString()}`);
+  }, SAVE_AFTER_MS);
 }
 
 function recall(): void {
   const facts = new URLSearchParams(location.hash.slice(1));
-  const choose = (slot: Slot, fallback: number): void => {
-    const told = facts.get(slot) ?? "";
-    const cut = told.lastIndexOf("/");
-    const layer = layers.layers.find((l) => l.name === told.slice(0, cut));
-    layers.choose(slot, layer ?? layers.layers[fallback] ?? layers.layers[0], layer && told.slice(cut + 1));
+  for (const [i, slot] of (["a", "b"] as const).entries()) {
+    const name = facts.get(slot) ?? "";
+    const cut = name.lastIndexOf("/");
+    const layer = layers.layers.find((one) => one.name === name.slice(0, cut));
+    const fallback = layers.layers[i] ?? layers.layers[0];
+    layers.choose(slot, layer ?? fallback, layer && name.slice(cut + 1));
+  }
+  const mode = MODES.find(({ value }) => value === facts.get("mode"));
+  if (mode) stage.setMode(mode.value);
+  const numbers = (name: string): number[] | null => {
+    const values = facts.get(name)?.split(",").map(Number);
+    return values?.every(Number.isFinite) ? values : null;
   };
-  choose("a", 0);
-  choose("b", 1);
-  const mode = facts.get("mode");
-  if (mode === "curtain" || mode === "flicker" || mode === "side" || mode === "difference") toolbar.choose(mode);
-  const numbers = (name: string): number[] => (facts.get(name) ?? "").split(",").map(Number);
-  const [[x, y], [scale], [px, py]] = [numbers("at"), numbers("scale"), numbers("pin")];
-  stage.viewer.world.addOnceHandler("add-item", () => {
-    stage.fit(true);
-    if (facts.has("at") && isFinite(x!) && isFinite(y!) && scale! > 0) stage.look({ x: x!, y: y! }, scale!);
-    started = true;
-    scaleBar.update();
-  });
-  if (facts.has("pin") && isFinite(px!) && isFinite(py!)) setPin({ x: px!, y: py! });
+  const [at, scale, pin] = [numbers("at"), numbers("scale"), numbers("pin")];
+  if (at?.length === 2 && scale && scale[0]! > 0) stage.look(at[0]!, at[1]!, scale[0]!);
+  if (pin?.length === 2) state.pin.value = [pin[0]!, pin[1]!];
 }
 
-if (layers.layers.length) recall();
+if (layers.layers.length) {
+  recall();
+  watch([state.a, state.b, state.pin, stage.mode], remember);
+  stage.onMove = () => {
+    scaleBar.update(stage.left.scale);
+    remember();
+  };
+}
 
 // For tests and for the curious: the parts by name.
-Object.assign(window, { levkasViewer: { stage, layers, readout, record } });
+Object.assign(window, { levkasViewer: { stage, layers, state, readout, record } });

@@ -1,17 +1,29 @@
-// Talks to the local server; nothing else is ever asked.
+// Talks to the local server; no other host is asked for anything.
 
 export interface Problem {
-  code: string;
+  code?: string;
   message: string;
-  found?: unknown;
-  expected?: unknown;
   fix?: string | null;
 }
 
+/** A request that the server refused, or that it did not answer (status 0). */
 export class Refusal extends Error {
-  constructor(readonly status: number, readonly problems: Problem[]) {
-    super(problems.map((p) => [p.message, p.fix].filter(Boolean).join(". ")).join("\n") || `the server says ${status}`);
+  constructor(
+    readonly status: number,
+    problems: Problem[],
+  ) {
+    super(problems.map(describeProblem).join("\n") || `the server answers ${status}`);
   }
+}
+
+/** A problem and what to do about it, in words. */
+export function describeProblem({ message, fix }: Problem): string {
+  return fix ? `${message}. ${fix}` : message;
+}
+
+/** The words of anything that was thrown. */
+export function messageOf(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
 }
 
 /** Hand in the token of the address, once; the browser keeps a cookie that no script can read. */
@@ -19,29 +31,34 @@ export async function enter(): Promise<void> {
   const token = location.hash.slice(1);
   if (token.length < 40) return;
   history.replaceState(null, "", location.pathname);
-  await post("/enter", { token });
+  await request("/enter", { token });
 }
 
-export async function get<T>(path: string): Promise<T> {
-  return (await (await ask(path)).json()) as T;
+/** Get JSON; with a body it is a change. */
+export async function getJson<T>(path: string, body?: unknown): Promise<T> {
+  return (await (await request(path, body)).json()) as T;
 }
 
-export async function post<T>(path: string, body: unknown): Promise<T> {
-  return (await (await ask(path, body)).json()) as T;
+/** Get an answer in columns; with a body it is a change. */
+export async function getBytes(path: string, body?: unknown): Promise<ArrayBuffer> {
+  return (await request(path, body)).arrayBuffer();
 }
 
-/** Ask for what comes in columns; with a body it is a change. */
-export async function bytes(path: string, body?: unknown): Promise<ArrayBuffer> {
-  return (await ask(path, body)).arrayBuffer();
-}
-
-async function ask(path: string, body?: unknown): Promise<Response> {
-  const how: RequestInit = body === undefined ? {} : { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } };
+async function request(path: string, body?: unknown): Promise<Response> {
+  const how: RequestInit =
+    body === undefined
+      ? {}
+      : {
+          method: "POST",
+          body: JSON.stringify(body),
+          headers: { "content-type": "application/json" },
+        };
   let answer: Response;
   try {
     answer = await fetch(path, { ...how, credentials: "same-origin", cache: "no-store" });
   } catch {
-    throw new Refusal(0, [{ code: "E_GONE", message: "The workbench's server does not answer", fix: "Was it ended with Ctrl-C? Start `levkas inspect` again and open the new address" }]);
+    const fix = "Was it ended with Ctrl-C? Start `levkas inspect` again and open the new address";
+    throw new Refusal(0, [{ message: "The workbench's server does not answer", fix }]);
   }
   if (answer.ok) return answer;
   const record = (await answer.json().catch(() => ({}))) as { problems?: Problem[] };

@@ -23,7 +23,8 @@ export class Dots {
     const [left, top] = [Math.round(x - side / 2), Math.round(y - side / 2)];
     const [from, to] = [Math.max(left, 0), Math.min(left + side, width)];
     const last = Math.min(top + side, height);
-    for (let row = Math.max(top, 0); row < last; row++) for (let at = row * width + from; at < row * width + to; at++) this.pixels[at] = colour;
+    for (let row = Math.max(top, 0); row < last; row++)
+      this.pixels.fill(colour, row * width + from, row * width + Math.max(from, to));
   }
 
   /** Two diagonals of a square of `side` pixels about a place. */
@@ -50,7 +51,9 @@ export class Dots {
 
 /** A colour of the style sheet as a pixel. */
 export function packed(colour: string, context: CanvasRenderingContext2D, opacity = 1): number {
-  context.fillStyle = colour;
-  const [r, g, b] = [1, 3, 5].map((at) => parseInt(String(context.fillStyle).slice(at, at + 2), 16));
+  context.fillStyle = colour; // any colour of CSS becomes #rrggbb
+  const [r, g, b] = [1, 3, 5].map((at) =>
+    parseInt((context.fillStyle as string).slice(at, at + 2), 16),
+  );
   return ((Math.round(255 * opacity) << 24) | (b! << 16) | (g! << 8) | r!) >>> 0;
 }

@@ -1,7 +1,8 @@
 // Control points of other programs: in and out.
-import { make } from "../element";
-import { bytes, post } from "./api";
-import { read } from "./columns";
+import { make, saveFile } from "../shared/element";
+import { openableDialog } from "../shared/keys";
+import { getBytes, getJson, messageOf } from "./api";
+import { readSession } from "./columns";
 import type { Store } from "./store";
 
 const DIALECTS: [string, string][] = [
@@ -14,63 +15,86 @@ const DIALECTS: [string, string][] = [
   ["butterfly", "Butterfly Registrator (CSV)"],
   ["cpselect", "MATLAB cpselect (.mat)"],
 ];
+const CHUNK = 0x8000; // bytes that one call makes characters of
 
 export function filesDialog(store: Store): HTMLDialogElement {
-  const kind = make("select", { id: "dialect", "aria-label": "Program" }, ...DIALECTS.map(([value, words]) => make("option", { value }, words)));
-  const out = make("button", { type: "button", class: "primary", id: "export" }, "Save a file");
-  const input = make("input", { type: "file", id: "import", multiple: true, "aria-label": "File of control points" });
-  const said = make("p", { "aria-live": "polite", id: "files-said" });
-  const close = make("button", { type: "button", class: "small", "aria-label": "Close" }, "×");
-  const dialog = make(
-    "dialog",
-    { class: "files", "aria-labelledby": "files-head" },
-    make("header", {}, make("h2", { id: "files-head" }, "Control points in files"), close),
-    make("p", {}, "Take the pairs to another program, or bring those that you set there. Pixel conventions are translated."),
+  const options = DIALECTS.map(([value, words]) => make("option", { value }, words));
+  const dialect = make("select", { id: "dialect", "aria-label": "Program" }, ...options);
+  const save = make("button", { type: "button", class: "primary", id: "export" }, "Save a file");
+  const input = make("input", {
+    type: "file",
+    id: "import",
+    multiple: true,
+    "aria-label": "File of control points",
+  });
+  const status = make("p", { "aria-live": "polite", id: "files-status" });
+  const show = (text: string): void => void (status.textContent = text);
+  save.addEventListener("click", () => void exportPoints(store, dialect.value).then(show));
+  input.addEventListener("change", () => {
+    const files = [...(input.files ?? [])];
+    input.value = "";
+    if (files.length) void importPoints(store, files).then(show);
+  });
+  return openableDialog(
+    "files",
+    "Control points in files",
+    make(
+      "p",
+      {},
+      "Take the pairs to another program, or bring those that you set there. Pixel conventions are translated.",
+    ),
     make("h3", {}, "Save"),
-    make("div", { class: "actions" }, kind, out),
+    make("div", { class: "actions" }, dialect, save),
     make("h3", {}, "Open"),
-    make("p", { class: "soft" }, "The program is recognised by the file. Programs that write a file for each picture: choose both, the reference's first by name."),
+    make(
+      "p",
+      { class: "soft" },
+      "The program is recognised by the file. Programs that write a file for each picture: choose both, the reference's first by name.",
+    ),
     input,
-    said,
+    status,
   );
-  close.addEventListener("click", () => dialog.close());
-  out.addEventListener("click", () => void save(store, kind.value, said));
-  input.addEventListener("change", () => void open(store, [...(input.files ?? [])], said).finally(() => (input.value = "")));
-  document.body.append(dialog);
-  return dialog;
 }
 
-async function save(store: Store, dialect: string, said: HTMLElement): Promise<void> {
+async function exportPoints(store: Store, dialect: string): Promise<string> {
   try {
-    const told = await post<{ files: { name: string; data: string }[]; losses: string[] }>(`${store.path}/export`, { dialect });
-    for (const file of told.files) {
-      const bytes = Uint8Array.from(atob(file.data), (c) => c.charCodeAt(0));
-      const link = make("a", { href: URL.createObjectURL(new Blob([bytes], { type: "application/octet-stream" })), download: file.name });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    const { files, losses } = await getJson<{
+      files: { name: string; data: string }[];
+      losses: string[];
+    }>(`${store.path}/export`, { dialect });
+    for (const { name, data } of files) {
+      const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
+      saveFile(name, bytes, "application/octet-stream");
     }
-    said.textContent = [`Saved ${told.files.map((f) => f.name).join(" and ")}.`, ...told.losses.map((loss) => `Not held by this format: ${loss}.`)].join(" ");
+    const saved = `Saved ${files.map(({ name }) => name).join(" and ")}.`;
+    return [saved, ...losses.map((loss) => `Not held by this format: ${loss}.`)].join(" ");
   } catch (error) {
-    said.textContent = error instanceof Error ? error.message : String(error);
+    return messageOf(error);
   }
 }
 
-async function open(store: Store, files: File[], said: HTMLElement): Promise<void> {
-  if (!files.length) return;
-  files.sort((a, b) => (a.name.includes("reference") ? -1 : b.name.includes("reference") ? 1 : a.name < b.name ? -1 : 1));
+async function importPoints(store: Store, files: File[]): Promise<string> {
+  const isReference = ({ name }: File): boolean => name.includes("reference");
+  files.sort(
+    (a, b) => Number(isReference(b)) - Number(isReference(a)) || a.name.localeCompare(b.name),
+  );
   const data = await Promise.all(files.map(encode));
-  const before = store.refused;
+  let answer = "";
   await store.take(async (pairs) => {
-    const told = read<{ imported: number; known: number }>(await bytes(`${store.path}/import`, { files: data }), pairs);
-    said.textContent = `${told.imported} pairs came in; ${told.known} were there already or are switched off.`;
-    return told;
+    const body = await getBytes(`${store.path}/import`, { files: data });
+    const session = readSession<{ imported: number; known: number }>(body, pairs);
+    const { imported, known } = session;
+    answer = `${imported} pairs came in; ${known} were there already or are switched off.`;
+    return session;
   });
-  if (store.refused && store.refused !== before) said.textContent = store.refused;
+  return answer || store.refused.value;
 }
 
+/** A file in Base64. */
 async function encode(file: File): Promise<string> {
   const bytes = new Uint8Array(await file.arrayBuffer());
   let text = "";
-  for (let i = 0; i < bytes.length; i += 0x8000) text += String.fromCharCode(...bytes.subarray(i, i + 0x8000));
+  for (let i = 0; i < bytes.length; i += CHUNK)
+    text += String.fromCharCode(...bytes.subarray(i, i + CHUNK));
   return btoa(text);
 }

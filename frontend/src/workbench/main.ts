@@ -1,213 +1,181 @@
 // The registration workbench, served by `levkas inspect`.
-import "../style/tokens.css";
+import { effect } from "@preact/signals-core";
+import "../shared/base.css";
 import "./workbench.css";
-import { make, refill } from "../element";
-import { startTheme } from "../theme";
-import { enter, Refusal } from "./api";
+import { radioGroup, slider } from "../shared/controls";
+import { make } from "../shared/element";
+import { RATES } from "../shared/flicker";
+import { helpDialog, listenToKeys } from "../shared/keys";
+import { startTheme } from "../shared/theme";
+import { enter, messageOf, Refusal } from "./api";
+import { cameraList } from "./cameras";
+import { commands } from "./commands";
 import { filesDialog } from "./files";
-import { helpDialog, listenTo, plain, type Key } from "./keys";
-import { MapLayer } from "./layers";
-import { DECISIONS, type CameraRow } from "./record";
-import { PairCard, VerdictCard } from "./side";
-import { MODES, Stage, type Mode } from "./stage";
+import { MapLayer } from "./maplayer";
+import { PairCard } from "./pair";
+import { MODES, PairStage } from "./stage";
 import { Store } from "./store";
 import { PairTable } from "./table";
 import { TraceView } from "./trace";
+import { VerdictCard } from "./verdict";
+
+const BEFORE_KEYS =
+  "Drag to pan, turn the wheel to zoom. Click a place that you recognise: its partner in the other picture is found, or click it yourself; Enter adds the pair. In the overlays a click measures how far off the pictures are there.";
+const AFTER_KEYS =
+  "Every change is saved at once in edits.toml and can be undone without end; levkas build replays them. Fast flicker can trouble people with photosensitive epilepsy.";
 
 async function start(): Promise<void> {
   const store = new Store();
-  const waiting = make("main", { class: "alone", "aria-busy": "true" }, make("h1", {}, "Levkas workbench"), make("p", { class: "soft", role: "status" }, "Opening the pictures…"));
-  document.body.append(waiting);
+  const status = make("p", { class: "soft", role: "status" }, "Opening the pictures…");
+  const waiting = page("Levkas workbench", status);
+  waiting.setAttribute("aria-busy", "true");
   try {
     await enter();
     await store.loadCameras();
   } catch (error) {
     waiting.remove();
-    const words = error instanceof Refusal && error.status === 401 ? "This address holds no token, or an old one. Open the address that `levkas inspect` printed." : String(error instanceof Error ? error.message : error);
-    document.body.append(make("main", { class: "alone" }, make("h1", {}, "The workbench is locked"), make("p", {}, words)));
+    const locked = error instanceof Refusal && error.status === 401;
+    const words = locked
+      ? "This address holds no token, or an old one. Open the address that `levkas inspect` printed."
+      : messageOf(error);
+    page("The workbench is locked", make("p", {}, words));
     return;
   }
-  const first = store.cameras.find((c) => !c.reference && c.decision === "refuse") ?? store.cameras.find((c) => !c.reference) ?? store.cameras[0];
-  if (!first) return waiting.replaceChildren(make("p", {}, "This campaign has no cameras."));
-  await openFirst(store, first);
+  const cameras = store.cameras.value;
+  const others = cameras.filter(({ reference }) => !reference);
+  const first = others.find(({ decision }) => decision === "refuse") ?? others[0] ?? cameras[0];
+  for (const row of first ? [first, ...cameras] : []) {
+    await store.open(row.id).catch((error: unknown) => store.refuse(error));
+    if (store.frame.value) break;
+  }
   waiting.remove();
-  build(store);
+  if (store.frame.value) build(store);
+  else
+    page(
+      store.campaign.value || "Workbench",
+      make("p", {}, store.refused.value || "This campaign has no cameras."),
+    );
 }
 
-async function openFirst(store: Store, first: CameraRow): Promise<void> {
-  for (const row of [first, ...store.cameras]) {
-    try {
-      await store.open(row.id);
-      return;
-    } catch (error) {
-      store.refused = error instanceof Error ? error.message : String(error);
-    }
-  }
+/** Show a page that has a heading and a text alone. */
+function page(title: string, text: HTMLElement): HTMLElement {
+  const main = make("main", { class: "alone" }, make("h1", {}, title), text);
+  document.body.append(main);
+  return main;
 }
 
 function build(store: Store): void {
-  if (!store.frame) {
-    document.body.append(make("main", { class: "alone" }, make("h1", {}, store.campaign || "Workbench"), make("p", {}, store.refused)));
-    return;
-  }
-  const theme = make("button", { type: "button", class: "small" });
-  const help = make("button", { type: "button", class: "small", "aria-label": "Keys and help" }, "?");
-  const undo = make("button", { type: "button", class: "small", id: "undo", title: "Ctrl-Z" }, "Undo");
-  const redo = make("button", { type: "button", class: "small", id: "redo", title: "Ctrl-Shift-Z" }, "Redo");
-  const files = make("button", { type: "button", class: "small", id: "files" }, "Files…");
-  const title = make("h1", {});
-  const said = make("p", { class: "refused", role: "alert", hidden: true, id: "refused" });
-  const views = make("div", { class: "views" });
-  const stage = new Stage(views, store);
+  const views = make("div", { class: "views", "data-mode": "side" });
+  const [nav, bar, refused] = [make("div"), make("div", { class: "bar" }), refusal(store)];
   const table = new PairTable(store);
-  const pair = new PairCard(store);
-  const verdict = new VerdictCard(store);
-  const trace = new TraceView(store);
-  const layer = new MapLayer(store, () => stage);
-  const nav = make("nav", { "aria-label": "Cameras" });
-  const modes = make("div", { class: "modes", role: "radiogroup", "aria-label": "How the pictures are shown" });
-  const which = make("select", { id: "map", "aria-label": "Which map brings them together" }, make("option", { value: "pairs" }, "These pairs"), make("option", { value: "built" }, "Last registration"));
-  const setMode = (mode: Mode): void => {
-    stage.setMode(mode);
-    bar.dataset["mode"] = mode;
-    for (const button of modes.querySelectorAll("button")) {
-      const chosen = button.dataset["mode"] === mode;
-      button.setAttribute("aria-checked", String(chosen));
-      button.tabIndex = chosen ? 0 : -1;
-    }
+  const [pair, verdict, trace] = [
+    new PairCard(store),
+    new VerdictCard(store),
+    new TraceView(store),
+  ];
+  const [top, opened] = header(store);
+  document.body.append(
+    top,
+    make(
+      "div",
+      { class: "desk" },
+      nav,
+      make("main", { class: "middle" }, bar, refused, views, table.root),
+      make("aside", { "aria-label": "Verdict and tools" }, verdict.root, pair.root, trace.root),
+    ),
+  );
+  const stage = new PairStage(views, store);
+  const open = (id: string): void => {
+    if (id !== store.frame.value?.id) store.open(id).catch((error: unknown) => store.refuse(error));
   };
-  for (const [mode, words] of MODES) {
-    const button = make("button", { type: "button", role: "radio", "data-mode": mode, "aria-checked": "false" }, words);
-    button.addEventListener("click", () => setMode(mode));
-    modes.append(button);
-  }
-  modes.addEventListener("keydown", (event) => {
-    const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
-    if (!by) return;
-    event.preventDefault();
-    event.stopPropagation();
-    const next = (MODES.findIndex(([mode]) => mode === stage.mode) + by + MODES.length) % MODES.length;
-    setMode(MODES[next]![0]);
-    modes.querySelectorAll("button")[next]!.focus();
-  });
-  which.addEventListener("change", () => {
-    store.map = which.value === "built" ? "built" : "pairs";
-    store.changed();
-  });
+  nav.replaceWith(cameraList(store, open));
+  fillBar(bar, store, stage);
+  stage.setMode("side");
   table.onPick = (row) => {
-    const chosen = store.pair(row);
+    const chosen = store.session.value?.pairs[row];
     if (chosen) stage.flyTo(chosen);
   };
-  const rate = make("input", { type: "range", id: "rate", min: 0.5, max: 8, step: 0.5, value: stage.flicker.rate, "aria-label": "Flicker, turns a second" });
-  const rateSaid = make("label", { class: "rate", for: "rate" }, "2 Hz");
-  rate.addEventListener("input", () => {
-    stage.flicker.rate = Number(rate.value);
-    rateSaid.textContent = `${rate.value} Hz`;
-  });
-  const bar = make("div", { class: "bar" }, modes, make("span", { class: "rates" }, rate, rateSaid), which, layer.choice, layer.legend);
-  document.body.append(
-    make("header", { class: "top" }, make("span", { class: "mark" }, "Levkas"), title, make("span", { class: "space" }), undo, redo, files, help, theme),
-    make("div", { class: "desk" }, nav, make("main", { class: "middle" }, bar, said, views, table.root), make("aside", { "aria-label": "Verdict and tools" }, verdict.root, pair.root, trace.root)),
-  );
-  const open = async (id: string): Promise<void> => {
-    if (id === store.frame?.id) return;
-    try {
-      await store.open(id);
-      store.refused = "";
-      store.changed();
-    } catch (error) {
-      store.refuse(error);
-    }
-  };
   const step = (by: number): void => {
-    const at = store.cameras.findIndex((c) => c.id === store.frame?.id);
-    const next = store.cameras[(at + by + store.cameras.length) % store.cameras.length];
-    if (next) void open(next.id);
+    const cameras = store.cameras.value;
+    const at = cameras.findIndex(({ id }) => id === store.frame.value?.id);
+    const next = cameras[(at + by + cameras.length) % cameras.length];
+    if (next) open(next.id);
   };
-  const keys = allKeys(store, stage, table, pair, setMode, step, () => helpPage.showModal());
-  const helpPage = helpDialog(keys);
-  const filesPage = filesDialog(store);
-  listenTo(keys);
-  startTheme(theme);
-  help.addEventListener("click", () => helpPage.showModal());
-  files.addEventListener("click", () => filesPage.showModal());
-  undo.addEventListener("click", () => void store.edit({ operation: "undo" }));
-  redo.addEventListener("click", () => void store.edit({ operation: "redo" }));
-  store.listen(() => {
-    const { frame, told } = store;
-    if (!frame || !told) return;
-    const name = [frame.object, frame.camera, frame.sensor].filter(Boolean).join(" · ");
-    title.textContent = name;
-    document.title = `${name} · Levkas workbench`;
-    undo.disabled = told.can.undo === 0;
-    redo.disabled = told.can.redo === 0;
-    which.value = store.map;
-    which.options[1]!.disabled = !frame.built;
-    said.hidden = store.refused === "";
-    said.textContent = store.refused;
-    drawCameras(nav, store, open);
-  });
-  setMode("side");
-  store.changed();
+  const keys = commands({ store, stage, table, pair, step, help: () => help.showModal() });
+  const help = helpDialog(keys, BEFORE_KEYS, AFTER_KEYS);
+  const files = filesDialog(store);
+  opened.help.addEventListener("click", () => help.showModal());
+  opened.files.addEventListener("click", () => files.showModal());
+  listenToKeys(keys);
   Object.assign(window, { levkasWorkbench: { store, stage, trace } });
 }
 
-function drawCameras(nav: HTMLElement, store: Store, open: (id: string) => Promise<void>): void {
-  const shown = JSON.stringify([store.campaign, store.cameras, store.frame?.id]);
-  if (nav.dataset["shown"] === shown) return;
-  nav.dataset["shown"] = shown;
-  const groups = new Map<string, CameraRow[]>();
-  for (const row of store.cameras) groups.set(row.object, [...(groups.get(row.object) ?? []), row]);
-  const made = [...groups].map(([, rows]) => {
-    const items = rows.map((row) => {
-      const button = make(
-        "button",
-        { type: "button", id: `camera-${row.id}`, "aria-current": row.id === store.frame?.id ? "true" : null, title: row.reason },
-        make("span", { class: "name" }, row.sensor ? `${row.camera} · ${row.sensor}` : row.camera),
-        make("span", { class: "soft of" }, [row.setup && `under ${row.setup}`, row.bands].filter(Boolean).join(", ")),
-        row.reference ? make("span", { class: "badge reference" }, "Reference") : make("span", { class: `badge ${row.decision}` }, DECISIONS[row.decision] ?? row.decision),
-      );
-      button.addEventListener("click", () => void open(row.id));
-      return make("li", {}, button);
-    });
-    return make("section", {}, make("h2", {}, rows[0]!.title), make("ul", {}, ...items));
+/** The line at the top, and the buttons of it that open dialogs. */
+function header(store: Store): [HTMLElement, { help: HTMLElement; files: HTMLElement }] {
+  const button = (words: string, facts: Record<string, string>): HTMLButtonElement =>
+    make("button", { type: "button", class: "small", ...facts }, words);
+  const title = make("h1", {});
+  const undo = button("Undo", { id: "undo", title: "Ctrl-Z" });
+  const redo = button("Redo", { id: "redo", title: "Ctrl-Shift-Z" });
+  const files = button("Files…", { id: "files" });
+  const help = button("?", { "aria-label": "Keys and help" });
+  const theme = button("", {});
+  startTheme(theme);
+  undo.addEventListener("click", () => void store.edit({ operation: "undo" }));
+  redo.addEventListener("click", () => void store.edit({ operation: "redo" }));
+  effect(() => {
+    const { object = "", camera = "", sensor = "" } = store.frame.value ?? {};
+    title.textContent = [object, camera, sensor].filter(Boolean).join(" · ");
+    document.title = `${title.textContent} · Levkas workbench`;
   });
-  refill(nav, make("p", { class: "soft campaign" }, store.campaign), ...made);
+  effect(() => {
+    const { undo: done = 0, redo: undone = 0 } = store.session.value?.can ?? {};
+    [undo.disabled, redo.disabled] = [done === 0, undone === 0];
+  });
+  const mark = make("span", { class: "mark" }, "Levkas");
+  const space = make("span", { class: "space" });
+  const line = make("header", { class: "top" }, mark, title, space, undo, redo, files, help, theme);
+  return [line, { help, files }];
 }
 
-function allKeys(store: Store, stage: Stage, table: PairTable, pair: PairCard, setMode: (mode: Mode) => void, step: (by: number) => void, help: () => void): Key[] {
-  const nudges: Record<string, [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-  const command = (event: KeyboardEvent): boolean => event.ctrlKey || event.metaKey;
-  return [
-    { keys: ["Enter"], words: "add the proposed pair; keep a measured place as check point", match: plain("Enter"), act: () => pair.accept() },
-    { keys: ["Esc"], words: "let go", match: plain("Escape"), act: () => pair.cancel() },
-    {
-      keys: ["←", "→", "↑", "↓"],
-      words: "move the pair by 0.1 px, with Shift by 1 px; the pictures where none is chosen",
-      match: plain(...Object.keys(nudges)),
-      act: (event) => {
-        const [dx, dy] = nudges[event.key]!;
-        const by = event.shiftKey ? 1 : 0.1;
-        if (!pair.nudge(dx * by, dy * by)) stage.pan(dx, dy);
-      },
-    },
-    { keys: ["N"], words: "propose a pair in the middle of the reference; in an overlay, measure there", match: plain("n", "N"), act: () => void stage.pointAtMiddle() },
-    { keys: ["Del"], words: "delete the pair", match: plain("Delete", "Backspace"), act: () => pair.act("delete") },
-    { keys: ["R"], words: "restore it", match: plain("r", "R"), act: () => pair.act("restore") },
-    { keys: ["P"], words: "pin it: never to be removed", match: plain("p", "P"), act: () => pair.act("pin") },
-    { keys: ["S"], words: "snap it to where its surroundings agree", match: plain("s", "S"), act: () => pair.act("snap") },
-    { keys: ["C"], words: "make it a check point", match: plain("c", "C"), act: () => pair.act("check") },
-    { keys: ["W"], words: "go to the worst pair", match: plain("w", "W"), act: () => table.worst() >= 0 && table.pick(table.worst()) },
-    { keys: ["Ctrl-Z"], words: "undo, without end", match: (e) => command(e) && !e.shiftKey && e.key.toLowerCase() === "z", act: () => void store.edit({ operation: "undo" }) },
-    { keys: ["Ctrl-Shift-Z", "Ctrl-Y"], words: "redo", match: (e) => command(e) && (e.key.toLowerCase() === "y" || (e.shiftKey && e.key.toLowerCase() === "z")), act: () => void store.edit({ operation: "redo" }) },
-    { keys: ["1", "…", "6"], words: MODES.map(([, words]) => words.toLowerCase()).join(", "), match: plain("1", "2", "3", "4", "5", "6"), act: (event) => setMode(MODES[Number(event.key) - 1]![0]) },
-    { keys: ["Space"], words: "hold to flicker in an overlay", match: plain(" "), act: () => stage.hold(true), release: () => stage.hold(false) },
-    { keys: ["F"], words: "fit the whole picture", match: plain("f", "F"), act: () => stage.fit() },
-    { keys: ["+", "-"], words: "zoom", match: plain("+", "-", "="), act: (event) => stage.zoom(event.key === "-" ? 1 / 1.5 : 1.5) },
-    { keys: [",", "."], words: "band before, after in the picture to register; with Shift in the reference", match: (e) => !e.ctrlKey && !e.metaKey && !e.altKey && [",", ".", ";", ":", "<", ">"].includes(e.key), act: (event) => stage.stepBand(event.shiftKey || ";:<>".includes(event.key) ? "left" : "right", [".", ":", ">"].includes(event.key) ? 1 : -1) },
-    { keys: ["[", "]"], words: "previous, next camera", match: plain("[", "]"), act: (event) => step(event.key === "]" ? 1 : -1) },
-    { keys: ["?"], words: "this page", match: plain("?"), act: help },
-  ];
+/** Why the last change was refused. */
+function refusal(store: Store): HTMLElement {
+  const text = make("p", { class: "refused", role: "alert", hidden: true, id: "refused" });
+  effect(() => {
+    text.textContent = store.refused.value;
+    text.hidden = store.refused.value === "";
+  });
+  return text;
+}
+
+/** How the pictures are shown: the mode, the map between them, and colours over the reference. */
+function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
+  const label = { class: "modes", role: "radiogroup", "aria-label": "How the pictures are shown" };
+  const modes = make("div", label);
+  radioGroup(modes, MODES, stage.mode, (mode) => stage.setMode(mode));
+  const rate = slider(
+    "Rate",
+    RATES,
+    (hertz) => `${hertz} Hz`,
+    (hertz) => (stage.flicker.rate = hertz),
+  );
+  const built = make("option", { value: "built" }, "Last registration");
+  const map = make(
+    "select",
+    { id: "map", "aria-label": "Which map brings them together" },
+    make("option", { value: "pairs" }, "These pairs"),
+    built,
+  );
+  map.addEventListener("change", () => {
+    store.map.value = map.value === "built" ? "built" : "pairs";
+  });
+  const colours = new MapLayer(store, stage);
+  bar.append(modes, rate.element, map, colours.choice, colours.legend);
+  effect(() => {
+    map.value = store.map.value;
+    built.disabled = !store.frame.value?.built;
+    rate.element.hidden = stage.mode.value !== "flicker";
+  });
 }
 
 void start();

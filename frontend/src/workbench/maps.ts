@@ -1,22 +1,28 @@
 // Maps between the pictures, as the server sent them: polynomials target → reference, and back by Newton's steps.
-import type { Numbers, Point, Trace } from "./record";
+import type { Point } from "../shared/pane";
+import type { Numbers, Trace } from "./record";
 
-export type Map2 = (x: number, y: number) => Point;
+export type PlaneMap = (x: number, y: number) => Point;
 
 /** The map of a round: -1 is the start, under scale alone. */
-export function mapOf(trace: Trace, round: number): Map2 {
+export function mapOf(trace: Trace, round: number): PlaneMap {
   if (round < 0) return affine(trace.scale);
   let at = 0;
   while (at + 1 < trace.rounds.length && trace.rounds[at + 1]! <= round) at++;
   const terms = (trace.order + 1) * (trace.order + 2);
-  return polynomial(trace.order, trace.centre, trace.spread, trace.models.subarray(at * terms, (at + 1) * terms));
+  return polynomial(
+    trace.order,
+    trace.centre,
+    trace.spread,
+    trace.models.subarray(at * terms, (at + 1) * terms),
+  );
 }
 
-function affine(m: Trace["scale"]): Map2 {
+function affine(m: Trace["scale"]): PlaneMap {
   return (x, y) => [m[0][0] * x + m[0][1] * y + m[0][2], m[1][0] * x + m[1][1] * y + m[1][2]];
 }
 
-function polynomial(order: number, centre: Point, spread: number, terms: Numbers): Map2 {
+function polynomial(order: number, centre: Point, spread: number, terms: Numbers): PlaneMap {
   return (x, y) => {
     const u = (x - centre[0]) / spread;
     const v = (y - centre[1]) / spread;
@@ -34,27 +40,36 @@ function polynomial(order: number, centre: Point, spread: number, terms: Numbers
 }
 
 /** Where a map leads to `to`, from a guess. */
-export function invert(map: Map2, to: Point, guess: Point): Point {
+export function invert(map: PlaneMap, to: Point, guess: Point): Point {
   let [x, y] = guess;
   for (let step = 0; step < 12; step++) {
     const [a, b] = map(x, y);
     const [e, f] = [to[0] - a, to[1] - b];
     if (Math.hypot(e, f) < 1e-4) break;
-    const [ax, bx] = map(x + 1, y);
-    const [ay, by] = map(x, y + 1);
-    const det = (ax - a) * (by - b) - (ay - a) * (bx - b);
+    const { ax, bx, ay, by, det } = slopes(map, x, y);
     if (!Number.isFinite(det) || Math.abs(det) < 1e-12) break;
-    x += (e * (by - b) - f * (ay - a)) / det;
-    y += (f * (ax - a) - e * (bx - b)) / det;
+    x += (e * by - f * ay) / det;
+    y += (f * ax - e * bx) / det;
   }
   return [x, y];
 }
 
 /** Turn, in degrees, and scale of a map at a place. */
-export function turnAndScale(map: Map2, x: number, y: number): { degrees: number; scale: number; mirrored: boolean } {
+export function turnAndScale(
+  map: PlaneMap,
+  x: number,
+  y: number,
+): { degrees: number; scale: number; mirrored: boolean } {
+  const { ax, bx, det } = slopes(map, x, y);
+  const degrees = (Math.atan2(bx, ax) * 180) / Math.PI;
+  return { degrees, scale: Math.sqrt(Math.abs(det)), mirrored: det < 0 };
+}
+
+/** Derivatives of a map (a, b) along x and y, over a pixel, and their determinant. */
+function slopes(map: PlaneMap, x: number, y: number) {
   const [a, b] = map(x, y);
-  const [ax, bx] = map(x + 1, y);
-  const [ay, by] = map(x, y + 1);
-  const det = (ax - a) * (by - b) - (ay - a) * (bx - b);
-  return { degrees: (Math.atan2(bx - b, ax - a) * 180) / Math.PI, scale: Math.sqrt(Math.abs(det)), mirrored: det < 0 };
+  const [a1, b1] = map(x + 1, y);
+  const [a2, b2] = map(x, y + 1);
+  const [ax, bx, ay, by] = [a1 - a, b1 - b, a2 - a, b2 - b];
+  return { ax, bx, ay, by, det: ax * by - ay * bx };
 }

@@ -1,16 +1,18 @@
-// Pairs drawn on a canvas: kept ones green to red by their error, removed ones hollow, check points as diamonds.
-import { ink } from "../theme";
-import { Dots, packed } from "./dots";
-import type { Map2 } from "./maps";
-import { errorColour, shareOf, type Partner, type Point, type Told } from "./record";
-
-type Place = (x: number, y: number) => Point;
+// Pairs drawn on a canvas: kept ones green to red by their error, removed ones as crosses, check points as diamonds.
+import type { Point } from "../shared/pane";
+import { ink } from "../shared/theme";
+import { packed, type Dots } from "./dots";
+import type { PlaneMap } from "./maps";
+import { errorColour, shareOf, type Half, type Partner, type SessionState } from "./record";
 
 const BINS = 16;
 const REMOVED = BINS;
 const MANY = 3000;
 const LEAST_LINE = 1.5; // px of the screen
+const EDGE = 9; // px round the canvas in which marks still show
+const LARGE = 3.6; // radius of a mark that stands out
 const GREY = "#9a9a9a";
+const RIM = "#000b";
 
 /** Places on screen of the pairs in view, and the shade of each. */
 interface InView {
@@ -18,59 +20,92 @@ interface InView {
   y: Float32Array;
   bin: Uint8Array;
   count: number;
+  /** Rows that are drawn one by one: check points, and what a person set. */
   special: number[];
 }
 
-/** Draw all pairs over a picture; `scale` is that of the reference, screen pixels a pixel. */
-export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, told: Told, selected: number, part: 0 | 2, place: Place, map: Map2 | null, scale: number): void {
+/** What is drawn, and how places of a picture become places on the canvas. */
+export interface Scene {
+  session: SessionState;
+  selected: number;
+  /** Which of the two places of a pair this picture shows. */
+  half: Half;
+  place: PlaneMap;
+  /** Target px to reference px; null where there is no map yet. */
+  map: PlaneMap | null;
+  /** Screen pixels a pixel of the reference: both pictures show the same place alike. */
+  scale: number;
+}
+
+/** Draw all pairs over a picture. */
+export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene: Scene): void {
+  const { session, selected, half, place, map, scale } = scene;
   const light = ink("--error-light") || "45%";
-  const colour = (share: number): string => errorColour(share, 1).replace("var(--error-light)", light);
-  // Maps of the view are affine: three places tell where all the others are.
-  const [o, ex, ey] = [place(0, 0), place(1000, 0), place(0, 1000)];
-  const [ax, ay, bx, by] = [(ex[0] - o[0]) / 1000, (ex[1] - o[1]) / 1000, (ey[0] - o[0]) / 1000, (ey[1] - o[1]) / 1000];
-  const at = (x: number, y: number): Point => [o[0] + ax * x + bx * y, o[1] + ay * x + by * y];
-  // By the scale of the reference: both pictures show the same place alike.
-  const radius = Math.min(3.6, Math.max(1.7, 1 + (100 * scale) / 60));
+  const colour = (share: number): string =>
+    errorColour(share, 1).replace("var(--error-light)", light);
+  const at = affineOf(place);
+  const radius = Math.min(LARGE, Math.max(1.7, 1 + (100 * scale) / 60));
   const lines = new Path2D();
-  const join = (row: number, x: number, y: number): void => {
-    if (part !== 0 || !map || !(told.residual[row]! * scale > LEAST_LINE)) return;
+  const seen = findInView(context.canvas, session, selected, half, at, (row, x, y) => {
+    if (half !== 0 || !map || !(session.residual[row]! * scale > LEAST_LINE)) return;
+    const [, , targetX, targetY] = session.pairs[row]!;
     lines.moveTo(x, y);
-    lines.lineTo(...at(...map(told.pairs[row]![2], told.pairs[row]![3])));
-  };
-  const seen = findInView(context, told, selected, part, at, join);
+    lines.lineTo(...at(...map(targetX, targetY)));
+  });
   context.lineWidth = 0.4 + radius / 4;
   context.strokeStyle = "#ddd";
   context.stroke(lines);
   if (seen.count > MANY) paintMany(context, dots, seen, radius, colour);
   else paintFew(context, seen, radius, colour);
-  for (const row of seen.special) {
-    const pair = told.pairs[row]!;
-    const [x, y] = at(pair[part], pair[part + 1]!);
-    if (row !== selected) mark(context, x, y, told.state[row]!, colour(shareOf(told, row)), told.reason[row] !== "", 3.6);
+  for (const row of [...seen.special, ...(selected in session.pairs ? [selected] : [])]) {
+    const pair = session.pairs[row]!;
+    const [x, y] = at(pair[half], pair[half + 1]!);
+    const kind = row === selected || session.hand[row] === "" ? "circle" : "square";
+    if (session.state[row] === "removed") cross(context, x, y, 0.8 * LARGE, `${GREY}cc`);
+    else if (session.state[row] === "check") diamond(context, x, y);
+    else dot(context, x, y, kind, colour(shareOf(session, row)));
+    if (row === selected) rings(context, x, y, 5, 2.5);
   }
-  const pair = told.pairs[selected];
-  if (!pair) return;
-  const [x, y] = place(pair[part], pair[part + 1]!);
-  mark(context, x, y, told.state[selected]!, colour(shareOf(told, selected)), false, 3.6);
-  ring(context, x, y, "#fff", 5);
-  ring(context, x, y, ink("--gold") || "#d9b45b", 2.5);
 }
 
-function findInView(context: CanvasRenderingContext2D, told: Told, selected: number, part: 0 | 2, at: Place, join: (row: number, x: number, y: number) => void): InView {
-  const [width, height] = [context.canvas.clientWidth, context.canvas.clientHeight];
-  const n = told.pairs.length;
-  const seen: InView = { x: new Float32Array(n), y: new Float32Array(n), bin: new Uint8Array(n), count: 0, special: [] };
+/** Views are affine: three places say where all the others are. */
+function affineOf(place: PlaneMap): PlaneMap {
+  const [o, ex, ey] = [place(0, 0), place(1000, 0), place(0, 1000)];
+  const [ax, ay] = [(ex[0] - o[0]) / 1000, (ex[1] - o[1]) / 1000];
+  const [bx, by] = [(ey[0] - o[0]) / 1000, (ey[1] - o[1]) / 1000];
+  return (x, y) => [o[0] + ax * x + bx * y, o[1] + ay * x + by * y];
+}
+
+function findInView(
+  { clientWidth, clientHeight }: HTMLCanvasElement,
+  session: SessionState,
+  selected: number,
+  half: Half,
+  at: PlaneMap,
+  join: (row: number, x: number, y: number) => void,
+): InView {
+  const n = session.pairs.length;
+  const bin = new Uint8Array(n);
+  const seen: InView = {
+    x: new Float32Array(n),
+    y: new Float32Array(n),
+    bin,
+    count: 0,
+    special: [],
+  };
   for (let row = 0; row < n; row++) {
-    const pair = told.pairs[row]!;
-    const [x, y] = at(pair[part], pair[part + 1]!);
-    if (x < -9 || y < -9 || x > width + 9 || y > height + 9) continue;
-    const state = told.state[row]!;
-    if (row === selected || state === "check" || (state === "kept" && told.reason[row] !== "")) {
+    const pair = session.pairs[row]!;
+    const [x, y] = at(pair[half], pair[half + 1]!);
+    if (x < -EDGE || y < -EDGE || x > clientWidth + EDGE || y > clientHeight + EDGE) continue;
+    const state = session.state[row]!;
+    if (row === selected) continue;
+    if (state === "check" || (state === "kept" && session.hand[row] !== "")) {
       seen.special.push(row);
       continue;
     }
     if (state === "kept") join(row, x, y);
-    seen.bin[seen.count] = state === "removed" ? REMOVED : Math.round(shareOf(told, row) * (BINS - 1));
+    const share = shareOf(session, row);
+    bin[seen.count] = state === "removed" ? REMOVED : Math.round(share * (BINS - 1));
     seen.x[seen.count] = x;
     seen.y[seen.count++] = y;
   }
@@ -78,17 +113,17 @@ function findInView(context: CanvasRenderingContext2D, told: Told, selected: num
 }
 
 /** Circles with a rim, as paths of one shade each. */
-function paintFew(context: CanvasRenderingContext2D, seen: InView, radius: number, colour: (share: number) => string): void {
+function paintFew(
+  context: CanvasRenderingContext2D,
+  seen: InView,
+  radius: number,
+  colour: (share: number) => string,
+): void {
   const bins = Array.from({ length: BINS + 1 }, () => new Path2D());
-  const r = 0.8 * radius;
   for (let i = 0; i < seen.count; i++) {
     const [x, y, path] = [seen.x[i]!, seen.y[i]!, bins[seen.bin[i]!]!];
-    if (seen.bin[i] === REMOVED) {
-      path.moveTo(x - r, y - r);
-      path.lineTo(x + r, y + r);
-      path.moveTo(x - r, y + r);
-      path.lineTo(x + r, y - r);
-    } else {
+    if (seen.bin[i] === REMOVED) addCross(path, x, y, 0.8 * radius);
+    else {
       path.moveTo(x + radius, y);
       path.arc(x, y, radius, 0, 2 * Math.PI);
     }
@@ -98,13 +133,19 @@ function paintFew(context: CanvasRenderingContext2D, seen: InView, radius: numbe
   for (let bin = 0; bin < BINS; bin++) {
     context.fillStyle = colour(bin / (BINS - 1));
     context.fill(bins[bin]!);
-    context.strokeStyle = "#000b";
+    context.strokeStyle = RIM;
     context.stroke(bins[bin]!);
   }
 }
 
 /** Squares without one, the worst on top. */
-function paintMany(context: CanvasRenderingContext2D, dots: Dots, seen: InView, radius: number, colour: (share: number) => string): void {
+function paintMany(
+  context: CanvasRenderingContext2D,
+  dots: Dots,
+  seen: InView,
+  radius: number,
+  colour: (share: number) => string,
+): void {
   const ratio = devicePixelRatio || 1;
   const side = Math.round(2 * radius * ratio);
   dots.begin(context.canvas.width, context.canvas.height);
@@ -119,36 +160,40 @@ function paintMany(context: CanvasRenderingContext2D, dots: Dots, seen: InView, 
   dots.drawOn(context);
 }
 
-export function paintProposal(context: CanvasRenderingContext2D, partner: Pick<Partner, "pair" | "predicted" | "sure">, part: 0 | 2, place: Place): void {
-  const [x, y] = place(partner.pair[part], partner.pair[part + 1]!);
-  const [a, b] = place(partner.predicted[part], partner.predicted[part + 1]!);
-  line(context, [a, b], [x, y]);
-  for (const [colour, width] of [["#000a", 4], [partner.sure ? "#7fe39b" : "#ffd166", 1.8]] as const) {
-    context.strokeStyle = colour;
-    context.lineWidth = width;
-    context.beginPath();
-    for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]] as const) {
-      context.moveTo(x + 4 * dx, y + 4 * dy);
-      context.lineTo(x + 14 * dx, y + 14 * dy);
-    }
-    context.stroke();
+/** Draw a proposed or measured pair: where the map puts it, and where it is. */
+export function paintProposal(
+  context: CanvasRenderingContext2D,
+  { pair, predicted, sure }: Pick<Partner, "pair" | "predicted" | "sure">,
+  half: Half,
+  place: PlaneMap,
+): void {
+  const [x, y] = place(pair[half], pair[half + 1]!);
+  line(context, place(predicted[half], predicted[half + 1]!), [x, y]);
+  const path = new Path2D();
+  for (const [dx, dy] of [
+    [1, 0],
+    [-1, 0],
+    [0, 1],
+    [0, -1],
+  ] as const) {
+    path.moveTo(x + 4 * dx, y + 4 * dy);
+    path.lineTo(x + 14 * dx, y + 14 * dy);
   }
+  outline(context, path, sure ? "#7fe39b" : "#ffd166", 4, 1.8);
 }
 
-/** The chosen pair in an overlay: its place in the reference, and the handle of the other one. */
+/** Draw the selected pair in an overlay: its place in the reference, and the handle of the other one. */
 export function paintHandle(context: CanvasRenderingContext2D, here: Point, there: Point): void {
   line(context, here, there);
-  ring(context, here[0], here[1], "#fff", 4);
-  ring(context, here[0], here[1], ink("--gold") || "#d9b45b", 2);
-  for (const [colour, width] of [["#000a", 4], ["#fff", 1.6]] as const) {
-    context.strokeStyle = colour;
-    context.lineWidth = width;
-    context.strokeRect(there[0] - 4, there[1] - 4, 8, 8);
-  }
+  rings(context, ...here, 4, 2);
+  const path = new Path2D();
+  path.rect(there[0] - 4, there[1] - 4, 8, 8);
+  outline(context, path, "#fff", 4, 1.6);
 }
 
 function line(context: CanvasRenderingContext2D, from: Point, to: Point): void {
-  if (!Number.isFinite(to[0] + to[1]) || Math.hypot(to[0] - from[0], to[1] - from[1]) < 1.5) return;
+  const apart = Math.hypot(to[0] - from[0], to[1] - from[1]);
+  if (!(apart >= LEAST_LINE)) return;
   context.strokeStyle = "#ddd";
   context.lineWidth = 1.4;
   context.beginPath();
@@ -157,38 +202,84 @@ function line(context: CanvasRenderingContext2D, from: Point, to: Point): void {
   context.stroke();
 }
 
-function mark(context: CanvasRenderingContext2D, x: number, y: number, state: string, colour: string, byHand: boolean, radius: number): void {
-  context.lineWidth = 0.4 + radius / 4;
-  if (state === "removed") {
-    context.strokeStyle = "#9a9a9acc";
-    context.beginPath();
-    const r = 0.8 * radius;
-    context.moveTo(x - r, y - r);
-    context.lineTo(x + r, y + r);
-    context.moveTo(x - r, y + r);
-    context.lineTo(x + r, y - r);
-    context.stroke();
-    return;
+/** Stroke a path in a colour on a dark ground, to be seen on any picture. */
+function outline(
+  context: CanvasRenderingContext2D,
+  path: Path2D,
+  colour: string,
+  wide: number,
+  narrow: number,
+  ground = "#000a",
+): void {
+  for (const [strokeStyle, lineWidth] of [
+    [ground, wide],
+    [colour, narrow],
+  ] as const) {
+    Object.assign(context, { strokeStyle, lineWidth });
+    context.stroke(path);
   }
-  context.strokeStyle = "#000b";
-  context.fillStyle = state === "check" ? "#4da3ff" : colour;
-  context.beginPath();
-  if (state === "check") {
-    context.moveTo(x, y - 5);
-    context.lineTo(x + 5, y);
-    context.lineTo(x, y + 5);
-    context.lineTo(x - 5, y);
-    context.closePath();
-  } else if (byHand) context.rect(x - 4, y - 4, 8, 8);
-  else context.arc(x, y, radius, 0, 2 * Math.PI);
-  context.fill();
-  context.stroke();
 }
 
-function ring(context: CanvasRenderingContext2D, x: number, y: number, colour: string, width: number): void {
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.beginPath();
-  context.arc(x, y, 9, 0, 2 * Math.PI);
-  context.stroke();
+function rings(
+  context: CanvasRenderingContext2D,
+  x: number,
+  y: number,
+  wide: number,
+  narrow: number,
+): void {
+  const path = new Path2D();
+  path.arc(x, y, EDGE, 0, 2 * Math.PI);
+  outline(context, path, ink("--gold") || "#d9b45b", wide, narrow, "#fff");
+}
+
+function addCross(path: Path2D, x: number, y: number, r: number): void {
+  path.moveTo(x - r, y - r);
+  path.lineTo(x + r, y + r);
+  path.moveTo(x - r, y + r);
+  path.lineTo(x + r, y - r);
+}
+
+function cross(
+  context: CanvasRenderingContext2D,
+  x: number,
+  y: number,
+  r: number,
+  colour: string,
+): void {
+  const path = new Path2D();
+  addCross(path, x, y, r);
+  Object.assign(context, { strokeStyle: colour, lineWidth: 0.4 + LARGE / 4 });
+  context.stroke(path);
+}
+
+function diamond(context: CanvasRenderingContext2D, x: number, y: number): void {
+  const path = new Path2D();
+  for (const [dx, dy] of [
+    [0, -5],
+    [5, 0],
+    [0, 5],
+    [-5, 0],
+  ] as const)
+    path.lineTo(x + dx, y + dy);
+  path.closePath();
+  fill(context, path, "#4da3ff");
+}
+
+function dot(
+  context: CanvasRenderingContext2D,
+  x: number,
+  y: number,
+  kind: "circle" | "square",
+  colour: string,
+): void {
+  const path = new Path2D();
+  if (kind === "square") path.rect(x - 4, y - 4, 8, 8);
+  else path.arc(x, y, LARGE, 0, 2 * Math.PI);
+  fill(context, path, colour);
+}
+
+function fill(context: CanvasRenderingContext2D, path: Path2D, colour: string): void {
+  Object.assign(context, { fillStyle: colour, strokeStyle: RIM, lineWidth: 0.4 + LARGE / 4 });
+  context.fill(path);
+  context.stroke(path);
 }

@@ -1,7 +1,13 @@
-// What the server tells, and the few words that the page makes of it.
+// What the server answers, and how its numbers are put into words and colours.
+import type { Point } from "../shared/pane";
 
-export type Pair = [number, number, number, number];
-export type Point = [number, number];
+/** A place in the reference and one in the picture to register, px. */
+export type Pair = [x: number, y: number, targetX: number, targetY: number];
+/** Which half of a pair a picture shows: the index of its x. */
+export type Half = 0 | 2;
+
+/** A column as it came; NaN is what is not known. */
+export type Numbers = Float32Array | Float64Array | Int32Array | Uint8Array;
 
 export interface BandInfo {
   label: string;
@@ -57,10 +63,11 @@ export interface Trace {
   size: Point;
 }
 
-/** A column as it came; NaN is what is not known. */
-export type Numbers = Float32Array | Float64Array | Int32Array | Uint8Array;
+/** What a person did to a pair; empty where nothing. */
+export type Hand = "" | "added" | "pinned" | "restored" | "deleted" | "checks";
 
-export interface Told {
+/** The pairs of one camera under correction, and what the fit makes of them. */
+export interface SessionState {
   version: number;
   /** The version by whose map pictures are brought over. */
   drawn: number;
@@ -70,6 +77,7 @@ export interface Told {
   leave_one_out: Numbers;
   weight: Numbers;
   state: ("kept" | "removed" | "check")[];
+  hand: Hand[];
   reason: string[];
   round: Numbers;
   summary: {
@@ -93,12 +101,7 @@ export interface Told {
   can: { undo: number; redo: number };
 }
 
-/** An error, as a share of what is tolerated. */
-export function shareOf(told: Told, row: number): number {
-  const value = told.residual[row]!;
-  return value >= 0 ? Math.min(1, value / Math.max(told.stop, 1e-9)) : 0;
-}
-
+/** The partner of a place in the other picture, as comparing found it. */
 export interface Partner {
   pair: Pair;
   predicted: Pair;
@@ -109,27 +112,42 @@ export interface Partner {
   sure: boolean;
 }
 
+/** A pair that is not added yet, and the picture in which it was begun. */
+export interface Proposal extends Partner {
+  begun: Half;
+  /** Whether a person placed the partner, rather than a comparison. */
+  placed?: boolean;
+}
+
 export const DECISIONS: Record<string, string> = {
-  accept: "Can be believed",
-  warn: "Believed, but look",
-  refuse: "Not believed",
+  accept: "Accepted",
+  warn: "Accepted, please review",
+  refuse: "Rejected",
   "not built": "Not built yet",
 };
 
+/** A number of pixels; a dash where it is not known. */
 export function px(value: number | null | undefined, digits = 2): string {
-  return value === null || value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits);
+  return Number.isFinite(value) ? value!.toFixed(digits) : "–";
 }
 
 /** A length in px, and in mm where the object's size is known. */
-export function length(value: number | null | undefined, perMm: number | null, digits = 2): string {
-  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
-  const mm = perMm ? ` · ${(value / perMm).toFixed(value / perMm < 0.1 ? 3 : 2)} mm` : "";
-  return `${value.toFixed(digits)} px${mm}`;
+export function length(value: number | null | undefined, perMm: number | null): string {
+  if (!Number.isFinite(value)) return "–";
+  const mm = perMm ? value! / perMm : 0;
+  const added = perMm ? ` · ${mm.toFixed(mm < 0.1 ? 3 : 2)} mm` : "";
+  return `${value!.toFixed(2)} px${added}`;
 }
 
-/** Green to red for an error, as a share of what is tolerated. */
-export function errorColour(value: number | undefined, most: number): string {
-  if (value === undefined || Number.isNaN(value)) return "var(--soft)";
-  const share = Math.min(1, Math.max(0, value / Math.max(most, 1e-9)));
+/** An error as a share of what is tolerated, 0 to 1; 0 where it is not known. */
+export function shareOf({ residual, stop }: SessionState, row: number): number {
+  const value = residual[row]!;
+  return value >= 0 ? Math.min(1, value / Math.max(stop, 1e-9)) : 0;
+}
+
+/** Green to red for a share of what is tolerated; soft where the error is not known. */
+export function errorColour(error: number | undefined, tolerated: number): string {
+  if (error === undefined || Number.isNaN(error)) return "var(--soft)";
+  const share = Math.min(1, Math.max(0, error / Math.max(tolerated, 1e-9)));
   return `hsl(${Math.round(130 * (1 - share))} 62% var(--error-light))`;
 }

@@ -1,106 +1,110 @@
-// What the page knows, in one place; whoever draws something of it listens.
-import { bytes, get, Refusal } from "./api";
-import { read } from "./columns";
-import type { CameraRow, FrameInfo, Pair, Partner, Told } from "./record";
+// What the page knows. Whatever shows a part of it is an effect of that part.
+import { batch, signal } from "@preact/signals-core";
+import { getBytes, getJson, messageOf, Refusal } from "./api";
+import { readSession } from "./columns";
+import type { CameraRow, FrameInfo, Pair, Partner, Proposal, SessionState } from "./record";
 
-type Listener = () => void;
+const SAME_PX = 0.03; // pairs are rounded on their way
 
 export class Store {
-  campaign = "";
-  cameras: CameraRow[] = [];
-  frame: FrameInfo | null = null;
-  told: Told | null = null;
-  selected = -1;
-  proposal: Partner | null = null;
-  /** In which picture the proposed pair was begun: a click into the other one places its partner. */
-  begun: 0 | 2 = 0;
-  measured: Partner | null = null;
-  map: "pairs" | "built" = "pairs";
-  message = "";
-  refused = "";
-  private readonly listeners: Listener[] = [];
+  readonly campaign = signal("");
+  readonly cameras = signal<CameraRow[]>([]);
+  readonly frame = signal<FrameInfo | null>(null);
+  readonly session = signal<SessionState | null>(null);
+  readonly selected = signal(-1);
+  readonly proposal = signal<Proposal | null>(null);
+  readonly measured = signal<Partner | null>(null);
+  /** The map that brings the pictures together. */
+  readonly map = signal<"pairs" | "built">("pairs");
+  readonly refused = signal("");
   private queue: Promise<unknown> = Promise.resolve();
 
-  listen(listener: Listener): void {
-    this.listeners.push(listener);
-  }
-
-  changed(): void {
-    for (const listener of this.listeners) listener();
-  }
-
   get path(): string {
-    return `/api/cameras/${this.frame?.id ?? ""}`;
+    return `/api/cameras/${this.frame.value?.id ?? ""}`;
   }
 
   async loadCameras(): Promise<void> {
-    const told = await get<{ campaign: string; cameras: CameraRow[] }>("/api/cameras");
-    this.campaign = told.campaign;
-    this.cameras = told.cameras;
-    this.changed();
+    const answer = await getJson<{ campaign: string; cameras: CameraRow[] }>("/api/cameras");
+    batch(() => {
+      this.campaign.value = answer.campaign;
+      this.cameras.value = answer.cameras;
+    });
   }
 
   async open(id: string): Promise<void> {
-    this.frame = await get<FrameInfo>(`/api/cameras/${id}`);
-    this.told = read(await bytes(`${this.path}/pairs`), []);
-    [this.selected, this.proposal, this.measured, this.message] = [-1, null, null, ""];
-    this.map = this.frame.built && !this.told.corrections ? "built" : "pairs";
-    this.changed();
+    const path = `/api/cameras/${id}`;
+    const frame = await getJson<FrameInfo>(path);
+    const session = readSession(await getBytes(`${path}/pairs`), []);
+    batch(() => {
+      this.choose({});
+      this.frame.value = frame;
+      this.session.value = session;
+      this.map.value = frame.built && !session.corrections ? "built" : "pairs";
+      this.refused.value = "";
+    });
   }
 
-  /** Wait until all that was asked is answered. */
+  /** Wait until all requests are answered. */
   async settled(): Promise<void> {
     await this.queue;
   }
 
-  /** Change something; answers come in the order of the questions. */
-  edit(body: Record<string, unknown>, keep?: Pair): Promise<void> {
-    return this.take((pairs) => bytes(`${this.path}/edit`, { ...body, known: this.told?.places ?? "" }).then((answer) => read(answer, pairs)), keep);
+  /** Change something; answers come in the order of the requests. */
+  edit(change: Record<string, unknown>, keep?: Pair): Promise<void> {
+    return this.take(async (pairs) => {
+      const known = this.session.peek()?.places ?? "";
+      return readSession(await getBytes(`${this.path}/edit`, { ...change, known }), pairs);
+    }, keep);
   }
 
-  take(question: (pairs: Pair[]) => Promise<Told>, keep?: Pair): Promise<void> {
-    const before = keep ?? this.pair(this.selected);
+  /** Queue a request that answers with a session; the pair `keep` is the selected one afterwards. */
+  take(request: (pairs: Pair[]) => Promise<SessionState>, keep?: Pair): Promise<void> {
+    const before = keep ?? this.selectedPair();
     const run = this.queue.then(async () => {
       try {
-        this.told = await question(this.told?.pairs ?? []);
-        this.refused = "";
-        this.selected = before ? this.rowAt(before) : -1;
-        if (this.map === "built" && this.told.corrections) this.map = "pairs";
+        const session = await request(this.session.peek()?.pairs ?? []);
+        batch(() => {
+          this.session.value = session;
+          this.refused.value = "";
+          this.selected.value = before ? rowAt(session.pairs, before) : -1;
+          if (session.corrections) this.map.value = "pairs";
+        });
       } catch (error) {
         this.refuse(error);
         // Another workbench or an editor was first: what is there now is shown.
-        if (error instanceof Refusal && error.status === 409) this.told = read(await bytes(`${this.path}/pairs`), []);
+        if (error instanceof Refusal && error.status === 409)
+          this.session.value = readSession(await getBytes(`${this.path}/pairs`), []);
       }
-      this.changed();
     });
     this.queue = run;
     return run;
   }
 
   refuse(error: unknown): void {
-    this.refused = error instanceof Refusal || error instanceof Error ? error.message : String(error);
-    this.changed();
+    this.refused.value = messageOf(error);
   }
 
-  pair(row: number): Pair | null {
-    return this.told?.pairs[row] ?? null;
+  selectedPair(): Pair | null {
+    return this.session.value?.pairs[this.selected.value] ?? null;
   }
 
-  /** The row of a pair, by its place; the nearest one where it was rounded. */
-  rowAt(pair: Pair): number {
-    const pairs = this.told?.pairs ?? [];
-    let [best, at] = [0.03, -1];
-    pairs.forEach((p, i) => {
-      if (Math.abs(p[0] - pair[0]) >= best) return;
-      const apart = Math.max(...p.map((v, k) => Math.abs(v - pair[k]!)));
-      if (apart < best) [best, at] = [apart, i];
+  /** Select a row, show a proposal or a measured place; one of them at a time, and nothing by `{}`. */
+  choose(what: { row?: number; proposal?: Proposal; measured?: Partner }): void {
+    batch(() => {
+      this.selected.value = what.row ?? -1;
+      this.proposal.value = what.proposal ?? null;
+      this.measured.value = what.measured ?? null;
     });
-    return at;
   }
+}
 
-  select(row: number): void {
-    if (row === this.selected) return;
-    [this.selected, this.proposal, this.measured] = [row, null, null];
-    this.changed();
-  }
+/** The row of a pair, by its place; the nearest one where it was rounded, -1 where there is none. */
+export function rowAt(pairs: readonly Pair[], pair: Pair): number {
+  let [best, at] = [SAME_PX, -1];
+  pairs.forEach((one, row) => {
+    if (Math.abs(one[0] - pair[0]) >= best) return;
+    const apart = Math.max(...one.map((value, i) => Math.abs(value - pair[i]!)));
+    if (apart < best) [best, at] = [apart, row];
+  });
+  return at;
 }

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.campaign import CampaignInvalid
-from levkas.campaign.schema.cross_checks import no_place
-from levkas.core.ownership import MARK, made, require_outside, stands_in
+from levkas.campaign.schema.cross_checks import unusable_output
+from levkas.core.ownership import IMPRINT, MARK, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
 
 OWNER = "campaign.json"
@@ -47,7 +52,6 @@ def claim(
         Where something stands there that no build wrote, or the disk refuses.
     """
     from levkas.core.files import make_folder, write_changed, write_text
-    from levkas.publish.facts import NAME as IMPRINT
 
     check_apart(campaign, places.output, captures)
     require_outside(places.output, fix=FIX)
@@ -67,7 +71,7 @@ def check_apart(campaign: Campaign, output: Path, captures: Iterable[Capture]) -
     frames = (frame for s in sensors for frame in (*s.object, *s.dark, *s.white))
     folders = {folder.resolve() for folder in {frame.path.parent for frame in frames}}
     among = folders - {campaign.root, *campaign.root.parents}
-    why = no_place(output, campaign.root)
+    why = unusable_output(output, campaign.root)
     if not why and any(output in (folder, *folder.parents) for folder in folders):
         why = "the database would be written over raw frames"
     elif not why and any(folder in output.parents for folder in among):
@@ -121,7 +125,7 @@ def _is_database(places: Places) -> bool:
         return ours == "database"
     # What was built before there was a mark: its catalogue and imprint, and the records beside it.
     return (
-        (places.output / "database.toml").is_file()
+        (places.output / IMPRINT).is_file()
         and _begins(places.output / "catalogue.csv", ",".join(COLUMNS) + "\n")
         and (places.kept / "hashes.json").is_file()
     )
@@ -175,3 +179,43 @@ def _problem(path: Path, found: str, expected: str) -> Problem:
         expected=expected,
         fix=FIX,
     )
+
+
+try:
+    import fcntl
+except ImportError:  # Windows has no locks of folders: there, no turns are taken
+    fcntl = None  # type: ignore[assignment]
+
+PATIENCE_S = 120.0
+PAUSE_S = 0.05
+
+
+@contextlib.contextmanager
+def in_turn(folder: Path, *, patience_s: float = PATIENCE_S) -> Iterator[None]:
+    """Let one build at a time into the block, by a lock of `folder` that ends with its process.
+
+    It spares work and keeps two from undoing each other's last words; nothing hangs on it for long:
+    whoever waited `patience_s`, or stands on a file system without locks, goes on.
+    """
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        until = time.monotonic() + patience_s
+        while not _locked(descriptor) and time.monotonic() < until:
+            time.sleep(PAUSE_S)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool:
+    """Whether the lock is ours, or cannot be had here at all."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True

@@ -10,21 +10,23 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.hand_points import told_points
-from levkas.building.ledger import Hashes, Key
+from levkas.building.build_records import Hashes, Key, key_of
+from levkas.building.control_points import told_points
 from levkas.building.sources import code_version
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
+    from levkas.building.build_records import BuildRecords
+    from levkas.building.graph import Task
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef
+    from levkas.campaign.discovery.captures import Capture, FrameRef
     from levkas.core.problems import Problem
 
-STAGES = ("calibrate", "register", "resample")
 CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic",
 )  # fmt: skip
+NOT_THERE = "not registered"
 ROLES = ("object", "dark", "white")
 OF_A_FRAME = ("band", "wavelength", "exposure_s", "shot", "page")
 ONLY_WRITTEN = {
@@ -48,6 +50,68 @@ def digest(prints: dict[str, Any], *, numbers_of: str = "") -> str:
     prints = {k: v for k, v in prints.items() if not k.startswith(left_out or ("\0",))}
     text = json.dumps(prints, sort_keys=True, ensure_ascii=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class Inputs:
+    """Fingerprints of the tasks of captures, and digests of them for the tasks that read their products.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    records : BuildRecords
+    """
+
+    def __init__(self, campaign: Campaign, records: BuildRecords) -> None:
+        self.campaign, self.records = campaign, records
+        self.digests: dict[Key, str] = {}
+        self._numbers: dict[Key, str] = {}
+
+    def of(self, task: Task, refused: Collection[tuple[str, str]]) -> dict[str, Any]:
+        """Return the fingerprint of a task; those that it reads have had theirs.
+
+        `refused` are layers, (object, layer), that there are none of.
+        """
+        prints = self._prints(task, refused)
+        self.digests[task.key] = digest(prints)
+        self._numbers[task.key] = digest(prints, numbers_of=task.key.stage)
+        return prints
+
+    def has(self, key: Key) -> bool:
+        """Tell whether a capture's own registration is there to adjust others with."""
+        kept = self.records.fingerprint(key)
+        return bool(kept) and measured_path(self.records.folder, key).is_file()
+
+    def _prints(self, task: Task, refused: Collection[tuple[str, str]]) -> dict[str, Any]:
+        capture, lead = task.capture, task.reference
+        assert capture is not None and lead is not None
+        campaign, hashes, stage = self.campaign, self.records.hashes, task.key.stage
+        if stage == "calibrate":
+            return of_calibration(campaign, capture, hashes)
+        if stage == "register" and task.needs[0].stage == "measure":
+            seen = {f"{k.object}/{k.layer}": self._measured(k) for k in task.mates}
+            return of_adjustment(self.digests[task.needs[0]], seen)
+        if stage == "resample":
+            ends = (self.digests[key_of(c, "register")] for c in (capture, lead))
+            default = Key(capture.object, capture.camera, "", "resample")
+            known = capture.setup and (default.object, default.layer) not in refused
+            other = self.digests.get(default, "") if known else ""
+            return of_resampling(campaign, capture, hashes, *ends, default=other)
+        ends = (self._numbers[key_of(c, "calibrate")] for c in (capture, lead))
+        prints = of_registration(campaign, capture, hashes, *ends)
+        if not task.leads:
+            prints["registration of the reference"] = self._numbers[key_of(lead, "register")]
+        return prints
+
+    def _measured(self, key: Key) -> str:
+        if not self.has(key):
+            return NOT_THERE
+        own = digest(self.records.fingerprint(key), numbers_of="measure")
+        return self._numbers.get(key, own)
+
+
+def measured_path(folder: Path, key: Key) -> Path:
+    """Return where a capture's own registration is kept, in a folder beside the database."""
+    return folder / key.object / key.layer / "measured.npz"
 
 
 def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[str, Any]:
@@ -126,8 +190,8 @@ def of_registration(
         prints[f"registration.{key}"] = value
     for sensor in capture.sensors:
         prints[f"sensors.{sensor.name}.align"] = sensor.align
-    for band, edits in campaign.edits.of(capture.object, capture.layer).items():
-        if told := edits.told():
+    for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
+        if told := edits.describe():
             frame = f"{capture.layer}:{band}" if band else capture.layer
             prints[f"edits.toml: correction of {frame}"] = told
     prints |= told_points(campaign, capture)
@@ -223,8 +287,3 @@ def written(campaign: Campaign, problem: Problem) -> str:
 def plain(prints: dict[str, Any]) -> dict[str, Any]:
     """Return what JSON would make of it, so that a stored fingerprint equals a new one."""
     return dict(json.loads(json.dumps(prints, default=str)))
-
-
-def keys_of(capture: Capture) -> dict[str, Key]:
-    """Return the keys of a capture's stages, by stage."""
-    return {s: Key(capture.object, capture.camera, capture.setup, s) for s in STAGES}

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.exposure_times import Times, by_exposure, timed, times_of
 from levkas.calibration.exposures import best_exposure
+from levkas.calibration.sensor_context import Times, by_exposure, timed, times_of
 from levkas.calibration.templates import CalibrationRefused, Template, average
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from levkas.building.bench import Bench
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.calibration.sensor_context import SensorContext
+    from levkas.campaign.discovery.captures import FrameRef
     from levkas.readers.envi import EnviFile
 
 TRIPLES = 64
@@ -40,14 +40,14 @@ class FrameLines:
         Of all of them.
     """
 
-    bench: Bench
+    bench: SensorContext
     frames: tuple[FrameRef, ...]
     opened: tuple[EnviFile, ...]
     times: Times = None
 
     @classmethod
     def by_exposure(
-        cls, bench: Bench, frames: Sequence[FrameRef], shape: tuple[int, int, int]
+        cls, bench: SensorContext, frames: Sequence[FrameRef], shape: tuple[int, int, int]
     ) -> list[FrameLines]:
         """Open shots for a scan of a shape, exposure by exposure, shortest first.
 
@@ -148,14 +148,14 @@ def thinned(template: Template, step: int) -> Template:
     )
 
 
-def noise_behind_mirror(bench: Bench, white_frame: FrameRef | None) -> NoiseModel | None:
+def noise_behind_mirror(bench: SensorContext, white_frame: FrameRef | None) -> NoiseModel | None:
     """Fit the noise of a mirror scanner to neighbouring lines of its white and its dark.
 
     A mirror leads the view over the board: lines have other light, and the sensels of (sample, band) are
     the same in all. What is left of a line between two others is free of both, and noise, with the
     texture of the board. None without a white.
     """
-    from levkas.building.measuring import note_noise
+    from levkas.building.capture_statistics import note_noise
     from levkas.calibration.noise_fit import fit_noise
 
     if white_frame is None:
@@ -176,15 +176,15 @@ def noise_behind_mirror(bench: Bench, white_frame: FrameRef | None) -> NoiseMode
     return noise
 
 
-def _dark_like(bench: Bench, white: FrameRef) -> FrameRef | None:
+def _dark_like(bench: SensorContext, white: FrameRef) -> FrameRef | None:
     """Return the dark of the white's exposure, else the first."""
     darks, time = bench.sensor.dark, times_of(white)
     return next((d for d in darks if times_of(d) == time), darks[0] if darks else None)
 
 
-def _triples(bench: Bench, frame: FrameRef) -> Template | None:
+def _triples(bench: SensorContext, frame: FrameRef) -> Template | None:
     """Return lines between two others as if they were two shots each; None of fewer than three lines."""
-    from levkas.building.bench import read_cube
+    from levkas.calibration.sensor_context import read_cube
     from levkas.readers.envi import open_envi
     from levkas.readers.frames import read_facts
 

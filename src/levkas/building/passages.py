@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.native import UNRELIABLE
 from levkas.calibration.denoising import describe_removed
 from levkas.calibration.invalid_values import describe_lost, gaps_of, no_values
 from levkas.calibration.templates import CalibrationRefused
-from levkas.registration.images import BandImage
+from levkas.core.cube import UNRELIABLE
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -48,7 +48,7 @@ class Passage:
         self._tell()
 
     def _tell(self) -> None:
-        from levkas.building.developing import placed
+        from levkas.calibration.sensor_context import placed
 
         bench, shape = self._scan.bench, self._scan.shape
         every = shape[0] * shape[1]

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 from levkas import __version__
 from levkas.building import fingerprints
-from levkas.building.exposure_times import Times, times_of
-from levkas.building.rig_mates import joint_keys
+from levkas.building.graph import keys_of
 from levkas.building.sources import LIBRARIES
+from levkas.calibration.sensor_context import Times, times_of
 from levkas.core.problems import Refused
 from levkas.readers.frames import files_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.building.ledger import Key, Ledger
+    from levkas.building.build_records import BuildRecords, Key
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
 
 FRAME = "frame "
 """Begins what a fingerprint says of the use of a file as a frame."""
@@ -29,7 +29,7 @@ FILE = "file "
 
 
 def provenance_of(
-    campaign: Campaign, ledger: Ledger, name: str, captures: Sequence[Capture]
+    campaign: Campaign, ledger: BuildRecords, name: str, captures: Sequence[Capture]
 ) -> dict[str, Any]:
     """Return what the stages of an object were made of.
 
@@ -44,14 +44,14 @@ def provenance_of(
     """
     steps = []
     for capture in captures:
-        for key in joint_keys(campaign, capture).values():
+        for key in keys_of(campaign, capture).values():
             if step := _step(ledger, key):
                 frames = _frames(campaign, capture, step["inputs"])
                 steps.append(step | ({"frames": frames} if key.stage == "calibrate" else {}))
     return {"object": name, "levkas": __version__, "libraries": _libraries(), "steps": steps}
 
 
-def _step(ledger: Ledger, key: Key) -> dict[str, Any]:
+def _step(ledger: BuildRecords, key: Key) -> dict[str, Any]:
     prints, products = ledger.fingerprint(key), ledger.products(key)
     if not prints:
         return {}

@@ -2,65 +2,66 @@
 
 from __future__ import annotations
 
-import base64
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
+from levkas.building.spectra import reference_channel
+from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
+from levkas.geometry.grid import Grid, GridRefused
+from levkas.geometry.transforms import Transform, from_dict
+from levkas.registration import Matches, Registration, Verdict
+from levkas.registration.record import Sigma
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from levkas.building.native import Native
-    from levkas.building.scans import Scan
+    from levkas.building.native_cubes import Native
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.campaign.schema.tables import GridKeys
     from levkas.database.layout import Places
-    from levkas.geometry.grid import Grid
-    from levkas.registration import BandImage, Registration
-    from levkas.registration.levkas import Reference
+    from levkas.registration import BandImage
+    from levkas.registration.levkas import PreparedReference
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
 
+SMALLEST_SHARE = 0.05
+"""Below this share of the frame a bright region is no painting."""
 
-@dataclass
+
 class ReferenceFrame:
-    """The reference camera's images, registration, grid and grey picture, found when they are asked for.
+    """The reference camera's bands of one object, its registration, and the grid that they lay out.
 
     Parameters
     ----------
     campaign : Campaign
     places : Places
-    name : str
-        Of the object.
-    captures : list of Capture
-        The reference camera's own first.
-    calibrated : callable
-        Gives the calibrated cubes of a capture; it keeps them in the list that it is given.
+    captures : sequence of Capture
+        Of the object, the reference camera's own first.
+    native : Native
+        Its calibrated bands.
     """
 
-    campaign: Campaign
-    places: Places
-    name: str
-    captures: list[Capture]
-    calibrated: Callable[[Capture, list[Native | Scan]], Native | Scan]
-    own: Registration | None = None
-    made_ready: Reference | None = None
-    _images: list[BandImage] | None = None
-    _grid: tuple[Grid, float | None, Region | None] | None = None
-    _grey: Grey | None = field(default=None, repr=False)
+    def __init__(
+        self, campaign: Campaign, places: Places, captures: Sequence[Capture], native: Native
+    ) -> None:
+        self.campaign, self.places, self.captures = campaign, places, captures
+        self.capture = captures[0]
+        self.images: Sequence[BandImage] = native.images()
+        self._own: Registration | None = None
+        self._prepared: PreparedReference | None = None
+        self._grid: tuple[Grid, float | None, Region | None] | None = None
+        self.grey: Grey | None = None
+        """Of its layer, where that was drawn or read already."""
 
-    @property
-    def capture(self) -> Capture:
-        """The reference camera's own."""
-        return self.captures[0]
-
+    @cached_property
     def band(self) -> str:
-        from levkas.core.cube import find_band
-
+        """Label of the reference band."""
         bands = self.capture.bands
         wanted = self.campaign.reference.band
         labels = [band.label for band in bands]
@@ -68,119 +69,214 @@ class ReferenceFrame:
             return labels[len(labels) // 2]
         return labels[find_band(labels, wanted, [band.wavelength for band in bands])]
 
-    def images(self, native: list[Native | Scan]) -> list[BandImage]:
-        if self._images is None:
-            self._images = self.calibrated(self.capture, native).images()
-        return self._images
+    def prepared(self, region: Region | None, *, own: bool) -> PreparedReference:
+        """Return the bands as the default method takes them, prepared once for all captures.
 
-    def ready(
-        self,
-        native: list[Native | Scan],
-        region: Region | None,
-        own: Registration | None,
-    ) -> Reference:
-        """The reference made ready for all captures; its single bands go once it is registered."""
-        from levkas.registration.levkas import Reference
+        `own` where the reference camera itself is registered: all its bands are held until then.
+        """
+        from levkas.registration.levkas import PreparedReference
 
-        if self.made_ready is None:
-            images = self.images(native if own is None else [])
-            self.made_ready = Reference(images, self.band(), region)
-            if own is not None:
-                self.settle()
-        return self.made_ready
+        if self._prepared is None:
+            self._prepared = PreparedReference(self.images, self.band, region)
+            if not own:
+                self._release()
+        return self._prepared
 
-    def settle(self) -> None:
+    def registered(self, own: Registration) -> None:
+        """Take the reference camera's own registration; its single bands go."""
+        self._own = own
+        self._release()
+
+    def rest(self) -> None:
+        """Let go what is prepared again for the next capture."""
+        if self._prepared is not None:
+            self._prepared.release()
+
+    def _release(self) -> None:
         methods = {self.campaign.registration_of(c.camera).get("method") for c in self.captures}
-        if self.made_ready is not None and methods <= {None, "levkas"}:
-            self.made_ready.settle(self.registration().transforms)
-            # Bands share their memory with others that are not needed any more.
-            anchor = self.made_ready.anchor
-            self.made_ready.anchor = replace(
-                anchor, values=anchor.values.copy(), valid=anchor.valid.copy()
-            )
-            self.made_ready.siblings, self._images = [], [self.made_ready.anchor]
+        if self._prepared is not None and methods <= {None, "levkas"}:
+            self._prepared.freeze(self.registration().transforms)
+            self.images = [self._prepared.anchor]
 
     def registration(self) -> Registration:
-        """The reference camera's own registration, from this run or from its record."""
-        if self.own is None:
-            from levkas.registration import Matches, Registration, Verdict
-            from levkas.registration.uncertainty import Sigma
-
-            record = record_of(self.places, self.name, self.capture)
-            bands = record["bands"]
-            self.own = Registration(
+        """Return the reference camera's own registration, from this run or from its record."""
+        if self._own is None:
+            record = record_of(self.places, self.capture)
+            self._own = Registration(
                 "",
                 maps_of(record),
                 Verdict("accept"),
                 {},
-                Matches.of(np.zeros((0, 2)), np.zeros((0, 2))),
-                sigma={
-                    label: Sigma.from_dict(band["sigma"])
-                    for label, band in bands.items()
-                    if "sigma" in band
-                },
+                Matches.none(),
+                sigma=sigmas_of(record),
             )
-        return self.own
+        return self._own
 
     def description(self) -> dict[str, Any]:
-        image = next(i for i in self.images([]) if i.label == self.band())
+        """Return the reference of a registration's record."""
+        image = self._image()
         return {"camera": self.capture.camera, "band": image.label, "size": list(image.size)}
 
-    def layout(self, native: list[Native | Scan]) -> tuple[Grid, float | None, Region | None]:
-        """The grid, its sampling in px per mm where known, and the object's region in reference px."""
+    def layout(self) -> tuple[Grid, float | None, Region | None]:
+        """Return the grid, its sampling in px per mm where known, and the object's region in reference px."""
         if self._grid is None:
-            from levkas.building.framing import frame_object
-            from levkas.geometry.grid import GridRefused
-
-            image = next(i for i in self.images(native) if i.label == self.band())
-            facts = self.campaign.objects.get(self.name)
+            facts = self.campaign.objects.get(self.capture.object)
             size_mm = facts.size_mm if facts else None
             try:
-                self._grid = frame_object(image, self.campaign.grid, size_mm)
+                self._grid = frame_object(self._image(), self.campaign.grid, size_mm)
             except GridRefused as refused:
                 file = str(self.campaign.path)
                 raise GridRefused(*(replace(p, file=file) for p in refused.problems)) from None
         return self._grid
 
-    def channel(self, capture: Capture) -> str:
-        from levkas.building.channels import reference_channel
+    def _image(self) -> BandImage:
+        return next(image for image in self.images if image.label == self.band)
 
-        wanted = next(b for b in self.capture.bands if b.label == self.band())
+    def channel(self, capture: Capture) -> str:
+        wanted = next(b for b in self.capture.bands if b.label == self.band)
         return reference_channel(self.campaign, capture.camera, capture.bands, wanted.wavelength)
 
-    def similarity(self, capture: Capture, grey: Grey) -> dict[str, Any]:
-        """SSIM against the reference layer, and its map as PNG text, for the report."""
-        from levkas.building.resampling import read_grey, shrink_map
-        from levkas.database.preview import encode_png
-        from levkas.quality.evaluation.similarity import structural_similarity
 
-        if capture is self.capture:
-            self._grey = grey
-            return {"ssim": None, "ssim_map": ""}
-        if self._grey is None:
-            self._grey = read_grey(self.places.layer(self.name, self.capture.camera))
-        score, full = structural_similarity(self._grey[0], grey[0], self._grey[1] & grey[1])
-        if np.isnan(score):
-            return {"ssim": None, "ssim_map": ""}
-        return {
-            "ssim": score,
-            "ssim_map": base64.b64encode(encode_png(shrink_map(full))).decode("ascii"),
-        }
-
-
-def record_of(places: Places, name: str, capture: Capture) -> dict[str, Any]:
+def record_of(places: Places, capture: Capture) -> dict[str, Any]:
     """Return the registration record of a capture."""
-    path = places.registration(name, capture.layer)
-    return read_registration(path)
+    return read_registration(places.registration(capture.object, capture.layer))
 
 
-def transforms_of(places: Places, name: str, capture: Capture) -> dict[str, Any]:
-    """Return the maps of a capture's bands, reference px to native px, by label."""
-    return maps_of(record_of(places, name, capture))
+def sigmas_of(record: dict[str, Any]) -> dict[str, Sigma]:
+    """Return how well the maps of a record's bands are known, by label, where that is told."""
+    bands = record["bands"].items()
+    return {label: Sigma.from_dict(band["sigma"]) for label, band in bands if "sigma" in band}
 
 
-def maps_of(record: dict[str, Any]) -> dict[str, Any]:
+def maps_of(record: dict[str, Any]) -> dict[str, Transform]:
     """Return the maps of a record's bands, reference px to native px, by label."""
-    from levkas.geometry.transforms import from_dict
-
     return {label: from_dict(band["transform"]) for label, band in record["bands"].items()}
+
+
+# --- the object in the reference's frame, and the grid that follows from it ---------------------
+
+
+def bounding_box(grey: np.ndarray, valid: np.ndarray | None = None) -> tuple[int, int, int, int]:
+    """Bounding box of the object on a plain background.
+
+    A painting has contrast of its own, a background has not: the brightness and the local
+    contrast are both thresholded by Otsu's method, small islands are dropped, and the box
+    around the largest connected region is taken.
+
+    Parameters
+    ----------
+    grey : ndarray, (h, w)
+        Mean of bands, any unit.
+    valid : ndarray of bool, (h, w), optional
+
+    Returns
+    -------
+    region : (x, y, width, height)
+        The whole frame where no object stands out from a background.
+
+    Examples
+    --------
+    >>> image = np.zeros((60, 80)); image[10:50, 20:70] = 1.0
+    >>> bounding_box(image)
+    (20, 10, 50, 40)
+    """
+    height, width = grey.shape
+    whole = (0, 0, width, height)
+    image = np.nan_to_num(np.asarray(grey, np.float64))
+    if valid is not None:
+        image = np.where(valid, image, 0.0)
+    low, high = np.percentile(image, (0.5, 99.5))
+    if not high > low:
+        return whole
+    tone = np.sqrt(np.clip((image - low) / (high - low), 0, 1))
+    bytes_ = np.round(255 * tone).astype(np.uint8)
+    cut, _ = cv2.threshold(bytes_, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    border = np.concatenate([bytes_[0], bytes_[-1], bytes_[:, 0], bytes_[:, -1]])
+    # A dark painting on a dark cloth: what is clearly above the border's own spread is object too.
+    floor = np.median(border) + 4 * max(1.0, 1.4826 * np.median(np.abs(border - np.median(border))))
+    mask = (bytes_ > min(cut, floor)).astype(np.uint8)
+    kernel = np.ones((3, 3), np.uint8)
+    mask = cv2.morphologyEx(
+        cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel, iterations=3
+    )
+    count, _, statistics, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    if count < 2:
+        return whole
+    best = 1 + int(
+        np.argmax(statistics[1:, cv2.CC_STAT_WIDTH] * statistics[1:, cv2.CC_STAT_HEIGHT])
+    )
+    x, y, w, h = (int(v) for v in statistics[best, :4])
+    return (x, y, w, h) if w * h >= SMALLEST_SHARE * width * height else whole
+
+
+def frame_object(
+    image: BandImage, keys: GridKeys | None, size_mm: tuple[float, float] | None
+) -> tuple[Grid, float | None, tuple[float, float, float, float] | None]:
+    """Return the grid, its sampling in px per mm where known, and the region to register by.
+
+    Parameters
+    ----------
+    image : BandImage
+        The reference band.
+    keys : GridKeys, optional
+        The table [grid]; None: the reference band's own frame, whole.
+    size_mm : (width, height), optional
+        Of the object, upright; with its bounding box it gives the sampling.
+
+    Returns
+    -------
+    grid : Grid
+    sampling : float or None
+        Grid px per mm.
+    region : (x, y, width, height), reference px, or None
+        The declared region, turned back; None where none is declared.
+    """
+    width, height = image.size
+    mirror, rotate = (keys.mirror, keys.rotate) if keys else (False, 0.0)
+    turned = Grid((width, height), mirror=mirror, rotate=rotate)
+    region = keys.region if keys else None
+    box = None
+    if region == "auto" or size_mm is not None:
+        box = _box_in(turned, image)
+    chosen = box if region == "auto" else region
+    grid = Grid(
+        (width, height),
+        mirror=mirror,
+        rotate=rotate,
+        region=chosen,
+        output=keys.size if keys else None,
+    )
+    sampling = (
+        _sampling(grid, turned, box, size_mm) if box is not None and size_mm is not None else None
+    )
+    return grid, sampling, _turned_back(turned, region) if isinstance(region, tuple) else None
+
+
+def _box_in(turned: Grid, image: BandImage) -> tuple[float, float, float, float]:
+    """The object's bounding box in the turned frame at native scale."""
+    x, y, w, h = bounding_box(image.values, image.valid)
+    corners = np.array([[x, y], [x + w - 1, y], [x + w - 1, y + h - 1], [x, y + h - 1]], float)
+    placed = turned.transform.inverse(corners)
+    low, high = np.floor(placed.min(0)), np.ceil(placed.max(0))
+    return float(low[0]), float(low[1]), float(high[0] - low[0] + 1), float(high[1] - low[1] + 1)
+
+
+def _turned_back(
+    turned: Grid, region: tuple[float, float, float, float]
+) -> tuple[float, float, float, float]:
+    """The box in reference px around a region of the turned frame."""
+    x, y, w, h = region
+    corners = np.array([[x, y], [x + w - 1, y], [x + w - 1, y + h - 1], [x, y + h - 1]], float)
+    placed = turned.transform(corners)
+    low, high = placed.min(0), placed.max(0)
+    return float(low[0]), float(low[1]), float(high[0] - low[0] + 1), float(high[1] - low[1] + 1)
+
+
+def _sampling(
+    grid: Grid, turned: Grid, box: tuple[float, float, float, float], size_mm: tuple[float, float]
+) -> float:
+    """Grid px per mm from the object's box and its size; the longer sides belong together."""
+    sides, real = np.sort(np.array(box[2:])), np.sort(np.array(size_mm, float))
+    native = float(np.exp(np.log(sides / real).mean()))
+    step = grid.transform.jacobian(np.zeros((1, 2)))[0]
+    return native / float(np.sqrt(abs(np.linalg.det(step))))

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.building.ledger import Key
-from levkas.building.rig_mates import joint_keys
-from levkas.building.steps import Step
-from levkas.building.withdrawing import CATALOGUE
+from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
+from levkas.building.graph import keys_of
+from levkas.building.progress import Step
+from levkas.core.disk import DISK_CODES
+from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from levkas.building.ledger import Ledger
+    from levkas.building.build_records import BuildRecords, Key
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, Refusals
+    from levkas.campaign.discovery.captures import Capture, Refusals
+    from levkas.core.problems import Problem
+    from levkas.database.layout import Places
 
 REMOVED = Key("", stage="removed")
 
 
 def no_longer_there(
     campaign: Campaign,
-    ledger: Ledger,
+    ledger: BuildRecords,
     captures: Sequence[Capture],
     refusals: Refusals,
     pages: Iterable[Key],
@@ -32,7 +35,7 @@ def no_longer_there(
     A capture that is refused is still one of the campaign's. `objects` are those that are built; None
     for all, and for the pages of cameras.
     """
-    known = {key for c in captures for key in joint_keys(campaign, c).values()} | {*pages}
+    known = {key for c in captures for key in keys_of(campaign, c).values()} | {*pages}
     known |= {Key(name, stage="report") for name in _names(captures, refusals)}
     return [
         key
@@ -43,7 +46,7 @@ def no_longer_there(
     ]
 
 
-def describe(keys: Iterable[Key], ledger: Ledger) -> str:
+def describe(keys: Iterable[Key], ledger: BuildRecords) -> str:
     """Say what is no longer in the campaign; empty where nothing of it is in the database."""
     there = [key for key in keys if ledger.made_by(key)]
     layers = {(key.object, key.layer) for key in there if key.object and key.camera}
@@ -59,7 +62,7 @@ def describe(keys: Iterable[Key], ledger: Ledger) -> str:
     return f"{' and '.join(parts)} {verb} no longer in the campaign"
 
 
-def removal(keys: Sequence[Key], ledger: Ledger) -> list[Step]:
+def removal(keys: Sequence[Key], ledger: BuildRecords) -> list[Step]:
     """Move what is no longer in the campaign out of the database, unless it is to stay.
 
     Returns
@@ -83,3 +86,76 @@ def removal(keys: Sequence[Key], ledger: Ledger) -> list[Step]:
 
 def _names(captures: Sequence[Capture], refusals: Refusals) -> set[str]:
     return {c.object for c in captures} | {name for name, _, _ in refusals}
+
+
+def is_of_the_disk(problems: Iterable[Problem]) -> bool:
+    """Tell whether nothing but the disk refused: nothing is wrong with frames and parameters."""
+    codes = {problem.code for problem in problems}
+    return bool(codes) and codes <= DISK_CODES
+
+
+def withdraw(
+    capture: Capture, places: Places, ledger: BuildRecords, stage: str = "resample"
+) -> None:
+    """Take away what an earlier build made of a layer from the stage on that is refused now."""
+    from levkas.core.files import remove
+
+    keys = [Key(capture.object, capture.camera, capture.setup, s) for s in STAGES]
+    for key in keys[STAGES.index(stage) : -1]:
+        if key.stage == stage and ledger.told(key).get("refused"):
+            continue  # a registration that is refused has a record
+        for name in sorted(ledger.made_by(key)):
+            remove(places.output / name)
+        ledger.drop(key)
+    # By name, not by record: an interrupted build has dropped the record and left the files.
+    ledger.forget(CATALOGUE)
+    ledger.forget(key_of(capture, "resample"))
+    files = [
+        places.layer(capture.object, capture.camera, capture.setup, kind=kind)
+        for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")
+    ]
+    for path in (*files, places.store(capture.object) / capture.layer):
+        if path.exists():
+            remove(path)
+
+
+def put_away(name: str, camera: str, setup: str, ledger: BuildRecords) -> None:
+    """Move out what was made of a capture that cannot even be begun."""
+    for stage in STAGES:
+        put_away_stage(Key(name, camera, setup, stage), ledger)
+
+
+def put_away_stage(key: Key, ledger: BuildRecords) -> None:
+    """Move out what a stage made, and forget it."""
+    if made := ledger.made_by(key):
+        ledger.forget(CATALOGUE)
+        ledger.put_away(made)
+        ledger.drop(key)
+
+
+class NoReference(Refused):
+    """Nothing can be registered to a reference that is not there."""
+
+    of_the_disk = False
+    """Whether nothing but the disk refused the reference."""
+
+
+def no_reference(name: str, layer: str, failed: Step) -> NoReference:
+    """Return the refusal of all that would be registered to a reference that was lost."""
+    refused = NoReference(
+        Problem(
+            "E_NO_REFERENCE",
+            f"{name}: the reference camera could not be built, so nothing can be registered to it",
+            field="campaign.reference",
+            found=f"{layer}: {failed.why}",
+            fix="Mend the reference camera's frames first.",
+        )
+    )
+    refused.of_the_disk = is_of_the_disk(failed.problems)
+    return refused
+
+
+def refused_step(key: Key, refused: Refused) -> Step:
+    """Return the step of a stage that was refused."""
+    why = refused.problems[0].message if refused.problems else str(refused)
+    return Step(key, "refused", why, problems=tuple(refused.problems))

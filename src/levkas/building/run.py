@@ -1,39 +1,105 @@
-"""A build: the stages of every object of a campaign, what is fresh left alone."""
+"""A build: the tasks of a campaign's graph, what is fresh left alone; and what of them is stale."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from levkas.building import fingerprints, sources
-from levkas.building.camera_pages import CameraPages, page_key
-from levkas.building.cataloguing import (
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
+from levkas.building.camera_pages import CameraPage, camera_pages, prints_of_page, write_camera_page
+from levkas.building.catalogue import (
     by_others,
     foreign_files,
     prints_of_catalogue,
+    setups_of,
+    spectra_of,
     write_catalogue_of,
 )
 from levkas.building.claiming import check_apart, claim
-from levkas.building.fingerprints import digest
-from levkas.building.imprint import setups_of, spectra_of
-from levkas.building.joint_round import JointRound
-from levkas.building.ledger import Key, Ledger
-from levkas.building.objects import ObjectBuild, Round
-from levkas.building.removal import REMOVED, describe, no_longer_there, removal
-from levkas.building.rig_mates import RigMates, joint_keys
-from levkas.building.shelf import Shelf
-from levkas.building.steps import BuildReport, Step, summarise
-from levkas.building.withdrawing import CATALOGUE, NoReference, put_away, put_away_stage
+from levkas.building.executor import Executor, fresh_step
+from levkas.building.fingerprints import Inputs
+from levkas.building.graph import Graph, Task, draw, graph_of, ordered
+from levkas.building.progress import BuildReport, Step, summarise
+from levkas.building.removal import (
+    REMOVED,
+    NoReference,
+    describe,
+    no_longer_there,
+    no_reference,
+    put_away,
+    put_away_stage,
+    refused_step,
+    removal,
+)
+from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
-from levkas.campaign.discovery.find_captures import Capture, Refusals, find_captures
-from levkas.campaign.edits import FILE_NAME, Edits, check_edits
+from levkas.campaign.discovery.captures import Capture, Refusals
+from levkas.campaign.discovery.file_index import scan_folders
+from levkas.campaign.discovery.find_captures import check_edits, find_captures
+from levkas.campaign.edits import FILE_NAME, Edits
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 
 CODE = "code.json"
 """Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A campaign, its captures and the graph of its tasks.
+
+    Parameters
+    ----------
+    refusals : dict of (object, camera, setup) to Refused
+        Captures that cannot be begun.
+    pages : dict of Key to CameraPage
+    """
+
+    campaign: Campaign
+    captures: list[Capture]
+    refusals: Refusals
+    graph: Graph
+    pages: dict[Key, CameraPage]
+
+    @property
+    def names(self) -> list[str]:
+        """Every object, also those of which nothing can be built."""
+        return list(
+            dict.fromkeys([c.object for c in self.captures] + [key[0] for key in self.refusals])
+        )
+
+    def lost(self) -> dict[str, list[Step]]:
+        """Return how the captures end that are not in the graph, by object."""
+        found: dict[str, list[Step]] = {name: [] for name in self.names}
+        for (name, camera, setup), refused in self.refusals.items():
+            found[name].append(refused_step(Key(name, camera, setup, "calibrate"), refused))
+        for capture in self.captures:
+            if key_of(capture, "calibrate") not in self.graph:
+                found[capture.object].append(_without_reference(self, capture))
+        return found
+
+    def of(self, objects: Sequence[str]) -> Plan:
+        """Return the plan of some objects; raises CampaignInvalid where there is none of a name."""
+        if missing := [name for name in objects if name not in self.names]:
+            raise CampaignInvalid(
+                Problem(
+                    "E_VALUE",
+                    "there is no such object",
+                    str(self.campaign.path),
+                    "--object",
+                    ", ".join(missing),
+                    ", ".join(sorted(self.names)),
+                )
+            )
+        captures = [c for c in self.captures if c.object in objects]
+        refusals = {key: r for key, r in self.refusals.items() if key[0] in objects}
+        wanted = (key for key in self.graph if key.object in objects)
+        graph = {task.key: task for task in ordered(self.graph, wanted)}
+        return Plan(self.campaign, captures, refusals, graph, {})
 
 
 def build(
@@ -70,75 +136,78 @@ def build(
     Refused
         Where the campaign itself cannot be read, or the output cannot be written.
     """
-    from levkas.core.files import sweep
+    from levkas.core.sweeping import sweep
 
-    campaign, captures, refusals = _plan(path, objects)
-    _, every, lost = _plan(path, None) if objects else (campaign, captures, refusals)
-    spectra_of(campaign, setups_of(campaign))  # refused before any work
-    places = Places(Path(output).resolve() if output else campaign.output)
-    claim(campaign, places, every, [*(c.object for c in every), *(key[0] for key in lost)])
+    whole = _plan(path)
+    plan = whole.of(objects) if objects else whole
+    spectra_of(plan.campaign, setups_of(plan.campaign))  # refused before any work
+    places = Places(Path(output).resolve() if output else plan.campaign.output)
+    claim(plan.campaign, places, whole.captures, whole.names)
     for folder in (places.output, places.kept):
         sweep(folder)
     sources.remember(places.kept / CODE)
-    ledger = Ledger(places.kept, places.output, keep_removed=keep_removed, verify=verify)
-    names = _names(captures, refusals)
-    shelf = Shelf(places.kept / "templates", ledger.hashes, shared=len(names) > 1)
-    # What cameras told is gathered from all objects: a build of some leaves their pages alone.
-    cameras = None if objects else CameraPages(campaign, places, ledger, captures)
-    pages = len(cameras.cameras) if cameras else 0
-    joint = any(map(campaign.is_joint, campaign.cameras))
-    mates = RigMates(campaign, places, ledger, every if joint else captures)
-    first = JointRound(campaign, places, ledger, shelf, mates)
-    gone = no_longer_there(campaign, ledger, captures, refusals, _pages(cameras), objects)
-    more = len(refusals) + len(names) + pages + 1 + bool(describe(gone, ledger))
-    counting = _Counting(campaign, captures, first, more)
-    for step in first.run():
-        yield counting(step)
-    by_object, lost_of = _by_object(captures), _by_object_refused(refusals)
-    for name in names:
-        mine, theirs = by_object.get(name, []), lost_of.get(name, {})
-        for step in _object(campaign, places, ledger, shelf, name, mine, theirs, first):
-            yield counting(step, refused=_is_refusal(step, theirs))
-    for step in cameras.run(shelf) if cameras else ():
-        yield counting(step)
-    for step in removal(gone, ledger):
-        yield counting(step)
-    catalogue = write_catalogue_of(campaign, places, ledger, captures, names, whole=not objects)
-    yield replace(
-        catalogue,
-        done=counting.total,
-        total=counting.total,
-        output=places.output,
-        warnings=(*campaign.without_effect, *catalogue.warnings),
+    records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
+    gone = no_longer_there(
+        plan.campaign, records, plan.captures, plan.refusals, plan.pages, objects
     )
-    ledger.hashes.save()
+    total = _count(plan) + bool(describe(gone, records))
+    steps = _steps(plan, places, records, gone, whole=not objects)
+    yield from _numbered(steps, plan.graph, total)
+    records.hashes.save()
     sources.keep(places.kept / CODE)
 
 
-class _Counting:
-    """Says of every step how many stages are behind it; a lost capture takes its later ones along."""
+def _steps(
+    plan: Plan, places: Places, records: BuildRecords, gone: Sequence[Key], *, whole: bool
+) -> Iterator[Step]:
+    """Yield the steps of a build."""
+    campaign = plan.campaign
+    shared = len(plan.names) > 1
+    templates = TemplateCache(places.kept / "templates", records.hashes, shared=shared)
+    executor = Executor(campaign, places, records, templates, plan.graph)
+    lost = plan.lost()
+    for step in (step for steps in lost.values() for step in steps):
+        put_away(step.key.object, step.key.camera, step.key.setup, records)
+        yield step
+    for name in plan.names:
+        if Key(name, stage="report") not in plan.graph:
+            put_away_stage(Key(name, stage="report"), records)
+    for of_captures, tasks in groupby(plan.graph.values(), lambda task: task.capture is not None):
+        if of_captures:
+            yield from executor.run(list(tasks))
+            continue
+        for task in tasks:
+            if task.key.stage == "report":
+                ended = [s for k, s in executor.ended.items() if k.object == task.key.object]
+                steps = [*lost[task.key.object], *ended]
+                yield from _report(plan, places, records, executor.inputs, task, steps)
+            elif task.key.stage == "camera":
+                yield from _camera(plan, places, records, templates, task)
+    yield from removal(gone, records)
+    step = write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
+    warnings = (*campaign.without_effect, *step.warnings)
+    yield replace(step, output=places.output, warnings=warnings)
 
-    def __init__(
-        self, campaign: Campaign, captures: list[Capture], first: JointRound, more: int
-    ) -> None:
-        self._stages: dict[tuple[str, str], list[str]] = {}
-        for capture in first.captures():
-            stages = list(joint_keys(campaign, capture))
-            until = (
-                "register" if first.mates.leads(capture) or "measure" not in stages else "measure"
-            )
-            self._stages[capture.object, capture.layer] = stages[: stages.index(until) + 1]
-        for capture in captures:
-            self._stages[capture.object, capture.layer] = list(joint_keys(campaign, capture))
-        self.total = sum(map(len, self._stages.values())) + more
-        self._done = 0
 
-    def __call__(self, step: Step, *, refused: bool = False) -> Step:
+def _count(plan: Plan) -> int:
+    """Return how many steps of a build end: tasks, what cannot be begun, and the catalogue."""
+    lost = sum(len(steps) for steps in plan.lost().values())
+    return len(plan.graph) + lost + (CATALOGUE not in plan.graph)
+
+
+def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]:
+    """Say of every step how many tasks are behind it; a lost capture takes its later ones along."""
+    stages: dict[tuple[str, str], list[str]] = {}
+    for key, task in graph.items():
+        if task.capture is not None:
+            stages.setdefault((key.object, key.layer), []).append(key.stage)
+    done = 0
+    for step in steps:
         if step.finished:
-            stages = self._stages.get((step.key.object, step.key.layer), [])
-            lost = step.state in ("refused", "failed") and step.key.stage in stages and not refused
-            self._done += 1 + (len(stages) - 1 - stages.index(step.key.stage) if lost else 0)
-        return replace(step, done=self._done, total=self.total)
+            mine = stages.get((step.key.object, step.key.layer), [])
+            lost = step.state == "refused" and step.key.stage in mine
+            done += 1 + (len(mine) - 1 - mine.index(step.key.stage) if lost else 0)
+        yield replace(step, done=total if step.key == CATALOGUE else min(done, total), total=total)
 
 
 def status(
@@ -148,108 +217,108 @@ def status(
 
     Parameters are those of `build`, and it raises as `build`.
     """
-    campaign, captures, refusals = _plan(path, None)
+    plan = _plan(path)
+    campaign = plan.campaign
     places = Places(Path(output).resolve() if output else campaign.output)
-    check_apart(campaign, places.output, captures)
+    check_apart(campaign, places.output, plan.captures)
     sources.remember(places.kept / CODE)
-    ledger = Ledger(places.kept, places.output, verify=verify)
-    steps = [_refusal(key, refused) for key, refused in refusals.items()]
-    shelf = Shelf(places.kept / "templates", ledger.hashes, shared=True)
-    mates = RigMates(campaign, places, ledger, captures)
-    by_object = _by_object(captures)
-    lost = _by_object_refused(refusals)
-    objects = [
-        ObjectBuild(campaign, places, ledger, shelf, name, mine, mates)
-        for name, mine in by_object.items()
-        if _has_reference(campaign, mine)
-    ]
-    rounds: list[Round] = ["references", "others"]
-    for of in rounds:
-        for mine in objects:
-            mine.note(of)
-    for mine in objects:
-        ended = mine.states()
-        steps += ended
-        before = [_refusal(*item) for item in lost.get(mine.name, {}).items()]
-        key = Key(mine.name, stage="report")
-        prints = _page_prints(campaign, mine, [*before, *ended])
-        why = ledger.why_stale(key, prints)
-        steps.append(Step(key, "stale" if why else "fresh", why))
-    begun = {mine.name for mine in objects}
-    for capture in captures:
-        if capture.object not in begun:
-            steps.append(_without_reference(campaign, capture, refusals))
-    cameras = CameraPages(campaign, places, ledger, captures)
-    steps += cameras.states()
-    gone = no_longer_there(campaign, ledger, captures, refusals, _pages(cameras), None)
-    if why := describe(gone, ledger):
+    records = BuildRecords(places.kept, places.output, verify=verify)
+    lost = plan.lost()
+    inputs = Inputs(campaign, records)
+    ended: dict[Key, Step] = {}
+    refused: dict[tuple[str, str], Step] = {}
+    for task in plan.graph.values():
+        key = task.key
+        if task.capture is not None:
+            step = _state(plan, records, inputs, task, refused)
+            if step is not None:
+                ended[step.key] = step
+            continue
+        if key.stage == "report":
+            mine = [*lost[key.object], *(s for k, s in ended.items() if k.object == key.object)]
+            prints = _report_prints(plan, inputs, key.object, mine)
+        elif key.stage == "camera":
+            prints = prints_of_page(plan.pages[key], campaign, records)
+        else:
+            continue
+        why = records.why_stale(key, prints)
+        ended[key] = Step(key, "stale" if why else "fresh", why)
+    steps = [*(step for steps in lost.values() for step in steps), *ended.values()]
+    gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, None)
+    if why := describe(gone, records):
         steps.append(Step(REMOVED, "stale", why))
-    steps.append(_state_of_catalogue(campaign, places, ledger, captures, refusals, steps))
+    steps.append(_state_of_catalogue(plan, places, records, steps))
     report = summarise(steps, places.output)
-    return replace(report, warnings=(*campaign.without_effect, *report.warnings))
+    chart = draw(plan.graph, {step.key: step.state for step in steps})
+    warnings = (*campaign.without_effect, *report.warnings)
+    return replace(report, warnings=warnings, graph=chart)
+
+
+def _state(
+    plan: Plan,
+    records: BuildRecords,
+    inputs: Inputs,
+    task: Task,
+    refused: dict[tuple[str, str], Step],
+) -> Step | None:
+    """Return whether a task of a capture is fresh, stale or refused; None behind one that is refused."""
+    capture, lead, key = task.capture, task.reference, task.key
+    layer = (key.object, key.layer)
+    prints = inputs.of(task, refused)  # other setups are compared with what this would be
+    if layer in refused or capture is None or lead is None:
+        return None
+    if not task.leads and (failed := refused.get((lead.object, lead.layer))):
+        step = refused_step(
+            key_of(capture, "calibrate"), no_reference(key.object, lead.layer, failed)
+        )
+    else:
+        why = records.why_stale(key, prints)
+        step = Step(key, "stale", why) if why else fresh_step(key, records)
+        if why and (problems := records.refusal(key, prints)):
+            root = plan.campaign.root
+            there = (replace(p, file=p.file and str(root / p.file)) for p in problems)
+            step = refused_step(key, Refused(*there))
+    if step.state == "refused":
+        refused[layer] = step
+    return step
 
 
 def _state_of_catalogue(
-    campaign: Campaign,
-    places: Places,
-    ledger: Ledger,
-    captures: list[Capture],
-    refusals: Refusals,
-    steps: list[Step],
+    plan: Plan, places: Places, records: BuildRecords, steps: Sequence[Step]
 ) -> Step:
-    """Whether catalogue and manifest are stale, because what they list is, or by themselves."""
+    """Return whether catalogue and manifest are stale, because what they list is, or by themselves."""
     if any(step.state == "stale" for step in steps):
         return Step(CATALOGUE, "stale", "what it lists is stale")
-    prints = prints_of_catalogue(campaign, places, ledger, captures, _names(captures, refusals))
-    why = ledger.why_stale(CATALOGUE, prints)
-    warnings = foreign_files(by_others(places, ledger))
+    prints = prints_of_catalogue(plan.campaign, places, records, plan.captures, plan.names)
+    why = records.why_stale(CATALOGUE, prints)
+    warnings = foreign_files(by_others(places, records))
     return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
 
 
-def _names(captures: list[Capture], refusals: Refusals) -> list[str]:
-    """Every object of a campaign, also those of which nothing can be built."""
-    return list(dict.fromkeys([c.object for c in captures] + [key[0] for key in refusals]))
-
-
-def _by_object(captures: list[Capture]) -> dict[str, list[Capture]]:
-    found: dict[str, list[Capture]] = {}
-    for capture in captures:
-        found.setdefault(capture.object, []).append(capture)
-    return found
-
-
-def _by_object_refused(refusals: Refusals) -> dict[str, Refusals]:
-    found: dict[str, Refusals] = {}
-    for key, refused in refusals.items():
-        found.setdefault(key[0], {})[key] = refused
-    return found
-
-
-def _pages(cameras: CameraPages | None) -> list[Key]:
-    return [page_key(name) for name in cameras.cameras] if cameras else []
-
-
-def _plan(path: str | Path, objects: list[str] | None) -> tuple[Campaign, list[Capture], Refusals]:
-    """Read the campaign and find its captures, those of some objects only where asked."""
+def _plan(path: str | Path) -> Plan:
+    """Read a campaign, find its captures and lay out its tasks."""
     campaign = load_campaign(path)
-    captures, refusals = find_captures(campaign)
+    check_detectors(campaign)
+    index = scan_folders(campaign)
+    captures, refusals = find_captures(campaign, index)
     _check_edits(campaign, captures, refusals)
-    if objects:
-        known = sorted({c.object for c in captures} | {key[0] for key in refusals})
-        if missing := [name for name in objects if name not in known]:
-            raise CampaignInvalid(
-                Problem(
-                    "E_VALUE",
-                    "there is no such object",
-                    str(campaign.path),
-                    "--object",
-                    ", ".join(missing),
-                    ", ".join(known),
-                )
-            )
-        captures = [c for c in captures if c.object in objects]
-        refusals = {key: r for key, r in refusals.items() if key[0] in objects}
-    return campaign, captures, refusals
+    pages = camera_pages(campaign, captures, index)
+    return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
+
+
+def check_detectors(campaign: Campaign) -> None:
+    """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
+    tables = {"registration": campaign.registration}
+    tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
+    asked = {where: keys.detector for where, keys in tables.items() if keys.detector}
+    if set(asked.values()) <= {"sift"}:
+        return
+    from levkas.registration.features import available_detectors, no_detector
+
+    here = available_detectors()
+    missing = [no_detector(name, f"{w}.detector") for w, name in asked.items() if name not in here]
+    if missing:
+        raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
 
 
 def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:
@@ -265,53 +334,10 @@ def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals
         check_edits(Edits(frames), captures, campaign.root / FILE_NAME)
 
 
-def _object(
-    campaign: Campaign,
-    places: Places,
-    ledger: Ledger,
-    shelf: Shelf,
-    name: str,
-    captures: list[Capture],
-    refusals: Refusals,
-    first: JointRound,
-) -> Iterator[Step]:
-    """All stages of one object, then its page; what the first round has told is not told again."""
-    steps: list[Step] = []
-    for key, refused in refusals.items():
-        put_away(*key, ledger)
-        steps.append(_refusal(key, refused))
-        yield steps[-1]
-    if not _has_reference(campaign, captures):
-        for capture in captures:
-            put_away(name, capture.camera, capture.setup, ledger)
-            yield _without_reference(campaign, capture, refusals)
-        put_away_stage(Key(name, stage="report"), ledger)
-        return
-    steps += first.steps(name)
-    left = first.left(captures)
-    mine = ObjectBuild(campaign, places, ledger, shelf, name, left or captures, first.mates)
-    if left:
-        for step in mine.run():
-            if not first.told(step):
-                steps.append(step)
-                yield step
-    else:
-        for step in mine.without_reference(steps):
-            steps.append(step)
-            yield step
-    yield from _page(campaign, places, ledger, name, mine, steps)
-
-
-def _has_reference(campaign: Campaign, captures: list[Capture]) -> bool:
-    """Tell whether the captures of an object begin with the reference camera's own."""
-    reference = campaign.reference.camera
-    return bool(captures) and captures[0].camera == reference and not captures[0].setup
-
-
-def _without_reference(campaign: Campaign, capture: Capture, refusals: Refusals) -> Step:
-    """The step of a capture that there is nothing to register to."""
-    name, reference = capture.object, campaign.reference.camera
-    lost = refusals.get((name, reference, ""))
+def _without_reference(plan: Plan, capture: Capture) -> Step:
+    """Return the step of a capture that there is nothing to register to."""
+    name, reference = capture.object, plan.campaign.reference.camera
+    lost = plan.refusals.get((name, reference, ""))
     problem = Problem(
         "E_NO_REFERENCE",
         f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
@@ -319,73 +345,64 @@ def _without_reference(campaign: Campaign, capture: Capture, refusals: Refusals)
         found="; ".join(str(p) for p in lost.problems) if lost else "no capture",
         fix="Mend the reference camera's frames first.",
     )
-    return _refusal((name, capture.camera, capture.setup), NoReference(problem))
+    return refused_step(key_of(capture, "calibrate"), NoReference(problem))
 
 
-def _page_prints(campaign: Campaign, mine: ObjectBuild, steps: list[Step]) -> dict[str, Any]:
-    """The fingerprint of an object's page."""
-    layers = {k.layer + " " + k.stage: v for k, v in mine.digests.items()}
-    refused = {
-        f"{s.key.layer} refused": "\n".join(fingerprints.written(campaign, p) for p in s.problems)
-        for s in steps
-        if s.state in ("refused", "failed")
-    }
-    return fingerprints.of_report(campaign, mine.name, {**layers, **refused})
+def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step]) -> dict[str, Any]:
+    """Return the fingerprint of an object's page; `steps` is how its captures ended."""
+    lost = [s for s in steps if s.state == "refused"]
+    unbegun = {s.key for s in lost if s.key.stage == "calibrate"}
+    made = [s.key for s in steps if s.key not in unbegun and s.key in inputs.digests]
+    layers = {f"{key.layer} {key.stage}": inputs.digests[key] for key in made}
+    for step in lost:
+        told = (fingerprints.written(plan.campaign, p) for p in step.problems)
+        layers[f"{step.key.layer} refused"] = "\n".join(told)
+    return fingerprints.of_report(plan.campaign, name, layers)
 
 
-def _page(
-    campaign: Campaign,
+def _report(
+    plan: Plan,
     places: Places,
-    ledger: Ledger,
-    name: str,
-    mine: ObjectBuild,
+    records: BuildRecords,
+    inputs: Inputs,
+    task: Task,
     steps: list[Step],
 ) -> Iterator[Step]:
-    from levkas.building import provenance
-    from levkas.building.pages import report_of
-    from levkas.core.files import make_folder, together, write_json, write_text
+    """Write the page of an object where it is stale."""
+    from levkas.building.report_pages import write_report
 
-    key = Key(name, stage="report")
-    prints = _page_prints(campaign, mine, steps)
-    why = ledger.why_stale(key, prints)
+    key = task.key
+    prints = _report_prints(plan, inputs, key.object, steps)
+    why = records.why_stale(key, prints)
     if not why:
         yield Step(key, "fresh")
         return
     yield Step(key, "running", why)
-    page = places.folder(name) / "report.html"
-    facts = places.folder(name) / "object.toml"
-    made_of = places.folder(name) / provenance.NAME
+    captures = [c for c in plan.captures if c.object == key.object]
     try:
-        make_folder(page.parent)
-        with together(lambda: ledger.forget(key)):
-            write_text(page, report_of(campaign, places, ledger, name, mine.captures, steps))
-            write_text(facts, _object_toml(campaign, name))
-            write_json(made_of, provenance.provenance_of(campaign, ledger, name, mine.captures))
+        files = write_report(plan.campaign, places, records, captures, steps)
     except Refused as error:
-        yield Step(key, "refused", error.problems[0].message, problems=error.problems)
+        yield refused_step(key, error)
         return
-    ledger.keep(key, prints, [page, facts, made_of])
+    records.keep(key, prints, files)
     yield Step(key, "done", why)
 
 
-def _object_toml(campaign: Campaign, name: str) -> str:
-    """Museum facts of an object."""
-    from levkas.campaign.schema.toml import to_toml
-
-    facts = campaign.objects.get(name)
-    return to_toml({"name": name, **(facts.model_dump() if facts else {})})
-
-
-def _refusal(where: tuple[str, str, str], refused: Refused) -> Step:
-    name, camera, setup = where
-    message = refused.problems[0].message if refused.problems else str(refused)
-    return Step(
-        Key(name, camera, setup, "calibrate"), "refused", message, problems=tuple(refused.problems)
-    )
-
-
-def _is_refusal(step: Step, refusals: Refusals) -> bool:
-    return (step.key.object, step.key.camera, step.key.setup) in refusals
-
-
-__all__ = ["build", "digest", "status", "summarise"]
+def _camera(
+    plan: Plan, places: Places, records: BuildRecords, templates: TemplateCache, task: Task
+) -> Iterator[Step]:
+    """Write the page of a camera where it is stale."""
+    key, page = task.key, plan.pages[task.key]
+    prints = prints_of_page(page, plan.campaign, records)
+    why = records.why_stale(key, prints)
+    if not why:
+        yield Step(key, "fresh", warnings=tuple(records.told(key).get("warnings", ())))
+        return
+    yield Step(key, "running", why)
+    try:
+        made = write_camera_page(page, plan.campaign, places, records, templates)
+    except Refused as error:
+        yield refused_step(key, error)
+        return
+    records.keep(key, prints, made.files, **made.notes)
+    yield Step(key, "done", why, warnings=made.warnings)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.exposure_times import (
+from levkas.building.exposures import require_same_size
+from levkas.building.line_templates import FrameLines, best_white, noise_behind_mirror
+from levkas.building.scans import Scan, lines_at_once
+from levkas.calibration.sensor_context import (
     doubt_scaling,
     require_exposures,
     templates_by_exposure,
@@ -12,19 +15,16 @@ from levkas.building.exposure_times import (
     times_in,
     times_of,
 )
-from levkas.building.flatfielding import require_same_size
-from levkas.building.line_templates import FrameLines, best_white, noise_behind_mirror
-from levkas.building.scans import Scan, lines_at_once
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import numpy as np
 
-    from levkas.building.bench import Bench
+    from levkas.calibration.sensor_context import SensorContext
     from levkas.calibration.templates import Template
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
 
 
 def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
@@ -32,14 +32,14 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
 
     Raises Refused as `developing.develop` does.
     """
-    from levkas.building.bench import Bench, doubts_of
-    from levkas.building.whiteboard import white_reflectance
+    from levkas.building.spectra import white_reflectance
+    from levkas.calibration.sensor_context import SensorContext, doubts_of
     from levkas.readers.envi import open_envi
     from levkas.readers.frames import read_facts
 
     sensor = capture.sensors[0]
     facts = read_facts(sensor.object[0].path)
-    bench = Bench(campaign, campaign.cameras[capture.camera], sensor, facts, shelf)
+    bench = SensorContext(campaign, campaign.cameras[capture.camera], sensor, facts, shelf)
     require_exposures(bench)
     prepare = _of_frames if bench.camera.scan == "mirror" else _of_lines
     darks, white, noise = prepare(bench)
@@ -61,7 +61,7 @@ def open_scan(capture: Capture, campaign: Campaign, shelf: Any) -> Scan:
 
 
 def _doubt_times(
-    bench: Bench,
+    bench: SensorContext,
     darks: tuple[Template | FrameLines, ...],
     white: Template | FrameLines | None,
 ) -> list[str]:
@@ -80,10 +80,10 @@ def _doubt_times(
     return [doubt for doubt in (*doubts, *describe_darks(shot, first, lit, bench.black)) if doubt]
 
 
-def _of_lines(bench: Bench) -> tuple[tuple[Template, ...], Template | None, Any]:
+def _of_lines(bench: SensorContext) -> tuple[tuple[Template, ...], Template | None, Any]:
     """Return darks, white and noise of a push-broom camera: one line, seen many times."""
-    from levkas.building.developing import line_noise
-    from levkas.building.measuring import note_light
+    from levkas.building.capture_statistics import note_light
+    from levkas.building.exposures import line_noise
     from levkas.calibration.pushbroom import average_lines
 
     def make(frames: Any) -> Template:
@@ -99,14 +99,14 @@ def _of_lines(bench: Bench) -> tuple[tuple[Template, ...], Template | None, Any]
     return tuple(darks), white, line_noise(bench, darks, white)
 
 
-def _of_frames(bench: Bench) -> tuple[tuple[FrameLines, ...], FrameLines | None, Any]:
+def _of_frames(bench: SensorContext) -> tuple[tuple[FrameLines, ...], FrameLines | None, Any]:
     """Return darks, white and noise of a mirror scanner; its white is looked at by every so-many-th pixel.
 
     Raises CalibrationRefused as `flat_field` does of the whole.
     """
-    from levkas.building.bench import placed
-    from levkas.building.measuring import note_light
+    from levkas.building.capture_statistics import note_light
     from levkas.calibration.darks import level_under
+    from levkas.calibration.sensor_context import placed
     from levkas.calibration.templates import CalibrationRefused
     from levkas.calibration.whites import check_white, thinning
 
@@ -131,7 +131,7 @@ def _of_frames(bench: Bench) -> tuple[tuple[FrameLines, ...], FrameLines | None,
 
 
 def _line_blocks(frame: Any) -> Iterator[np.ndarray]:
-    from levkas.building.developing import read_cube
+    from levkas.calibration.sensor_context import read_cube
     from levkas.readers.envi import open_envi
     from levkas.readers.frames import read_facts
 

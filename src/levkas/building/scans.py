@@ -8,24 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.exposure_times import Times, timed, times_of
-from levkas.building.flatfielding import mark_glare_in
+from levkas.building.exposures import mark_glare_in
 from levkas.building.line_templates import FrameLines, gaps_marked
 from levkas.calibration.lines import LineField
+from levkas.calibration.sensor_context import Times, timed, times_of
 from levkas.calibration.templates import Template, bands_alike
 from levkas.core.cube import Cube, Flag
 from levkas.core.machine import count_threads, tile_rows
 from levkas.core.rounding import round_root, round_values
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from levkas.building.developing import Bench
     from levkas.calibration.denoising import Projecting, Subspace
     from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.sensor_context import SensorContext
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.core.cube import Band
     from levkas.readers.envi import EnviFile
 
@@ -78,7 +78,7 @@ class Scan:
     Parameters
     ----------
     opened : EnviFile
-    bench : Bench
+    bench : SensorContext
     darks : tuple of Template or FrameLines
     white : Template, FrameLines or None
         One line each, or of a mirror scanner what its lines are read from.
@@ -98,7 +98,7 @@ class Scan:
     """
 
     opened: EnviFile
-    bench: Bench
+    bench: SensorContext
     darks: tuple[Template | FrameLines, ...]
     white: Template | FrameLines | None
     noise: NoiseModel | None
@@ -285,7 +285,7 @@ class Scan:
 
     def _flat_by_frames(self, raw: RawLines, into: Cube | None) -> Cube:
         """Calibrate lines as whole frames are; the white of a mirror scanner was looked at as it was opened."""
-        from levkas.building.developing import cube_of, flatten
+        from levkas.building.exposures import cube_of, flatten
         from levkas.calibration.templates import average
 
         flat = flatten(

@@ -1,8 +1,7 @@
 """The code that a stage rests on: all modules that what it runs imports, found by reading them.
 
 Imports in functions count, those for type checkers do not. Of a package that hands names on, only the
-module behind the name counts. In `SHARED` modules, which hold the beginnings of several stages, imports
-count of those functions only whose names the stage's functions mention.
+module behind the name counts.
 """
 
 from __future__ import annotations
@@ -18,46 +17,33 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.problems import Refused
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 HERE = Path(__file__).resolve().parents[1]
 ENTRIES = {
-    "calibrate": ("levkas.building.capture_stages:calibrate",),
+    "calibrate": ("levkas.building.calibrate",),
     "register": (
-        "levkas.building.capture_stages:calibrated",
-        "levkas.building.registration_stages:_measured",
-        "levkas.building.registration_stages:_publish",
+        "levkas.building.calibrate",
+        "levkas.building.reference",
+        "levkas.building.register",
         "levkas.campaign.edits",
     ),
-    "adjust": (
-        "levkas.building.registration_stages:_adjusted",
-        "levkas.building.registration_stages:_publish",
-    ),
-    "resample": (
-        "levkas.building.capture_stages:calibrated",
-        "levkas.building.capture_stages:resample",
-    ),
-    "report": (
-        "levkas.building.pages",
-        "levkas.building.provenance",
-        "levkas.campaign.schema.toml",
-    ),
+    "adjust": ("levkas.building.joint",),
+    "resample": ("levkas.building.resample",),
+    "report": ("levkas.building.report_pages",),
     "camera": ("levkas.building.camera_pages",),
-    "catalogue": ("levkas.building.cataloguing",),
-    "template": ("levkas.building.bench",),
+    "catalogue": ("levkas.building.catalogue",),
+    "template": ("levkas.calibration.sensor_context",),
 }
-"""Where each stage begins: a module, or functions of one."""
-SHARED = frozenset(
-    f"levkas.building.{name}" for name in ("capture_stages", "registration_stages", "reference")
-)
+"""The modules in which each stage begins."""
 RIM = frozenset(
     "levkas.building." + name
     for name in (
-        *("run", "objects", "joint_round", "rig_mates", "ledger", "fingerprints", "sources"),
-        *("standing", "steps", "withdrawing", "removal", "claiming", "turns"),
+        *("run", "executor", "graph", "build_records", "fingerprints", "sources", "progress"),
+        *("removal", "claiming"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
@@ -76,18 +62,11 @@ _NAME = re.compile(r"[a-z_]+\.(py|csv|html)")
 
 @dataclass(frozen=True)
 class _Module:
-    """What a module mentions: levkas names to import, words in its functions, its other imports."""
+    """What a module mentions: levkas names to import, its other imports, files beside it."""
 
     imports: frozenset[tuple[str, str]]
-    by_function: dict[str, _Function]
     libraries: frozenset[str]
     files: frozenset[Path]
-
-
-@dataclass(frozen=True)
-class _Function:
-    imports: frozenset[tuple[str, str]]
-    words: frozenset[str]
 
 
 @dataclass
@@ -128,29 +107,14 @@ class Sources:
         return digest.hexdigest()[:16]
 
     def _reached(self, stage: str) -> set[str]:
-        """Follow imports from where a stage begins; functions of shared modules by their names."""
-        begun = [entry.partition(":")[0] for entry in ENTRIES[stage]]
-        words = {entry.partition(":")[2] for entry in ENTRIES[stage]}
+        """Follow imports from where a stage begins."""
         reached: set[str] = set()
-        followed: set[tuple[str, str]] = set()
-        waiting = [*begun]
+        waiting = [*ENTRIES[stage]]
         while waiting:
             name = waiting.pop()
-            if name in RIM and name not in begun:
-                continue
-            if name not in reached:
+            if name not in reached and (name not in RIM or name in ENTRIES[stage]):
                 reached.add(name)
                 waiting += self._named(self._of(name).imports)
-            # A function that is mentioned mentions others: shared modules are looked through again.
-            for shared in [name] if name not in SHARED else sorted(reached & SHARED):
-                for title, function in self._of(shared).by_function.items():
-                    if (shared, title) in followed or (shared in SHARED and title not in words):
-                        continue
-                    followed.add((shared, title))
-                    waiting += self._named(function.imports)
-                    if shared in SHARED:
-                        words |= function.words
-                        waiting.append(shared)
         return reached
 
     def _named(self, imports: Iterable[tuple[str, str]]) -> list[str]:
@@ -179,27 +143,18 @@ class Sources:
 
     def _parsed(self, path: Path) -> _Module:
         tree = ast.parse(path.read_bytes())
-        functions: dict[str, list[ast.AST]] = {}
-        rest: list[ast.AST] = []
-        for node in tree.body:
-            for inner in node.body if isinstance(node, ast.ClassDef) else [node]:
-                if isinstance(inner, ast.FunctionDef):
-                    functions.setdefault(inner.name, []).append(inner)
-                elif not isinstance(inner, ast.If) or "TYPE_CHECKING" not in ast.dump(inner.test):
-                    rest.append(inner)
-        walked = {title: _walked(nodes) for title, nodes in functions.items()}
-        outside = _walked(rest)
-        every = [node for nodes in (outside, *walked.values()) for node in nodes]
+        every = [
+            inner
+            for node in tree.body
+            if not isinstance(node, ast.If) or "TYPE_CHECKING" not in ast.dump(node.test)
+            for inner in ast.walk(node)
+        ]
         texts = {n.value for n in every if isinstance(n, ast.Constant) and isinstance(n.value, str)}
         beside = {path.with_name(text) for text in texts if _NAME.fullmatch(text)}
         packages = [self.modules[t].parent for t in texts & {*self.modules} if self._is_package(t)]
         data = {p for folder in packages for p in folder.iterdir() if p.suffix not in ("", ".py")}
         return _Module(
-            self._imports(outside),
-            {
-                title: _Function(self._imports(nodes), frozenset(_words(nodes)))
-                for title, nodes in walked.items()
-            },
+            self._imports(every),
             frozenset(root for n in every for root in _roots(n) if root in LIBRARIES),
             frozenset(file for file in beside | data if file.is_file()),
         )
@@ -223,22 +178,10 @@ def _is_ours(name: str) -> bool:
     return name.partition(".")[0] == "levkas"
 
 
-def _walked(nodes: Iterable[ast.AST]) -> list[ast.AST]:
-    return [node for one in nodes for node in ast.walk(one)]
-
-
 def _roots(node: ast.AST) -> list[str]:
     if isinstance(node, ast.Import):
         return [alias.name.partition(".")[0] for alias in node.names]
     return [(node.module or "").partition(".")[0]] if isinstance(node, ast.ImportFrom) else []
-
-
-def _words(nodes: Iterable[ast.AST]) -> Iterator[str]:
-    for node in nodes:
-        if isinstance(node, ast.Attribute):
-            yield node.attr
-        elif isinstance(node, ast.Name):
-            yield node.id
 
 
 @cache

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from levkas.building.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
 from levkas.building.held_lines import HeldLines
-from levkas.building.measuring import add_counts, flag_and_count, ranges_of
-from levkas.building.resampling import count_flags, grey_of
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root, round_values
+from levkas.database.grey import grey_of
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import Warped, source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from levkas.building.default_setup import DefaultLayer
+    from levkas.building.capture_statistics import DefaultLayer
     from levkas.building.scans import Scan
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture
     from levkas.database.credits import Credits
     from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform
@@ -53,7 +53,7 @@ def write_scan(
     centroids: Mapping[str, float],
 ) -> list[Path]:
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
-    from levkas.building.focusing import Middle
+    from levkas.building.capture_statistics import Middle
     from levkas.building.passages import Passage, Reducer
     from levkas.core.files import make_folder
     from levkas.database.layers import Layer

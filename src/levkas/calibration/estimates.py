@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.blocks import Blocks
+from levkas.calibration.code_spacing import Levels
 from levkas.calibration.darks import SAME_TIME
-from levkas.quality.emva1288.code_spacing import Levels
 
 if TYPE_CHECKING:
     from levkas.quality.emva1288.photon_transfer import Dark

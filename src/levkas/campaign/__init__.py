@@ -1,1 +1,1 @@
-"""Campaign."""
+"""A campaign: campaign.toml and edits.toml, the files found for it, and guesses for a folder without one."""

@@ -24,24 +24,12 @@ from levkas.campaign.schema.tables import (
     THRESHOLDS,
     CameraKeys,
     Document,
-    GridKeys,
-    ObjectFacts,
-    Reference,
-    Sensor,
+    ReferenceKeys,
 )
 from levkas.campaign.schema.toml import TomlRefused, read_toml
 from levkas.core.problems import Problem, Refused
 
-__all__ = [
-    "Camera",
-    "Campaign",
-    "CampaignInvalid",
-    "Document",
-    "GridKeys",
-    "ObjectFacts",
-    "Sensor",
-    "load_campaign",
-]
+__all__ = ["Camera", "Campaign", "CampaignInvalid", "campaign_of", "load_campaign"]
 
 
 EXPLAINED = "docs/campaign.md explains every key."
@@ -60,7 +48,7 @@ class Camera(CameraKeys):
 
 
 class Campaign(Document):
-    """A campaign that was read: its document, and where it stands.
+    """A campaign that was read: its document, its folder, its corrections.
 
     Attributes
     ----------
@@ -81,13 +69,13 @@ class Campaign(Document):
         return (self.root / self.campaign.output).resolve()
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> ReferenceKeys:
         """What all else is registered to."""
         return self.campaign.reference
 
     def registration_of(self, camera: str) -> dict[str, Any]:
         """Registration keys for one camera: its own over the campaign's, those of its method only."""
-        keys = {**self.registration.given(), **self.cameras[camera].registration.given()}
+        keys = {**self.registration.declared(), **self.cameras[camera].registration.declared()}
         left_out: tuple[str, ...] = (*OF_THE_POINTS, *OF_THE_RIG)
         if keys.get("method") != "mirhashemi2019":
             left_out = (*left_out, *ONLY_OF_THE_PAPER)
@@ -95,8 +83,8 @@ class Campaign(Document):
 
     @property
     def without_effect(self) -> tuple[str, ...]:
-        """What campaign.toml and edits.toml say and no build heeds, one sentence each."""
-        told = list(find_ineffective(self))
+        """Keys of campaign.toml and edits.toml that no build heeds, one sentence each."""
+        warnings = list(find_ineffective(self))
         for (name, frame), edits in sorted(self.edits.frames.items()):
             camera = re.split("[@:]", frame)[0]
             if camera not in self.cameras:
@@ -104,12 +92,12 @@ class Campaign(Document):
             if self.registration_of(camera).get("method", "levkas") == "levkas":
                 where = f'objects."{name}".cameras."{frame}"'
                 given = [key for key in THRESHOLDS if getattr(edits, key) is not None]
-                told += [f"{FILE_NAME}: {without_effect(f'{where}.{key}')}" for key in given]
-        return tuple(told)
+                warnings += [f"{FILE_NAME}: {without_effect(f'{where}.{key}')}" for key in given]
+        return tuple(warnings)
 
     def is_joint(self, camera: str) -> bool:
         """Tell whether the captures of a camera are adjusted together."""
-        keys = {**self.registration.given(), **self.cameras[camera].registration.given()}
+        keys = {**self.registration.declared(), **self.cameras[camera].registration.declared()}
         return bool(keys.get("joint")) and keys.get("method", "levkas") == "levkas"
 
     def darks_of(self, camera: Camera) -> tuple[str, ...]:
@@ -146,7 +134,7 @@ def load_campaign(path: str | Path) -> Campaign:
     path = path / "campaign.toml" if path.is_dir() else path
     try:
         path = path.resolve()
-    except (OSError, RuntimeError):  # a link that leads to itself: the reading says so
+    except (OSError, RuntimeError):  # a link that leads to itself: the reading refuses it
         path = path.absolute()
     try:
         record = read_toml(path)
@@ -162,12 +150,16 @@ def load_campaign(path: str | Path) -> Campaign:
     document, problems = _validate(path, record)
     if document is None or problems:
         raise CampaignInvalid(*dict.fromkeys(problems))
+    return campaign_of(document, path, read_edits(path.parent / FILE_NAME))
+
+
+def campaign_of(document: Document, path: Path, edits: Edits = Edits()) -> Campaign:  # noqa: B008
+    """Return the campaign of a checked document whose campaign.toml is, or would be, at `path`."""
     cameras = {
         name: Camera.model_construct(name=name, **dict(keys))
         for name, keys in document.cameras.items()
     }
     fields = {**dict(document), "cameras": cameras}
-    edits = read_edits(path.parent / FILE_NAME)
     return Campaign.model_construct(**fields, path=path, root=path.parent, edits=edits)
 
 
@@ -186,11 +178,11 @@ def _validate(path: Path, record: dict[str, Any]) -> tuple[Document | None, list
             if len(errors) > MOST_PROBLEMS:
                 break
             sound = _without(sound, errors)
-    told = {p.field or "" for p in problems}
+    fields = {p.field or "" for p in problems}
     unsound = set(_cameras(record)) - set(_cameras(sound))
     found = find_contradictions(document, path.parent) if document else iter(())
     for problem in islice(found, MOST_PROBLEMS):
-        again = any(_within(problem.field or "", field) for field in told)
+        again = any(_within(problem.field or "", field) for field in fields)
         if not again and problem.found not in unsound:
             problems.append(problem)
     if next(found, None) is not None:

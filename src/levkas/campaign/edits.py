@@ -15,13 +15,11 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from levkas.core.problems import Problem, Refused
-
-if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import Capture
-    from levkas.registration.manual_points import Given
 
 FILE_NAME = "edits.toml"
 MOST_TURNS = 50
@@ -69,7 +67,7 @@ class FrameEdits:
     Examples
     --------
     >>> edits = FrameEdits(moved=((1, 2, 3, 4, 1, 2, 3, 5),))
-    >>> edits.given().added.tolist(), edits.given().deleted.tolist()
+    >>> edits.pairs()["added"].tolist(), edits.pairs()["deleted"].tolist()
     ([[1.0, 2.0, 3.0, 5.0]], [[1.0, 2.0, 3.0, 4.0]])
     """
 
@@ -86,27 +84,21 @@ class FrameEdits:
     def __bool__(self) -> bool:
         return self != FrameEdits()
 
-    def given(self) -> Given:
-        """Return the pairs as a registration takes them."""
-        import numpy as np
+    def pairs(self) -> dict[str, Any]:
+        """Return the pairs by their kind, each (n, 4): a move deletes a pair and adds another."""
+        rows = {
+            "added": (*self.added, *(move[4:] for move in self.moved)),
+            "pinned": self.pinned,
+            "restored": self.restored,
+            "deleted": (*self.deleted, *(move[:4] for move in self.moved)),
+            "checks": self.checks,
+        }
+        return {kind: np.array(found, float).reshape(-1, 4) for kind, found in rows.items()}
 
-        from levkas.registration.manual_points import Given
+    def describe(self) -> str:
+        """Return in a few words what a build depends on, with a hash of all of it; empty for nothing.
 
-        def pairs(*rows: Pair) -> np.ndarray:
-            return np.array(rows, float).reshape(-1, 4)
-
-        return Given(
-            added=pairs(*self.added, *(move[4:] for move in self.moved)),
-            pinned=pairs(*self.pinned),
-            restored=pairs(*self.restored),
-            deleted=pairs(*self.deleted, *(move[:4] for move in self.moved)),
-            checks=pairs(*self.checks),
-        )
-
-    def told(self) -> str:
-        """Say in a few words what a build depends on, with a hash of all of it; empty for nothing.
-
-        >>> FrameEdits(added=((1, 2, 3, 4),), note="by eye").told()
+        >>> FrameEdits(added=((1, 2, 3, 4),), note="by eye").describe()
         '1 added (e67e0ce8)'
         """
         record = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "note"}
@@ -152,7 +144,7 @@ class Edits:
 
     frames: Mapping[tuple[str, str], FrameEdits] = field(default_factory=dict)
 
-    def of(self, name: str, layer: str) -> dict[str, FrameEdits]:
+    def of_layer(self, name: str, layer: str) -> dict[str, FrameEdits]:
         """Return the corrections of a layer: band ("" for its first sensor) → what was corrected."""
         found = {}
         for (object_, frame), edits in sorted(self.frames.items()):
@@ -188,15 +180,15 @@ def read_edits(path: Path) -> Edits:
 def _validated(record: dict[str, Any], path: Path) -> Edits:
     from pydantic import ValidationError
 
-    from levkas.campaign.schema.corrections import EditsDocument
     from levkas.campaign.schema.error_messages import MOST_PROBLEMS, explain
+    from levkas.campaign.schema.tables import EditsDocument
 
     try:
         document = EditsDocument.model_validate(record)
     except ValidationError as invalid:
         errors = invalid.errors(include_url=False, include_context=False)
-        told = explain(record, errors, EditsDocument)
-        raise EditsInvalid(*(_explained(p, path) for p in told)) from None
+        problems = explain(record, errors, EditsDocument)
+        raise EditsInvalid(*(with_explanation(p, path) for p in problems)) from None
     frames = {
         (name, frame): FrameEdits(**{k: _rounded(v) for k, v in dict(keys).items()})
         for name, table in document.objects.items()
@@ -204,47 +196,8 @@ def _validated(record: dict[str, Any], path: Path) -> Edits:
     }
     edits = Edits({key: value for key, value in frames.items() if value})
     if problems := list(islice(_contradictions(edits), MOST_PROBLEMS)):
-        raise EditsInvalid(*(_explained(p, path) for p in problems))
+        raise EditsInvalid(*(with_explanation(p, path) for p in problems))
     return edits
-
-
-def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
-    """Refuse corrections of what the campaign does not have, and two tables of one sensor.
-
-    Raises
-    ------
-    EditsInvalid
-    """
-    known: dict[str, dict[str, dict[str, str]]] = {}
-    for capture in captures:
-        labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
-        known.setdefault(capture.object, {})[capture.layer] = labels
-    problems = []
-    seen: dict[tuple[str, str, str], str] = {}
-    for name, frame in sorted(edits.frames):
-        layer, _, band = frame.partition(":")
-        where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
-        for kind, asked, names in (
-            ("object", name, list(known)),
-            ("camera", layer, list(layers)),
-            ("band", band, list(layers.get(layer, {}))),
-        ):
-            if asked and asked not in names:
-                said = ", ".join(sorted(names))
-                problem = Problem("E_VALUE", f"there is no such {kind}", None, where, asked, said)
-                problems.append(_explained(problem, path))
-                break
-        else:
-            sensors = layers[layer]
-            place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
-            if (first := seen.setdefault(place, frame)) != frame:
-                message = "two tables speak of one sensor"
-                problem = Problem(
-                    "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
-                )
-                problems.append(_explained(problem, path))
-    if problems:
-        raise EditsInvalid(*problems)
 
 
 def write_edits(path: Path, edits: Edits) -> None:
@@ -255,18 +208,14 @@ def write_edits(path: Path, edits: Edits) -> None:
 
 
 def change_edits(
-    path: Path,
-    name: str,
-    frame_of: Callable[[Edits], str],
-    before: FrameEdits,
-    after: FrameEdits,
+    path: Path, name: str, frame_of: Callable[[Edits], str], before: FrameEdits, after: FrameEdits
 ) -> FrameEdits:
     """Write what a change made of one frame's corrections, on top of what edits.toml holds by now.
 
     Parameters
     ----------
     path : Path
-        edits.toml, or where it shall stand.
+        edits.toml, which may not exist yet.
     name : str
         Of the object.
     frame_of : callable
@@ -301,7 +250,7 @@ def change_edits(
             if problems := _clashes(
                 before, after, present, merged, f"objects.{name}.cameras.{frame}"
             ):
-                raise EditsConflict(*(_explained(p, path) for p in problems), present=present)
+                raise EditsConflict(*(with_explanation(p, path) for p in problems), present=present)
             if merged == present:
                 return present
             text = _revised(data, edits, edits.with_frame(name, frame, merged), (name, frame), path)
@@ -317,7 +266,7 @@ def change_edits(
                 continue
             return merged
     problem = Problem("E_BUSY", "edits.toml is changed again and again", str(path))
-    raise EditsInvalid(_explained(problem, path))
+    raise EditsInvalid(with_explanation(problem, path))
 
 
 class _Changed(Exception):
@@ -334,7 +283,7 @@ def _bytes_of(path: Path) -> bytes:
 def _clashes(
     before: FrameEdits, after: FrameEdits, present: FrameEdits, merged: FrameEdits, where: str
 ) -> list[Problem]:
-    """What a change and the present state say of one thing, differently."""
+    """Return the conflicts of a change with the present state."""
     found = [
         Problem(
             "E_CONFLICT",
@@ -388,7 +337,7 @@ def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], p
         field=f"objects.{place[0]}.cameras.{place[1]}",
         expected="a table of its own for every camera",
     )
-    raise EditsInvalid(_explained(problem, path))
+    raise EditsInvalid(with_explanation(problem, path))
 
 
 def _revise(table: Any, key: str, value: Any) -> None:
@@ -422,7 +371,7 @@ def _revise(table: Any, key: str, value: Any) -> None:
 
 
 def _put(table: Any, key: str, value: Any) -> None:
-    """Set a key; a new one stands before the comments that lead to the next table."""
+    """Set a key; a new one comes before the comments that lead to the next table."""
     body = table.value.body if hasattr(table.value, "body") else []
     trailing = []
     while key not in table and body and body[-1][0] is None:
@@ -434,11 +383,13 @@ def _put(table: Any, key: str, value: Any) -> None:
 
 def to_text(edits: Edits) -> str:
     """Return the text of edits.toml."""
+    from levkas.campaign.schema.toml import to_inline_toml
+
     lines = [HEAD]
     for (name, frame), one in sorted(edits.frames.items()):
         if not one:
             continue
-        lines.append(f"[objects.{_text(name)}.cameras.{_text(frame)}]")
+        lines.append(f"[objects.{to_inline_toml(name)}.cameras.{to_inline_toml(frame)}]")
         for key in (f.name for f in fields(FrameEdits)):
             value = getattr(one, key)
             if isinstance(value, tuple) and value:
@@ -448,7 +399,7 @@ def to_text(edits: Edits) -> str:
             elif isinstance(value, float):
                 lines.append(f"{key} = {value!r}")
             elif value:
-                lines.append(f"{key} = {_text(value)}")
+                lines.append(f"{key} = {to_inline_toml(value)}")
         lines.append("")
     return "\n".join(lines)
 
@@ -473,13 +424,13 @@ def _rounded(value: Any) -> Any:
 
 
 def _contradictions(edits: Edits) -> Iterator[Problem]:
-    """Yield pairs of which two things are said at once."""
+    """Yield pairs that are corrected in two ways at once."""
     for (name, frame), one in sorted(edits.frames.items()):
-        said: dict[Pair, str] = {}
+        kinds: dict[Pair, str] = {}
         where = f"objects.{name}.cameras.{frame}"
         for key in ("deleted", "restored", "pinned", "added", "checks", "moved"):
             for row in getattr(one, key):
-                before = said.setdefault(row[:4], key)
+                before = kinds.setdefault(row[:4], key)
                 if before != key:
                     yield Problem(
                         "E_VALUE",
@@ -505,10 +456,6 @@ def _contradictions(edits: Edits) -> Iterator[Problem]:
             )
 
 
-def _explained(problem: Problem, path: Path) -> Problem:
+def with_explanation(problem: Problem, path: Path) -> Problem:
+    """Return a problem with the file, and where the keys are explained unless it has a fix of its own."""
     return replace(problem, file=str(path), fix=problem.fix or EXPLAINED)
-
-
-def _text(value: str) -> str:
-    """A TOML basic string; JSON's are the same but for one character."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

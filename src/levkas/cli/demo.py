@@ -1,12 +1,15 @@
-"""The demonstration: simulate a small campaign, build it, compare it with the truth."""
+"""Commands that make campaigns: simulate, and demo, which builds one and compares it with its truth."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import typer
+
+from levkas.cli.output import Json, draw_steps, print_report, refusing
 from levkas.core.ownership import stands_in
 from levkas.core.problems import Problem, Refused
 
@@ -75,3 +78,41 @@ def demonstrate(
         ]
     )
     return Demonstration(report.ok, evaluation.results, report.problems, text)
+
+
+@refusing("simulate")
+def simulate(
+    folder: Annotated[Path, typer.Argument(help="New folder for the simulated campaign.")],
+    preset: Annotated[str, typer.Option(help="small, default, hard or full.")] = "default",
+    scale: Annotated[
+        float | None, typer.Option(help="1 is the paper's size; less shrinks it.")
+    ] = None,
+    objects: Annotated[int, typer.Option(help="Number of painted panels.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
+    setups: Annotated[bool, typer.Option(help="Also the 45-degree lighting.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Simulate a five-camera campaign with known truth."""
+    from levkas.simulation import simulate_campaign
+
+    steps = simulate_campaign(
+        folder, preset=preset, scale=scale, objects=objects, seed=seed, setups=setups
+    )
+    draw_steps(steps, as_json)
+    print_report("simulate", as_json, True, [], campaign=str(folder))
+    if not as_json:
+        typer.echo(f"Simulated {folder}. Build it: levkas build {folder}")
+
+
+@refusing("demo")
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder for the demonstration.")] = Path("demo"),
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
+    as_json: Json = False,
+) -> None:
+    """Simulate a small campaign, build it, compare it with the truth, say where to look."""
+    report = demonstrate(folder, seed=seed, draw=lambda steps: draw_steps(steps, as_json))
+    print_report("demo", as_json, report.ok, report.problems, results=report.results)
+    if not as_json:
+        typer.echo(report.text)
+    raise typer.Exit(0 if report.ok else 1)

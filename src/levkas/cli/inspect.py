@@ -1,26 +1,25 @@
-"""`levkas inspect`: parse, one library call, print."""
+"""The command that serves the workbench: inspect."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from levkas.cli import CampaignPath, _refusing, app
+from levkas.cli.output import (
+    CampaignPath,
+    DatabasePath,
+    refusing,
+)
 
 if TYPE_CHECKING:
     from levkas.workbench.server.app import Address
 
 
-@app.command("inspect")
-@_refusing("inspect")
+@refusing("inspect")
 def inspect(
     campaign: CampaignPath,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
-    ] = None,
+    output: DatabasePath = None,
     port: Annotated[
         int, typer.Option(help="Port on this machine; 0 takes any free one.", min=0, max=65535)
     ] = 0,

@@ -1,4 +1,4 @@
-"""`levkas plan`: parse, one library call, print."""
+"""Commands that plan a session: plan light, framing, exposure, fit."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
-plan_app = typer.Typer(
-    help="Plan light, framing and exposure.", no_args_is_help=True, rich_markup_mode=None
+from levkas.cli.output import (
+    Json,
+    Overwrite,
+    print_report,
+    refusing,
 )
-
-from levkas.cli import Json, Overwrite, _refusing, _report  # noqa: E402  (either may be imported first)
 
 SetupPath = Annotated[Path, typer.Argument(help="Setup file, or a folder with one.")]
 Lighting = Annotated[
@@ -19,8 +20,7 @@ Lighting = Annotated[
 ]
 
 
-@plan_app.command("light")
-@_refusing("plan light")
+@refusing("plan light")
 def light(
     setup: SetupPath,
     name: Lighting = None,
@@ -46,34 +46,32 @@ def light(
         require_free(path, overwrite=overwrite)
     record = light_record(setup, name, optimised=optimise, seed=seed)
     if report is not None:
-        from levkas.planning.report import write_report
+        from levkas.pages.plan import write_report
 
         record["report"] = str(write_report(report, record.setup, name, seed=seed))
     if render is not None:
         from levkas.planning.contact_sheet import render_sheet
 
         record["render"] = str(render_sheet(record.setup, render, seed=seed))
-    _report("plan light", as_json, True, [], **record)
+    print_report("plan light", as_json, True, [], **record)
     if not as_json:
         typer.echo(light_text(record))
 
 
-@plan_app.command("framing")
-@_refusing("plan framing")
+@refusing("plan framing")
 def framing(setup: SetupPath, as_json: Json = False) -> None:
     """Field, working distance, sampling, depth of field and diffraction of every camera."""
     from levkas.planning.framing import plan_framing
-    from levkas.planning.setup import load_setup
+    from levkas.planning.loading import load_setup
     from levkas.planning.text_report import framing_text
 
     found = plan_framing(load_setup(setup))
-    _report("plan framing", as_json, True, [], cameras=[f.to_dict() for f in found])
+    print_report("plan framing", as_json, True, [], cameras=[f.to_dict() for f in found])
     if not as_json:
         typer.echo(framing_text(found))
 
 
-@plan_app.command("exposure")
-@_refusing("plan exposure")
+@refusing("plan exposure")
 def exposure(
     frames: Annotated[
         list[Path] | None,
@@ -121,8 +119,7 @@ def exposure(
     record: dict[str, Any] = {}
     texts = []
     if frames:
-        from levkas.planning.advice_text import advice_text
-        from levkas.planning.exposure_advice import coach
+        from levkas.planning.exposure_advice import advice_text, coach
 
         found = coach(
             frames,
@@ -142,13 +139,12 @@ def exposure(
         planned = exposure_record(setup, name)
         record.update(planned)
         texts.append(exposure_text(planned))
-    _report("plan exposure", as_json, True, [], **record)
+    print_report("plan exposure", as_json, True, [], **record)
     if not as_json:
         typer.echo("\n\n".join(texts))
 
 
-@plan_app.command("fit")
-@_refusing("plan fit")
+@refusing("plan fit")
 def fit(
     setup: SetupPath,
     whites: Annotated[
@@ -198,7 +194,7 @@ def fit(
         bits=bits,
         bent=bent,
     )
-    _report("plan fit", as_json, True, [], **found.to_dict())
+    print_report("plan fit", as_json, True, [], **found.to_dict())
     if not as_json:
         typer.echo(hung_text(found))
 

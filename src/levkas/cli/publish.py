@@ -1,4 +1,4 @@
-"""`levkas publish` and `levkas export`: parse, one library call, print."""
+"""Commands that hand a database on: publish, export."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from levkas.cli import Json, Overwrite, _drawn, _refusing, _report, app
+from levkas.cli.output import (
+    Json,
+    Overwrite,
+    draw_steps,
+    print_report,
+    refusing,
+)
 
 
-@app.command()
-@_refusing("publish")
+@refusing("publish")
 def publish(
     subject: Annotated[
         Path, typer.Argument(metavar="DATABASE", help="Database, or its campaign's folder.")
@@ -45,20 +50,19 @@ def publish(
 
     if check:
         missing = run.check(subject)
-        _report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
+        print_report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
         if not as_json:
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
     made = run.publish(subject, output=output, editions=edition, url=url, iiif=not no_iiif, bag=bag)
-    steps = _drawn(made, as_json)
+    steps = draw_steps(made, as_json)
     report = run.summarise(steps)
-    _report("publish", as_json, True, [], **report.to_dict())
+    print_report("publish", as_json, True, [], **report.to_dict())
     if not as_json:
         typer.echo(report.text)
 
 
-@app.command()
-@_refusing("export")
+@refusing("export")
 def export(
     database: Annotated[Path, typer.Argument(help="Database, also a published one.")],
     form: Annotated[
@@ -83,8 +87,8 @@ def export(
 
     chosen = {"objects": objects or (), "cameras": cameras or ()}
     made = run.export(database, form, output=output, overwrite=overwrite, **chosen)
-    steps = _drawn(made, as_json)
+    steps = draw_steps(made, as_json)
     files = [str(path) for step in steps for path in step.files]
-    _report("export", as_json, True, [], files=files)
+    print_report("export", as_json, True, [], files=files)
     if not as_json:
         typer.echo(f"{len(files)} files of {len(steps)} layers for {form}")

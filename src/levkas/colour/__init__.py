@@ -1,1 +1,1 @@
-"""Colour."""
+"""Colorimetry: the standard observer, illuminants, sRGB, gamut."""

@@ -1,1 +1,1 @@
-"""Core."""
+"""The ground that all packages stand on: cubes, flags, problems, atomic files, locks, threads."""

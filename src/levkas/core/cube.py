@@ -31,6 +31,10 @@ class Flag(IntFlag):
     VEILED = 128
 
 
+UNRELIABLE = Flag.OUTSIDE | Flag.SATURATED
+"""Pixels that registration must not lean on; single defects were replaced well enough for it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Band:
     """One channel: its label, and centre and width in nm (NaN where it is broad)."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-import glob
 import hashlib
 import io
 import os
@@ -341,14 +340,14 @@ def _take_place(partial: Path, path: Path) -> None:
                 raise
         if _exchange(partial, path):
             _sync_folder(path.parent)  # or a loss of power may undo the exchange, not the removal
-            _discard(partial)
+            discard(partial)
             return
         old = _partial(path)
         with contextlib.suppress(FileNotFoundError):
             path.rename(old)
             partial.rename(path)
             _sync_folder(path.parent)
-            _discard(old)
+            discard(old)
             return
 
 
@@ -446,7 +445,8 @@ def together(before: Callable[[], object] | None = None) -> Iterator[None]:
             one.close()
 
 
-def _discard(path: Path) -> None:
+def discard(path: Path) -> None:
+    """Remove a file or a folder, again where something comes into it meanwhile."""
     fault("remove", path)
     for last in (*[False] * PATIENCE, True):
         if not path.is_dir() or path.is_symlink():
@@ -488,9 +488,9 @@ def remove(path: str | Path) -> None:
             with contextlib.suppress(FileNotFoundError):
                 path.rename(gone)
                 _sync_folder(path.parent)
-                _discard(gone)
+                discard(gone)
         else:
-            _discard(path)
+            discard(path)
     _sync_folder(path.parent)
 
 
@@ -541,60 +541,6 @@ def move_files(names: Iterable[str], source: str | Path, target: str | Path) -> 
                 break
             folder = folder.parent
     return moved
-
-
-def sweep(folder: str | Path) -> list[Path]:
-    """Take away what killed runs of Levkas left under partial names, in `folder` and below.
-
-    A partial file that a living process still writes is locked by it and stays. `folder` must be
-    one that Levkas made.
-
-    Returns
-    -------
-    removed : list of Path
-    """
-    removed: list[Path] = []
-    for place, folders, names in os.walk(folder):
-        partial = [n for n in (*folders, *names) if OURS.fullmatch(n)]
-        folders[:] = sorted(set(folders) - set(partial))
-        for name in sorted(partial):
-            path = Path(place, name)
-            if _abandoned(path):
-                with refusing(path, None):
-                    _discard(path)
-                removed.append(path)
-    return removed
-
-
-def sweep_beside(path: str | Path) -> list[Path]:
-    """Take away what killed runs left of one file or folder, beside it; as `sweep` does."""
-    path = Path(path)
-    removed = []
-    start = glob.escape(path.name[:LONGEST_NAME])
-    for left in sorted(path.parent.glob(f"{start}.levkas.partial-*")):
-        if OURS.fullmatch(left.name) and _abandoned(left):
-            with refusing(left, None):
-                _discard(left)
-            removed.append(left)
-    return removed
-
-
-def _abandoned(path: Path) -> bool:
-    if fcntl is None:
-        return False
-    try:
-        descriptor = os.open(
-            path, os.O_RDONLY | os.O_NONBLOCK
-        )  # a pipe of that name keeps none waiting
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    finally:
-        os.close(descriptor)
-    return True
 
 
 def _hold(descriptor: int, path: Path) -> bool:

@@ -22,16 +22,17 @@ def to_json(record: Any) -> str:
      "a": null
     }
     """
-    return json.dumps(_plain(record), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
+    return json.dumps(plain(record), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return `value` with numpy numbers and arrays, tuples and paths plain, NaN and infinities None."""
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, os.PathLike):

@@ -1,53 +1,19 @@
-"""The machine that Levkas runs on: memory, disk, threads, and where compiled kernels are kept."""
+"""Memory, processors and threads of the machine, and the variables that limit them."""
 
 from __future__ import annotations
 
 import math
 import os
-import re
-import shutil
-import sys
-import tempfile
 import threading
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-VARIABLE, TILE, MEMORY = "LEVKAS_THREADS", "LEVKAS_TILE", "LEVKAS_MEMORY"
-LEAST_MEMORY, LEAST_DISK = 4e9, 10e9
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at.
-
-    Parameters
-    ----------
-    name : str
-    state : str
-        ``"ok"``; ``"missing"``, of something required; ``"absent"``, of something that only one
-        feature needs; ``"low"``, which is slow or tight but works.
-    found : str
-    expected : str
-    needed_for : str
-    fix : str
-    """
-
-    name: str
-    state: Literal["ok", "missing", "absent", "low"]
-    found: str = ""
-    expected: str = ""
-    needed_for: str = ""
-    fix: str = ""
-
-    def to_dict(self) -> dict[str, str]:
-        """Return the fields."""
-        return asdict(self)
+THREADS, TILE, MEMORY = "LEVKAS_THREADS", "LEVKAS_TILE", "LEVKAS_MEMORY"
 
 
 def give_back_memory() -> None:
@@ -72,7 +38,7 @@ def count_threads(most: int | None = None) -> int:
     >>> count_threads(most=1)
     1
     """
-    told = os.environ.get(VARIABLE, "").strip()
+    told = os.environ.get(THREADS, "").strip()
     count = int(told) if told.isdecimal() and int(told) > 0 else _processors()
     return count if most is None else min(count, most)
 
@@ -137,19 +103,6 @@ def steady_libraries() -> Iterator[None]:
         yield
 
 
-def find_memory() -> Finding:
-    """Say how much memory there is and is free, of a container where one limits it."""
-    total, free = _memory_bytes()
-    purpose = "large cubes are streamed; less memory means smaller blocks"
-    if total is None:
-        return Finding("memory", "ok", "unknown", "", purpose)
-    told = f"{total / 1e9:.1f} GB" + (f", {free / 1e9:.1f} GB free" if free is not None else "")
-    if (bound := memory_bound()) is not None:
-        source = f"by {MEMORY}" if chosen_memory() else f"what is free; {MEMORY} sets another bound"
-        told += f"; a command takes up to {bound / 1e9:.1f} GB ({source})"
-    return Finding("memory", "low" if total < LEAST_MEMORY else "ok", told, "4 GB or more", purpose)
-
-
 def chosen_memory() -> float | None:
     """Return the bytes that a command may take as $LEVKAS_MEMORY has them in GB; None without it."""
     try:
@@ -159,102 +112,40 @@ def chosen_memory() -> float | None:
     return chosen * 1e9 if 0 < chosen < math.inf else None
 
 
-def memory_bound() -> float | None:
-    """Return the bytes that a command may take: $LEVKAS_MEMORY, else what is free; None where nobody knows."""
+def memory_bound() -> float:
+    """Return the bytes that a command may take: $LEVKAS_MEMORY, else what is free."""
     return chosen_memory() or free_memory()
 
 
-def free_memory() -> float | None:
-    """Return bytes that this process may still take; None where nobody knows."""
-    free = _memory_bytes()[1]
+def free_memory() -> float:
+    """Return bytes that this process may still take."""
+    free = memory_bytes()[1]
     try:
         import resource
     except ImportError:  # Windows
         return free
-    held = re.search(r"VmData:\s+(\d+) kB", _text("/proc/self/status"))
+    import psutil
+
+    held = getattr(psutil.Process().memory_info(), "data", 0)
     for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS):
         limit = resource.getrlimit(kind)[0]
         if limit != resource.RLIM_INFINITY:
-            rest = max(0.0, limit - (float(held.group(1)) * 1024 if held else 0.0))
-            free = rest if free is None else min(free, rest)
+            free = min(free, max(0.0, float(limit - held)))
     return free
 
 
-def _memory_bytes() -> tuple[float | None, float | None]:
-    """Total and free bytes, those of a container where one limits them."""
-    total = free = None
-    try:
-        total = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, ValueError, OSError):
-        return None, None
-    if found := re.search(r"MemAvailable:\s+(\d+) kB", _text("/proc/meminfo")):
-        free = float(found.group(1)) * 1024
+def memory_bytes() -> tuple[float, float]:
+    """Return total and free bytes, those of a container where one limits them."""
+    import psutil
+
+    machine = psutil.virtual_memory()
+    total, free = float(machine.total), float(machine.available)
     limit = _text("/sys/fs/cgroup/memory.max").strip()
     if limit.isdigit() and float(limit) < total:
         total = float(limit)
         used = _text("/sys/fs/cgroup/memory.current").strip()
-        rest = total - float(used) if used.isdigit() else total
-        free = rest if free is None else min(free, rest)
+        free = min(free, total - float(used) if used.isdigit() else total)
     return total, free
-
-
-def find_disk(folder: Path) -> Finding:
-    """Say how much space is free where `folder` stands."""
-    purpose = f"databases below {folder}"
-    try:
-        free = shutil.disk_usage(folder).free
-    except OSError as error:
-        return Finding("disk", "low", str(error.strerror), "a folder that exists", purpose)
-    fix = "" if free >= LEAST_DISK else "Free some space, or build with --output on another disk."
-    state: Literal["ok", "low"] = "ok" if free >= LEAST_DISK else "low"
-    return Finding("disk", state, f"{free / 1e9:.1f} GB free", "10 GB or more", purpose, fix)
-
-
-def find_threads() -> Finding:
-    """Say how many threads can run at a time, and which variables limit the libraries."""
-    names = (
-        *(VARIABLE, TILE, "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
-        "MKL_NUM_THREADS",
-    )
-    told = [f"{name}={os.environ[name]}" for name in names if name in os.environ]
-    return Finding(
-        "threads",
-        "ok",
-        ", ".join([str(count_threads()), *told]),
-        "",
-        "speed; the bytes are the same",
-    )
-
-
-def find_kernel_cache() -> Finding:
-    """Say whether compiled kernels can be kept: beside the package, or where the user's caches are."""
-    purpose = "compiled kernels are kept; otherwise every start takes seconds longer"
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    places = [Path(chosen)] if chosen else [Path(__file__).parent, _user_cache()]
-    writable = [place for place in places if _is_writable(place)]
-    if writable:
-        return Finding("kernel cache", "ok", "writable", "", purpose)
-    fix = "Set NUMBA_CACHE_DIR to a folder that can be written to."
-    return Finding("kernel cache", "low", "not writable", "a writable folder", purpose, fix)
-
-
-def _user_cache() -> Path:
-    home = Path.home()
-    if sys.platform == "darwin":
-        return home / "Library/Caches/numba"
-    if os.name == "nt":
-        return Path(os.environ.get("LOCALAPPDATA", home)) / "numba"
-    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "numba"
-
-
-def _is_writable(folder: Path) -> bool:
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
 
 
 def _text(path: str) -> str:

@@ -17,12 +17,13 @@ from typing import Literal
 from levkas.core.digests import hash_file
 from levkas.core.disk import WriteRefused
 from levkas.core.problems import Problem, Refused
-from levkas.readers.texts import read_json, what_stands_at
+from levkas.readers.text import read_json, what_stands_at
 
 Kind = Literal["database", "publication", "bag"]
 
+IMPRINT = "database.toml"
+"""What is said of a database as a whole; its first line is `MARK`."""
 MARK = "# Written by Levkas. A build goes on only in a folder that bears this line.\n"
-"""First line of database.toml."""
 RECORD = "levkas-files.json"
 """Beside files that were written one by one: name → SHA-256, null while it is being written."""
 LONGEST_MARK = 4096
@@ -39,7 +40,7 @@ def made(folder: str | Path) -> Kind | None:
         return "bag"
     if _MANIFEST.match(_head(folder / "manifest-sha256.txt")):
         return "publication" if (folder / "ro-crate-metadata.json").is_file() else "database"
-    return "database" if _DATABASE.match(_head(folder / "database.toml")) else None
+    return "database" if _DATABASE.match(_head(folder / IMPRINT)) else None
 
 
 def stands_in(folder: Path) -> str:

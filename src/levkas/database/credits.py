@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
+
+if TYPE_CHECKING:
+    from levkas.campaign.campaign import Campaign
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,17 @@ class Credits:
             f"{facts}</rdf:Description></rdf:RDF></x:xmpmeta>"
             '<?xpacket end="r"?>'
         ).encode("utf-8", "replace")
+
+
+def credits_of(campaign: Campaign, name: str, captured: str) -> Credits:
+    """Return the credits of an object's files; `captured` is the date that its frames say, or empty."""
+    facts, described = campaign.objects.get(name), campaign.campaign
+    return Credits(
+        title=(facts.title if facts else "") or name,
+        creator=described.creator,
+        date=captured or described.date or "",
+        rights=(facts.rights if facts else "") or described.licence,
+    )
 
 
 def _xml(text: str) -> str:

@@ -17,7 +17,7 @@ from levkas.database.integrity import (
 )
 from levkas.database.manifest import is_partial, unfinished
 from levkas.database.twins import check_stores
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from levkas.core.files import PARTIAL, write_changed
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.containment import stays_inside
-from levkas.readers.texts import DEEPEST
+from levkas.readers.text import DEEPEST
 
 NAME = "manifest-sha256.txt"
 LARGEST = 256 << 20

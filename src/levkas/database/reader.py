@@ -19,7 +19,7 @@ from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS, layer_name
 from levkas.database.tiff_pages import TiffPages, open_pages
-from levkas.readers.texts import parse_bounded
+from levkas.readers.text import parse_bounded
 
 if TYPE_CHECKING:
     from levkas.geometry.pixel_frames import FrameMap

@@ -12,7 +12,7 @@ import numpy as np
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem, Refused
 from levkas.readers.facts import UnreadableCapture
-from levkas.readers.tiff_pages import kinds_of_pages
+from levkas.readers.tiff import kinds_of_pages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,20 @@ KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
 
 class ExportRefused(Refused):
     """A layer cannot be handed on in the format that was asked for."""
+
+
+def load_library(name: str) -> ModuleType:
+    """Return a library of the extra ``export``; raises ExportRefused where it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise ExportRefused(
+            Problem(
+                "E_MISSING",
+                f"this format needs {name}, which is not installed",
+                fix="Run: pip install 'levkas[export]'",
+            )
+        ) from None
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,18 @@ Their loaders read ``cube`` with h5py as (bands, width, height), pair ``Train_Sp
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
-from levkas.core.files import write_bytes, write_text
-from levkas.export.hdf5 import Variable, write_mat73
-from levkas.export.layer import ExportLayer
+from levkas.core.files import replacing, write_bytes, write_text
+from levkas.export.layer import ExportLayer, load_library
 
 QUALITY = 95
+USER_BLOCK = 512
+"""MATLAB's own header stands before the HDF5 file."""
+MATLAB = b"MATLAB 7.3 MAT-file, written by levkas"
 LISTS = {"train": "train_list.txt", "validation": "valid_list.txt", "test": "test_list.txt"}
 
 
@@ -26,20 +28,16 @@ def write_ntire(layer: ExportLayer, folder: Path) -> list[Path]:
     ``cube`` is single, as MATLAB sees it (height, width, bands), ``bands`` (1, bands) the centres in nm
     or 1, 2, 3 …, ``norm_factor`` 1. What the camera did not see, NaN in the database, is 0: the
     loaders know no NaN.
+
+    Raises
+    ------
+    ExportRefused
+        Where h5py is not installed (extra ``export``).
     """
     home = _home(layer, folder)
     spectra, picture = home / "Train_Spec", home / "Train_RGB"
-    height, width, count = layer.shape
-    centres = layer.wavelengths or list(range(1, count + 1))
     path = spectra / f"{layer.stem}.mat"
-    write_mat73(
-        path,
-        {
-            "cube": Variable((height, width, count), np.dtype("<f4"), _columns(layer)),
-            "bands": _row(centres),
-            "norm_factor": _row([1.0]),
-        },
-    )
+    _write_mat73(layer, path)
     shown = picture / f"{layer.stem}.jpg"
     write_bytes(shown, _encode_jpeg(layer))
     return [path, shown]
@@ -47,7 +45,7 @@ def write_ntire(layer: ExportLayer, folder: Path) -> list[Path]:
 
 def finish(layers: Iterable[ExportLayer], folder: Path) -> list[Path]:
     """Write the lists of names, by the splits that the database publishes."""
-    from levkas.publish.splits import split_objects
+    from levkas.database.splits import split_objects
 
     layers = list(layers)
     splits = split_objects({layer.object for layer in layers})
@@ -66,15 +64,22 @@ def _home(layer: ExportLayer, folder: Path) -> Path:
     return folder / "@".join(part for part in (layer.camera, layer.setup) if part)
 
 
-def _columns(layer: ExportLayer) -> Iterator[memoryview]:
-    for plane in layer.planes():
-        seen = np.where(np.isfinite(plane), plane, np.float32(0))
-        yield np.ascontiguousarray(seen.T, "<f4").data.cast("B")
-
-
-def _row(numbers: Iterable[float]) -> Variable:
-    row = np.array([*numbers], "<f8")
-    return Variable((1, len(row)), row.dtype, [row.tobytes()])
+def _write_mat73(layer: ExportLayer, path: Path) -> None:
+    """Write a MAT-file of version 7.3: HDF5 behind MATLAB's header, dimensions MATLAB's reversed."""
+    h5py = load_library("h5py")
+    height, width, count = layer.shape
+    centres = layer.wavelengths or list(range(1, count + 1))
+    with replacing(path) as handle:
+        with h5py.File(handle, "w", userblock_size=USER_BLOCK) as mat:
+            cube = mat.create_dataset("cube", (count, width, height), np.float32)
+            for index, plane in enumerate(layer.planes()):
+                cube[index] = np.where(np.isfinite(plane), plane, np.float32(0)).T
+            cube.attrs["MATLAB_class"] = np.bytes_("single")
+            for name, numbers in (("bands", centres), ("norm_factor", [1.0])):
+                column = mat.create_dataset(name, data=np.array(numbers, np.float64)[:, None])
+                column.attrs["MATLAB_class"] = np.bytes_("double")
+        handle.seek(0)
+        handle.write(MATLAB.ljust(116) + bytes(8) + b"\x00\x02IM")
 
 
 def _encode_jpeg(layer: ExportLayer) -> bytes:

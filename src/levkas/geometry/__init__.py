@@ -1,1 +1,1 @@
-"""Geometry."""
+"""Transforms, pixel maps, grids, and the one resampling."""

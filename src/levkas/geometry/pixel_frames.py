@@ -178,7 +178,7 @@ def find_position_sigma(
     ------
     MappingRefused
     """
-    from levkas.registration.uncertainty import Sigma
+    from levkas.registration.record import Sigma
 
     records, frame = Records(Path(database), name), Frame(camera, setup, band or "")
     entry = records.entry(frame)

@@ -1,1 +1,1 @@
-"""Pages that say what happened to an object, readable without levkas."""
+"""HTML pages made from records, with one style of plots."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from levkas.pages.page import Figure, render_report
+from levkas.pages.page import Figure, render_page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ class CameraReport:
 
 def render_camera(page: CameraReport) -> str:
     """Return the page as HTML."""
-    return render_report(page, "camera.html")
+    return render_page("camera.html", page=page)
 
 
 def sensor_row(name: str, sensor: Mapping[str, Any]) -> list[str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.pages.page import Figure, embed_png
+from levkas.pages.page import Figure
 from levkas.pages.plots import Line, picture_with_areas, plot
 from levkas.pages.radiometry import channel_colours
 
@@ -76,17 +76,12 @@ def _blur_notes(measure: ChartMeasure) -> list[str]:
 
 
 def _sampled(seen: Sighting, measure: ChartMeasure) -> Figure:
-    from levkas.database.preview import encode_png
     from levkas.quality.targets.locating import pictures_of
 
     shown = pictures_of(seen.cube.values)[-1][..., 0]
     step = max(1, -(-max(shown.shape) // LONGEST))
-    small = np.ascontiguousarray(shown[::step, ::step])
-    src = embed_png(encode_png(small))
-    size = (small.shape[1], small.shape[0])
-    svg = picture_with_areas(
-        src, size, (seen.located.areas + 0.5) / step - 0.5, measure.chart.patches
-    )
+    areas = (seen.located.areas + 0.5) / step - 0.5
+    svg = picture_with_areas(shown[::step, ::step] / 255, areas, measure.chart.patches)
     where = f"sensor {seen.sensor}: " if seen.sensor else ""
     return Figure(svg, f"{where}the sampled areas, on the root of the mean of all bands.")
 
@@ -130,7 +125,7 @@ def _over_wavelength(measure: ChartMeasure) -> Figure | None:
     lines = []
     for place, patch in enumerate(greys):
         share = place / max(len(greys) - 1, 1)
-        grey = f"hsl(0 0% {72 - 50 * share:.0f}%)"
+        grey = f"{0.72 - 0.5 * share:.2f}"
         name = measure.chart.patches[patch]
         lines.append(Line(name, list(wavelengths), list(snr[patch]), grey))
         if moved:

@@ -1,4 +1,4 @@
-"""What one registration rests on, and the paper's Figures 9 and 10 of its own method, as SVG text."""
+"""Figures of one registration: what its map rests on, and the course of the paper's removal (Figures 9, 10)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.pages.page import Figure
-from levkas.registration.checks import Checks
+from levkas.pages.plots import in_style, new_figure, themed, to_svg
 from levkas.registration.outliers import frame_corners
+from levkas.registration.window_matching import CheckWindows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
 
     from levkas.registration.record import Matches, Trace
 
@@ -19,7 +22,7 @@ LONG_PX = 12.0
 """Of a panel: shifts are drawn about so long, and never longer than twice that."""
 MOST_PAIRS = 400
 """Pairs drawn in a panel; more only blacken it."""
-PANEL_PX = 260
+PANEL_PX = 280
 
 
 def draw_trace(matches: Matches, trace: Trace | None) -> list[Figure]:
@@ -27,14 +30,8 @@ def draw_trace(matches: Matches, trace: Trace | None) -> list[Figure]:
     if len(matches) == 0:
         return []
     if trace is None:
-        height = _placing(matches.reference).height
-        return [Figure(_panels([_pairs_only(matches)], height), _PAIRS)]
-    middle = trace.rounds // 2
-    rounds = sorted({0, middle, trace.rounds - 1})
-    panels = [_panel(matches, trace, -1, "start: scale alone")]
-    panels += [_panel(matches, trace, r, f"round {r + 1} of {trace.rounds}") for r in rounds]
-    height = _placing(_both_frames(trace)).height
-    return [Figure(_panels(panels, height), _COURSE), Figure(_curve(trace), _LARGEST)]
+        return [Figure(_draw_pairs(matches), _PAIRS)]
+    return [Figure(_draw_course(matches, trace), _COURSE), Figure(_draw_largest(trace), _LARGEST)]
 
 
 def draw_basis(trace: Mapping[str, Any], size: Sequence[int]) -> list[Figure]:
@@ -85,54 +82,48 @@ def _rounded_down(value: float) -> float:
     return float(max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-9)) * power)
 
 
+@in_style
 def _basis(sensor: Mapping[str, Any], size: Sequence[int]) -> str:
-    """Two panels: the windows of the fit with their shifts, and those that check it."""
-    corners = frame_corners((int(size[0]), int(size[1])))
-    place, windows = _placing(corners), sensor["windows"]
+    """Draw the windows of the fit with their shifts, and those that check it."""
+    panels = 1 if sensor["checks"] is None else 2
+    figure = _panel_figure(panels, 1, size)
+    axes = figure.subplots(1, panels, squeeze=False)[0]
+    windows, enlarged = sensor["windows"], _enlargement(sensor)
     points = np.stack([windows["x"], windows["y"]], 1)
-    shift = np.stack([windows["shift_x"], windows["shift_y"]], 1) * _enlargement(sensor)
-    longest = LONG_PX * 2 / place.scale
+    shift = np.stack([windows["shift_x"], windows["shift_y"]], 1) * enlarged
+    longest = 2 * LONG_PX * max(size) / PANEL_PX
     shift *= np.minimum(1.0, longest / np.maximum(np.hypot(*shift.T), 1e-9))[:, None]
-    parts = [_outline(place(corners), "currentColor")]
+    weight = np.array(windows["weight"])
     for low, high, opacity in ((0.0, 0.5, 0.25), (0.5, 2.0, 1.0)):
-        weight = np.array(windows["weight"])
         here = (weight >= low) & (weight < high)
-        ends = _lines(place(points[here]), place(points[here] + shift[here]))
-        dots = _dots(place(points[here]), "var(--ref)")
-        parts.append(f'<g opacity="{opacity}">{ends}{dots}</g>')
+        _draw_errors(axes[0], points[here], points[here] + shift[here], opacity)
+        _draw_dots(axes[0], points[here], "ref", opacity)
     held = [v for v in windows["held_out"] if v is not None]
     scatter = f", single ones scatter by {np.median(held):.2g} px" if held else ""
-    parts.append(f'<text x="8" y="16">{sensor["count"]} windows{scatter}</text>')
-    parts.append(_scale_bar(place, _enlargement(sensor)))
-    panels = ["".join(parts)]
+    _frame_panel(
+        axes[0], frame_corners((int(size[0]), int(size[1]))), f"{sensor['count']} windows{scatter}"
+    )
+    length = _rounded_down(0.2 * size[0] / enlarged)
+    axes[0].plot([0, length * enlarged], [1.06 * size[1]] * 2, color=themed("soft"))
+    axes[0].annotate(
+        f"{length:g} px", (length * enlarged, 1.06 * size[1]), (4, -4), textcoords="offset points"
+    )
     if sensor["checks"] is not None:
-        panels.append(_checks(Checks.from_dict(sensor["checks"]), corners, place))
-    return _panels(panels, place.height, "what the map rests on")
+        _draw_checks(axes[1], CheckWindows.from_dict(sensor["checks"]), size)
+    return to_svg(figure, "what the map rests on")
 
 
-def _scale_bar(place: _placing, enlargement: float) -> str:
-    """A bar as long as a shift of a round number of reference px is drawn, with that number."""
-    unit = place.scale * enlargement
-    length = _rounded_down(60.0 / unit)
-    x, y = 20.0, place.height - 8
-    bar = f'<path d="M{x} {y:.1f}h{length * unit:.1f}" stroke="#999" stroke-width="1.5"/>'
-    return f'{bar}<text x="{x + length * unit + 6:.1f}" y="{y + 4:.1f}">{length:g} px</text>'
-
-
-def _checks(checks: Checks, corners: np.ndarray, place: _placing) -> str:
+def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
     good = checks.confirmed
-    parts = [_outline(place(corners), "currentColor")]
-    for mask, style in (
-        (good, 'fill="var(--tgt)"'),
-        (checks.found & ~good, 'fill="var(--ref)"'),
-        (~checks.found, 'fill="none" stroke="#999" stroke-width="0.8"'),
-    ):
-        spots = "".join(
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.4"/>' for x, y in place(checks.centres[mask])
-        )
-        parts.append(f"<g {style}>{spots}</g>")
-    parts.append(f'<text x="8" y="16">{int(good.sum())} of {len(good)} confirm the map</text>')
-    return "".join(parts)
+    for mask, face, edge in (
+        (good, "tgt", "tgt"), (checks.found & ~good, "ref", "ref"), (~checks.found, None, "soft"),
+    ):  # fmt: skip
+        axes.scatter(
+            checks.centres[mask, 0], checks.centres[mask, 1], s=14, linewidths=0.8, edgecolors=themed(edge),
+            facecolors="none" if face is None else themed(face),
+        )  # fmt: skip
+    title = f"{int(good.sum())} of {len(good)} confirm the map"
+    _frame_panel(axes, frame_corners((int(size[0]), int(size[1]))), title)
 
 
 _COURSE = (
@@ -147,33 +138,45 @@ _LARGEST = (
 _PAIRS = "Pairs of control points in reference pixels: kept ones red, removed ones gray."
 
 
-def _panels(panels: Sequence[str], height: float, label: str = "course of the registration") -> str:
-    columns = 2 if len(panels) > 1 else 1
-    rows = -(-len(panels) // columns)
-    placed = [
-        f'<g transform="translate({(i % columns) * PANEL_PX},{(i // columns) * height:.0f})">{p}</g>'
-        for i, p in enumerate(panels)
-    ]
-    size = f"0 0 {columns * PANEL_PX} {rows * height:.0f}"
-    return f'<svg viewBox="{size}" role="img" aria-label="{label}">{"".join(placed)}</svg>'
+@in_style
+def _draw_pairs(matches: Matches) -> str:
+    figure = _panel_figure(1, 1, np.ptp(matches.reference, axis=0))
+    axes = figure.subplots()
+    kept = matches.kept
+    _draw_dots(axes, matches.reference[~kept][:MOST_PAIRS], "soft")
+    _draw_dots(axes, matches.reference[kept][:: max(1, int(kept.sum()) // MOST_PAIRS)], "ref")
+    _frame_panel(axes, None, f"{int(kept.sum())} pairs")
+    return to_svg(figure, "pairs of control points")
 
 
-def _panel(matches: Matches, trace: Trace, number: int, title: str) -> str:
-    """One state of the removal: frames, and the pairs under the map of that state."""
-    place, frame = _placing(_both_frames(trace)), _both_frames(trace)[:4]
+@in_style
+def _draw_course(matches: Matches, trace: Trace) -> str:
+    states = [(-1, "start: scale alone")]
+    for number in sorted({0, trace.rounds // 2, trace.rounds - 1}):
+        states.append((number, f"round {number + 1} of {trace.rounds}"))
+    rows = -(-len(states) // 2)
+    figure = _panel_figure(2, rows, np.ptp(_both_frames(trace), axis=0))
+    panels = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes in panels[len(states) :]:
+        axes.set_axis_off()
+    for axes, (number, title) in zip(panels, states, strict=False):
+        _draw_state(axes, matches, trace, number, title)
+    return to_svg(figure, "course of the registration")
+
+
+def _draw_state(axes: Axes, matches: Matches, trace: Trace, number: int, title: str) -> None:
+    """Draw the frames, and the pairs under the map of a round; -1 is scale alone."""
     kept = np.ones(len(matches), bool) if number < 0 else trace.kept_at(number)
     chosen = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // MOST_PAIRS)]
     mapped = trace.scale(matches.target[chosen])
     if number >= 0:
         mapped = _under_corners(trace, number, mapped)
-    reference = matches.reference[chosen]
-    parts = [_outline(place(frame), "currentColor"), _outline(place(trace.frame), "var(--ref)")]
-    if number >= 0:
-        parts.append(_outline(place(trace.corners[number]), "var(--fit)"))
-    parts += [_lines(place(reference), place(mapped)), _dots(place(reference), "var(--ref)")]
-    parts.append(_dots(place(mapped), "var(--tgt)"))
-    parts.append(f'<text x="8" y="16">{title}: {int(kept.sum())} pairs</text>')
-    return "".join(parts)
+        _outline(axes, trace.corners[number], "fit")
+    _outline(axes, trace.frame, "ref")
+    _draw_errors(axes, matches.reference[chosen], mapped)
+    _draw_dots(axes, matches.reference[chosen], "ref")
+    _draw_dots(axes, mapped, "tgt")
+    _frame_panel(axes, frame_corners(trace.size), f"{title}: {int(kept.sum())} pairs")
 
 
 def _both_frames(trace: Trace) -> np.ndarray:
@@ -188,78 +191,51 @@ def _under_corners(trace: Trace, number: int, mapped: np.ndarray) -> np.ndarray:
     return b[0] * (1 - u) * (1 - v) + b[1] * u * (1 - v) + b[2] * u * v + b[3] * (1 - u) * v
 
 
-def _pairs_only(matches: Matches) -> str:
-    place = _placing(matches.reference)
-    kept = matches.kept
-    return _dots(place(matches.reference[~kept][:MOST_PAIRS]), "currentColor") + _dots(
-        place(matches.reference[kept][:: max(1, int(kept.sum()) // MOST_PAIRS)]), "var(--ref)"
-    )
-
-
-class _placing:
-    """Bring reference pixels into a panel, margins for the title left free."""
-
-    def __init__(self, points: np.ndarray) -> None:
-        self.low, high = points.min(0), points.max(0)
-        self.scale = (PANEL_PX - 40) / max(float((high - self.low).max()), 1.0)
-        self.height = 48 + self.scale * float(high[1] - self.low[1])
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return (np.asarray(points) - self.low) * self.scale + [20, 28]
-
-
-def _outline(points: np.ndarray, colour: str) -> str:
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    return f'<polygon points="{path}" fill="none" stroke="{colour}" stroke-width="1.2"/>'
-
-
-def _dots(points: np.ndarray, colour: str) -> str:
-    path = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in points if np.isfinite(x + y))
-    return f'<path d="{path}" stroke="{colour}" stroke-width="2" stroke-linecap="round" opacity="0.7"/>'
-
-
-def _lines(start: np.ndarray, end: np.ndarray) -> str:
-    ends = np.hstack([start, end])
-    path = "".join(
-        f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for a, b, c, d in ends if np.isfinite(a + b + c + d)
-    )
-    return f'<path d="{path}" stroke="#999" stroke-width="0.6" fill="none"/>'
-
-
-def _curve(trace: Trace) -> str:
-    """Largest error by round, logarithmic, with the cut and `stop` marked."""
-    width, height, left, bottom = 2 * PANEL_PX, PANEL_PX, 52, 34
+@in_style
+def _draw_largest(trace: Trace) -> str:
+    """Draw the largest error by round, with the cut under scale alone and `stop`."""
     cut = trace.scale_errors[np.isfinite(trace.scale_errors)]
     errors = np.concatenate([[cut.max() if len(cut) else trace.reject], trace.largest])
     errors = np.maximum(errors, 1e-3)
-    low, high = (
-        np.log10(min(errors.min(), trace.stop)) - 0.1,
-        np.log10(max(errors.max(), trace.reject)) + 0.1,
-    )
-    chosen = np.unique(np.linspace(0, len(errors) - 1, min(len(errors), 500)).astype(int))
-    x = left + (width - left - 12) * chosen / max(len(errors) - 1, 1)
+    shown = np.unique(np.linspace(0, len(errors) - 1, min(len(errors), 500)).astype(int))
+    figure = new_figure(2 * PANEL_PX, PANEL_PX)
+    axes = figure.subplots()
+    axes.semilogy(shown, errors[shown], color=themed("ref"))
+    axes.axhline(trace.stop, color=themed("tgt"), linestyle="--")
+    axes.annotate(f"stop {trace.stop:g} px", (1, trace.stop), (-4, 4), ha="right",
+                  xycoords=("axes fraction", "data"), textcoords="offset points")  # fmt: skip
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
+    axes.set(xlabel=f"round (of {trace.rounds})", ylabel="largest error, px")
+    return to_svg(figure, "largest error by round")
 
-    def y_of(value: np.ndarray | float) -> np.ndarray:
-        return 12 + (height - bottom - 12) * (high - np.log10(value)) / (high - low)
 
-    path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y_of(errors[chosen]), strict=True))
-    parts = [f'<polyline points="{path}" fill="none" stroke="var(--ref)" stroke-width="1.5"/>']
-    for power in range(int(np.ceil(low)), int(np.floor(high)) + 1):
-        y = float(y_of(10.0**power))
-        parts.append(f'<path d="M{left} {y:.1f}H{width - 12}" stroke="#8884"/>')
-        parts.append(
-            f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{10.0**power:g}</text>'
-        )
-    stop = float(y_of(trace.stop))
-    parts.append(
-        f'<path d="M{left} {stop:.1f}H{width - 12}" stroke="var(--tgt)" stroke-dasharray="5 4"/>'
-    )
-    parts.append(
-        f'<text x="{width - 14}" y="{stop - 5:.1f}" text-anchor="end">stop {trace.stop:g} px</text>'
-    )
-    middle = (left + width) / 2
-    parts.append(
-        f'<text x="{middle}" y="{height - 8}" text-anchor="middle">round (of {trace.rounds})</text>'
-    )
-    parts.append(f'<text x="{left}" y="{height - 8}">largest error, px</text>')
-    return f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="largest error by round">{"".join(parts)}</svg>'
+def _panel_figure(columns: int, rows: int, size: Sequence[float] | np.ndarray) -> Any:
+    height = PANEL_PX * min(2.0, float(size[1]) / max(float(size[0]), 1.0)) + 40
+    return new_figure(columns * PANEL_PX, rows * height)
+
+
+def _frame_panel(axes: Axes, corners: np.ndarray | None, title: str) -> None:
+    """Outline the reference frame; y goes down, as in pictures."""
+    if corners is not None:
+        _outline(axes, corners, "currentColor")
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.set(aspect="equal")
+    axes.invert_yaxis()
+    axes.set_axis_off()
+
+
+def _outline(axes: Axes, corners: np.ndarray, ink: str) -> None:
+    axes.plot(*np.vstack([corners, corners[:1]]).T, color=themed(ink), linewidth=1.2)
+
+
+def _draw_dots(axes: Axes, points: np.ndarray, ink: str, opacity: float = 0.7) -> None:
+    axes.plot(*points.T, ".", markersize=2.5, color=themed(ink), alpha=opacity)
+
+
+def _draw_errors(axes: Axes, start: np.ndarray, end: np.ndarray, opacity: float = 1.0) -> None:
+    from matplotlib.collections import LineCollection
+
+    lines = np.stack([start, end], 1)
+    lines = lines[np.isfinite(lines).all((1, 2))]
+    axes.add_collection(LineCollection(lines, colors="#999999", linewidths=0.6, alpha=opacity))

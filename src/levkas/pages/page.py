@@ -94,7 +94,7 @@ class ObjectReport:
     setups: Sequence[CloseUps] = ()
 
 
-def render_report(page: Any, template: str = "report.html") -> str:
+def render_page(template: str, **values: Any) -> str:
     """Return a page as HTML by one of the templates here; every text from outside is escaped."""
     import jinja2
 
@@ -104,7 +104,7 @@ def render_report(page: Any, template: str = "report.html") -> str:
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    return environment.get_template(template).render(page=page)
+    return environment.get_template(template).render(**values)
 
 
 def embed_png(data: bytes) -> str:

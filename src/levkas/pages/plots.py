@@ -1,33 +1,128 @@
-"""Small plots as SVG text: lines over a linear or logarithmic axis, and maps with contours."""
+"""Plots of all pages, drawn by matplotlib as SVG in one style that follows the page's colours.
+
+Colours of a page's theme, such as ``var(--ref)``, stand in the SVG as they are, so that a plot is
+light or dark with its page. The same data give the same bytes.
+"""
 
 from __future__ import annotations
 
+import colorsys
+import io
+import re
 from dataclasses import dataclass
+from functools import wraps
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+P = ParamSpec("P")
 WIDTH, HEIGHT = 560, 300
-LEFT, RIGHT, TOP, BOTTOM = 52, 14, 14, 40
-TICKS = 5
+"""Of a plot, in units of its view box."""
+THEME = (
+    *("currentColor", "ink", "soft", "line", "card", "ok", "warn", "bad", "ref", "tgt", "fit"),
+    *("lamp", "bright", "wall", "a", "b", "c", "d", "c1", "c2", "c3", "c4", "c5", "c6"),
+)
+"""Colours of pages: custom properties of CSS, and the colour of the text around."""
+MOST_MARKS = 60
+"""Points of a line that are marked; more would be a band."""
+MOST_NAMES = 8
 COLOURS = {"R": "#d4453b", "G": "#3a9a4b", "B": "#3b6fd4", "IR": "#8a5a3c"}
+STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "levkas",
+    "svg.fonttype": "none",
+    "font.size": 11,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 10,
+}
+_PLACES = {name: f"#0101{i:02x}" for i, name in enumerate(THEME)}
+"""Colours that stand for a theme's while matplotlib draws."""
+
+
+def themed(name: str) -> str:
+    """Return what matplotlib is given for ``var(--name)`` of the page, or for ``currentColor``."""
+    return _PLACES[name]
+
+
+def in_style(draw: Callable[P, str]) -> Callable[P, str]:
+    """Let a function draw in the style of all pages."""
+
+    @wraps(draw)
+    def styled(*args: P.args, **options: P.kwargs) -> str:
+        import matplotlib
+
+        soft = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")
+        theme: Any = {**dict.fromkeys(soft, themed("soft")), "grid.color": themed("line")}
+        with matplotlib.rc_context(theme | STYLE):
+            return draw(*args, **options)
+
+    return styled
+
+
+def new_figure(width: float = WIDTH, height: float = HEIGHT, **layout: Any) -> Figure:
+    """Return an empty figure of a size in units of the view box."""
+    from matplotlib.figure import Figure
+
+    return Figure((width / 72, height / 72), dpi=72, **{"layout": "constrained", **layout})
+
+
+def to_svg(figure: Figure, label: str) -> str:
+    """Return a figure as an SVG element; `label` is for screen readers."""
+    target = io.StringIO()
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    figure.savefig(target, format="svg", transparent=True, metadata=nothing)
+    text = target.getvalue()
+    text = re.sub(
+        r"<metadata>.*?</metadata>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.S
+    )
+    box = re.search(r'viewBox="[^"]*"', text)
+    assert box is not None
+    body = text[text.index(">") + 1 :]
+    body = re.sub(r' id="[a-z0-9.]+_[a-z0-9_]+"', "", body)
+    body = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font-size: \1", body)
+    for name, place in _PLACES.items():
+        body = body.replace(place, name if name == "currentColor" else f"var(--{name})")
+    body = re.sub(r"\s*\n\s*", "\n", body).strip()
+    return (
+        f'<svg {box[0]} role="img" aria-label="{escape(label)}">'
+        f"{body.replace('xlink:href', 'href')}"
+    )
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a plot; points that are not finite are left out."""
+    """One line of a plot; points that are not finite are left out.
+
+    Parameters
+    ----------
+    label : str
+    x, y : sequence of float
+    colour : str
+        ``#rrggbb``, or a name of `THEME`.
+    dashed : bool
+    joined : bool
+        False draws the points alone.
+    """
 
     label: str
-    x: Sequence[float]
-    y: Sequence[float]
-    colour: str = "var(--ref)"
+    x: Sequence[float | None] | np.ndarray
+    y: Sequence[float | None] | np.ndarray
+    colour: str = "ref"
     dashed: bool = False
+    joined: bool = True
 
 
+@in_style
 def plot(
     lines: Sequence[Line],
     *,
@@ -39,13 +134,13 @@ def plot(
     from_zero: bool = False,
     legend: bool = True,
 ) -> str:
-    """Return lines as SVG.
+    """Return lines as SVG, "" where there is nothing to draw.
 
     Parameters
     ----------
     lines : sequence of Line
     x, y : str
-        What stands at the axes.
+        Titles of the axes.
     log, log_y : bool
         Logarithmic x, y; points at or below 0 are left out.
     top_axis : (title, [(x, label), …]), optional
@@ -53,41 +148,59 @@ def plot(
     from_zero : bool
         y starts at 0.
     """
-    drawn = [_sound(line, log, log_y) for line in lines]
-    xs = np.concatenate([line[0] for line in drawn] or [np.zeros(0)])
-    ys = np.concatenate([line[1] for line in drawn] or [np.zeros(0)])
-    if not len(xs):
+    drawn = [(line, *_sound(line, log, log_y)) for line in lines]
+    if not any(len(xs) for _, xs, _ in drawn):
         return ""
-    top = TOP + (26 if top_axis else 0)
-    to_x, x_ticks = _axis(xs, LEFT, WIDTH - RIGHT, log=log)
-    to_y, y_ticks = _axis(ys, HEIGHT - BOTTOM, top, log=log_y, from_zero=from_zero)
-    parts = [
-        f'<path d="M{LEFT} {to_y(v):.1f}H{WIDTH - RIGHT}" stroke="#8883"/>'
-        f'<text x="{LEFT - 6}" y="{to_y(v) + 4:.1f}" text-anchor="end">{v + 0.0:g}</text>'
-        for v in y_ticks
-    ]
-    parts += [
-        f'<path d="M{to_x(v):.1f} {top}V{HEIGHT - BOTTOM}" stroke="#8883"/>'
-        f'<text x="{to_x(v):.1f}" y="{HEIGHT - BOTTOM + 15}" text-anchor="middle">{v + 0.0:g}</text>'
-        for v in x_ticks
-    ]
-    if top_axis:
-        title, marks = top_axis
-        parts += [
-            f'<path d="M{to_x(v):.1f} {top}v-5" stroke="currentColor"/>'
-            f'<text x="{to_x(v):.1f}" y="{top - 8}" text-anchor="middle">{escape(text)}</text>'
-            for v, text in marks
-        ]
-        parts.append(f'<text x="{LEFT}" y="12">{escape(title)}</text>')
-    for line, (px, py) in zip(lines, drawn, strict=True):
-        parts.append(_line(to_x(px), to_y(py), line))
-    if legend and len(lines) > 1:
-        parts.append(_legend(lines, top))
-    parts.append(
-        f'<text x="{(LEFT + WIDTH - RIGHT) / 2}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x)}</text>'
-        f'<text transform="translate(12,{(top + HEIGHT - BOTTOM) / 2}) rotate(-90)" text-anchor="middle">{escape(y)}</text>'
+    figure = new_figure()
+    axes = figure.subplots()
+    draw_lines(axes, drawn)
+    axes.set(
+        xlabel=x, ylabel=y, xscale="log" if log else "linear", yscale="log" if log_y else "linear"
     )
-    return _svg("".join(parts), f"{y} over {x}")
+    for axis, logarithmic in ((axes.xaxis, log), (axes.yaxis, log_y)):
+        if logarithmic:
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
+    if from_zero:
+        axes.set_ylim(bottom=0)
+    if top_axis is not None:
+        title, marks = top_axis
+        above = axes.secondary_xaxis("top")
+        above.set_xticks([at for at, _ in marks], [text for _, text in marks], minor=False)
+        above.set_xticks([], minor=True)
+        above.set_xlabel(title)
+    if legend and len(lines) > 1:
+        draw_legend(axes)
+    return to_svg(figure, f"{y} over {x}")
+
+
+def draw_lines(axes: Axes, drawn: Sequence[tuple[Line, np.ndarray, np.ndarray]]) -> None:
+    """Draw lines into axes, and marks where the points are few."""
+    for line, xs, ys in drawn:
+        axes.plot(
+            xs, ys, label=line.label, color=_PLACES.get(line.colour.removeprefix("var(--").rstrip(")"), line.colour),
+            linestyle=("--" if line.dashed else "-") if line.joined else "none",
+            marker="o" if len(xs) <= MOST_MARKS else "", markersize=3 if line.joined else 4.5,
+        )  # fmt: skip
+
+
+def draw_legend(axes: Axes, **place: Any) -> None:
+    """Draw at most eight names: the first, the last, and some between."""
+    handles, names = axes.get_legend_handles_labels()
+    count = len(names)
+    chosen = sorted({round(i * (count - 1) / (MOST_NAMES - 1)) for i in range(MOST_NAMES)})
+    chosen = chosen if count > MOST_NAMES else list(range(count))
+    axes.legend([handles[i] for i in chosen], [names[i] for i in chosen], **place)
+
+
+def _sound(line: Line, log: bool, log_y: bool) -> tuple[np.ndarray, np.ndarray]:
+    x, y = (
+        np.array([np.nan if v is None else v for v in values], float) for values in (line.x, line.y)
+    )
+    good = np.isfinite(x) & np.isfinite(y)
+    good &= (x > 0) | (not log)
+    good &= (y > 0) | (not log_y)
+    return x[good], y[good]
 
 
 def colour_of(label: str, index: int, count: int, wavelength: float = float("nan")) -> str:
@@ -98,9 +211,21 @@ def colour_of(label: str, index: int, count: int, wavelength: float = float("nan
     share = index / max(count - 1, 1)
     if np.isfinite(wavelength):
         share = float(np.clip((wavelength - 400) / 320, 0, 1))
-    return f"hsl({275 * (1 - share):.0f} 65% 50%)"
+    return hls_colour(275 * (1 - share) / 360, 0.5, 0.65)
 
 
+def hls_colour(hue: float, lightness: float, saturation: float) -> str:
+    """Return a colour, all three from 0 to 1, as ``#rrggbb``.
+
+    >>> hls_colour(0.0, 0.5, 1.0)
+    '#ff0000'
+    """
+    return "#" + "".join(
+        f"{round(255 * v):02x}" for v in colorsys.hls_to_rgb(hue, lightness, saturation)
+    )
+
+
+@in_style
 def light_map(
     levels: np.ndarray,
     size: Sequence[int],
@@ -116,135 +241,45 @@ def light_map(
     size : (width, height) of the white, px
     rectangle : (x, y, width, height), px
     """
+    from matplotlib.patches import Rectangle
+
     rows, columns = levels.shape
-    wide = 420.0
-    tall = max(40.0, min(420.0, wide * size[1] / size[0]))
-    across, down = wide / columns, tall / rows
-    cells = "".join(
-        f'<rect x="{c * across:.1f}" y="{r * down:.1f}" width="{across + 0.3:.1f}" '
-        f'height="{down + 0.3:.1f}" fill="hsl(42 45% {8 + 84 * levels[r, c]:.0f}%)"/>'
-        for r in range(rows)
-        for c in range(columns)
-    )
-    lines = "" if min(rows, columns) < 3 else _contours(levels, across, down, contours)
-    x, y, width, height = rectangle
-    fx, fy = wide / size[0], tall / size[1]
-    box = (
-        f'<rect x="{x * fx:.1f}" y="{y * fy:.1f}" width="{width * fx:.1f}" height="{height * fy:.1f}" '
-        'fill="none" stroke="#1f9d4c" stroke-width="2.5"/>'
-    )
-    middle = (
-        f'<path d="M0 {tall / 2:.1f}H{wide}M{wide / 2} 0V{tall:.1f}" stroke="#c62828" '
-        'stroke-width="1" stroke-dasharray="5 4"/>'
-    )
-    return _svg(cells + lines + middle + box, "light on the white", wide, tall)
-
-
-def _contours(levels: np.ndarray, across: float, down: float, contours: Sequence[float]) -> str:
-    from skimage.measure import find_contours
-
-    parts = []
-    for level in contours:
-        for path in sorted(find_contours(levels, level), key=len, reverse=True):
-            if len(path) < 5:
-                continue
-            points = " ".join(f"{(c + 0.5) * across:.1f},{(r + 0.5) * down:.1f}" for r, c in path)
-            parts.append(
-                f'<polyline points="{points}" fill="none" stroke="#1d1b16" stroke-width="1"/>'
-            )
-            r, c = path[len(path) // 2]
-            parts.append(
-                f'<text x="{(c + 0.5) * across:.1f}" y="{(r + 0.5) * down:.1f}" '
-                f'style="fill:#1d1b16;paint-order:stroke;stroke:#fff8;stroke-width:3px">{100 * level:g} %</text>'
-            )
-    return "".join(parts)
-
-
-def picture_with_areas(
-    src: str, size: tuple[int, int], areas: np.ndarray, names: Sequence[str]
-) -> str:
-    """Return a picture (a data address) with areas, (n, 4, 2) px, drawn over it."""
     width, height = size
-    unit = max(width, height) / 420
-    parts = [f'<image href="{src}" width="{width}" height="{height}"/>']
+    figure = new_figure(420, max(40.0, min(420.0, 420.0 * height / width)), layout=None)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    axes.imshow(
+        levels, cmap="cividis", vmin=0, vmax=1, extent=(0, width, height, 0), aspect="auto",
+        interpolation="nearest",
+    )  # fmt: skip
+    if min(rows, columns) > 2:
+        x = (np.arange(columns) + 0.5) * width / columns
+        y = (np.arange(rows) + 0.5) * height / rows
+        lines = axes.contour(x, y, levels, contours, colors="#1d1b16", linewidths=0.9)
+        axes.clabel(lines, fmt=lambda level: f"{100 * level:g} %", fontsize=9)
+    axes.axhline(height / 2, color="#c62828", linewidth=1, linestyle="--")
+    axes.axvline(width / 2, color="#c62828", linewidth=1, linestyle="--")
+    left, top, across, down = rectangle
+    axes.add_patch(
+        Rectangle((left, top), across, down, fill=False, edgecolor="#1f9d4c", linewidth=2.5)
+    )
+    return to_svg(figure, "light on the white")
+
+
+@in_style
+def picture_with_areas(picture: np.ndarray, areas: np.ndarray, names: Sequence[str]) -> str:
+    """Return a picture, (height, width) 0 … 1, with areas, (n, 4, 2) px, drawn over it."""
+    from matplotlib.collections import PolyCollection
+
+    height, width = picture.shape
+    figure = new_figure(WIDTH, WIDTH * height / width, layout=None)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    axes.imshow(picture, cmap="gray", vmin=0, vmax=1, aspect="auto")
+    axes.add_collection(
+        PolyCollection(list(areas), facecolors="none", edgecolors="#00e5ff", linewidths=1)
+    )
     for area, name in zip(areas, names, strict=True):
-        points = " ".join(f"{x + 0.5:.1f},{y + 0.5:.1f}" for x, y in area)
         x, y = area.min(0)
-        parts.append(
-            f'<polygon points="{points}" fill="none" stroke="#00e5ff" stroke-width="{unit:.2f}"/>'
-            f'<text x="{x:.1f}" y="{y - 1.5 * unit:.1f}" style="font-size:{8 * unit:.1f}px;fill:#00e5ff">{escape(name)}</text>'
-        )
-    return _svg("".join(parts), "sampled areas", width, height)
-
-
-def _svg(body: str, label: str, width: float = WIDTH, height: float = HEIGHT) -> str:
-    return f'<svg viewBox="0 0 {width:g} {height:.0f}" role="img" aria-label="{escape(label)}">{body}</svg>'
-
-
-def _sound(line: Line, log: bool, log_y: bool) -> tuple[np.ndarray, np.ndarray]:
-    x = np.array([np.nan if v is None else v for v in line.x], float)
-    y = np.array([np.nan if v is None else v for v in line.y], float)
-    good = np.isfinite(x) & np.isfinite(y)
-    if log:
-        good &= x > 0
-    if log_y:
-        good &= y > 0
-    return x[good], y[good]
-
-
-def _line(x: np.ndarray, y: np.ndarray, line: Line) -> str:
-    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
-    dash = ' stroke-dasharray="5 4"' if line.dashed else ""
-    dots = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(x, y, strict=True))
-    return (
-        f'<polyline points="{points}" fill="none" stroke="{line.colour}" stroke-width="1.4"{dash}/>'
-        f'<path d="{dots}" stroke="{line.colour}" stroke-width="4" stroke-linecap="round"/>'
-    )
-
-
-def _legend(lines: Sequence[Line], top: float) -> str:
-    """At most eight names: the first, the last, and some between."""
-    places = sorted({round(i * (len(lines) - 1) / min(7, len(lines) - 1)) for i in range(8)})
-    chosen = [lines[p] for p in places if p < len(lines)]
-    return "".join(
-        f'<path d="M{LEFT + 10} {top + 14 + 15 * k}h14" stroke="{line.colour}" stroke-width="2"/>'
-        f'<text x="{LEFT + 28}" y="{top + 18 + 15 * k}">{escape(line.label)}</text>'
-        for k, line in enumerate(chosen)
-    )
-
-
-class _axis_scale:
-    """Values to places of an axis."""
-
-    def __init__(self, low: float, high: float, start: float, end: float, log: bool) -> None:
-        self.log, self.start, self.end = log, start, end
-        self.low = float(np.log10(low)) if log else low
-        self.high = float(np.log10(high)) if log else high
-
-    def __call__(self, value: np.ndarray | float) -> np.ndarray:
-        v = np.log10(value) if self.log else np.asarray(value, float)
-        share = (v - self.low) / max(self.high - self.low, 1e-12)
-        return np.asarray(self.start + share * (self.end - self.start))
-
-
-def _axis(
-    values: np.ndarray, start: float, end: float, *, log: bool = False, from_zero: bool = False
-) -> tuple[_axis_scale, list[float]]:
-    low, high = float(values.min()), float(values.max())
-    if log:
-        low, high = low / 1.15, high * 1.15
-        powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-        ticks = [m * 10.0**p for p in powers for m in (1, 2, 5) if low <= m * 10.0**p <= high]
-        return _axis_scale(low, high, start, end, True), ticks
-    low = 0.0 if from_zero else low
-    room = max(high - low, 1e-9 + 0.02 * abs(high))
-    low, high = (0.0 if from_zero else low - 0.05 * room), high + 0.08 * room
-    step = _step((high - low) / TICKS)
-    first = np.ceil(low / step)
-    ticks = [float(f"{k * step:.10g}") for k in np.arange(first, np.floor(high / step) + 1)]
-    return _axis_scale(low, high, start, end, False), ticks
-
-
-def _step(width: float) -> float:
-    power = 10.0 ** np.floor(np.log10(width))
-    return float(power * next((m for m in (1, 2, 5) if width <= m * power), 10))
+        axes.text(x, y, name, color="#00e5ff", fontsize=8, verticalalignment="bottom")
+    return to_svg(figure, "sampled areas")

@@ -214,7 +214,7 @@ def draw_light(record: Mapping[str, Any], levels: np.ndarray, label: str) -> lis
     if rows > 1:
         column = list(levels[:, columns // 2])
         places = [(r + 0.5) * step_y for r in range(rows)]
-        lines.append(Line("middle column", places, column, "var(--tgt)"))
+        lines.append(Line("middle column", places, column, "tgt"))
     svg = plot(lines, x="native px", y="share of the brightest")
     figures.append(Figure(svg, f"Profiles of the light, {label}; {width} x {height} px."))
     return figures

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +12,18 @@ import numpy as np
 
 from levkas.core.files import write_bytes
 from levkas.planning.light import eye_of
-from levkas.planning.mitsuba_scene import camera_object, camera_sheet, lamp_objects, load_mitsuba
-from levkas.planning.motif import Motif, draw_motif
+from levkas.planning.mitsuba_scene import (
+    Motif,
+    camera_object,
+    camera_sheet,
+    draw_motif,
+    lamp_objects,
+    load_mitsuba,
+)
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lighting, Setup
-    from levkas.planning.tables import ObjectKeys
+    from levkas.planning.setup import Lighting, StudioSetup
+    from levkas.planning.tables import StudioObjectKeys
 
 WHOLE_PX, DETAIL_PX = 330, 150
 VARIANTS = ("scalar_spectral_polarized",)
@@ -35,13 +41,18 @@ class Rendered:
 
 
 def render_sheet(
-    setup: Setup, path: str | Path, *, seed: int = 1, samples: int = 16, with_best: bool = True
+    setup: StudioSetup,
+    path: str | Path,
+    *,
+    seed: int = 1,
+    samples: int = 16,
+    with_best: bool = True,
 ) -> Path:
     """Write the contact sheet of all setups of a file, and of the best pair of lamps.
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudioSetup
     path : path
         PNG.
     seed : int
@@ -54,7 +65,6 @@ def render_sheet(
     PlanRefused
         Where Mitsuba is not installed.
     """
-    from levkas.planning.sheet_layout import lay_out
 
     pictures = list(render_setups(setup, seed=seed, samples=samples, with_best=with_best))
     stream = io.BytesIO()
@@ -64,7 +74,7 @@ def render_sheet(
 
 
 def render_setups(
-    setup: Setup, *, seed: int = 1, samples: int = 16, with_best: bool = True,
+    setup: StudioSetup, *, seed: int = 1, samples: int = 16, with_best: bool = True,
     variants: tuple[str, ...] = VARIANTS,
 ) -> Iterator[Rendered]:  # fmt: skip
     """Yield the pictures of one lighting after another."""
@@ -78,10 +88,9 @@ def render_setups(
         yield _render(mi, setup, lighting, motif, panel, samples)
 
 
-def _best(setup: Setup, seed: int) -> Lighting:
+def _best(setup: StudioSetup, seed: int) -> Lighting:
     """The pair that the search finds, with the spectrum of the first lighting's lamp."""
-    from levkas.planning.optimising import optimise
-    from levkas.planning.report import judge_of
+    from levkas.planning.optimisation import judge_of, optimise
 
     judge = judge_of(setup)
     found = optimise(judge, rng=np.random.default_rng(seed)).best
@@ -93,7 +102,7 @@ def _best(setup: Setup, seed: int) -> Lighting:
 
 
 def _render(
-    mi: Any, setup: Setup, lighting: Lighting, motif: Motif, panel: Any, samples: int
+    mi: Any, setup: StudioSetup, lighting: Lighting, motif: Motif, panel: Any, samples: int
 ) -> Rendered:
     eye, size = eye_of(setup), setup.object.size_mm
     scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "volpath", "max_depth": 3}}
@@ -148,7 +157,7 @@ def _at(white: np.ndarray, view: tuple[float, float], place: tuple[float, float]
     return white[row, int((place[0] / view[0] + 0.5) * white.shape[1])]
 
 
-def _panel(mi: Any, thing: ObjectKeys, motif: Motif) -> Any:
+def _panel(mi: Any, thing: StudioObjectKeys, motif: Motif) -> Any:
     """Return the bent, sunken, brushed panel as a mesh with paint, varnish and leaf."""
     rows, columns = motif.height.shape
     width, height = thing.size_mm
@@ -192,7 +201,7 @@ def _normals(points: np.ndarray) -> np.ndarray:
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-def _material(mi: Any, thing: ObjectKeys, motif: Motif) -> dict[str, Any]:
+def _material(mi: Any, thing: StudioObjectKeys, motif: Motif) -> dict[str, Any]:
     colour = {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.round(255 * motif.colour).astype(np.uint8)),
@@ -222,3 +231,46 @@ def _material(mi: Any, thing: ObjectKeys, motif: Motif) -> dict[str, Any]:
     mask = mi.Bitmap(motif.gold.astype(np.float32)[..., None])
     weight = {"type": "bitmap", "bitmap": mask, "raw": True, "filter_type": "nearest"}
     return {"type": "blendbsdf", "weight": weight, "paint": paint, "leaf": leaf}
+
+
+GAP, HEAD, LABEL = 14, 64, 26
+PAPER, INK, SOFT = (24, 22, 18), (236, 231, 218), (167, 159, 141)
+EXPOSED = 1.0
+"""White of the board on the sheet; brighter gold is shown burnt out, as a camera would."""
+
+
+def to_srgb(linear: np.ndarray) -> np.ndarray:
+    """Return 8-bit sRGB of linear values over white.
+
+    >>> to_srgb(np.array([0.0, 0.2140, 1.0, 2.0])).tolist()
+    [0, 127, 255, 255]
+    """
+    c = np.clip(linear / EXPOSED, 0, 1)
+    coded = np.where(c <= 0.0031308, 12.92 * c, 1.055 * np.maximum(c, 1e-9) ** (1 / 2.4) - 0.055)
+    return (255 * coded + 0.5).astype(np.uint8)
+
+
+def lay_out(pictures: Sequence[Rendered], title: str) -> Any:
+    """Return the sheet as a PIL image: a row a setup, the whole object and its close-ups."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    names = list(pictures[0].details)
+    tall = max(p.whole.shape[0] for p in pictures)
+    wide = pictures[0].whole.shape[1]
+    width = GAP + wide + GAP + len(names) * (tall + GAP)
+    row = tall + LABEL + GAP
+    sheet = Image.new("RGB", (width, HEAD + len(pictures) * row), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    big, small = ImageFont.load_default(21), ImageFont.load_default(14)
+    draw.text((GAP, 12), title or "Setups", INK, big)
+    for k, name in enumerate(names):
+        draw.text((GAP + wide + GAP + k * (tall + GAP), 40), name, SOFT, small)
+    for i, picture in enumerate(pictures):
+        top = HEAD + i * row
+        sheet.paste(Image.fromarray(to_srgb(picture.whole)), (GAP, top))
+        for k, name in enumerate(names):
+            detail = Image.fromarray(to_srgb(picture.details[name])).resize((tall, tall), 3)
+            sheet.paste(detail, (GAP + wide + GAP + k * (tall + GAP), top))
+        words = f"{picture.name}: {picture.title}" if picture.title else picture.name
+        draw.text((GAP, top + tall + 4), words, INK, small)
+    return sheet

@@ -14,12 +14,11 @@ import numpy as np
 
 from levkas.planning.luminous_intensity import Lobe, lobe_exponent
 from levkas.planning.microfacet import AIR, facet_lobe, fresnel, gold_index
-from levkas.planning.setup import Lamp, Lighting, lamp_place
-from levkas.planning.surface import sample_surface
-from levkas.planning.texture import slope_nodes
+from levkas.planning.setup import Lighting, StudioLamp, lamp_place
+from levkas.planning.surface import sample_surface, slope_nodes
 
 if TYPE_CHECKING:
-    from levkas.planning.tables import ObjectKeys, Room
+    from levkas.planning.tables import Room, StudioObjectKeys
 
 TOLERANCES = {
     "varnish": 0.10,
@@ -90,7 +89,7 @@ class Arrangement:
             place = lamp_place(self.angle_deg, self.azimuth_deg + side, self.distance_mm)
             foot = place[:2] / max(float(np.hypot(*place[:2])), 1e-9)
             axis = np.array([*(-self.aim * reach * foot), 0.0]) - place
-            lamps.append(Lamp(name, place, axis / np.linalg.norm(axis), lobe, 2 * share))
+            lamps.append(StudioLamp(name, place, axis / np.linalg.norm(axis), lobe, 2 * share))
         return Lighting("pair", tuple(lamps))
 
 
@@ -121,7 +120,12 @@ class Judge:
     """
 
     def __init__(
-        self, thing: ObjectKeys, room: Room, *, eye_mm: float = 1900.0, lobe: Lobe | None = None
+        self,
+        thing: StudioObjectKeys,
+        room: Room,
+        *,
+        eye_mm: float = 1900.0,
+        lobe: Lobe | None = None,
     ) -> None:
         self.thing, self.room = thing, room
         self.lobe = Lobe(lobe_exponent(20.0)) if lobe is None else lobe

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isnan, log10
+from math import isnan, log10, nan
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,8 @@ from levkas.calibration.blocks import block_statistics
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
-from levkas.calibration.templates import Template
-from levkas.campaign.full_scales import FullScale, find_full_scale, not_known
+from levkas.calibration.templates import Template, average
 from levkas.core.problems import Problem, Refused
-from levkas.planning.advice_frames import Shot, files_at, gather_shots
 from levkas.planning.exposure_levels import (
     Advice,
     Reading,
@@ -25,9 +24,11 @@ from levkas.planning.exposure_levels import (
     judge_iso,
     limiting,
     read_channel,
+    safe_mean,
     snr_at,
 )
-from levkas.readers.frames import read_facts
+from levkas.planning.full_scale import FullScale, find_full_scale, not_known
+from levkas.readers.frames import Facts, read_facts, read_frame
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
 FAINT = 0.002  # of saturation: less tells no time
@@ -354,4 +355,128 @@ def _no_white(shot: Shot, channels: list[Reading]) -> Problem:
         expected=f"at most {NO_WHITE:.0%}",
         fix="Add --object where the frames show the object, --pattern where the sensor is a mosaic; "
         "else fill the field with the white board and move the lamps back.",
+    )
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Frames of one band at one exposure."""
+
+    name: str
+    wavelength: float
+    exposure_s: float | None
+    iso: float | None
+    stack: Template
+
+
+def gather_shots(files: Sequence[Path], full: float, exposure_s: float | None) -> list[Shot]:
+    """Put frames of one wavelength, exposure and size together."""
+    groups: dict[tuple[str, float, float | None, tuple[int, ...]], list[Path]] = {}
+    told: dict[Path, Facts] = {}
+    for file in files:
+        facts = told[file] = read_facts(file)
+        wavelength, time = _from_name(file.name)
+        name = f"{wavelength:g} nm" if wavelength == wavelength else file.parent.name
+        key = (name, wavelength, exposure_s or time or facts.exposure_s, facts.shape)
+        found = next((k for k in groups if k[0] == key[0] and k[2:] == key[2:]), key)
+        groups.setdefault(found, []).append(file)
+    return [
+        Shot(
+            name,
+            wavelength,
+            time,
+            told[members[0]].iso,
+            average((read_frame(m) for m in members), saturation=full, exposure_s=time),
+        )
+        for (name, wavelength, time, _), members in groups.items()
+    ]
+
+
+def _from_name(name: str) -> tuple[float, float | None]:
+    """Return wavelength in nm and exposure in s, as a file's name has them.
+
+    >>> _from_name("d1_disks_550nm_25ms_0004.tif"), _from_name("white.tif")
+    ((550.0, 0.025), (nan, None))
+    """
+    wavelength = re.search(r"(?<![\d.])(\d{3,4}(?:\.\d+)?) ?nm(?![a-z])", name, re.IGNORECASE)
+    time = re.search(r"(?<![\d.])(\d+(?:\.\d+)?) ?(us|µs|ms|s)(?![a-z])", name, re.IGNORECASE)
+    unit = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
+    seconds = float(time[1]) * unit[time[2].lower()] if time else None
+    return (float(wavelength[1]) if wavelength else nan), seconds
+
+
+def files_at(path: Path) -> list[Path]:
+    """Return a file, or the frames of a folder."""
+    if not path.is_dir():
+        return [path]
+    from levkas.quality.emva1288.facts import frames_below
+
+    return frames_below(path)
+
+
+SHADES = " ▁▂▃▄▅▆▇█"
+
+
+def advice_text(coached: Sequence[Coached]) -> str:
+    """Return advice for people: channels, histogram, time, why, and ISO."""
+    lines: list[str] = []
+    for found in coached:
+        first, poorest = limiting(found.advices)
+        shot = found.shot
+        time = f"{shot.exposure_s:g} s" if shot.exposure_s else "unknown time"
+        lines.append(f"{shot.name}: {time}, {shot.stack.count} shot{'s' * (shot.stack.count > 1)}")
+        lines += [_channel_line(found, advice) for advice in found.advices]
+        then = f"{first.time_s:.3g} s" if first.time_s else f"{first.factor:.2f} times as long"
+        lines.append(
+            f"  set {then} ({first.stops:+.2f} stops): brings {first.reading.channel or 'it'} to "
+            f"{100 * first.target:.0f} % of saturation"
+        )
+        if len(found.advices) > 1 and isnan(shot.wavelength):
+            behind = np.log2(first.reading.mean / max(poorest.reading.mean, 1e-9))
+            lines.append(
+                f"  {first.reading.channel} saturates first; {poorest.reading.channel} gets {behind:.1f} stops "
+                "less light: a regulating filter or a lamp richer there would even them out"
+            )
+        lines.append(f"  ISO: {found.iso_advice}")
+        lines += [f"  note: {note}" for note in found.notes]
+    lines.append(f"full scale: {coached[0].full:.0f} counts ({coached[0].full_from})")
+    lines.append(_why(coached[0]))
+    if len(coached) > 1 and all(c.first.time_s for c in coached):
+        total = sum(c.first.time_s or 0.0 for c in coached)
+        slow = max(coached, key=lambda c: c.first.time_s or 0.0)
+        lines.append(
+            f"all {len(coached)} bands: {total:.3g} s a series; {slow.shot.name} takes longest, "
+            f"{slow.first.time_s:.3g} s"
+        )
+    return "\n".join(lines)
+
+
+def _why(found: Coached) -> str:
+    """Return where the target comes from, with its numbers."""
+    first = found.first
+    full_well = first.reading.room / found.sensor.gain
+    usual = safe_mean(full_well, prnu=found.sensor.prnu)
+    told = (
+        f"why {100 * first.target:.0f} %: f = 1/[(1 + z√(1/(f·FW) + PRNU²))(1 + U/2)(1 + drift)], so that one "
+        f"pixel in a million clips (z 4.75) with FW {full_well:,.0f} e⁻, PRNU "
+        f"{100 * found.sensor.prnu:.2g} % {'measured' if found.prnu_known else 'assumed'}, a lamp that drifts by 1 %"
+    )
+    if not found.is_white:
+        return f"{told}; the object's own peak is kept there, U = 0"
+    return (
+        f"{told}, and light that varies by U = {100 * first.reading.unevenness:.0f} % over the field; "
+        f"at 10 % it would be {100 * usual:.0f} %"
+    )
+
+
+def _channel_line(found: Coached, advice: Advice) -> str:
+    reading = advice.reading
+    bars = np.add.reduceat(reading.histogram, np.arange(0, len(reading.histogram), 2))
+    height = np.ceil(8 * np.sqrt(bars / max(bars.max(), 1))).astype(int)
+    drawn = "".join(SHADES[h] for h in height)
+    then = snr_at(advice, found.sensor, found.first.factor)
+    return (
+        f"  {reading.channel or 'all':4} |{drawn}| mean {100 * reading.mean / reading.room:5.1f} %, "
+        f"{reading.stops_left:5.2f} stops left, clipped {100 * reading.clipped:.2f} %, "
+        f"SNR {advice.snr_now:.0f} now, {then:.0f} then ({10 * log10(max(then, 1e-9)):.1f} dB)"
     )

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import linprog
 
-from levkas.planning.exposing import electron_rates, irradiance_spectrum
-from levkas.planning.linear_program import solve_program
-from levkas.planning.refusals import PlanRefused, wrong
+from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
 from levkas.planning.spectra import GRID
+from levkas.planning.tables import PlanRefused, wrong
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lighting, Setup
+    from levkas.planning.setup import Lighting, StudioSetup
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,20 +97,20 @@ def solve_filter(
     bound = np.concatenate([np.zeros(len(table) - 2), [1, longest]])
     # Traces of weight take, of equally good filters, the most even one and then the shortest exposure.
     goal = np.concatenate([np.zeros(n), [1e-6, -1, 1e-3]])
-    found = solve_program(goal, table, bound)
+    found = linprog(goal, table, bound, bounds=(None, None), method="highs").x
     time = float(found[n])
     return np.clip(found[:n] / max(time, 1e-12), 0, 1), time
 
 
 def regulating_filter(
-    setup: Setup, camera: str, name: str | None = None, *, step_nm: float = 10.0,
+    setup: StudioSetup, camera: str, name: str | None = None, *, step_nm: float = 10.0,
     steepest: float = 0.01, longest: float = 8.0,
 ) -> RegulatingFilter:  # fmt: skip
     """Return the filter that evens a camera's channels out under a lighting.
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudioSetup
     camera : str
     name : str, optional
         Of the lighting.

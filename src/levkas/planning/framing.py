@@ -14,7 +14,7 @@ import numpy as np
 from levkas.planning.surface import height_range
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Camera, Setup
+    from levkas.planning.setup import StudioCamera, StudioSetup
 
 MARGIN = 0.04
 """Narrow border around the object, as a share of the field, where lens faults are worst."""
@@ -94,7 +94,7 @@ def diffraction_mtf(
     return (2 / np.pi) * (np.arccos(x) - x * np.sqrt(1 - x * x))
 
 
-def axes_of(camera: Camera) -> np.ndarray:
+def axes_of(camera: StudioCamera) -> np.ndarray:
     """Return right, down and forward of a camera in the world, (3, 3) rows."""
     forward = camera.aim - camera.place
     forward = forward / np.linalg.norm(forward)
@@ -103,7 +103,7 @@ def axes_of(camera: Camera) -> np.ndarray:
     return np.stack([np.cross(forward, down), down, forward])
 
 
-def image_of(camera: Camera, point: np.ndarray) -> np.ndarray | None:
+def image_of(camera: StudioCamera, point: np.ndarray) -> np.ndarray | None:
     """Return where a point lies on the sensor from its middle, mm (2,), None from behind."""
     right, down, forward = axes_of(camera)
     away = point - camera.place
@@ -115,7 +115,7 @@ def image_of(camera: Camera, point: np.ndarray) -> np.ndarray | None:
     return np.array([away @ right, away @ down]) * image_distance / depth
 
 
-def in_field(camera: Camera, point: np.ndarray, body_mm: float) -> bool:
+def in_field(camera: StudioCamera, point: np.ndarray, body_mm: float) -> bool:
     """Whether a body of half-breadth `body_mm` around a point shows in the picture."""
     place = image_of(camera, point)
     if place is None:
@@ -149,7 +149,7 @@ class Framing:
         return {**self.__dict__, "contradictions": list(self.contradictions)}
 
 
-def plan_framing(setup: Setup) -> list[Framing]:
+def plan_framing(setup: StudioSetup) -> list[Framing]:
     """Return the framing of every camera of a setup file.
 
     Raises
@@ -159,7 +159,7 @@ def plan_framing(setup: Setup) -> list[Framing]:
     return [_frame(setup, camera) for camera in setup.cameras.values()]
 
 
-def _frame(setup: Setup, camera: Camera) -> Framing:
+def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
     keys, thing = camera.keys, setup.object
     m = magnification(keys.focal_mm, camera.distance_mm)
     seen = field_mm(keys.pixels, keys.pitch_um, m)
@@ -192,7 +192,7 @@ def _oriented(size: tuple[float, float], seen: tuple[float, float]) -> tuple[flo
     return (size[1], size[0]) if turned else size
 
 
-def _said(frame: Framing, camera: Camera, wanted: tuple[float, float]) -> list[str]:
+def _said(frame: Framing, camera: StudioCamera, wanted: tuple[float, float]) -> list[str]:
     """Say in sentences what does not fit together."""
     keys, told = camera.keys, []
     w, h = frame.field_mm

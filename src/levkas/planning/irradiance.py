@@ -9,15 +9,15 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from levkas.planning.setup import Lamp
+    from levkas.planning.setup import StudioLamp
 
 
-def light_of(lamp: Lamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def light_of(lamp: StudioLamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the light that a lamp sends to points.
 
     Parameters
     ----------
-    lamp : Lamp
+    lamp : StudioLamp
     points : ndarray, (..., 3), mm
 
     Returns
@@ -37,12 +37,12 @@ def light_of(lamp: Lamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 1e6 * lamp.candela * shares * lobe / squared, towards
 
 
-def illuminate(lamps: Iterable[Lamp], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def illuminate(lamps: Iterable[StudioLamp], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Return the illuminance of points by all lamps, lux where their power is known.
 
     Parameters
     ----------
-    lamps : iterable of Lamp
+    lamps : iterable of StudioLamp
     points, normals : ndarray, (..., 3)
         mm; unit vectors.
 

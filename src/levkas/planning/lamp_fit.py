@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.planning.setup import Lighting
-    from levkas.planning.tables import ObjectKeys
+    from levkas.planning.tables import StudioObjectKeys
 
 SPREAD = {"power": 0.3, "angle": 4.0, "azimuth": 4.0, "distance": 0.06, "aim": 60.0, "beam": 0.4}
 """How far a set-up is expected to miss its plan: one standard deviation of each parameter, in
@@ -88,7 +88,7 @@ class FittedLamps:
 
 
 def fit_lamps(
-    white: np.ndarray, lighting: Lighting, thing: ObjectKeys, *, bent: bool = False,
+    white: np.ndarray, lighting: Lighting, thing: StudioObjectKeys, *, bent: bool = False,
     vignetting: bool = True, centre_mm: tuple[float, float] = (0.0, 0.0),
 ) -> FittedLamps:  # fmt: skip
     """Return the lamps that explain a measured white.
@@ -150,7 +150,7 @@ class _Board:
 
     @classmethod
     def of(
-        cls, blocks: np.ndarray, lighting: Lighting, thing: ObjectKeys,
+        cls, blocks: np.ndarray, lighting: Lighting, thing: StudioObjectKeys,
         centre: tuple[float, float], vignetting: bool,
     ) -> _Board:  # fmt: skip
         measured = np.log(blocks)
@@ -252,7 +252,7 @@ def _roughness(measured: np.ndarray) -> float:
 
 
 def _surface(
-    along: np.ndarray, across: np.ndarray, thing: ObjectKeys
+    along: np.ndarray, across: np.ndarray, thing: StudioObjectKeys
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return points and normals, (rows, columns, 3), of a board that is flat, or bent as the object is."""
     if thing.bend is None:

@@ -7,17 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.glare import Glare, glare, rough_texture
-from levkas.planning.irradiance import drop, illuminate
+from levkas.planning.irradiance import drop, illuminate, light_of
 from levkas.planning.luminous_intensity import Lobe
-from levkas.planning.microfacet import lobe_reach_deg, transmitted
-from levkas.planning.setup import Lamp, Lighting, aim_point
-from levkas.planning.surface import Surface, sample_surface, wall_deg
-from levkas.planning.texture import hidden_share, shading_contrast
+from levkas.planning.microfacet import (
+    AIR,
+    facet_lobe,
+    fresnel,
+    gold_index,
+    lobe_reach_deg,
+    transmitted,
+)
+from levkas.planning.setup import Lighting, StudioLamp, aim_point
+from levkas.planning.surface import (
+    Surface,
+    hidden_share,
+    sample_surface,
+    shading_contrast,
+    slope_nodes,
+    wall_deg,
+)
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Setup
-    from levkas.planning.tables import ObjectKeys
+    from levkas.planning.setup import Lighting, StudioSetup
+    from levkas.planning.surface import Surface
+    from levkas.planning.tables import Sheets, StudioObjectKeys
 
 DEFAULT_EYE_MM = 1900.0
 PAINT = 0.2
@@ -45,7 +58,7 @@ class LightPlan:
     lighting: Lighting
     surface: Surface
     illuminance: np.ndarray
-    glare: Glare
+    glare: GlareMaps
     drop: float
     mean: float
     absolute: bool
@@ -74,20 +87,20 @@ class LightPlan:
         }
 
 
-def eye_of(setup: Setup) -> np.ndarray:
+def eye_of(setup: StudioSetup) -> np.ndarray:
     """Return where the first camera stands, mm, or a usual place."""
     cameras = list(setup.cameras.values())
     return cameras[0].place if cameras else np.array([0.0, 0.0, DEFAULT_EYE_MM])
 
 
 def plan_light(
-    setup: Setup, name: str | None = None, *, columns: int = 61, levers: bool = True
+    setup: StudioSetup, name: str | None = None, *, columns: int = 61, levers: bool = True
 ) -> LightPlan:
     """Return what a lighting of a setup file does.
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudioSetup
     name : str, optional
         Of the lighting; the first without one.
     columns : int
@@ -120,7 +133,7 @@ def plan_light(
     return replace(plan, levers=tuple(say_levers(setup, plan))) if levers else plan
 
 
-def compare_lightings(setup: Setup, *, columns: int = 31) -> list[LightPlan]:
+def compare_lightings(setup: StudioSetup, *, columns: int = 31) -> list[LightPlan]:
     """Return the plan of every lighting of a setup file, without levers."""
     return [plan_light(setup, name, columns=columns, levers=False) for name in setup.lightings]
 
@@ -133,7 +146,7 @@ def _spread(values: np.ndarray | None) -> float:
     return 1.0 if values is None else float(values.max() / max(values.min(), 1e-12))
 
 
-def _darkening(thing: ObjectKeys, lighting: Lighting) -> float:
+def _darkening(thing: StudioObjectKeys, lighting: Lighting) -> float:
     """Light that enters the varnish over that of a 45° lamp: paint reads darker by 1 − this."""
     if thing.varnish is None:
         return 1.0
@@ -145,7 +158,9 @@ def _darkening(thing: ObjectKeys, lighting: Lighting) -> float:
 # --- bright field -------------------------------------------------------------------------------
 
 
-def bright_fields(thing: ObjectKeys, lighting: Lighting, eye: np.ndarray) -> dict[str, BrightField]:
+def bright_fields(
+    thing: StudioObjectKeys, lighting: Lighting, eye: np.ndarray
+) -> dict[str, BrightField]:
     """Return the family of angles in the two planes along the object's width and height.
 
     The margin is that of the lamp nearest to the bright field; infinite where no lamp lies within
@@ -185,7 +200,7 @@ def _margin(lighting: Lighting, axis: int, wide: tuple[float, float]) -> float:
 # --- levers -------------------------------------------------------------------------------------
 
 
-def say_levers(setup: Setup, plan: LightPlan) -> list[str]:
+def say_levers(setup: StudioSetup, plan: LightPlan) -> list[str]:
     """Say in sentences what each lever would change, the strongest on evenness first."""
     changes = list(_changes(setup, plan.lighting))
     rated = []
@@ -212,7 +227,7 @@ def _quick_value(plan: LightPlan, key: str) -> float:
     return float(getattr(plan, key))
 
 
-def _quick(setup: Setup, lighting: Lighting) -> dict[str, float]:
+def _quick(setup: StudioSetup, lighting: Lighting) -> dict[str, float]:
     thing = setup.object
     surface = sample_surface(thing, 21)
     lit = illuminate(lighting.lamps, surface.points, surface.normals)
@@ -228,15 +243,15 @@ def _quick(setup: Setup, lighting: Lighting) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _changes(setup: Setup, lighting: Lighting) -> list[tuple[str, Lighting]]:
+def _changes(setup: StudioSetup, lighting: Lighting) -> list[tuple[str, Lighting]]:
     """Return each lever in words and the lighting it leads to."""
     size = setup.object.size_mm
     lamps = lighting.lamps
 
-    def with_lamps(changed: list[Lamp]) -> Lighting:
+    def with_lamps(changed: list[StudioLamp]) -> Lighting:
         return replace(lighting, lamps=tuple(changed))
 
-    def turned(lamp: Lamp, degrees: float) -> Lamp:
+    def turned(lamp: StudioLamp, degrees: float) -> StudioLamp:
         angle = np.radians(min(max(lamp.angle_deg + degrees, 5.0), 86.0))
         foot = lamp.place[:2] / max(float(np.hypot(*lamp.place[:2])), 1e-9)
         place = lamp.distance_mm * np.array([*(np.sin(angle) * foot), np.cos(angle)])
@@ -272,12 +287,111 @@ def _changes(setup: Setup, lighting: Lighting) -> list[tuple[str, Lighting]]:
     return told
 
 
-def _moved(lamp: Lamp, place: np.ndarray) -> Lamp:
+def _moved(lamp: StudioLamp, place: np.ndarray) -> StudioLamp:
     """Move a lamp, aimed at the same point of the object's plane."""
     target = lamp.place - lamp.axis * lamp.place[2] / min(lamp.axis[2], -1e-6)
     return _aimed(replace(lamp, place=place), target)
 
 
-def _aimed(lamp: Lamp, target: np.ndarray) -> Lamp:
+def _aimed(lamp: StudioLamp, target: np.ndarray) -> StudioLamp:
     axis = target - lamp.place
     return replace(lamp, axis=axis / np.linalg.norm(axis))
+
+
+@dataclass(frozen=True, eq=False)
+class GlareMaps:
+    """Specular light over a white board's at the same place, arrays (rows, columns) or None."""
+
+    varnish: np.ndarray | None
+    gold: np.ndarray | None
+
+
+def glare(
+    thing: StudioObjectKeys, surface: Surface, lighting: Lighting, eye: np.ndarray, sheets: Sheets,
+    *, model: str = "ggx",
+) -> GlareMaps:  # fmt: skip
+    """Return the glare of varnish and gold over an object.
+
+    Parameters
+    ----------
+    thing : ObjectKeys
+    surface : Surface
+    lighting : Lighting
+    eye : ndarray, (3,)
+        Where the camera stands, mm.
+    sheets : Sheets
+        Under crossed polarisers specular light is left as their leak.
+
+    Returns
+    -------
+    glare : GlareMaps
+        1 is as bright as white. Facets are GGX unless `model` is ``"beckmann"``.
+    """
+    flat = np.zeros_like(surface.normals)
+    flat[..., 2] = 1
+    white = illuminate(lighting.lamps, surface.points, flat)
+    found: list[np.ndarray | None] = []
+    for coat, index in ((thing.varnish, None), (thing.gold, gold_index())):
+        if coat is None:
+            found.append(None)
+            continue
+        n = coat.index / AIR if index is None else index  # type: ignore[union-attr]
+        light = _specular(surface, lighting, eye, coat.roughness, n, model)
+        if lighting.crossed:
+            light = light * sheets.leak * 2  # the diffuse light loses half, this all but the leak
+        found.append(light / np.maximum(white, 1e-30))
+    return GlareMaps(*found)
+
+
+def _specular(
+    surface: Surface, lighting: Lighting, eye: np.ndarray, roughness: float, index: complex,
+    model: str,
+) -> np.ndarray:  # fmt: skip
+    """Return π times the radiance of facets, in the unit of the irradiance."""
+    n = surface.normals
+    view = eye - surface.points
+    view = view / np.linalg.norm(view, axis=-1, keepdims=True)
+    to_eye = (n * view).sum(-1)
+    total = np.zeros(to_eye.shape)
+    for lamp in lighting.lamps:
+        strength, towards = light_of(lamp, surface.points)
+        half = towards + view
+        half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+        incident = (n * towards).sum(-1)
+        s, p = fresnel((half * towards).sum(-1), index)
+        mirrored = {"s": s, "p": p, None: (s + p) / 2}[lamp.polariser]
+        lobe = facet_lobe(
+            (n * half).sum(-1), incident, np.broadcast_to(to_eye, incident.shape), roughness,
+            model=model,
+        )  # fmt: skip
+        total = total + (mirrored * lobe * np.maximum(incident, 0) * strength).sum(0)
+    return total
+
+
+def rough_texture(
+    thing: StudioObjectKeys,
+    lighting: Lighting,
+    eye: np.ndarray,
+    sheets: Sheets,
+    *,
+    paint: float = 0.2,
+) -> float:
+    """Return the contrast of relief at the object's middle, specular light of the varnish included.
+
+    Slopes are normal with the object's `relief_slope`; the contrast is spread over mean of what the
+    camera gets from paint of reflectance `paint`.
+    """
+    slopes, weights = slope_nodes(thing.relief_slope)
+    normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], 1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    from levkas.planning.surface import Surface
+
+    spots = Surface(np.zeros(1), np.zeros(1), np.zeros_like(normals), normals)
+    shading = illuminate(lighting.lamps, spots.points, normals)
+    total = paint * shading
+    if thing.varnish is not None:
+        index = thing.varnish.index / AIR
+        mirror = _specular(spots, lighting, eye, thing.varnish.roughness, index, "ggx")
+        total = total + mirror * (2 * sheets.leak if lighting.crossed else 1.0)
+    mean = weights @ total
+    return float(np.sqrt(weights @ (total - mean) ** 2) / mean)

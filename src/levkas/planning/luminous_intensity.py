@@ -65,7 +65,7 @@ def read_lobe(name: str, keys: LampKeys, root: Path, *, file: str) -> Lobe:
     PlanRefused
         Where beam and table are both given, or the table does not begin at 0 degrees.
     """
-    from levkas.planning.refusals import PlanRefused, wrong
+    from levkas.planning.tables import PlanRefused, wrong
 
     if keys.lobe is None:
         if keys.beam_deg is None:
@@ -81,8 +81,8 @@ def read_lobe(name: str, keys: LampKeys, root: Path, *, file: str) -> Lobe:
 
 
 def _read_angles(path: Path, field: str, file: str) -> tuple[np.ndarray, np.ndarray]:
-    from levkas.planning.refusals import PlanRefused, wrong
-    from levkas.readers.texts import TextRefused, read_text
+    from levkas.planning.tables import PlanRefused, wrong
+    from levkas.readers.text import TextRefused, read_text
 
     try:
         lines = read_text(path, "a CSV of degrees and relative intensity").splitlines()

@@ -10,7 +10,9 @@ import numpy as np
 
 from levkas.colour.illuminants import illuminant, planck
 from levkas.colour.observer import tables
-from levkas.planning.refusals import PlanRefused, asked, wrong
+from levkas.planning.tables import PlanRefused, asked, wrong
+from levkas.readers.spectra import are_spectra, parse_spectra
+from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -206,42 +208,23 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
     PlanRefused
         Where it cannot be read, or its wavelengths cannot be nanometres.
     """
-    import csv
-    import io
-
-    from levkas.readers.texts import TextRefused, read_text
-
-    rows: list[list[float]] = []
-    labels: list[str] = []
     try:
-        text = read_text(path, "a CSV of wavelength in nm and a column of values")
-        for row in csv.reader(io.StringIO(text, newline="")):
-            cells = [cell.strip() for cell in row]
-            if not any(cells) or cells[0].startswith("#"):
-                continue
-            try:
-                rows.append([float(c) for c in cells if c])
-            except ValueError:
-                if rows or labels:
-                    raise
-                labels = cells[1:]
-        table = np.array(rows, float)
+        table, head = parse_spectra(
+            read_text(path, "a CSV of wavelength in nm and a column of values")
+        )
     except TextRefused as refused:
         raise PlanRefused(*refused.problems) from None
-    except (ValueError, csv.Error) as error:
+    except ValueError as error:
         raise PlanRefused(
             wrong(file, field, f"{path.name} is no table of numbers", str(error)[:80], "a CSV")
         ) from None
-    if table.ndim != 2 or len(table) < 2 or table.shape[1] < 2 or not np.isfinite(table).all():
+    filled = ~np.isnan(table).all(axis=0)  # a comma at the end of every row makes no column
+    table, labels = table[:, filled], [h for h, f in zip(head, filled, strict=False) if f][1:]
+    if not are_spectra(table) or not np.isfinite(table).all() or (table[:, 1:] < 0).any():
         raise PlanRefused(
-            wrong(file, field, f"{path.name} is no table over wavelength", f"{len(rows)} rows",
-                  "two rows or more of wavelength and values")
+            wrong(file, field, f"{path.name} is no table over wavelength", f"{len(table)} rows",
+                  "two rows or more of wavelengths, all distinct, and values of 0 or more")
         )  # fmt: skip
-    table = table[np.argsort(table[:, 0])]
-    if (np.diff(table[:, 0]) <= 0).any() or (table[:, 1:] < 0).any():
-        raise PlanRefused(
-            wrong(file, field, f"{path.name}: wavelengths must differ and values be 0 or more")
-        )
     low, high = table[0, 0], table[-1, 0]
     if high < 100 or low > 3000:
         unit = "micrometres" if high < 100 else "ångström"

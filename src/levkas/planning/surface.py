@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.planning.irradiance import light_of
+
 if TYPE_CHECKING:
-    from levkas.planning.tables import ObjectKeys
+    from collections.abc import Sequence
+
+    from levkas.planning.setup import StudioLamp
+    from levkas.planning.tables import StudioObjectKeys
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +35,7 @@ class Surface:
     normals: np.ndarray
 
 
-def sample_surface(thing: ObjectKeys, columns: int = 61, *, recess: bool = True) -> Surface:
+def sample_surface(thing: StudioObjectKeys, columns: int = 61, *, recess: bool = True) -> Surface:
     """Return the object's surface on an even grid, edges included.
 
     Parameters
@@ -70,7 +76,7 @@ def sample_surface(thing: ObjectKeys, columns: int = 61, *, recess: bool = True)
     return Surface(x, y, points, normals)
 
 
-def tilt_deg(thing: ObjectKeys) -> float:
+def tilt_deg(thing: StudioObjectKeys) -> float:
     """Return the largest tilt of the bent panel's normal, degrees: asin of half the side over R.
 
     >>> from levkas.planning.tables import Bend, ObjectKeys
@@ -83,12 +89,12 @@ def tilt_deg(thing: ObjectKeys) -> float:
     return float(np.degrees(side / 2 / thing.bend.radius_mm))
 
 
-def wall_deg(thing: ObjectKeys) -> float:
+def wall_deg(thing: StudioObjectKeys) -> float:
     """Return the slope of the recess's walls, degrees; 0 without a recess."""
     return float(np.degrees(np.arctan2(thing.recess_mm, thing.bevel_mm)))
 
 
-def height_range(thing: ObjectKeys) -> tuple[float, float]:
+def height_range(thing: StudioObjectKeys) -> tuple[float, float]:
     """Return the lowest and highest z of the object, mm, 0 at the rim's top in the middle.
 
     >>> from levkas.planning.tables import ObjectKeys
@@ -100,3 +106,82 @@ def height_range(thing: ObjectKeys) -> tuple[float, float]:
         side = thing.size_mm[1 if thing.bend.straight == "width" else 0]
         low = min(low, thing.bend.radius_mm * (np.cos(side / 2 / thing.bend.radius_mm) - 1))
     return float(low), 0.0
+
+
+@cache
+def slope_nodes(spread: float, side: int = 48) -> tuple[np.ndarray, np.ndarray]:
+    """Return slopes (p, q), (n, 2), and weights of sum 1 for a normal spread, to average over them.
+
+    An even grid out to four spreads, for shading has a kink where a slope turns from the lamp.
+    """
+    nodes = (np.arange(side) + 0.5) / side * 8 - 4
+    weights = np.exp(-0.5 * nodes**2)
+    weights /= weights.sum()
+    p, q = (spread * g.ravel() for g in np.meshgrid(nodes, nodes))
+    return np.stack([p, q], 1), np.outer(weights, weights).ravel()
+
+
+def _at_middle(lamps: Sequence[StudioLamp]) -> tuple[np.ndarray, np.ndarray]:
+    """Strength (k,) and direction (k, 3) of every point of light at the object's middle."""
+    pairs = [light_of(lamp, np.zeros(3)) for lamp in lamps]
+    return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+
+
+def shading_contrast(lamps: Sequence[StudioLamp], slope: float) -> float:
+    """Return the spread over mean of light on a matte relief.
+
+    Parameters
+    ----------
+    lamps : sequence of StudioLamp
+    slope : float
+        Root mean square of the relief's slope along any direction.
+
+    Returns
+    -------
+    contrast : float
+        One lamp at 45° on gentle relief gives the slope itself.
+    """
+    strength, towards = _at_middle(lamps)
+    slopes, weights = slope_nodes(slope)
+    normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], 1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = np.maximum(normals @ towards.T, 0) @ strength
+    mean = float(weights @ light)
+    return float(np.sqrt(weights @ (light - mean) ** 2)) / mean
+
+
+def hidden_share(lamps: Sequence[StudioLamp], slope: float) -> float:
+    """Return the share of relief that a lamp cannot reach, weighted by what the lamps give.
+
+    Slopes steeper than the lamp's height above the panel turn away from it: this is what makes
+    grazing light exaggerate.
+
+    Examples
+    --------
+    >>> from levkas.planning.setup import Lamp, lamp_place
+    >>> low, high = (Lamp("a", lamp_place(a, 0.0, 2000.0), np.zeros(3)) for a in (80.0, 60.0))
+    >>> round(hidden_share([low], 0.12), 3), round(hidden_share([high], 0.12), 6)
+    (0.071, 1e-06)
+    """
+    from math import erfc
+
+    strength, towards = _at_middle(lamps)
+    flat = strength * np.maximum(towards[:, 2], 0)
+    if not slope:
+        return 0.0
+    height = towards[:, 2] / np.maximum(np.hypot(towards[:, 0], towards[:, 1]), 1e-9)
+    turned = np.array([0.5 * erfc(float(h) / (slope * np.sqrt(2))) for h in height])
+    return float((flat * turned).sum() / max(float(flat.sum()), 1e-30))
+
+
+def first_order_gain(lamps: Sequence[StudioLamp]) -> float:
+    """Return how strongly gentle slopes show, over one lamp at 45°: opposed lamps cancel.
+
+    >>> from levkas.planning.setup import Lamp, lamp_place
+    >>> pair = [Lamp("a", lamp_place(70.0, a, 2000.0), np.zeros(3)) for a in (0.0, 180.0)]
+    >>> round(first_order_gain(pair[:1]), 2), round(first_order_gain(pair), 6)
+    (2.75, 0.0)
+    """
+    strength, towards = _at_middle(lamps)
+    flat = (strength * np.maximum(towards[:, 2], 0)).sum()
+    return float(np.hypot(*(strength @ towards[:, :2])) / max(float(flat), 1e-30))

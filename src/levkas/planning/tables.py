@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, PlainValidator
 
 from levkas.campaign.schema.tables import Range, Table
 from levkas.campaign.schema.values import Number, Size, SizeMm, Switch, Text, Whole
+from levkas.core.problems import Problem, Refused
 
 SAFE_KINDS = ("high", "medium", "low", "none")
 
@@ -75,7 +76,7 @@ class Gilding(Table):
     roughness: Annotated[Number, Field(ge=0.005, le=1)]
 
 
-class ObjectKeys(Table):
+class StudioObjectKeys(Table):
     """What is to be captured."""
 
     title: Text = ""
@@ -154,7 +155,7 @@ class SetupKeys(Table):
     illuminance_lx: Positive | None = None
 
 
-class CameraKeys(Table):
+class StudioCameraKeys(Table):
     """A camera before the object, its axis along the object's normal unless `place_mm` says else."""
 
     pixels: Size
@@ -182,7 +183,7 @@ class CameraKeys(Table):
     sure: Switch = False
 
 
-class Session(Table):
+class SessionKeys(Table):
     """A day's work: what it costs the object in light."""
 
     warm_up_min: NotNegative = 0.0
@@ -214,12 +215,43 @@ class Bench(Table):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     title: Text = ""
-    object: ObjectKeys
+    object: StudioObjectKeys
     spectra: dict[str, SpectrumKeys] = Field(min_length=1)
     lamps: dict[str, LampKeys] = Field(min_length=1)
-    cameras: dict[str, CameraKeys] = Field(default_factory=dict)
+    cameras: dict[str, StudioCameraKeys] = Field(default_factory=dict)
     setups: dict[str, SetupKeys] = Field(min_length=1)
     sheets: Sheets = Sheets()
-    session: Session = Session()
+    session: SessionKeys = SessionKeys()
     room: Room = Room()
     target: Target = Target()
+
+
+EXPLAINED = "docs/planning.md explains every key."
+
+
+class PlanRefused(Refused):
+    """A setup that cannot be planned; every reason is listed."""
+
+
+def wrong(
+    file: str, field: str, message: str, found: Any = None, expected: Any = None,
+    fix: str = EXPLAINED, code: str = "E_VALUE",
+) -> Problem:  # fmt: skip
+    """Return a value's problem."""
+    return Problem(code, message, file, field, _plain(found), expected, fix)
+
+
+def asked(file: str, field: str, found: Any, expected: Any, meant: str, fix: str = "") -> Problem:
+    """Return a question about a unit: the value is possible, but hardly meant.
+
+    >>> print(asked("bench.toml", "cameras.a.focal_mm", 6, "8 to 1,000 mm", "6 cm"))
+    is 6 cm meant? (file: bench.toml; field: cameras.a.focal_mm; found: 6; expected: 8 to 1,000 mm). ...
+    """
+    key = field.rpartition(".")[2]
+    fix = fix or f"Write {key} in its unit; nothing is assumed."
+    return Problem("E_UNIT", f"is {meant} meant?", file, field, _plain(found), expected, fix)
+
+
+def _plain(value: Any) -> Any:
+    """A list as text: problems are compared, which lists cannot be."""
+    return str(value) if isinstance(value, list | tuple) else value

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from levkas.planning.dose import plan_dose
-from levkas.planning.exposing import plan_exposure
+from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import Framing, plan_framing
 from levkas.planning.light import compare_lightings, plan_light
-from levkas.planning.setup import Setup, load_setup
+from levkas.planning.loading import load_setup
+from levkas.planning.setup import StudioSetup
 
 
 class LightRecord(dict[str, Any]):
     """What `levkas plan light` reports; `setup` is the file it was computed from."""
 
-    def __init__(self, setup: Setup, **facts: Any) -> None:
+    def __init__(self, setup: StudioSetup, **facts: Any) -> None:
         super().__init__(**facts)
         self.setup = setup
 
@@ -40,8 +40,7 @@ def light_record(
         contradictions=[c for f in plan_framing(setup) for c in f.contradictions],
     )
     if optimised:
-        from levkas.planning.optimising import optimise, trade_off
-        from levkas.planning.report import judge_of
+        from levkas.planning.optimisation import judge_of, optimise, trade_off
 
         judge = judge_of(setup, setup.lighting(name))
         best = optimise(judge, rng=np.random.default_rng(seed))

@@ -16,13 +16,13 @@ from levkas.publish.publication import PublishRefused
 
 if TYPE_CHECKING:
     from levkas.core.files import Folder
-    from levkas.publish.facts import Facts
+    from levkas.publish.metadata import PublicationFacts
 
 DECLARATION = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
 MANIFEST, TAGS = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 
 
-def write_bag(published: str | Path, target: str | Path, facts: Facts) -> Iterator[str]:
+def write_bag(published: str | Path, target: str | Path, facts: PublicationFacts) -> Iterator[str]:
     """Copy a published folder into a bag, comparing every hash on the way; yields file by file.
 
     Parameters
@@ -30,7 +30,7 @@ def write_bag(published: str | Path, target: str | Path, facts: Facts) -> Iterat
     published : path
     target : path
         A new folder, or an earlier bag, which is replaced when the new one is whole.
-    facts : Facts
+    facts : PublicationFacts
         For bag-info.txt; the date is that of the publication, never the clock's.
 
     Raises
@@ -65,7 +65,7 @@ def write_bag(published: str | Path, target: str | Path, facts: Facts) -> Iterat
         _check_bag(folder.path, target)
 
 
-def _write_tags(folder: Folder, hashes: dict[str, str], size: int, facts: Facts) -> None:
+def _write_tags(folder: Folder, hashes: dict[str, str], size: int, facts: PublicationFacts) -> None:
     lines = [f"{sha}  data/{_encoded(name)}\n" for name, sha in sorted(hashes.items())]
     tags = {
         "bagit.txt": DECLARATION,
@@ -81,7 +81,7 @@ def _write_tags(folder: Folder, hashes: dict[str, str], size: int, facts: Facts)
     folder.write_bytes(TAGS, listed.encode("utf-8"))
 
 
-def _info(facts: Facts, size: int, count: int) -> dict[str, str]:
+def _info(facts: PublicationFacts, size: int, count: int) -> dict[str, str]:
     told = {
         "External-Description": " ".join(facts.description.split()) or facts.title,
         "External-Identifier": facts.doi,

@@ -7,17 +7,14 @@ publication, never the clock's.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas.core.json_safe import to_json
-from levkas.publish.actions import describe_steps, describe_tools
-from levkas.publish.crate_rules import check_crate
-from levkas.publish.describing import describe_dataset
-from levkas.publish.facts import DOI, ORCID, Facts, Person
-from levkas.publish.publication import PublishRefused
+from levkas.publish.metadata import DOI, ORCID, Person, PublicationFacts
+from levkas.publish.provenance import describe_steps, describe_tools
+from levkas.publish.publication import describe_dataset
 
 if TYPE_CHECKING:
     from levkas.publish.publication import Publication
@@ -50,20 +47,9 @@ Entity = dict[str, Any]
 
 
 def write_crate(publication: Publication) -> Iterator[str]:
-    """Write ro-crate-metadata.json for all that stands in the folder, and check it by its rules.
-
-    Raises
-    ------
-    PublishRefused
-        Where the rules of RO-Crate are not kept.
-    """
+    """Write ro-crate-metadata.json for all that stands in the folder."""
     yield "describing every file"
     publication.write_text(NAME, to_json(describe_crate(publication)))
-    yield "checking the description"
-    if problems := check_crate(publication.folder):
-        here, final = str(publication.folder), str(publication.out.final)
-        told = [replace(p, file=(p.file or "").replace(here, final)) for p in problems]
-        raise PublishRefused(*told[:10])
 
 
 def describe_crate(publication: Publication) -> dict[str, Any]:
@@ -245,7 +231,7 @@ def _person(entities: dict[str, Entity], person: Person, number: int) -> Entity:
     return {"@id": identifier}
 
 
-def _licence(entities: dict[str, Entity], facts: Facts) -> Entity:
+def _licence(entities: dict[str, Entity], facts: PublicationFacts) -> Entity:
     licence = facts.licence
     assert licence is not None, "publish refuses a database without a licence"
     identifier = licence.url or "#licence"

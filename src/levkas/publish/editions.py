@@ -18,11 +18,13 @@ import numpy as np
 from levkas.core.cube import Cube
 from levkas.core.digests import hash_file
 from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
 from levkas.database.consistency import stem_of
 from levkas.database.registrations import read_registration
+from levkas.database.splits import NAME as SPLITS
+from levkas.database.splits import split_objects
 from levkas.database.store import layer_name, write_index
-from levkas.publish.content import not_whole
 from levkas.publish.publication import PublishRefused
 
 if TYPE_CHECKING:
@@ -256,3 +258,47 @@ def _check(publication: Publication, path: Path) -> None:
 
 def _place(publication: Publication, root: Path) -> Path:
     return root.relative_to(publication.folder)
+
+
+def write_content(publication: Publication) -> Iterator[str]:
+    """Copy every file that the database's manifest lists, where the full edition is wanted.
+
+    Raises
+    ------
+    PublishRefused
+        Where files are missing or are not what the manifest says: all of them, at most ten.
+    """
+    if publication.editions == "medium":
+        return
+    problems = []
+    for name, listed in publication.manifest.files.items():
+        yield name
+        try:
+            found = publication.copy_file(publication.source / name, name)
+        except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+            problems.append(not_whole(publication.source / name, "it is missing"))
+            continue
+        if found != listed.sha256:
+            problems.append(not_whole(publication.source / name, "it is not what was built"))
+    if problems:
+        raise PublishRefused(*problems[:10])
+
+
+def not_whole(path: Path, why: str) -> Problem:
+    """Return the problem of a file that cannot be published."""
+    return Problem(
+        "E_DAMAGED",
+        f"{path.name} cannot be published: {why}",
+        file=str(path),
+        fix="levkas validate names all that is damaged; build the database again.",
+    )
+
+
+def write_splits(publication: Publication) -> Iterator[str]:
+    """Write splits.csv of every edition."""
+    yield SPLITS
+    names = dict.fromkeys(entry.object for entry in publication.entries())
+    lines = "".join(f"{name},{split}\n" for name, split in split_objects(names).items())
+    for root in publication.roots.values():
+        place = root.relative_to(publication.folder)
+        publication.write_text((place / SPLITS).as_posix(), "object,split\n" + lines)

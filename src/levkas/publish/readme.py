@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from levkas.core.flags import MARKS
 from levkas.publish.citation import cite
-from levkas.publish.describing import describe_dataset
+from levkas.publish.publication import describe_dataset
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry

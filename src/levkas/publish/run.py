@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.core.problems import Problem
-from levkas.publish.crate_rules import NAME as CRATE
-from levkas.publish.facts import NAME as FACTS
-from levkas.publish.facts import Facts, facts_of, missing_facts, read_facts
-from levkas.publish.parts import PARTS, load_part
+from levkas.publish.crate import NAME as CRATE
+from levkas.publish.metadata import NAME as FACTS
+from levkas.publish.metadata import PublicationFacts, facts_of, missing_facts, read_facts
 from levkas.publish.publication import Editions, Publication, PublishRefused
 
 if TYPE_CHECKING:
     from levkas.database.manifest import Manifest
+    from levkas.publish.publication import Publication
+
+    Part = Callable[[Publication], Iterator[str]]
 
 SPACE = 1.6
 """Of the database: with a medium edition, tiles and pages beside it."""
 
 
 @dataclass(frozen=True)
-class Subject:
+class PublishSubject:
     """What is to be published: a database, and the campaign it was built from where that was given."""
 
     database: Path
@@ -124,7 +127,7 @@ def check(path: str | Path) -> CheckReport:
     report : CheckReport
         Each problem with file, field and what to write there.
     """
-    from levkas.publish.datacite import check_datacite
+    from levkas.publish.citation import check_datacite
 
     subject = find_subject(path, fresh=False)
     problems: list[Problem] = []
@@ -138,7 +141,7 @@ def check(path: str | Path) -> CheckReport:
     return CheckReport((*problems, *required), tuple(advice))
 
 
-def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
+def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
     """Tell a campaign from a database.
 
     Parameters
@@ -154,7 +157,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
     """
     path = Path(path)
     if path.name != "campaign.toml" and not (path / "campaign.toml").is_file():
-        return Subject(path)
+        return PublishSubject(path)
     from levkas.building import status
     from levkas.campaign.campaign import load_campaign
 
@@ -171,7 +174,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> Subject:
                 fix=f"Run levkas build {campaign.root} first, or give the database to publish it as it is.",
             )
         )
-    return Subject(campaign.output, campaign.path)
+    return PublishSubject(campaign.output, campaign.path)
 
 
 def publish(
@@ -208,7 +211,8 @@ def publish(
         Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
         publication still stands then.
     """
-    from levkas.core.files import publishing, sweep_beside
+    from levkas.core.files import publishing
+    from levkas.core.sweeping import sweep_beside
     from levkas.database.manifest import write_manifest
     from levkas.publish.bagging import check_target, write_bag
 
@@ -241,12 +245,12 @@ def publish(
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
 
 
-def facts_of_subject(subject: Subject) -> Facts:
+def facts_of_subject(subject: PublishSubject) -> PublicationFacts:
     """Return the facts of a database, as its campaign says them now where that is known."""
     facts = read_facts(subject.database)
     if subject.campaign is None:
         return facts
-    from levkas.building.imprint import imprint_of
+    from levkas.building.catalogue import imprint_of
     from levkas.campaign.campaign import load_campaign
     from levkas.database.catalogue import DatabaseRefused, read_catalogue
 
@@ -328,7 +332,7 @@ def _run(publication: Publication) -> Iterator[PublishStep]:
         yield PublishStep(name, "", done + 1, total, True, "done")
 
 
-def _check_output(final: Path, subject: Subject) -> None:
+def _check_output(final: Path, subject: PublishSubject) -> None:
     """Refuse a folder that is none of ours, and one that holds, or lies in, what is published."""
     from levkas.core.ownership import require_ours, stands_in
     from levkas.database.catalogue import DatabaseRefused, read_catalogue
@@ -375,3 +379,26 @@ def _with_slash(url: str) -> str:
 def summarise(steps: Iterable[PublishStep]) -> PublishReport:
     """Return the report that ends the steps."""
     return next(step.report for step in steps if step.report)
+
+
+PARTS = {
+    "content": "levkas.publish.editions:write_content",
+    "medium": "levkas.publish.editions:write_medium",
+    "colour": "levkas.publish.swatches:write_gamut",
+    "iiif": "levkas.publish.iiif:write_iiif",
+    "splits": "levkas.publish.editions:write_splits",
+    "citation": "levkas.publish.citation:write_citation",
+    "datacite": "levkas.publish.citation:write_datacite",
+    "viewer": "levkas.publish.viewer.run:write_part",
+    "readme": "levkas.publish.readme:write_readme",
+    "sealing": "levkas.publish.editions:seal_medium",
+    "crate": "levkas.publish.crate:write_crate",
+}
+"""Name of a part → where its function is; imported when it is run."""
+
+
+def load_part(name: str) -> Part:
+    """Return the function of a part."""
+    module, _, function = PARTS[name].partition(":")
+    part: Part = getattr(import_module(module), function)
+    return part

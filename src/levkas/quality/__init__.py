@@ -1,1 +1,1 @@
-"""Quality."""
+"""Quality of sensors, charts, images and registrations, measured."""

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from levkas.readers.envi_exposure import exposure_facts
 from levkas.readers.envi_header import (
+    EnviHeader,
     Fields,
+    check_list,
+    exposure_facts,
     find_data,
     find_header,
-    number_of,
     parse_header,
-    text_of,
+    parse_number,
 )
-from levkas.readers.envi_layout import DATA_TYPES, check_length, layout_of
-from levkas.readers.facts import COPY_AGAIN, Facts, check_memory, unreadable
-from levkas.readers.texts import what_stands_at
+from levkas.readers.facts import Facts, check_memory, check_size, unreadable
+from levkas.readers.text import what_stands_at
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
 
@@ -30,6 +30,14 @@ NANOMETRES = {
     "micrometer": 1e3, "micrometre": 1e3, "micron": 1e3, "mm": 1e6, "millimeter": 1e6,
     "millimetre": 1e6, "m": 1e9, "meter": 1e9, "metre": 1e9, "angstrom": 0.1, "å": 0.1,
 }  # fmt: skip
+NO_LENGTHS = ("index", "wavenumber", "wavenumbers", "ghz", "mhz", "1/cm", "cm-1")
+DATA_TYPES = {
+    1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8",
+}  # fmt: skip
+MOST_SAMPLES = 1 << 44
+"""A line scan is read in blocks, so only nonsense is refused; its data must be there anyway."""
+SHIFTED = 1 << 16
+"""Bytes by which data may exceed their header and still look like an unsaid header offset."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +125,6 @@ class EnviFile:
             code="E_TRUNCATED",
             found=f"{end} bytes",
             expected=f"{end + missing} bytes",
-            fix=COPY_AGAIN,
         )
 
 
@@ -130,8 +137,8 @@ def open_envi(path: str | Path) -> EnviFile:
         Where a needed field is missing or absurd, or the data do not fit the header.
     """
     path = Path(path)
-    header = path if path.suffix.lower() == ".hdr" else find_header(path)
-    if header is None or what_stands_at(header) != "a file":
+    beside = path if path.suffix.lower() == ".hdr" else find_header(path)
+    if beside is None or what_stands_at(beside) != "a file":
         raise unreadable(
             path,
             "the cube has no header",
@@ -139,40 +146,41 @@ def open_envi(path: str | Path) -> EnviFile:
             expected=f"{path.stem}.hdr beside it",
             fix="Put the header beside its data, under the same name.",
         )
-    fields = parse_header(header)
-    layout = layout_of(header, fields)
+    header = parse_header(beside)
+    layout = _layout_of(header)
     try:
-        data = find_data(header, fields, layout.end) if path == header else path
-        check_length(header, data, layout)
+        data = find_data(header, layout.end) if path == beside else path
+        _check_length(header, data, layout)
     except OSError as error:
         raise unreadable(path, "the data cannot be opened", found=str(error)) from error
     _, samples, bands = layout.shape
     # A spectral library holds a spectrum a line: its samples are the wavelengths.
-    centres = samples if "library" in text_of(fields, "file type").lower() else bands
+    centres = samples if "library" in header.text("file type").lower() else bands
+    names = header.fields.get("band names")
     facts = Facts(
-        path=header,
+        path=beside,
         kind="envi",
         shape=layout.shape,
         dtype=layout.dtype.newbyteorder("=").name,
         bits=8 * layout.dtype.itemsize if layout.dtype.kind == "u" else None,
-        saturation=number_of(text_of(fields, "data ceiling")) or None,
-        captured=_date(fields),
-        model=text_of(fields, "sensor type") or None,
-        wavelengths=_wavelengths(header, fields, "wavelength", centres),
-        fwhm=_wavelengths(header, fields, "fwhm", centres),
-        band_names=_names(fields, bands),
+        saturation=header.number("data ceiling") or None,
+        captured=_date(header),
+        model=header.text("sensor type") or None,
+        wavelengths=_nanometres(header, "wavelength", centres),
+        fwhm=_nanometres(header, "fwhm", centres),
+        band_names=tuple(names) if isinstance(names, list) and len(names) == bands else None,
         interleave=layout.interleave,
-        **exposure_facts(header, fields, bands),
+        **exposure_facts(header, bands),
     )
-    ignore = text_of(fields, "data ignore value")
+    ignore = header.text("data ignore value")
     return EnviFile(
         facts=facts,
         data=data,
         offset=layout.offset,
         layout=layout.dtype.str,
-        header=fields,
-        scale=number_of(text_of(fields, "reflectance scale factor")) or None,
-        ignore=float("nan") if ignore.lower() == "nan" else number_of(ignore),
+        header=header.fields,
+        scale=header.number("reflectance scale factor") or None,
+        ignore=float("nan") if ignore.lower() == "nan" else parse_number(ignore),
     )
 
 
@@ -188,46 +196,144 @@ def read_envi(path: Path) -> np.ndarray:
     return cube.read()
 
 
-def _wavelengths(path: Path, fields: Fields, key: str, bands: int) -> tuple[float, ...] | None:
-    """Return a list of the header in nm; None where it is not there or counts something else."""
-    raw = fields.get(key)
-    if not raw:
+def _nanometres(header: EnviHeader, key: str, bands: int) -> tuple[float, ...] | None:
+    """Return a list of the header in nm; None where it is absent or in no unit of length.
+
+    A unit that nobody knows is micrometres below 100.
+    """
+    if not header.fields.get(key):
         return None
-    values = [number_of(v) for v in (raw if isinstance(raw, list) else raw.split(","))]
+    values = header.numbers(key)
     numbers = [v for v in values if v is not None]
-    if len(values) != bands or len(numbers) != bands:
-        raise unreadable(
-            path,
-            f"the list of {key} does not fit the bands",
-            code="E_BAND_COUNT",
-            field=key,
-            found=f"{len(numbers)} numbers",
-            expected=f"{bands}",
-            fix="Write one number a band, or take the list out.",
-        )
-    centres = [number_of(v) or 0.0 for v in fields.get("wavelength") or raw]
-    convert = _to_nanometres(text_of(fields, "wavelength units").lower(), max(centres))
-    return tuple(round(convert(v), 6) for v in numbers) if convert else None
-
-
-def _to_nanometres(unit: str, top: float) -> Callable[[float], float] | None:
-    """Return the way from a unit to nm; a unit that nobody knows is micrometres below 100."""
-    factor = NANOMETRES.get(unit) or NANOMETRES.get(unit.rstrip("s"))
-    if unit in ("index", "wavenumber", "wavenumbers", "ghz", "mhz", "1/cm", "cm-1"):
+    check_list(header, key, len(values) if len(numbers) == bands else len(numbers), bands)
+    unit = header.text("wavelength units").lower()
+    if unit in NO_LENGTHS:
         return None
+    factor = NANOMETRES.get(unit) or NANOMETRES.get(unit.rstrip("s"))
     if factor is None:
-        factor = 1e3 if top < 100 else 1.0
-    return lambda value: value * factor
+        centres = header.numbers("wavelength") or numbers
+        factor = 1e3 if max(v or 0.0 for v in centres) < 100 else 1.0
+    return tuple(round(v * factor, 6) for v in numbers)
 
 
-def _names(fields: Fields, bands: int) -> tuple[str, ...] | None:
-    names = fields.get("band names")
-    return tuple(names) if isinstance(names, list) and len(names) == bands else None
-
-
-def _date(fields: Fields) -> str | None:
+def _date(header: EnviHeader) -> str | None:
     for key in ("acquisition time", "acquisition date", "date"):
-        found = re.search(r"\d{4}-[01]\d-[0-3]\d(?:[T ]\d\d:\d\d:\d\d)?", text_of(fields, key))
+        found = re.search(r"\d{4}-[01]\d-[0-3]\d(?:[T ]\d\d:\d\d:\d\d)?", header.text(key))
         if found:
             return found[0].replace(" ", "T")
     return None
+
+
+# --- layout -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Order, type and place of the numbers in a data file.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        (lines, samples, bands).
+    interleave : str
+        ``"bil"``, ``"bip"`` or ``"bsq"``.
+    dtype : dtype
+        With the byte order of the file.
+    offset : int
+        Bytes before the first number.
+    """
+
+    shape: tuple[int, int, int]
+    interleave: str
+    dtype: np.dtype[Any]
+    offset: int
+
+    @property
+    def end(self) -> int:
+        """Bytes that the data file must have."""
+        return self.offset + prod(self.shape) * self.dtype.itemsize
+
+
+def _layout_of(header: EnviHeader) -> Layout:
+    """Return the layout that a header declares; raises UnreadableCapture for one that is not read.
+
+    A missing `byte order` is 0 and a missing `header offset` is 0, as many vendors leave them out.
+    """
+    lines, samples, bands = (header.whole(key) for key in ("lines", "samples", "bands"))
+    check_size(
+        header.path,
+        (lines, samples, bands),
+        most=MOST_SAMPLES,
+        field="lines, samples, bands",
+        fix="Mend the header: no scan is as large.",
+    )
+    if header.whole("file compression", least=0, default=0):
+        fix = "Save the cube again without compression."
+        raise header.refusal("the data are compressed", "file compression", 1, 0, fix)
+    for key in ("major frame offsets", "minor frame offsets"):
+        text = header.text(key)
+        if any(parse_number(v) != 0 for v in re.split(r"[,\s]+", text) if v):
+            message = "gaps between lines or bands are not read"
+            fix = "Save the cube again without frame offsets."
+            raise header.refusal(message, key, text, "0, 0", fix)
+    interleave = header.text("interleave").lower() or ("bsq" if bands == 1 else "")
+    if interleave not in ("bil", "bip", "bsq"):
+        fix = "Write `interleave = bil`, bip or bsq."
+        found = interleave or "nothing"
+        raise header.refusal("unknown interleave", "interleave", found, "bil, bip or bsq", fix)
+    code = header.whole("data type")
+    if code not in DATA_TYPES:
+        raise header.refusal(
+            "samples of this type cannot be read",
+            "data type",
+            f"{code}, complex numbers" if code in (6, 9) else code,
+            ", ".join(map(str, DATA_TYPES)),
+            "Save the cube again as whole numbers or floats.",
+        )
+    order = header.whole("byte order", least=0, default=0)
+    if order > 1:
+        fix = "Write 0 for little-endian, 1 for big-endian numbers."
+        raise header.refusal("unknown byte order", "byte order", order, "0 or 1", fix)
+    dtype = np.dtype("<>"[order] + DATA_TYPES[code])
+    offset = header.whole("header offset", least=0, default=0)
+    return Layout((lines, samples, bands), interleave, dtype, offset)
+
+
+def _check_length(header: EnviHeader, data: Path, layout: Layout) -> None:
+    """Refuse data that are longer or shorter than their header declares, and name the likely field."""
+    found = data.stat().st_size
+    if found == layout.end:
+        return
+    field, fix = _likely_field(found, layout)
+    lines, samples, bands = layout.shape
+    raise unreadable(
+        data,
+        "the data do not fit their header",
+        code="E_TRUNCATED" if found < layout.end else "E_SIZE",
+        field=f"{header.path.name}: {field}",
+        found=f"{found} bytes",
+        expected=f"{layout.end} bytes for {lines} lines x {samples} samples x {bands} bands",
+        fix=fix,
+    )
+
+
+def _likely_field(found: int, layout: Layout) -> tuple[str, str]:
+    """Return the one field that would explain the size, and what to do about it."""
+    lines, samples, bands = layout.shape
+    room = found - layout.offset
+    if room <= 0:
+        return "header offset", "The data end before the offset: `header offset = 0` is usual."
+    types = [c for c, t in DATA_TYPES.items() if prod(layout.shape) * int(t[1]) == room]
+    if types:
+        return "data type", f"Data type {' or '.join(map(str, types))} would fit."
+    units = {"lines": samples * bands, "bands": lines * samples, "samples": lines * bands}
+    order = ("bands", "lines", "samples") if layout.interleave == "bsq" else tuple(units)
+    for key in order:
+        count, rest = divmod(room, units[key] * layout.dtype.itemsize)
+        if count > 0 and rest == 0:
+            fits = f"`{key} = {count}` would fit: mend the header, or copy the scan again."
+            return key, fits
+    if 0 < found - layout.end <= SHIFTED:
+        start = layout.offset + found - layout.end
+        return "header offset", f"If the data start later, write `header offset = {start}`."
+    return "lines, samples, bands or data type", "Mend the header, or copy the scan again."

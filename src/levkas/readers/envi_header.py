@@ -4,32 +4,103 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
-from levkas.readers.facts import unreadable
-from levkas.readers.texts import what_stands_at
+from levkas.readers.facts import UnreadableCapture, unreadable
+from levkas.readers.text import what_stands_at
 
 LONGEST_HEADER = 4 << 20
 DATA_SUFFIXES = (
     *(".raw", ".dat", ".img", ".bil", ".bip", ".bsq", ".bin", ".cube", ".float", ".hyspex", ".sli"),
     "",
 )
-LAYOUT = (
-    "samples",
-    "lines",
-    "bands",
-    "data type",
-    "interleave",
-    "byte order",
-    "header offset",
-)
-"""Keys that say where each number lies: said twice, they must agree."""
-
+LAYOUT = ("samples", "lines", "bands", "data type", "interleave", "byte order", "header offset")
+"""Keys of the place of each number: where one occurs twice, both must agree."""
 LONGEST_NUMBER = 400
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
+MILLISECONDS = ("tint",)
+"""Fields of one unit, whoever writes them: Specim's."""
+EXPOSURES = (
+    *("integration time", "integration times", "exposure", "exposures"),
+    *("exposure time", "exposure times", "shutter"),
+)
+"""Fields of many vendors, in ms by some and in µs by others: read where a unit is with them."""
+SECONDS = {
+    "s": 1.0, "sec": 1.0, "second": 1.0, "ms": 1e-3, "msec": 1e-3, "millisecond": 1e-3,
+    "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "microsecond": 1e-6,
+    "ns": 1e-9, "nanosecond": 1e-9,
+}  # fmt: skip
+SAME = 0.01
+"""Relative: exposures that differ by less are the same."""
+_KEY = re.compile(r"(?P<name>[a-z ]+?) ?(?:[(\[] ?(?P<unit>[a-zµμ]+) ?[)\]])?")
+_VALUE = re.compile(r"(?P<number>[^\sa-zµμ]\S*?) ?(?P<unit>[a-zµμ]+)?")
 
 Fields = dict[str, "str | list[str]"]
+
+
+@dataclass(frozen=True)
+class EnviHeader:
+    """A parsed header: its file, and its fields by keys in lower case, text or lists of text."""
+
+    path: Path
+    fields: Fields
+
+    def text(self, key: str) -> str:
+        """Return a field as text, ``{ nm }`` like ``nm``; empty where it is absent."""
+        value = self.fields.get(key, "")
+        return (", ".join(value) if isinstance(value, list) else value).strip()
+
+    def number(self, key: str) -> float | None:
+        """Return a field as a finite number, or None."""
+        return parse_number(self.text(key))
+
+    def numbers(self, key: str) -> list[float | None]:
+        """Return the items of a list as numbers, None for each that is none."""
+        raw = self.fields.get(key) or []
+        return [parse_number(v) for v in (raw if isinstance(raw, list) else raw.split(","))]
+
+    def whole(self, key: str, *, least: int = 1, default: int | None = None) -> int:
+        """Return a whole number of at least `least`; raises UnreadableCapture."""
+        if key not in self.fields and default is not None:
+            return default
+        value = self.number(key)
+        if value is None or value != int(value) or value < least:
+            raise self.refusal(
+                f"the header does not say its {key}",
+                key,
+                self.text(key)[:80] or "nothing",
+                f"a whole number from {least}",
+                f"Write `{key} = …` as the camera's software gives it.",
+            )
+        return int(value)
+
+    def refusal(
+        self, message: str, field: str, found: Any, expected: Any, fix: str
+    ) -> UnreadableCapture:
+        """Return the refusal of a field, ready to raise."""
+        more = {"field": field, "found": found, "expected": expected}
+        return unreadable(self.path, message, fix=fix, **more)
+
+
+def parse_number(text: str) -> float | None:
+    """Return a finite number, or None.
+
+    Examples
+    --------
+    >>> parse_number(" 4.5e2"), parse_number("nan"), parse_number("12 bit")
+    (450.0, None, None)
+    """
+    text = text.strip()
+    if len(text) > LONGEST_NUMBER or not NUMBER.fullmatch(text):
+        return None
+    value = float(text)
+    return value if isfinite(value) else None
+
+
+# --- files ------------------------------------------------------------------------------------
 
 
 def find_header(path: str | Path) -> Path | None:
@@ -43,93 +114,81 @@ def find_header(path: str | Path) -> Path | None:
     return None
 
 
-def find_data(header: Path, fields: Fields, needed: int) -> Path:
+def find_data(header: EnviHeader, needed: int) -> Path:
     """Return the data file of a header.
 
-    Where several stand beside it, the one that the header names or the only one of the `needed`
-    bytes. Raises UnreadableCapture where there is none, or no telling which.
+    Of several beside it, the one that the header names or the only one of the `needed` bytes.
+    Raises UnreadableCapture where there is none, or several fit.
     """
-    stem = header.with_suffix("")
-    named = Path(text_of(fields, "data file") or "/").name
+    path = header.path
+    stem = path.with_suffix("").name
+    named = Path(header.text("data file") or "/").name
     suffixes = [*DATA_SUFFIXES, *(s.upper() for s in DATA_SUFFIXES if s)]
-    names = ([named] if named else []) + [stem.name + s for s in suffixes]
+    names = ([named] if named else []) + [stem + s for s in suffixes]
     found: list[Path] = []
     for name in names:
-        candidate = header.with_name(name)
+        candidate = path.with_name(name)
         if what_stands_at(candidate) == "a file" and not any(
-            candidate.samefile(f) for f in [*found, header]
+            candidate.samefile(f) for f in [*found, path]
         ):
             found.append(candidate)
     if not found:
-        raise unreadable(
-            header,
+        there = {name: what_stands_at(path.with_name(name)) for name in names}
+        odd = [f"{name}: {found}" for name, found in there.items() if found != "no such file"]
+        raise header.refusal(
             "the header has no data file beside it",
-            field="data file",
-            found=_beside(header, names),
-            expected=f"{stem.name} with one of {', '.join(DATA_SUFFIXES[:-1])}, or no suffix",
-            fix="Put the data beside their header, under the same name.",
+            "data file",
+            "; ".join(odd[:3]) or "no such file",
+            f"{stem} with one of {', '.join(DATA_SUFFIXES[:-1])}, or no suffix",
+            "Put the data beside their header, under the same name.",
         )
     if found[0].name == named or len(found) == 1:
         return found[0]
     fitting = [f for f in found if f.stat().st_size == needed]
     if len(fitting) == 1:
         return fitting[0]
-    raise unreadable(
-        header,
+    raise header.refusal(
         "several files could be the data of this header",
-        found=", ".join(f.name for f in found),
-        expected=f"one of {needed} bytes",
-        fix="Move the others elsewhere, or open the data file by its own name.",
+        "data file",
+        ", ".join(f.name for f in found),
+        f"one of {needed} bytes",
+        "Move the others elsewhere, or open the data file by its own name.",
     )
 
 
-def _beside(header: Path, names: list[str]) -> str:
-    """Say what stands where the data should: a pipe, a folder, or nothing."""
-    there = {name: what_stands_at(header.with_name(name)) for name in names}
-    odd = [f"{name}: {found}" for name, found in there.items() if found != "no such file"]
-    return "; ".join(odd[:3]) if odd else "no such file"
+# --- text -------------------------------------------------------------------------------------
 
 
-def parse_header(path: Path) -> Fields:
+def parse_header(path: Path) -> EnviHeader:
     """Parse an ENVI header: keys in lower case, ``{…}`` as lists of text, comments left out.
 
     Raises
     ------
     UnreadableCapture
-        Where it is no ENVI header, a list has no end, or the layout is said twice and differently.
+        Where it is no ENVI header, a list has no end, or two lines of the layout contradict each other.
     """
+    header = EnviHeader(path, {})
     rows = _rows(path)
     if not rows or not rows[0].strip().upper().startswith("ENVI"):
-        raise unreadable(
-            path,
-            "this is no ENVI header",
-            found=(rows or [""])[0][:40],
-            expected="a first line ENVI",
-            fix="Name the header of an ENVI cube, or leave the file out of `files`.",
-        )
-    fields: Fields = {}
+        fix = "Name the header of an ENVI cube, or leave the file out of `files`."
+        found = (rows or [""])[0][:40]
+        raise header.refusal("this is no ENVI header", "header", found, "a first line ENVI", fix)
     left = iter(rows[1:])
     for row in left:
         name, equals, text = row.partition("=")
         if not equals:
             continue
         key, text = re.sub(r"\s+", " ", name.strip().lower()), text.strip()
-        value = _list(path, key, text, left) if text.startswith("{") else _bare(text)
-        if key in LAYOUT and fields.get(key, value) != value:
-            raise unreadable(
-                path,
-                f"the header says its {key} twice",
-                field=key,
-                found=f"{fields[key]} and {value}",
-                expected="one value",
-                fix="Delete the line that is wrong.",
-            )
-        fields[key] = value
-    return fields
+        value = _list(header, key, text, left) if text.startswith("{") else _bare(text)
+        if key in LAYOUT and header.fields.get(key, value) != value:
+            message, found = f"the header says its {key} twice", f"{header.fields[key]} and {value}"
+            raise header.refusal(message, key, found, "one value", "Delete the line that is wrong.")
+        header.fields[key] = value
+    return header
 
 
 def _rows(path: Path) -> list[str]:
-    """Lines of a header without comments and empty lines."""
+    """Return the lines of a header without comments and empty lines."""
     try:
         size = path.stat().st_size
         if size > LONGEST_HEADER:
@@ -162,19 +221,13 @@ def _uncommented(line: str) -> str:
     return line
 
 
-def _list(path: Path, key: str, text: str, left: Iterator[str]) -> list[str]:
+def _list(header: EnviHeader, key: str, text: str, left: Iterator[str]) -> list[str]:
     parts = [text[1:]]
     while "}" not in parts[-1]:
         row = next(left, None)
         if row is None:
-            raise unreadable(
-                path,
-                "a list in the header has no end",
-                field=key,
-                found="the end of the file",
-                expected="a closing }",
-                fix="Write the } where the list ends.",
-            )
+            message, fix = "a list in the header has no end", "Write the } where the list ends."
+            raise header.refusal(message, key, "the end of the file", "a closing }", fix)
         parts.append(row)
     inner = "\n".join(parts).rpartition("}")[0]
     return [_bare(v) for v in re.split(r"[,\n]", inner) if v.strip()]
@@ -184,42 +237,83 @@ def _bare(text: str) -> str:
     return text.strip().strip("\"'").strip()
 
 
-def text_of(fields: Fields, key: str) -> str:
-    """Return a field as text, ``{ nm }`` like ``nm``; empty where it is not there."""
-    value = fields.get(key, "")
-    return (", ".join(value) if isinstance(value, list) else value).strip()
+# --- exposure ---------------------------------------------------------------------------------
 
 
-def number_of(text: str) -> float | None:
-    """Return a finite number, or None.
+def exposure_facts(header: EnviHeader, bands: int) -> dict[str, Any]:
+    """Return `exposure_s`, `band_times_s` and `exposure_unclear`, as `Facts` has them.
+
+    Raises
+    ------
+    UnreadableCapture
+        E_BAND_COUNT where a list of exposures has another length than the bands.
 
     Examples
     --------
-    >>> number_of(" 4.5e2"), number_of("nan"), number_of("12 bit")
-    (450.0, None, None)
+    >>> exposure_facts(EnviHeader(Path("a.hdr"), {"exposure time (ms)": "20"}), 3)
+    {'exposure_s': 0.02}
+    >>> exposure_facts(EnviHeader(Path("a.hdr"), {"integration time": "20"}), 3)
+    {'exposure_unclear': 'integration time = 20'}
     """
-    text = text.strip()
-    if len(text) > LONGEST_NUMBER or not NUMBER.fullmatch(text):
-        return None
-    value = float(text)
-    return value if isfinite(value) else None
+    clear: dict[str, list[float]] = {}
+    unclear = []
+    for key in header.fields:
+        found = _KEY.fullmatch(key[:100].replace("_", " "))
+        if found is None or found["name"] not in (*MILLISECONDS, *EXPOSURES):
+            continue
+        numbers, units = _numbers_with_units(header.fields[key])
+        if not numbers:
+            continue
+        units |= {found["unit"], *(header.text(f"{key} {w}").lower() for w in ("unit", "units"))}
+        units -= {None, ""}
+        if not units and found["name"] in MILLISECONDS:
+            units = {"ms"}
+        scale = {SECONDS.get(str(unit)) or SECONDS.get(str(unit).rstrip("s")) for unit in units}
+        if len(scale) != 1 or (factor := next(iter(scale))) is None:
+            unclear.append(key)
+            continue
+        check_list(header, key, len(numbers), bands, one=True)
+        clear[key] = [float(f"{number * factor:.12g}") for number in numbers]
+    every = [times * bands if len(times) == 1 else times for times in clear.values()]
+    if any(max(same) > min(same) * (1 + SAME) for same in zip(*every, strict=True)):
+        unclear, clear = list(clear), {}
+    if clear:
+        times = next(iter(clear.values()))
+        return {"exposure_s": times[0]} if len(set(times)) == 1 else {"band_times_s": tuple(times)}
+    lines = "; ".join(f"{key} = {_short(header.fields[key])}" for key in unclear)
+    return {"exposure_unclear": lines} if lines else {}
 
 
-def whole_of(
-    path: Path, fields: Fields, key: str, *, least: int = 1, default: int | None = None
-) -> int:
-    """Return a whole number of at least `least`; raises UnreadableCapture."""
-    if key not in fields and default is not None:
-        return default
-    text = text_of(fields, key)
-    value = number_of(text)
-    if value is None or value != int(value) or value < least:
-        raise unreadable(
-            path,
-            f"the header does not say its {key}",
-            field=key,
-            found=text[:80] or "nothing",
-            expected=f"a whole number from {least}",
-            fix=f"Write `{key} = …` as the camera's software gives it.",
-        )
-    return int(value)
+def check_list(header: EnviHeader, key: str, count: int, bands: int, *, one: bool = False) -> None:
+    """Refuse a list that has not a number a band; one number will do where `one`."""
+    if count == bands or (one and count == 1):
+        return
+    raise unreadable(
+        header.path,
+        f"the list of {key} does not fit the bands",
+        code="E_BAND_COUNT",
+        field=key,
+        found=f"{count} numbers",
+        expected=f"{bands}, or one" if one else f"{bands}",
+        fix="Write one number a band, or one for all."
+        if one
+        else "Write one number a band, or take the list out.",
+    )
+
+
+def _numbers_with_units(raw: str | list[str]) -> tuple[list[float], set[str | None]]:
+    """Return the numbers of a field, none where one is not above 0, and the units behind them."""
+    numbers: list[float] = []
+    units: set[str | None] = set()
+    for text in raw if isinstance(raw, list) else [raw]:
+        found = _VALUE.fullmatch(text.strip().lower()[:100])
+        value = parse_number(found["number"]) if found else None
+        if found is None or value is None or value <= 0:
+            return [], set()
+        numbers.append(value)
+        units.add(found["unit"])
+    return numbers, units
+
+
+def _short(value: str | list[str]) -> str:
+    return value[:40] if isinstance(value, str) else "{" + ", ".join(value)[:40] + "}"

@@ -1,4 +1,4 @@
-"""What a file says of itself before a pixel is decoded."""
+"""Facts of a file's headers, and the refusals of files that cannot be what they declare."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Facts:
     band_times_s : tuple of float or None
         Exposures band by band, where an ENVI header lists several; `exposure_s` is None then.
     exposure_unclear : str or None
-        What an ENVI header says of the exposure without its unit.
+        The exposure of an ENVI header that states no unit.
     captured : str or None
         ISO 8601, local time of the camera unless the file states an offset.
     model : str or None
@@ -109,6 +109,15 @@ def unreadable(
     )
 
 
+def truncated(
+    path: str | Path, message: str, field: str, found: str, expected: str
+) -> UnreadableCapture:
+    """Return the refusal of a file that lacks a part, ready to raise."""
+    return unreadable(
+        path, message, code="E_TRUNCATED", field=field, found=found, expected=expected
+    )
+
+
 @contextmanager
 def decoding(path: Path, what: str) -> Iterator[None]:
     """Turn whatever a decoder raises on a damaged file into UnreadableCapture."""
@@ -124,7 +133,6 @@ def decoding(path: Path, what: str) -> Iterator[None]:
             f"the {what} cannot be read",
             found=f"{type(error).__name__}: {error}"[:300],
             expected=f"a whole {what}",
-            fix=COPY_AGAIN,
         ) from error
 
 
@@ -154,7 +162,7 @@ def check_size(
 def check_expansion(
     path: Path, samples: int, itemsize: int, stored: int, *, most: int = LARGEST_EXPANSION
 ) -> None:
-    """Refuse a large frame from a small file, unless $LEVKAS_MEMORY says how much it may take.
+    """Refuse a large frame from a small file, unless $LEVKAS_MEMORY allows for it.
 
     Parameters
     ----------
@@ -222,5 +230,4 @@ def check_ratio(
         field=field,
         found=f"{needed} bytes from {stored}",
         expected=f"at most {ratio} to 1",
-        fix=COPY_AGAIN,
     )

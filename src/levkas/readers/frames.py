@@ -1,8 +1,9 @@
-"""One frame of a capture, whatever file it stands in."""
+"""Read one frame of a capture, whatever the format of its file."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from importlib import import_module
 from math import prod
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from levkas.readers import jpeg, png
+from levkas.core.digests import Stamp, stamp_of
+from levkas.readers import images
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
-from levkas.readers.facts import COPY_AGAIN, Facts, UnreadableCapture, unreadable
+from levkas.readers.facts import Facts, UnreadableCapture, unreadable
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
-from levkas.readers.texts import what_stands_at
+from levkas.readers.text import what_stands_at
 
 __all__ = [
     "Facts",
@@ -37,13 +39,15 @@ FOREIGN = {
 }
 """Formats of cubes that are not read, by their first bytes."""
 MOST_SEEN, BLOCKS, BLOCK = 16 << 20, 8, 60
-"""Samples that tell what a frame is; blocks they are taken from, and what their sides are multiples of."""
+"""Samples of a glimpse of a frame; blocks they are taken from, and what their sides are multiples of."""
 ALONE = frozenset([".tif", ".tiff", ".png", ".jpg", ".jpeg", *RAW_SUFFIXES]) - {*DATA_SUFFIXES}
 """Suffixes of files that hold a frame by themselves."""
+MOST_FACTS = 1 << 15
+"""Files whose facts are kept in memory, about 1 kB each."""
 READERS = {
     "tiff": ("levkas.readers.tiff", "read_tiff_facts", "read_tiff_page"),
-    "png": ("levkas.readers.png", "read_png_facts", "read_png"),
-    "jpeg": ("levkas.readers.jpeg", "read_jpeg_facts", "read_jpeg"),
+    "png": ("levkas.readers.images", "read_png_facts", "read_png"),
+    "jpeg": ("levkas.readers.images", "read_jpeg_facts", "read_jpeg"),
     "raw": ("levkas.readers.raw", "read_raw_facts", "read_raw_mosaic"),
     "envi": ("levkas.readers.envi", "read_envi_facts", "read_envi"),
 }
@@ -69,9 +73,9 @@ def kind_of(path: str | Path) -> str:
             raise _foreign(path, name)
     if suffix == ".hdr" or (suffix in DATA_SUFFIXES and find_header(path)):
         return "envi"
-    if head.startswith(png.SIGNATURE):
+    if head.startswith(images.PNG):
         return "png"
-    if head.startswith(jpeg.SIGNATURE):
+    if head.startswith(images.JPEG):
         return "jpeg"
     if suffix in RAW_SUFFIXES:
         return "raw"
@@ -127,14 +131,28 @@ def _foreign(path: Path, name: str) -> UnreadableCapture:
 def read_facts(path: str | Path) -> Facts:
     """Return what a capture's headers declare, sizes checked.
 
-    No pixel is decoded, but for camera raw, whose levels LibRaw knows only after.
+    No pixel is decoded, but for camera raw, whose levels LibRaw knows only after. Facts of a file that
+    was not touched since are read once a process.
 
     Raises
     ------
     UnreadableCapture
         With the file, what was found and what was expected.
     """
-    return _reader(path, 1)(Path(path))
+    path = Path(path)
+    try:
+        # An ENVI header's facts hang on its data too; it costs little to read again.
+        stamp = stamp_of(path) if path.suffix.lower() in ALONE else None
+    except OSError:
+        stamp = None
+    facts: Facts = _facts_of(path, stamp) if stamp else _reader(path, 1)(path)
+    return facts
+
+
+@lru_cache(maxsize=MOST_FACTS)
+def _facts_of(path: Path, _stamp: Stamp) -> Facts:
+    facts: Facts = _reader(path, 1)(path)
+    return facts
 
 
 def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
@@ -247,11 +265,6 @@ def _first_bytes(path: Path) -> bytes:
         ) from error
     if not head:
         raise unreadable(
-            path,
-            "the file is empty",
-            code="E_TRUNCATED",
-            found="0 bytes",
-            expected="an image",
-            fix=COPY_AGAIN,
+            path, "the file is empty", code="E_TRUNCATED", found="0 bytes", expected="an image"
         )
     return head

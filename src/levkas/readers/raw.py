@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import signal
 import struct
 import subprocess
 import sys
-from math import prod
+from io import BytesIO
+from itertools import islice
+from math import ceil, prod
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import numpy as np
 
-from levkas.readers.dng import check_parts
-from levkas.readers.exif import iso_date, read_exif
-from levkas.readers.facts import COPY_AGAIN, Facts, check_memory, check_size, decoding, unreadable
+from levkas.readers.facts import (
+    Facts,
+    UnreadableCapture,
+    check_memory,
+    check_size,
+    decoding,
+    truncated,
+    unreadable,
+)
+from levkas.readers.images import iso_date, jpeg_frame, jpeg_segments, read_exif
+from levkas.readers.tiff import check_strips
 
 EXTENSIONS = """
     3fr ari arq arw bay cap cr2 cr3 crw cs1 dc2 dcr dcs dng drf erf fff gpr iiq k25 kdc mdc mef mos
     mrw nef nrw orf ori pef ptx pxn qtk raf raw rdc rw2 rwl rwz sr2 srf srw sti stx x3f
 """
 SUFFIXES = frozenset(f".{name}" for name in EXTENSIONS.split())
-PROGRAM = Path(__file__).with_name("libraw.py")
+PROGRAM = Path(__file__).with_name("libraw_worker.py")
 PATIENCE_S = 600
 OUT_OF_TIME = -int(getattr(signal, "SIGPROF", 0)) or None
 """Exit status of a decoder that took too much processor time; None where the system sets no limit."""
+DNG_VERSION, MOSAIC, LOSSLESS_JPEG = 50706, 32803, 7
+FRAMES = (0xC0, 0xC1, 0xC3)
+"""Markers of JPEG frames that LibRaw decodes in a mosaic."""
+MOST_DIRECTORIES, MOST_SEGMENTS, HEADER_BYTES = 16, 64, 1 << 16
+
+_idle: list[subprocess.Popen[bytes]] = []
+"""Decoders without work: one for every thread that has read camera raws at a time."""
 
 
 def read_raw_facts(path: Path) -> Facts:
@@ -35,7 +54,7 @@ def read_raw_facts(path: Path) -> Facts:
     LibRaw knows the levels of some cameras only when it has unpacked the pixels, so this takes
     nearly as long as `read_raw_mosaic`.
     """
-    found, _ = _ask(path, "facts")
+    found, _ = _decode(path, pixels=False)
     with decoding(path, "camera raw"), path.open("rb") as handle:
         exif = read_exif(handle)
     blacks = tuple(float(b) for b in found["blacks"])
@@ -59,56 +78,182 @@ def read_raw_facts(path: Path) -> Facts:
 
 def read_raw_mosaic(path: Path) -> np.ndarray:
     """Return the visible mosaic, (h, w), uint16, curves of the camera's compression undone."""
-    found, data = _ask(path, "mosaic")
-    shape = tuple(int(s) for s in found["shape"])
-    if len(data) != 2 * prod(shape):
-        raise unreadable(
-            path,
-            "the camera raw cannot be read",
-            code="E_TRUNCATED",
-            found=f"{len(data)} bytes",
-            expected=f"{2 * prod(shape)} bytes",
-            fix=COPY_AGAIN,
-        )
-    return np.frombuffer(data, np.uint16).reshape(shape).copy()
+    found, data = _decode(path, pixels=True)
+    return np.frombuffer(data, np.uint16).reshape(found["shape"])
 
 
-def _ask(path: Path, what: str) -> tuple[dict[str, Any], memoryview]:
-    """Run the decoder in a process of its own; its death is a refusal of this file."""
+# --- the decoder ------------------------------------------------------------------------------
+
+
+def _decode(path: Path, *, pixels: bool) -> tuple[dict[str, Any], bytearray]:
+    """Have a file decoded in a process apart, which stays for the next; its death is a refusal of this file."""
     with decoding(path, "camera raw"):
-        check_parts(path)
-    command = [sys.executable, "-P", str(PROGRAM), str(path.absolute()), what]
-    # numpy's thread pools would count against the limits and are of no use there.
-    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        _check_parts(path)
+    worker = _worker()
+    assert worker.stdin and worker.stdout
+    timer = Timer(PATIENCE_S, worker.kill)
+    timer.start()
     try:
-        done = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            timeout=PATIENCE_S,
-            env=env,
-            check=False,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise _refused(path, f"no end after {PATIENCE_S} s") from error
-    if done.returncode == OUT_OF_TIME:
-        raise _refused(path, "no end after as much processor time as its size allows")
-    if done.returncode or len(done.stdout) < 4:
-        raise _refused(path, f"the decoder ended with status {done.returncode}")
-    (length,) = struct.unpack(">I", done.stdout[:4])
-    found = json.loads(done.stdout[4 : 4 + length])
+        worker.stdin.write(json.dumps([str(path.absolute()), pixels]).encode() + b"\n")
+        worker.stdin.flush()
+        (length,) = struct.unpack(">I", _exactly(worker.stdout, 4))
+        found = json.loads(_exactly(worker.stdout, length))
+        if "error" not in found:
+            check_size(path, tuple(found["shape"]))
+            check_memory(path, prod(found["shape"]), 2)
+        data = _exactly(worker.stdout, found["bytes"])
+    except (EOFError, OSError) as error:
+        status = _stop(worker)
+        late = f"no end after {PATIENCE_S} s"
+        if status == OUT_OF_TIME:
+            late = "no end after as much processor time as its size allows"
+        gone = timer.is_alive() and status != OUT_OF_TIME
+        found_instead = f"the decoder ended with status {status}" if gone else late
+        raise _refused(path, found_instead) from error
+    except (
+        BaseException
+    ):  # also an interrupted read: what is left in the pipe would be the next answer
+        worker.kill()
+        _stop(worker)
+        raise
+    finally:
+        timer.cancel()
+    _idle.append(worker)
     if "error" in found:
         raise _refused(path, found["error"])
-    check_size(path, tuple(found["shape"]))
-    check_memory(path, prod(int(s) for s in found["shape"]), 2)
-    return found, memoryview(done.stdout)[4 + length :]
+    return found, data
+
+
+def _worker() -> subprocess.Popen[bytes]:
+    """Return an idle decoder that is alive, or start one."""
+    while _idle:
+        try:
+            worker = _idle.pop()
+        except IndexError:  # another thread took the last
+            break
+        if worker.poll() is None:
+            return worker
+        _stop(worker)
+    # numpy's thread pools would count against the limits and are of no use there.
+    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-P", str(PROGRAM)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        bufsize=0,
+        env=env,
+    )
+
+
+def _stop(worker: subprocess.Popen[bytes]) -> int:
+    """Wait for a decoder whose end was seen, or end it; return its status."""
+    try:
+        worker.wait(timeout=1)
+    except subprocess.TimeoutExpired:
+        worker.kill()
+    with worker:
+        return worker.wait()
+
+
+@atexit.register
+def _stop_idle() -> None:
+    while _idle:
+        worker = _idle.pop()
+        worker.kill()
+        _stop(worker)
+
+
+if hasattr(os, "register_at_fork"):  # a child has no part in its parent's pipes
+    os.register_at_fork(after_in_child=_idle.clear)
+
+
+def _exactly(stream: Any, count: int) -> bytearray:
+    """Read `count` bytes of a pipe; raises EOFError where it ends before."""
+    data = bytearray(count)
+    left = memoryview(data)
+    while left:
+        got = stream.readinto(left)
+        if not got:
+            raise EOFError
+        left = left[got:]
+    return data
 
 
 def _refused(path: Path, found: str) -> Exception:
     expected = "a camera raw"
     if path.suffix.lower() == ".raw":
         expected = f"{path.stem}.hdr beside it (an ENVI cube), or a camera raw"
-    return unreadable(
-        path, "the camera raw cannot be read", found=found, expected=expected, fix=COPY_AGAIN
-    )
+    return unreadable(path, "the camera raw cannot be read", found=found, expected=expected)
+
+
+# --- DNG: LibRaw leaves zeros where a part of lossless JPEG is none ----------------------------
+
+
+def _check_parts(path: Path) -> None:
+    """Refuse a DNG of lossless JPEG whose mosaic lacks a strip or tile; what is no DNG is passed over.
+
+    Of other compressions LibRaw complains itself.
+
+    Raises
+    ------
+    UnreadableCapture
+        ``E_TRUNCATED`` where a part is missing, reaches past the end or does not begin as it should.
+    """
+    import tifffile
+
+    with path.open("rb") as handle:
+        if handle.read(4) not in (b"II*\0", b"MM\0*"):
+            return
+    try:
+        tiff = tifffile.TiffFile(path)
+    except Exception:  # whatever damaged directories lead it to
+        if path.suffix.lower() == ".dng":
+            raise
+        return
+    with tiff:
+        pages: list[Any] = list(islice(tiff.pages, MOST_DIRECTORIES))
+        for page in pages:  # directories within directories follow as they are found
+            if page.subifds and len(pages) < MOST_DIRECTORIES:
+                pages += islice(page.pages or (), MOST_DIRECTORIES - len(pages))
+        if not any(DNG_VERSION in page.tags for page in pages):
+            return
+        for page in pages:
+            if page.photometric == MOSAIC and page.compression == LOSSLESS_JPEG:
+                _check_mosaic(path, tiff, page)
+
+
+def _check_mosaic(path: Path, tiff: Any, page: Any) -> None:
+    """Refuse a mosaic of which a strip or tile is missing, or declares fewer samples than it has to hold."""
+    message, field = "a strip or tile of the camera raw is not there", "offsets and byte counts"
+    try:
+        check_strips(path, tiff, page, "the mosaic")
+    except UnreadableCapture as refused:
+        (problem,) = refused.problems
+        raise truncated(path, message, field, problem.found, str(problem.expected)) from None
+    high = page.tilelength if page.is_tiled else page.rowsperstrip
+    wide = page.tilewidth if page.is_tiled else page.imagewidth
+    across = ceil(page.imagewidth / wide)
+    for number, (start, count) in enumerate(
+        zip(page.dataoffsets, page.databytecounts, strict=True)
+    ):
+        left = high if page.is_tiled else page.imagelength - number // across * high
+        least = wide * min(high, left) * page.samplesperpixel
+        tiff.filehandle.seek(start)
+        found = _lossless_samples(tiff.filehandle.read(min(count, HEADER_BYTES)))
+        if found < least:
+            found_text = f"{found} samples in part {number}"
+            raise truncated(path, message, field, found_text, f"{least} in a JPEG")
+
+
+def _lossless_samples(data: bytes) -> int:
+    """Return how many samples a JPEG declares that LibRaw decodes in a mosaic; 0 for any other."""
+    segments = list(islice(jpeg_segments(BytesIO(data)), MOST_SEGMENTS))
+    if data[:2] != b"\xff\xd8" or not segments or segments[-1][0] != 0xDA:
+        return 0
+    found = 0
+    for marker, content in segments:
+        frame = jpeg_frame(marker, content) if marker in FRAMES else None
+        if frame:
+            found = prod(frame[1:]) if 2 <= frame[0] <= 16 else 0
+    return found

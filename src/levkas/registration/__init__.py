@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.registration.images import BandImage
+from levkas.registration.bands import BandImage
 from levkas.registration.record import (
     Matches,
     Registration,
@@ -20,7 +20,7 @@ from levkas.registration.record import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from levkas.registration.manual_points import Given
+    from levkas.registration.manual_points import ManualPoints
 
 METHODS: dict[str, tuple[str, str]] = {
     "levkas": ("levkas.registration.levkas", "register_levkas"),
@@ -50,7 +50,7 @@ def register(
     stop: float = 1.0,
     region: Sequence[float] | None = None,
     rng: np.random.Generator | None = None,
-    given: Mapping[str, Given] | None = None,
+    given: Mapping[str, ManualPoints] | None = None,
     **options: Any,
 ) -> Registration:
     """Find the map from reference px to native px of every band of one camera.
@@ -111,7 +111,7 @@ def register(
 
 
 def _checked(
-    found: Registration, target: Sequence[BandImage], given: Mapping[str, Given]
+    found: Registration, target: Sequence[BandImage], given: Mapping[str, ManualPoints]
 ) -> Registration:
     """Measure every check point by the map of the band in which it was placed."""
     from levkas.registration.manual_points import measure_checks, with_checks

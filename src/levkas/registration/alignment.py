@@ -8,8 +8,8 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
+from levkas.registration.bands import BandImage, grey, stretch
 from levkas.registration.features import find_key_points
-from levkas.registration.images import BandImage, grey, stretch
 from levkas.registration.matching import match
 from levkas.registration.outliers import remove_outliers
 from levkas.registration.record import RegistrationRefused

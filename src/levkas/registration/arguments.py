@@ -13,7 +13,7 @@ from levkas.registration.record import RegistrationRefused
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from levkas.registration.images import BandImage
+    from levkas.registration.bands import BandImage
 
 LEAST_SIDE_PX = 16
 

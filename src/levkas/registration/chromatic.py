@@ -15,8 +15,8 @@ from numba import njit
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Polynomial, design_matrix
-from levkas.registration.local_shifts import Windows
-from levkas.registration.models import temper
+from levkas.registration.local_shifts import WindowShifts
+from levkas.registration.models import inflate_covariance
 
 BLOCKS = 8
 LEAST_WINDOWS = 12
@@ -44,7 +44,7 @@ SHARES: dict[str, float | None] = {
 
 
 @dataclass(frozen=True)
-class Chromatic:
+class ChromaticShifts:
     """Displacements of every band, in one frame.
 
     Parameters
@@ -79,26 +79,26 @@ class Chromatic:
         return Polynomial(3, self.centre, self.spread, coefficients)
 
 
-def still(bands: int, centre: np.ndarray, spread: float) -> Chromatic:
+def zero_displacement(bands: int, centre: np.ndarray, spread: float) -> ChromaticShifts:
     """Return no displacement at all."""
-    return Chromatic("shift", centre, spread, np.zeros((bands, 2)))
+    return ChromaticShifts("shift", centre, spread, np.zeros((bands, 2)))
 
 
 def fit_chromatic(
-    seen: Sequence[Windows],
-    before: Chromatic,
+    seen: Sequence[WindowShifts],
+    before: ChromaticShifts,
     wavelengths: Sequence[float],
     *,
     common: np.ndarray | None = None,
     highest: str = "cubic",
     fixed: int | None = None,
-    leaning: np.ndarray | None = None,
-) -> Chromatic:
+    sensitivity: np.ndarray | None = None,
+) -> ChromaticShifts:
     """Return `before` corrected by what the windows of each band saw.
 
     Parameters
     ----------
-    seen : one `Windows` a band, all on the same lattice
+    seen : one `WindowShifts` a band, all on the same lattice
     before : Chromatic
         What the windows were warped with.
     wavelengths : nm, NaN where unknown
@@ -108,7 +108,7 @@ def fit_chromatic(
         The richest fields that may be used.
     fixed : int, optional
         The band that all else is relative to and that stays where it is.
-    leaning : ndarray, (bands, bands), optional
+    sensitivity : ndarray, (bands, bands), optional
         How the position of each band's prediction hangs on those of the bands: what a window sees
         is the band's shift less theirs. Without it predictions are taken to be where they should.
     """
@@ -121,7 +121,7 @@ def fit_chromatic(
     design = np.einsum("nk,fka->anf", terms, _tensor(count))
     systems = each(lambda w, e: _system(w, design, e, common), seen, earlier)
     free = min(count, _size("similarity"))
-    apart = np.eye(len(seen)) - (0.0 if leaning is None else leaning)
+    apart = np.eye(len(seen)) - (0.0 if sensitivity is None else sensitivity)
     prior = np.zeros(free)
     measured, variances = _amounts(systems, prior, earlier, apart)
     amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, prior)
@@ -132,7 +132,7 @@ def fit_chromatic(
         prior = np.array([0.0 if s is None else 1 / (s * size + 1e-4) ** 2 for s in shares])
         measured, variances = _amounts(systems, prior, earlier, apart)
         amounts, doubts = _smooth(measured, variances, wavelengths, fixed, apart, prior)
-    return Chromatic(names[-1], before.centre, before.spread, amounts, doubts)
+    return ChromaticShifts(names[-1], before.centre, before.spread, amounts, doubts)
 
 
 def _size(kind: str) -> int:
@@ -155,7 +155,7 @@ def _tensor(count: int) -> np.ndarray:
 
 
 def _system(
-    windows: Windows, design: np.ndarray, earlier: np.ndarray, common: np.ndarray | None
+    windows: WindowShifts, design: np.ndarray, earlier: np.ndarray, common: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (2, n, f).
 
@@ -186,7 +186,7 @@ def _reweighted(
     current, residual = information, goal
     for _ in range(6):
         residual = goal - (lean @ _solve(*_normal(lean, current, goal, lean.shape[2]))).T
-        floored, weights = temper(residual, information)
+        floored, weights = inflate_covariance(residual, information)
         current = floored * weights[:, None, None]
     return current, residual
 

@@ -1,103 +1,338 @@
-"""From a start to a map that shows most: coarse to fine, freely, and stiffly where that is poor."""
+"""Coarse to fine: from an initial transform to the map of every band of one sensor.
+
+On each grid of a pyramid the windows of all bands are shifted, their shifts fused and a base map selected;
+on the finest grid that rounds are repeated, with the lateral chromatic aberration of each band, until the
+map moves no more. A second way with stiff models only is tried where the first fits badly: yielding models
+follow windows that are off, and take the next ones along.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from levkas.core.problems import Problem
+from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.chromatic import Chromatic, fit_chromatic, still
-from levkas.registration.initial import Start, plausible
-from levkas.registration.local_shifts import Windows
-from levkas.registration.model_selection import Rung, climb
+from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.initial import (
+    InitialTransform,
+    find_initial_transform,
+    is_plausible,
+    seed_with_points,
+)
+from levkas.registration.local_shifts import WindowShifts
+from levkas.registration.manual_points import ManualPoints
+from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
-from levkas.registration.permutation_test import PARTLY, bear_out, sees_alike, weigh
-from levkas.registration.predictors import cell_px
-from levkas.registration.record import RegistrationRefused
-from levkas.registration.task import Task
+from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
+from levkas.registration.record import RegistrationRefused, Sigma
+from levkas.registration.sampling import highpass
+from levkas.registration.uncertainty import measure_sigma
+from levkas.registration.verification import (
+    PermutationTest,
+    coarsening,
+    run_permutation_test,
+    verify,
+)
 from levkas.registration.window_fusion import (
-    LEAST_WINDOWS,
-    combine,
-    correction,
+    FusionSettings,
+    base_change,
+    describe_selection,
     fit_base,
-    knowledge,
-    noted,
-    usable,
+    fuse_windows,
+    has_information,
+    total_information,
 )
 
 if TYPE_CHECKING:
-    from levkas.registration.checks import Checks
-    from levkas.registration.images import BandImage
+    from levkas.registration.bands import BandImage
+    from levkas.registration.features import CameraFeatures
+    from levkas.registration.window_matching import CheckWindows
 
-COARSE_BANDS = 4
-ROUNDS = 2
-STIFF_ROUNDS = 4
-MOST_ROUNDS = 8
-#: A map that moves less, px of the grid, has settled.
-STILL = 0.1
-LARGE_PX = 600_000
-LEAST_CELLS = 5
-GOOD_PX = 0.25
-#: By so much more neighbouring windows have to know on a finer grid that a model follows badly.
-SHARPER = 8.0
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
-class Refined:
-    """What one way of refining a start came to.
+class RefinementSettings:
+    """Constants of the coarse-to-fine search.
+
+    Parameters
+    ----------
+    coarse_bands : int
+        Bands compared on grids before the finest, evenly over the wavelengths.
+    rounds, stiff_rounds, most_rounds : int
+        Rounds on the finest grid that are always made, with stiff models only, and at most.
+    settled : float, px of the grid
+        A map that moves less, the median over windows, has converged.
+    large : int, px of the grid
+        Frames larger than this make the first round on a grid twice as coarse: bands are pixels apart
+        there, and a coarser grid brings them near at a quarter of the cost.
+    least_cells : int
+        Cells of windows across the coarsest grid.
+    good : float, px of the grid
+        Held-out error up to which no stiff way is tried.
+    sharper : float
+        Factor by which the total information must grow on a finer grid that is taken although its
+        model fits worse: windows are four times as many there, and have to be twice as certain.
+    finest_sampling, plain_sampling : float, native px per px of the grid
+        Of the finest grid, which shows most of a picture that it oversamples twice, and of the grid on
+        which a map is judged, about as fine as the picture.
+    least_colour_bands : int
+        Bands of a colour camera.
+    grey_correlation : float
+        Correlation of the detail of two channels that are one grey picture.
+    """
+
+    coarse_bands: int = 4
+    rounds: int = 2
+    stiff_rounds: int = 4
+    most_rounds: int = 8
+    settled: float = 0.1
+    large: int = 600_000
+    least_cells: int = 5
+    good: float = 0.25
+    sharper: float = 8.0
+    finest_sampling: float = 0.45
+    plain_sampling: float = 0.9
+    least_colour_bands: int = 3
+    grey_correlation: float = 0.98
+
+
+SETTINGS = RefinementSettings()
+
+
+@dataclass(frozen=True)
+class SensorTask:
+    """One sensor to be registered.
+
+    Parameters
+    ----------
+    bands : sequence of BandImage
+        In the order of their wavelengths.
+    images : mapping of label to ndarray
+        Square roots of the bands, as `sqrt_images` gives them.
+    reference : ReferenceStack
+    mask : ndarray of bool, reference px
+        Where the object lies.
+    initial : InitialTransform
+    by_hand : ManualPoints
+    """
+
+    bands: Sequence[BandImage]
+    images: Mapping[str, np.ndarray]
+    reference: ReferenceStack
+    mask: np.ndarray
+    initial: InitialTransform
+    by_hand: ManualPoints
+
+    @cached_property
+    def scale(self) -> float:
+        """Native px per reference px, the median over the frame."""
+        height, width = self.reference.shape
+        x, y = np.meshgrid(np.linspace(0.1, 0.9, 5) * width, np.linspace(0.1, 0.9, 5) * height)
+        jacobian = self.initial.transform.jacobian(np.stack([x, y], -1).reshape(-1, 2))
+        return float(np.sqrt(np.median(np.abs(np.linalg.det(jacobian)))))
+
+    @property
+    def finest_step(self) -> int:
+        """Reference px per px of the finest grid on which to compare."""
+        return max(1, round(SETTINGS.finest_sampling / self.scale))
+
+    @property
+    def plain_step(self) -> int:
+        """Reference px per px of a grid that is about as fine as the picture."""
+        return max(1, round(SETTINGS.plain_sampling / self.scale))
+
+    def cell(self, step: int) -> float:
+        """Return the side of a window's cell on a grid, reference px."""
+        return float(self.reference.predictor(step).cell * step)
+
+    def resample(self, band: BandImage, transform: Transform, step: int) -> np.ndarray:
+        """Return a band on the grid of `step` reference px; blocks of about one reference px."""
+        size = (self.reference.shape[0] // step, self.reference.shape[1] // step)
+        block = max(1, round(self.scale / 1.2))
+        return resample_band(self.images[band.label], transform, size, step, block=block)
+
+    def measure_shifts(
+        self, bands: Sequence[BandImage], own: Sequence[Transform], base: Transform, step: int
+    ) -> list[WindowShifts]:
+        """Return the windows of each band, seen through its own map and then `base`."""
+        predictor = self.reference.predictor(step)
+
+        def seen(band: BandImage, before: Transform) -> WindowShifts:
+            return measure_shifts(predictor, self.resample(band, Composed(before, base), step))
+
+        return each(seen, bands, own)
+
+    def shares_light(self, band: BandImage, transform: Transform, step: int) -> bool:
+        """Tell whether a band sees light that the reference sees too, so that it shows the same detail.
+
+        Its wavelength says so. Where it has none, the band of a colour camera does: one of three or
+        more bands whose detail differs, unlike that of a grey picture stored as colours.
+        """
+        if np.isfinite(band.wavelength):
+            return self.reference.covers(band.wavelength)
+        if min(len(self.bands), self.reference.count) < SETTINGS.least_colour_bands:
+            return False
+        mine = highpass(self.resample(band, transform, step))
+        for other in (self.bands[0], self.bands[-1]):
+            theirs = highpass(self.resample(other, transform, step))
+            both = np.isfinite(mine) & np.isfinite(theirs)
+            if (
+                both.any()
+                and np.corrcoef(mine[both], theirs[both])[0, 1] < SETTINGS.grey_correlation
+            ):
+                return True
+        return False
+
+
+@dataclass(frozen=True)
+class RefinedMap:
+    """The map of one sensor, refined in one way.
 
     Parameters
     ----------
     base : Transform
+        Reference px → native px, without the chromatic aberration of single bands.
     step : int
         Reference px per px of the grid on which it was judged.
-    model : Chromatic
-    rung : Rung
-    seen : list of Windows
-        Shifts that the last round saw, before its correction; one a band.
-    climbs : list of dict
-        What the ladder saw and took at each step, JSON-ready.
+    chromatic : ChromaticShifts
+    selected : SelectedModel
+    windows : list of WindowShifts
+        Shifts of the last round, before its correction; one a band.
+    selections : list of dict
+        Models and their held-out errors at each step, JSON-ready.
     evidence : dict
         How far its best band is predicted above chance.
-    borne_out : dict
-        What `corroborate` measured.
-    checks : Checks
-        The windows that it looked for.
+    verification : dict
+        Numbers of `verify`.
+    checks : CheckWindows
     course : dict
-        ``rounds`` that were made, ``settled``: whether the map had come to rest in the last of them,
+        ``rounds`` that were made, ``settled``: whether the map had converged in the last of them,
         ``moved``, reference px: by how much that moved it, the median over windows, ``band`` by which
         it was judged.
-    alike : bool
-        Whether the band by which it was judged sees light that the reference sees too.
+    shares_light : bool
+        Whether that band sees light that the reference sees too.
     """
 
     base: Transform
     step: int
-    model: Chromatic
-    rung: Rung
-    seen: list[Windows]
-    climbs: list[dict[str, Any]]
+    chromatic: ChromaticShifts
+    selected: SelectedModel
+    windows: list[WindowShifts]
+    selections: list[dict[str, Any]]
     evidence: dict[str, float]
-    borne_out: dict[str, Any]
-    checks: Checks
+    verification: dict[str, Any]
+    checks: CheckWindows
     course: dict[str, Any]
-    alike: bool
+    shares_light: bool
 
     @property
-    def good(self) -> bool:
+    def is_good(self) -> bool:
         """Whether no other way needs to be tried."""
-        near = self.rung.scores[self.rung.name] < GOOD_PX * self.step
-        return near and self.evidence["share_above_chance"] > PARTLY
+        near = self.selected.held_out_error < SETTINGS.good * self.step
+        return near and self.evidence["share_above_chance"] > PermutationTest.PARTLY
 
 
-def refine(task: Task) -> Refined:
-    """Refine freely, and where that is poor with stiff models too; return what is borne out more.
+@dataclass(frozen=True)
+class RegisteredSensor:
+    """One sensor registered.
 
-    Yielding models follow windows that are off, and take the next ones along.
+    Parameters
+    ----------
+    name : str
+    transforms : dict of label to Transform
+    chromatic : ChromaticShifts
+    windows : dict of label to WindowShifts
+    sigma : dict of label to Sigma
+    initial : InitialTransform or None
+    refined : RefinedMap or None
+        None, as `initial`, for the reference's own sensor, whose base map is the identity.
+    """
+
+    name: str
+    transforms: dict[str, Transform]
+    chromatic: ChromaticShifts
+    windows: dict[str, WindowShifts]
+    sigma: dict[str, Sigma] = field(default_factory=dict)
+    initial: InitialTransform | None = None
+    refined: RefinedMap | None = None
+
+
+def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
+    """Return the bands by wavelength where all are known, else as they come."""
+    known = all(np.isfinite(band.wavelength) for band in bands)
+    return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
+
+
+def register_sensor(
+    bands: Sequence[BandImage],
+    images: Mapping[str, np.ndarray],
+    reference: ReferenceStack,
+    ours: CameraFeatures,
+    theirs: CameraFeatures,
+    by_hand: ManualPoints | None = None,
+    reference_sigma: Mapping[str, Sigma] | None = None,
+) -> RegisteredSensor:
+    """Register the bands of one sensor of another camera to the reference.
+
+    Parameters
+    ----------
+    bands : sequence of BandImage
+        Of the sensor.
+    images : mapping of label to ndarray
+        Square roots of the bands, as `sqrt_images` gives them.
+    reference : ReferenceStack
+    ours, theirs : CameraFeatures
+        Key points of the reference and of the sensor.
+    by_hand : ManualPoints, optional
+        Pairs by hand: they start the search where key points do not, and weigh as a hand can point.
+    reference_sigma : mapping of label to Sigma, optional
+        Uncertainty of the reference's own bands.
+
+    Raises
+    ------
+    RegistrationRefused
+        ``E_MATCHES``, ``E_WINDOWS`` or ``E_FOLD``.
+    """
+    initial = find_initial_transform(ours, theirs)
+    by_hand = by_hand or ManualPoints()
+    if by_hand:
+        initial = seed_with_points(initial, by_hand, ours, theirs)
+    if initial is None:
+        raise RegistrationRefused(
+            Problem(
+                "E_MATCHES",
+                "too few key points agree on any map of this sensor to the reference",
+                field=bands[0].sensor or None,
+                fix="Check that both show the same object, in focus and well exposed; give control "
+                "points if they do.",
+            )
+        )
+    bands = by_wavelength(bands)
+    labels = [band.label for band in bands]
+    mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
+    found = refine_map(SensorTask(bands, images, reference, mask, initial, by_hand))
+    transforms: dict[str, Transform] = {
+        label: Composed(found.chromatic.transform(i), found.base) for i, label in enumerate(labels)
+    }
+    sigma = measure_sigma(
+        reference.shape, labels, found.chromatic, found.selected, reference_sigma,
+        checks=found.checks,
+    )  # fmt: skip
+    windows = dict(zip(labels, found.windows, strict=True))
+    return RegisteredSensor(
+        bands[0].sensor, transforms, found.chromatic, windows, sigma, initial, found
+    )
+
+
+def refine_map(task: SensorTask) -> RefinedMap:
+    """Refine with all models, and where that fits badly with stiff ones too; return what more windows confirm.
 
     Raises
     ------
@@ -107,147 +342,192 @@ def refine(task: Task) -> Refined:
     ways, refused = [], None
     for stiff in (False, True):
         try:
-            ways.append(_refine(task, stiff=stiff))
+            ways.append(_refine_one_way(task, stiff=stiff))
         except RegistrationRefused as refusal:
             refused = refused or refusal
-        if ways and ways[0].good:
+        if ways and ways[0].is_good:
             break
     if not ways and refused is not None:
         raise refused
-    return max(ways, key=lambda way: int(way.borne_out["agreeing"]))
+    return max(ways, key=lambda way: int(way.verification["agreeing"]))
 
 
-def _refine(task: Task, *, stiff: bool) -> Refined:
-    bands, scene = task.bands, task.scene
-    climbs: list[dict[str, Any]] = []
-    base, step = _approach(task, climbs, stiff=stiff)
-    model = still(len(bands), *frame_of(scene.shape))
-    small = scene.shape[0] * scene.shape[1] < LARGE_PX * step**2
-    # In large frames bands are pixels apart, and a coarser grid brings them near at a quarter of the cost.
-    planned = [step] * (STIFF_ROUNDS if stiff else ROUNDS) if small else [2 * step, step]
-    rounds = 0
-    settled, shift = False, np.inf
-    for rounds, at in enumerate(planned + [step] * (MOST_ROUNDS - len(planned)), 1):
-        here = task.look(bands, [model.transform(i) for i in range(len(bands))], base, at)
-        rung = _settle(task, base, here, at, climbs, stiff=stiff, ledge=at == step)
-        moved = correction(base, rung.transform, rung.observations.points)
-        if len(bands) > 1:
-            common = correction(base, rung.transform, here[0].centres)
-            model = fit_chromatic(here, model, [band.wavelength for band in bands], common=common)
-        base = rung.transform
-        shift = float(np.sqrt(np.median((moved**2).sum(1))))
-        settled = shift < STILL * step
-        if rounds >= len(planned) and settled:
-            break
-    best = max(range(len(bands)), key=lambda i: float(here[i].r2.mean()))
-    course = {
-        "rounds": rounds, "settled": settled, "moved": round(shift, 5), "band": bands[best].label,
-    }  # fmt: skip
-    judged = max(step, task.plain)
-    belief = weigh(task, bands[best], Composed(model.transform(best), base), judged)
-    for _ in range(ROUNDS):
-        if not belief.partly:
-            break
-        # Something covers the object: what is seen there says nothing of where the object lies.
-        among = belief.around(here[0].centres)
-        rung = _settle(task, base, here, step, climbs, stiff=True, among=among)
-        base = rung.transform
-        here = task.look(bands, [model.transform(i) for i in range(len(bands))], base, step)
-        belief = weigh(task, bands[best], Composed(model.transform(best), base), judged)
-    borne_out, checks = bear_out(
-        task, bands[best], Composed(model.transform(best), base), judged, belief
-    )
-    return Refined(
-        base, judged, model, rung, here, climbs, belief.evidence, borne_out, checks, course,
-        sees_alike(task, bands[best], Composed(model.transform(best), base), judged),
+def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
+    bands = task.bands
+    way = _Way(task, stiff)
+    way.approach()
+    way.converge()
+    best = max(range(len(bands)), key=lambda i: float(way.windows[i].r2.mean()))
+    way.course["band"] = bands[best].label
+    judged = max(way.step, task.plain_step)
+    test = way.leave_out_what_is_covered(best, judged)
+    whole = Composed(way.chromatic.transform(best), way.base)
+    numbers, checks = _verify(task, bands[best], whole, judged, test)
+    return RefinedMap(
+        way.base, judged, way.chromatic, way.selected, way.windows, way.selections, test.evidence,
+        numbers, checks, way.course, task.shares_light(bands[best], whole, judged),
     )  # fmt: skip
 
 
-def _settle(
-    task: Task,
-    base: Transform,
-    here: Sequence[Windows],
-    step: int,
-    climbs: list[dict[str, Any]],
-    **how: Any,
-) -> Rung:
-    """Fit the base map to what is seen through the one before, note it and check it."""
-    rung = fit_base(task, base, here, step, **how)
-    climbs.append(noted(rung, step))
-    _check(rung, task)
-    return rung
+class _Way:
+    """The state of one refinement: base map, grid, chromatic shifts and windows of the last round."""
 
+    selected: SelectedModel
+    windows: list[WindowShifts]
 
-def _approach(task: Task, climbs: list[dict[str, Any]], *, stiff: bool) -> tuple[Transform, int]:
-    """Refine the start from coarse to fine; return the base map and the step that shows most.
+    def __init__(self, task: SensorTask, stiff: bool) -> None:
+        self.task, self.stiff = task, stiff
+        self.base = _stiffened(task.initial) if stiff else task.initial.transform
+        self.step = task.finest_step
+        self.chromatic = zero_displacement(len(task.bands), *frame_centre(task.reference.shape))
+        self.selections: list[dict[str, Any]] = []
+        self.course: dict[str, Any] = {}
 
-    Fine grids of oversampled or noisy pictures know less than coarser ones, which average: the
-    information of the windows tells.
-    """
-    bands, finest = _spread(task.bands, COARSE_BANDS), task.finest
-    base = _stiffened(task.found) if stiff else task.found.transform
-    step, known = finest, None
-    identity = [Affine.identity()] * len(bands)
-    for finer in steps_of(task.scene.shape, finest):
-        here = task.look(bands, identity, base, finer)
-        least = (2 if stiff else 1) * LEAST_WINDOWS
-        if usable(combine(here)[1]).sum() < least and finer > finest:
-            continue  # too little to see at this size; the key points' map stands
-        rung = fit_base(task, base, here, finer, coarse=True, stiff=stiff)
-        climbs.append(noted(rung, finer))
-        now = (knowledge(here), rung.knowledge)
-        if known is not None and _is_less(now, known):
-            return base, step
-        _check(rung, task)
-        base, step, known = rung.transform, finer, now
-    return base, step
+    def approach(self) -> None:
+        """Refine the base map from coarse to fine; stop at the grid that shows most.
+
+        Fine grids of oversampled or noisy pictures hold less information than coarser ones, which average.
+        """
+        task, finest = self.task, self.task.finest_step
+        bands = evenly_spread(task.bands, SETTINGS.coarse_bands)
+        identity = [Affine.identity()] * len(bands)
+        known = None
+        for step in pyramid_steps(task.reference.shape, finest):
+            windows = task.measure_shifts(bands, identity, self.base, step)
+            least = (2 if self.stiff else 1) * FusionSettings.least_windows
+            if has_information(fuse_windows(windows)[1]).sum() < least and step > finest:
+                continue  # too little to see at this size; the initial transform stands
+            selected = fit_base(
+                self.base, windows, task.by_hand.fixed, step, task.cell(step),
+                SelectionTerms(coarse=True, stiff=self.stiff),
+            )  # fmt: skip
+            self.selections.append(describe_selection(selected, step))
+            now = (total_information(windows), selected.total_information)
+            if known is not None and _is_less(now, known):
+                return
+            self._check(selected)
+            self.base, self.step, known = selected.transform, step, now
+
+    def converge(self) -> None:
+        """Fit base map and chromatic shifts in turns on the finest grid until the map moves no more."""
+        bands, wavelengths = self.task.bands, [band.wavelength for band in self.task.bands]
+        height, width = self.task.reference.shape
+        small = height * width < SETTINGS.large * self.step**2
+        least = SETTINGS.stiff_rounds if self.stiff else SETTINGS.rounds
+        planned = [self.step] * least if small else [2 * self.step, self.step]
+        steps = planned + [self.step] * (SETTINGS.most_rounds - len(planned))
+        for rounds, step in enumerate(steps, 1):
+            self.windows = self._look(step)
+            before = self.base
+            self._fit(step, SelectionTerms(stiff=self.stiff, depth_step=step == self.step))
+            moved = base_change(before, self.base, self.selected.observations.points)
+            if len(bands) > 1:
+                common = base_change(before, self.base, self.windows[0].centres)
+                self.chromatic = fit_chromatic(
+                    self.windows, self.chromatic, wavelengths, common=common
+                )
+            shift = float(np.sqrt(np.median((moved**2).sum(1))))
+            settled = shift < SETTINGS.settled * self.step
+            self.course = {"rounds": rounds, "settled": settled, "moved": round(shift, 5)}
+            if rounds >= len(planned) and settled:
+                return
+
+    def leave_out_what_is_covered(self, best: int, judged: int) -> PermutationTest:
+        """Refit to windows that lie among predicted ones, where something covers part of the object."""
+        test = self._test(best, judged)
+        for _ in range(SETTINGS.rounds):
+            if not test.is_partly_covered:
+                break
+            among = test.is_predicted_around(self.windows[0].centres)
+            self._fit(self.step, SelectionTerms(stiff=True), among)
+            self.windows = self._look(self.step)
+            test = self._test(best, judged)
+        return test
+
+    def _look(self, step: int) -> list[WindowShifts]:
+        own = [self.chromatic.transform(i) for i in range(len(self.task.bands))]
+        return self.task.measure_shifts(self.task.bands, own, self.base, step)
+
+    def _fit(self, step: int, terms: SelectionTerms, among: np.ndarray | None = None) -> None:
+        """Fit the base map to what is seen through the one before, record it and check it."""
+        task = self.task
+        self.selected = fit_base(
+            self.base, self.windows, task.by_hand.fixed, step, task.cell(step), terms, among
+        )
+        self.selections.append(describe_selection(self.selected, step))
+        self._check(self.selected)
+        self.base = self.selected.transform
+
+    def _test(self, best: int, step: int) -> PermutationTest:
+        whole = Composed(self.chromatic.transform(best), self.base)
+        image = self.task.resample(self.task.bands[best], whole, step)
+        return run_permutation_test(self.task.reference.predictor(step), image)
+
+    def _check(self, selected: SelectedModel) -> None:
+        points = selected.observations.points
+        box = (*points.min(0), *points.max(0))
+        if not is_plausible(selected.transform, box, self.task.initial.mirrored):
+            raise RegistrationRefused(
+                Problem(
+                    "E_FOLD",
+                    "the map of this sensor folds or stretches beyond belief",
+                    field=self.task.bands[0].sensor or None,
+                    fix="Check that both show the same object; give control points if they do.",
+                )
+            )
 
 
 def _is_less(now: tuple[float | None, float], before: tuple[float | None, float]) -> bool:
-    """Tell whether a finer grid knows less, by how windows lie about the model.
+    """Tell whether a finer grid has less information, by how windows scatter about the model.
 
-    Unless neighbours know that much more on it: then it is the model that is short, of a ledge say. Windows
-    are four times as many there, and have to be twice as sure.
+    Not where neighbouring windows have that much more on it: then it is the model that lacks a term.
     """
     if now[1] >= before[1]:
         return False
-    return now[0] is None or before[0] is None or now[0] < SHARPER * before[0]
+    return now[0] is None or before[0] is None or now[0] < SETTINGS.sharper * before[0]
 
 
-def _stiffened(found: Start) -> Transform:
-    """Return the similarity, homography or lens that the kept key points are nearest to."""
-    p, q = found.reference[found.kept], found.target[found.kept]
-    alike = np.broadcast_to(np.eye(2), (len(p), 2, 2))
-    observed = Observations(p, q, found.transform.jacobian(p), alike)
-    return climb(observed, spacing=1.0, reaching=True).transform if len(p) >= 6 else found.transform
+def _stiffened(initial: InitialTransform) -> Transform:
+    """Return the similarity, homography or lens that is nearest to the matches of an initial transform."""
+    p, q = initial.reference[initial.kept], initial.target[initial.kept]
+    if len(p) < 6:
+        return initial.transform
+    identity = np.broadcast_to(np.eye(2), (len(p), 2, 2))
+    observed = Observations(p, q, initial.transform.jacobian(p), identity)
+    return select_model(observed, SelectionTerms(spacing=1.0, stiff=True)).transform
 
 
-def _check(rung: Rung, task: Task) -> None:
-    points = rung.observations.points
-    if not plausible(rung.transform, (*points.min(0), *points.max(0)), task.found.mirrored):
-        raise RegistrationRefused(
-            Problem(
-                "E_FOLD",
-                "the map of this sensor folds or stretches beyond belief",
-                field=task.bands[0].sensor or None,
-                fix="Check that both show the same object; give control points if they do.",
-            )
-        )
+def _verify(
+    task: SensorTask, band: BandImage, transform: Transform, step: int, test: PermutationTest
+) -> tuple[dict[str, Any], CheckWindows]:
+    """Verify a map on a grid of `step` reference px or coarser; `test` is of the same map at `step`."""
+    predicted, cell = test.predicted, task.cell(step)
+    step *= coarsening(task.reference.shape, step)
+    image = highpass(task.resample(band, transform, step))
+    predictors = task.reference.predictor(step).images
+    valid = np.isfinite(task.images[band.label])
+    return verify(predictors, image, step, transform, task.mask, valid, predicted, cell)
 
 
-def _spread(bands: Sequence[BandImage], most: int) -> list[BandImage]:
-    picks = np.unique(np.linspace(0, len(bands) - 1, min(most, len(bands))).round().astype(int))
-    return [bands[i] for i in picks]
+def evenly_spread(items: Sequence[Item], most: int) -> list[Item]:
+    """Return at most `most` of the items, evenly over their order."""
+    picks = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
+    return [items[i] for i in picks]
 
 
-def frame_of(shape: tuple[int, int]) -> tuple[np.ndarray, float]:
-    """Return centre and half the longer side of a frame: coordinates of the chromatic fields."""
+def frame_centre(shape: tuple[int, int]) -> tuple[np.ndarray, float]:
+    """Return centre and half the longer side of a frame: the coordinates of the chromatic fields."""
     return np.array([shape[1] - 1, shape[0] - 1]) / 2, max(shape) / 2
 
 
-def steps_of(shape: tuple[int, int], finest: int) -> list[int]:
-    """Return the steps of the pyramid from coarse to `finest`; at least five cells across."""
+def pyramid_steps(shape: tuple[int, int], finest: int) -> list[int]:
+    """Return the steps of the pyramid, four at most, from coarse to `finest`, reference px.
+
+    >>> pyramid_steps((600, 800), 1)
+    [8, 4, 2, 1]
+    """
     steps = [finest]
-    while min(shape) // (steps[-1] * 2) >= LEAST_CELLS * cell_px((0, 0)) and len(steps) < 4:
+    least = SETTINGS.least_cells * cell_px((0, 0))
+    while min(shape) // (steps[-1] * 2) >= least and len(steps) < 4:
         steps.append(steps[-1] * 2)
     return steps[::-1]

@@ -1,24 +1,60 @@
-"""Key points with descriptors; a row in `DETECTORS` is all that a new kind needs."""
+"""Features: key points and descriptors of grey pictures.
+
+Two kinds of users share one SIFT ([Lowe2004]_). The paper's method picks a detector from `DETECTORS`, in which
+a row is all that a new kind needs. The default method finds SIFT of several grey pictures of a camera, each
+when it is first needed (`CameraFeatures`): contrast inversion and mirroring permute the entries of a
+descriptor, so that all four cases cost one detection. Where contrast inverts in some places and not in
+others, edges are what two pictures share: key points of the gradient's magnitude are found too.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.registration.record import RegistrationRefused
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
-CONTRAST = 0.01
-LIMIT = 10_000
-BALANCE_CELLS = 8
-ROOT_SIFT_LEVELS = 512
-ORB_POINTS = 4 * LIMIT
-"""Looked for before the strongest of each cell are kept; OpenCV's 500 lie where contrast is highest."""
+@dataclass(frozen=True)
+class FeatureSettings:
+    """Constants of the features.
+
+    Parameters
+    ----------
+    contrast : float
+        Threshold of SIFT below which an extremum is no key point.
+    limit : int
+        Key points of a picture that the paper's method keeps, the strongest of each cell.
+    balance_cells : int
+        Cells along either side from which they are taken evenly.
+    root_levels : int
+        RootSIFT in whole numbers up to this keeps every dot product exact in float32, in any order of
+        summation.
+    orb_points : int
+        Of ORB before the strongest of each cell are kept; OpenCV's 500 lie where contrast is highest.
+    key_points : int
+        Of a grey picture that the default method keeps, the strongest first.
+    edge_threshold : int
+        Of SIFT, above which an extremum lies on an edge; in the default method.
+    edge_px : float
+        Scale at which the gradient's magnitude is taken.
+    """
+
+    contrast: float = 0.01
+    limit: int = 10_000
+    balance_cells: int = 8
+    root_levels: int = 512
+    orb_points: int = 40_000
+    key_points: int = 4000
+    edge_threshold: int = 12
+    edge_px: float = 2.0
+
+
+SETTINGS = FeatureSettings()
 
 
 @dataclass(frozen=True)
@@ -33,7 +69,7 @@ class KeyPoints:
     angles : ndarray, (n,), degrees
     responses : ndarray, (n,)
     descriptors : ndarray, (n, d)
-        float32 of whole numbers (Euclidean distance) or uint8 (Hamming distance).
+        float32 (Euclidean distance; whole numbers, or of unit length) or uint8 (Hamming distance).
     """
 
     points: np.ndarray
@@ -46,13 +82,10 @@ class KeyPoints:
         return len(self.points)
 
     def __getitem__(self, rows: np.ndarray) -> KeyPoints:
-        return KeyPoints(
-            self.points[rows],
-            self.sizes[rows],
-            self.angles[rows],
-            self.responses[rows],
-            self.descriptors[rows],
-        )
+        return KeyPoints(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+
+# --- detectors by name
 
 
 def find_key_points(
@@ -60,7 +93,7 @@ def find_key_points(
     valid: np.ndarray,
     *,
     detector: str = "sift",
-    limit: int = LIMIT,
+    limit: int = SETTINGS.limit,
     **options: Any,
 ) -> KeyPoints:
     """Find key points whose neighbourhood is valid.
@@ -113,11 +146,12 @@ def _strongest(found: KeyPoints, shape: tuple[int, ...], limit: int) -> np.ndarr
     if len(found) <= limit:
         return np.arange(len(found))
     h, w = shape[:2]
-    column = np.clip(found.points[:, 0] * BALANCE_CELLS // w, 0, BALANCE_CELLS - 1)
-    row = np.clip(found.points[:, 1] * BALANCE_CELLS // h, 0, BALANCE_CELLS - 1)
-    cell = (row * BALANCE_CELLS + column).astype(int)
+    cells = SETTINGS.balance_cells
+    column = np.clip(found.points[:, 0] * cells // w, 0, cells - 1)
+    row = np.clip(found.points[:, 1] * cells // h, 0, cells - 1)
+    cell = (row * cells + column).astype(int)
     by_strength = np.lexsort((-found.responses, cell))
-    starts = np.searchsorted(cell[by_strength], np.arange(BALANCE_CELLS**2))
+    starts = np.searchsorted(cell[by_strength], np.arange(cells**2))
     place = np.empty(len(found), int)
     place[by_strength] = np.arange(len(found)) - starts[cell[by_strength]]
     # The k-th of every cell comes before the (k + 1)-th of any.
@@ -125,8 +159,10 @@ def _strongest(found: KeyPoints, shape: tuple[int, ...], limit: int) -> np.ndarr
     return np.sort(chosen)
 
 
-def sift(picture: np.ndarray, *, contrast: float = CONTRAST, root: bool = True) -> KeyPoints:
-    """SIFT of Lowe 2004, free of OpenCV's quarter-pixel bias; RootSIFT with `root`.
+def sift(
+    picture: np.ndarray, *, contrast: float = SETTINGS.contrast, root: bool = True
+) -> KeyPoints:
+    """SIFT of [Lowe2004]_; RootSIFT ([Arandjelovic2012]_) with `root`.
 
     Parameters
     ----------
@@ -134,46 +170,44 @@ def sift(picture: np.ndarray, *, contrast: float = CONTRAST, root: bool = True) 
     contrast : float
         Threshold below which an extremum is not a key point.
     root : bool
-        Hellinger instead of Euclidean distance (Arandjelović & Zisserman 2012).
+        Hellinger instead of Euclidean distance.
     """
-    create = _opencv("SIFT_create", "sift")
-    options = {"contrastThreshold": contrast}
-    shift = 0.0
-    try:
-        finder = create(enable_precise_upscale=True, **options)
-    except TypeError:
-        # Releases without the switch look for key points in a picture that lies 0.25 px off.
-        finder, shift = create(**options), 0.25
-    found = _gather(*finder.detectAndCompute(picture, None), width=128)
-    if shift:
-        found = KeyPoints(found.points - shift, *(_rest(found)))
+    found = _sift(picture, contrastThreshold=contrast)
     if not root:
         return found
     total = np.maximum(found.descriptors.sum(1, keepdims=True), 1)
-    # Whole numbers up to 512 keep every dot product exact in float32, in any order of summation.
-    rooted = np.rint(np.sqrt(found.descriptors / total) * ROOT_SIFT_LEVELS).astype(np.float32)
-    return KeyPoints(found.points, found.sizes, found.angles, found.responses, rooted)
+    return _whole(found, np.sqrt(found.descriptors / total))
+
+
+def _sift(picture: np.ndarray, mask: np.ndarray | None = None, **options: Any) -> KeyPoints:
+    """SIFT without the bias of a quarter pixel that OpenCV has by default."""
+    finder = _opencv("SIFT_create", "sift")(enable_precise_upscale=True, **options)
+    return _gather(*finder.detectAndCompute(picture, mask), width=128)
+
+
+def _whole(found: KeyPoints, descriptors: np.ndarray) -> KeyPoints:
+    """Return key points with descriptors in whole numbers: distances do not depend on the order of summation."""
+    levels = np.rint(descriptors * SETTINGS.root_levels).astype(np.float32)
+    return KeyPoints(found.points, found.sizes, found.angles, found.responses, levels)
 
 
 def kaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
-    """KAZE of Alcantarilla 2012; in OpenCV 4, and in OpenCV 5 only with its extra modules."""
+    """KAZE ([Alcantarilla2012]_); in OpenCV 4, and in OpenCV 5 only with its extra modules."""
     finder = _opencv("KAZE_create", "kaze")(threshold=contrast)
     found = _gather(*finder.detectAndCompute(picture, None), width=64)
-    # Whole numbers, so that distances do not depend on the order of summation.
-    scaled = np.rint(found.descriptors * ROOT_SIFT_LEVELS).astype(np.float32)
-    return KeyPoints(found.points, found.sizes, found.angles, found.responses, scaled)
+    return _whole(found, found.descriptors)
 
 
 def akaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
-    """AKAZE of Alcantarilla 2013, binary descriptors; in OpenCV as `kaze` is."""
+    """AKAZE ([Alcantarilla2013]_), binary descriptors; in OpenCV as `kaze` is."""
     finder = _opencv("AKAZE_create", "akaze")(threshold=contrast)
     return _gather(*finder.detectAndCompute(picture, None), width=61)
 
 
 def orb(picture: np.ndarray, *, contrast: int = 5) -> KeyPoints:
-    """ORB of Rublee 2011, binary descriptors; in every OpenCV. `contrast` is the threshold of FAST, grey levels."""
+    """ORB ([Rublee2011]_), binary descriptors; in every OpenCV. `contrast` is the threshold of FAST, grey levels."""
     finder = _opencv("ORB_create", "orb")(
-        nfeatures=ORB_POINTS, fastThreshold=contrast, scaleFactor=1.2, nlevels=8
+        nfeatures=SETTINGS.orb_points, fastThreshold=contrast, scaleFactor=1.2, nlevels=8
     )
     return _gather(*finder.detectAndCompute(picture, None), width=32)
 
@@ -184,17 +218,11 @@ DETECTORS: dict[str, Callable[..., KeyPoints]] = {
     "kaze": kaze,
     "akaze": akaze,
 }
-CONSTRUCTORS = {
-    "sift": "SIFT_create",
-    "orb": "ORB_create",
-    "kaze": "KAZE_create",
-    "akaze": "AKAZE_create",
-}
 
 
 def available_detectors() -> list[str]:
     """Return the detectors that the installed OpenCV has; KAZE and AKAZE left it with release 5."""
-    return [name for name, constructor in CONSTRUCTORS.items() if _constructor(constructor)]
+    return [name for name in DETECTORS if _constructor(f"{name.upper()}_create")]
 
 
 def _constructor(name: str) -> Any:
@@ -240,5 +268,113 @@ def _gather(key_points: Any, descriptors: Any, *, width: int) -> KeyPoints:
     )
 
 
-def _rest(found: KeyPoints) -> tuple[np.ndarray, ...]:
-    return found.sizes, found.angles, found.responses, found.descriptors
+# --- features of the grey pictures of a camera
+
+
+class CameraFeatures:
+    """Grey pictures of one camera, and their key points, found when first used.
+
+    Parameters
+    ----------
+    greys : sequence of ndarray, (h, w), float32
+        All of one size, NaN where invalid.
+    within : ndarray, (h, w), bool, optional
+        Where key points count; they are found in the whole picture all the same.
+    """
+
+    def __init__(self, greys: Sequence[np.ndarray], within: np.ndarray | None = None) -> None:
+        self.greys, self.within = greys, within
+        self._sides: dict[int, ScaledFeatures] = {}
+
+    def at(self, side: int) -> ScaledFeatures:
+        """Return the key points of pictures reduced until their longer side is `side` px."""
+        if side not in self._sides:
+            self._sides[side] = ScaledFeatures(self.greys, side, self.within)
+        return self._sides[side]
+
+
+class ScaledFeatures:
+    """Key points of grey pictures at one size, by the number of the picture, found when first used."""
+
+    #: In place of a number: key points of the gradient's magnitude in the first grey.
+    EDGES = -1
+
+    def __init__(self, greys: Sequence[np.ndarray], side: int, within: np.ndarray | None) -> None:
+        self.greys, self.side, self.within = greys, side, within
+        self._found: dict[int, KeyPoints] = {}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(height, width) of the pictures, before they are reduced."""
+        return self.greys[0].shape
+
+    def __getitem__(self, i: int) -> KeyPoints:
+        if i not in self._found:
+            edges = i == self.EDGES
+            found = _find(self.greys[0 if edges else i], self.side, edges=edges)
+            if self.within is not None and len(found):
+                column, row = np.round(found.points).astype(int).T
+                h, w = self.within.shape
+                found = found[self.within[np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)]]
+            self._found[i] = found
+        return self._found[i]
+
+
+def _find(image: np.ndarray, side: int, *, edges: bool) -> KeyPoints:
+    """Return the strongest key points of an image reduced to `side` px, in px of the image; RootSIFT of unit length."""
+    n = max(1, -(-max(image.shape) // side))
+    h, w = (image.shape[0] // n) * n, (image.shape[1] // n) * n
+    small = image[:h, :w].reshape(h // n, n, w // n, n).mean((1, 3)) if n > 1 else image
+    if edges:
+        small = _gradient_magnitude(small)
+    found = _sift(
+        _equalised(small),
+        np.isfinite(small).astype(np.uint8) * 255,
+        nfeatures=SETTINGS.key_points,
+        contrastThreshold=SETTINGS.contrast,
+        edgeThreshold=SETTINGS.edge_threshold,
+    )
+    x, y = found.points.T
+    order = np.lexsort((found.angles, y, x, -found.responses))[: SETTINGS.key_points]
+    total = np.maximum(found.descriptors.sum(1, keepdims=True), 1e-9)
+    root = np.sqrt(found.descriptors / total).astype(np.float32)
+    points, sizes = (found.points + 0.5) * n - 0.5, found.sizes * n
+    return KeyPoints(points, sizes, found.angles, found.responses, root)[order]
+
+
+def _gradient_magnitude(image: np.ndarray) -> np.ndarray:
+    """Return the square root of the gradient's magnitude, which does not depend on the sign of contrast; NaN where invalid."""
+    import cv2
+
+    known = np.isfinite(image)
+    low, high = np.percentile(image[known], (0.5, 99.5)) if known.any() else (0.0, 1.0)
+    filled = np.clip(np.where(known, image, (low + high) / 2), low, high)
+    flat = ((filled - low) / max(high - low, 1e-12)).astype(np.float32)
+    soft = cv2.GaussianBlur(flat, (0, 0), SETTINGS.edge_px)
+    slope = np.hypot(cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1))
+    return np.where(known, np.sqrt(slope), np.float32(np.nan))
+
+
+def _equalised(image: np.ndarray) -> np.ndarray:
+    """Return 8 bits with local mean subtracted and local contrast equalised, so that glare hides little."""
+    import cv2
+
+    low, high = np.nanpercentile(image, (0.5, 99.5)) if np.isfinite(image).any() else (0.0, 1.0)
+    filled = np.where(np.isfinite(image), image, (low + high) / 2)
+    flat = np.clip((filled - low) / max(high - low, 1e-12), 0, 1).astype(np.float32)
+    sigma = max(4.0, max(image.shape) / 40)
+    mean = cv2.GaussianBlur(flat, (0, 0), sigma)
+    spread = np.sqrt(np.maximum(cv2.GaussianBlur((flat - mean) ** 2, (0, 0), sigma), 0))
+    even = (flat - mean) / (spread + 0.25 * float(spread.mean()) + 1e-6)
+    return (np.clip(even * 40 + 128, 0, 255)).astype(np.uint8)
+
+
+def invert_descriptors(descriptors: np.ndarray) -> np.ndarray:
+    """Descriptors of the same points in the negative: the main direction turns by 180 degrees."""
+    return descriptors.reshape(-1, 4, 4, 8)[:, ::-1, ::-1].reshape(-1, 128)
+
+
+def mirror_descriptors(descriptors: np.ndarray) -> np.ndarray:
+    """Descriptors of the same points in the mirror: across the main direction, angles negated."""
+    turned = descriptors.reshape(-1, 4, 4, 8)[:, ::-1]
+    return turned[..., (-np.arange(8)) % 8].reshape(-1, 128)

@@ -1,52 +1,97 @@
-"""The wide-baseline start: scale 0.2 to 5, any rotation, mirrored or with inverted contrast.
+"""Initial transform: scale 0.2 to 5, any rotation, mirrored or with inverted contrast.
 
-Key points that are each other's most alike start most sensors. Where too few of these agree, every key
-point is paired with the few most alike ones, edges are looked at too, and what agrees in place, size and
-direction is sought among thousands of pairs: one in two hundred may be right.
+Key points that are each other's most alike give most sensors a homography by MAGSAC++ ([Barath2020]_). Where too
+few of these agree, every key point is matched with the few most alike ones, edges are looked at too, and
+what agrees in place, size and direction is sought among thousands of matches by pose clustering. Matches near
+that transform refine it to a cubic polynomial. Pairs given by hand start the search where key points
+find nothing, or something else.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from levkas.core.machine import count_threads
-from levkas.geometry.transforms import Homography, Polynomial, Transform
-from levkas.registration.key_points import Detector, inverted, mirrored
-from levkas.registration.pairing import Pairs, pair, pair_widely, unique
-from levkas.registration.pose_clustering import REACH, vote
+from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
+from levkas.registration.features import (
+    KeyPoints,
+    ScaledFeatures,
+    invert_descriptors,
+    mirror_descriptors,
+)
+from levkas.registration.manual_points import LEAST_TO_START
+from levkas.registration.matching import (
+    TentativeMatches,
+    match_mutually,
+    match_widely,
+    unique_rows,
+)
+from levkas.registration.pose_clustering import REACH, find_pose_cluster
 
 if TYPE_CHECKING:
-    from levkas.registration.key_points import KeyPictures, KeyPoints
-
-LONG_SIDE_PX = 1000
-MOST_PAIRS = 8
-MOST_THREADS = 2
-SURE_SHARE = 0.3
-LEAST_LIKENESS = 0.8
-REACH_PX = 3.0
-LEAST_INLIERS = 12
-FEW_INLIERS = 40
-SCALES = (0.14, 7.0)
+    from levkas.registration.features import CameraFeatures
+    from levkas.registration.manual_points import ManualPoints
 
 
 @dataclass(frozen=True)
-class Start:
-    """A first map of one sensor and what it rests on.
+class InitialSettings:
+    """Constants of the initial transform.
+
+    Parameters
+    ----------
+    long_side : int, px
+        Of the pictures in which key points are found first; then twice that.
+    most_pairs, most_threads : int
+        Pairs of grey pictures beyond the first that are tried, and how many at a time.
+    sure_share : float
+        Share of matches that agree from which the mirror image is not tried.
+    least_likeness : float
+        Dot product of the descriptors of matches near a transform.
+    reach : float, px
+        Residual up to which matches agree.
+    least_inliers, few_inliers : int
+        Matches that have to agree; fewer than these are worth a wide search.
+    scales : (float, float)
+        Target px per reference px of a plausible map.
+    least_contradiction, contradiction_share : float
+        Reference px, and share of the longer side, by which pairs by hand contradict key points.
+    """
+
+    long_side: int = 1000
+    most_pairs: int = 8
+    most_threads: int = 2
+    sure_share: float = 0.3
+    least_likeness: float = 0.8
+    reach: float = 3.0
+    least_inliers: int = 12
+    few_inliers: int = 40
+    scales: tuple[float, float] = (0.14, 7.0)
+    least_contradiction: float = 8.0
+    contradiction_share: float = 0.01
+
+
+SETTINGS = InitialSettings()
+
+
+@dataclass(frozen=True)
+class InitialTransform:
+    """A first map of one sensor and the matches on which it rests.
 
     Parameters
     ----------
     transform : Transform
         Reference px → native px of the sensor.
     reference, target : ndarray, (n, 2)
-        All pairs that were tried, in px of either image; `kept` marks those that agree.
+        All matches that were tried, in px of either image; `kept` marks those that agree.
+    kept : ndarray of bool, (n,)
     mirrored : bool
     reason : ndarray of str, (n,), optional
-        What a person said of a pair, as `given.Marked` has it.
+        `HandMark` of each match.
     """
 
     transform: Transform
@@ -56,13 +101,29 @@ class Start:
     mirrored: bool
     reason: np.ndarray | None = None
 
+    @property
+    def count(self) -> int:
+        """How many matches agree."""
+        return int(self.kept.sum())
 
-def start(reference: KeyPictures, target: KeyPictures) -> Start | None:
+    @property
+    def scale(self) -> float:
+        """Target px per reference px at the first match."""
+        return _scale(self.transform, self.reference)
+
+
+def _scale(transform: Transform, points: np.ndarray) -> float:
+    return float(np.sqrt(abs(np.linalg.det(transform.jacobian(points[:1])[0]))))
+
+
+def find_initial_transform(
+    reference: CameraFeatures, target: CameraFeatures
+) -> InitialTransform | None:
     """Return the map that key points agree on, or None where they do not.
 
     The first picture of each is tried first, then all pairs of them, at last the first ones widely.
     """
-    for side in (LONG_SIDE_PX, 2 * LONG_SIDE_PX):
+    for side in (SETTINGS.long_side, 2 * SETTINGS.long_side):
         ours, theirs = reference.at(side), target.at(side)
         for pairs in ([(0, 0)], _other_pairs(len(reference.greys), len(target.greys))):
             found = _attempt(ours, theirs, pairs)
@@ -70,126 +131,140 @@ def start(reference: KeyPictures, target: KeyPictures) -> Start | None:
                 return found
         if max(max(pictures.greys[0].shape) for pictures in (reference, target)) <= side:
             break
-    return _search(reference.at(LONG_SIDE_PX), target.at(LONG_SIDE_PX))
+    return _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
 
 
 def _other_pairs(ours: int, theirs: int) -> list[tuple[int, int]]:
-    """All pairs but the first, those of alike place in the spectrum before, at most nine."""
+    """Return the pairs of pictures but the first, those of alike place in the spectrum before."""
     pairs = [(i, j) for i in range(ours) for j in range(theirs) if i or j]
-    return sorted(pairs, key=lambda ij: abs(ij[0] / ours - ij[1] / theirs))[:MOST_PAIRS]
+    return sorted(pairs, key=lambda ij: abs(ij[0] / ours - ij[1] / theirs))[: SETTINGS.most_pairs]
 
 
-def _attempt(ours: Detector, theirs: Detector, pairs: Sequence[tuple[int, int]]) -> Start | None:
-    best: tuple[int, Start, tuple[int, int]] | None = None
+def _attempt(
+    ours: ScaledFeatures, theirs: ScaledFeatures, pairs: Sequence[tuple[int, int]]
+) -> InitialTransform | None:
+    best: InitialTransform | None = None
+    best_pair = (0, 0)
     for mirror in (False, True) if pairs else ():
-        found = _pairs(ours, theirs, pairs, mirror)
-        every = Pairs.joined(found)
-        fitted = _consensus(every, mirror, ours.shape) or _voted(every, mirror, ours.shape)
-        if fitted is None:
+        found = _match_pictures(ours, theirs, pairs, mirror)
+        every = TentativeMatches.joined(found)
+        tried = _fit_robustly(every, mirror, ours.shape) or _fit_cluster(every, mirror, ours.shape)
+        if tried is None:
             continue
-        count = int(fitted[1].sum())
-        if best is None or count > 1.2 * best[0]:
-            most = max(range(len(pairs)), key=lambda k: len(found[k]))
-            start = Start(fitted[0], every.p, every.q, fitted[1], mirror)
-            best = count, start, pairs[most]
-        if count > SURE_SHARE * len(every):
+        if best is None or tried.count > 1.2 * best.count:
+            best = tried
+            best_pair = pairs[max(range(len(pairs)), key=lambda k: len(found[k]))]
+        if tried.count > SETTINGS.sure_share * len(every):
             break
     if best is None:
         return None
-    if best[0] < FEW_INLIERS:
-        more = _search(ours, theirs, best[1])
-        if more is not best[1]:
+    if best.count < SETTINGS.few_inliers:
+        more = _search_widely(ours, theirs, best)
+        if more is not best:
             return more
-    return rematch(best[1], ours[best[2][0]], theirs[best[2][1]], ours.shape)
+    return _rematch(best, ours[best_pair[0]], theirs[best_pair[1]], ours.shape)
 
 
-def _pairs(
-    ours: Detector, theirs: Detector, pairs: Sequence[tuple[int, int]], mirror: bool
-) -> list[Pairs]:
+def _match_pictures(
+    ours: ScaledFeatures, theirs: ScaledFeatures, pairs: Sequence[tuple[int, int]], mirror: bool
+) -> list[TentativeMatches]:
     """Match all pairs of pictures, two at a time where there are several."""
-    with ThreadPoolExecutor(count_threads(MOST_THREADS)) as pool:
+    with ThreadPoolExecutor(count_threads(SETTINGS.most_threads)) as pool:
         wanted = [(ours, i) for i in sorted({i for i, _ in pairs})]
         wanted += [(theirs, j) for j in sorted({j for _, j in pairs})]
         list(pool.map(lambda one: one[0][one[1]], wanted))
-        return list(pool.map(lambda ij: pair(ours[ij[0]], theirs[ij[1]], mirror=mirror), pairs))
-
-
-def _search(ours: Detector, theirs: Detector, best: Start | None = None) -> Start | None:
-    """Look for the similarity that most of very many pairs agree on, edges among them.
-
-    Returns `best`, a start on few pairs, where nothing has more.
-    """
-    begun = best
-    for mirror in (False, True):
-        every = Pairs.joined(
-            [pair_widely(ours[i], theirs[i], mirror=mirror) for i in (0, Detector.EDGES)]
+        return list(
+            pool.map(lambda ij: match_mutually(ours[ij[0]], theirs[ij[1]], mirror=mirror), pairs)
         )
-        fitted = _voted(every, mirror, ours.shape, widely=True)
-        if fitted and (best is None or fitted[1].sum() > 1.2 * best.kept.sum()):
-            best = Start(fitted[0], every.p, every.q, fitted[1], mirror)
+
+
+def _search_widely(
+    ours: ScaledFeatures, theirs: ScaledFeatures, best: InitialTransform | None = None
+) -> InitialTransform | None:
+    """Find the similarity that most of very many matches agree on, edges among them.
+
+    Returns `best`, which rests on few matches, where nothing has more.
+    """
+    begun, kinds = best, (0, ScaledFeatures.EDGES)
+    for mirror in (False, True):
+        every = TentativeMatches.joined(
+            [match_widely(ours[i], theirs[i], mirror=mirror) for i in kinds]
+        )
+        tried = _fit_cluster(every, mirror, ours.shape, widely=True)
+        if tried and (best is None or tried.count > 1.2 * best.count):
+            best = tried
     if best is None or best is begun:
         return begun
-    again = [rematch(best, ours[i], theirs[i], ours.shape) for i in (0, Detector.EDGES)]
-    return max(again, key=lambda start: int(start.kept.sum()))
+    again = [_rematch(best, ours[i], theirs[i], ours.shape) for i in kinds]
+    return max(again, key=lambda one: one.count)
 
 
-def _voted(
-    pairs: Pairs, mirror: bool, ours: tuple[int, ...], *, widely: bool = False
-) -> tuple[Homography, np.ndarray] | None:
-    """Find the map among the few pairs that agree on a similarity, where it drowns among all."""
-    p = pairs.p * (1, -1) if mirror else pairs.p
-    near = vote(p, pairs.q, pairs.growth, pairs.turn, pairs.likeness, max(ours))
+def _fit_cluster(
+    matches: TentativeMatches, mirror: bool, shape: tuple[int, ...], *, widely: bool = False
+) -> InitialTransform | None:
+    """Fit the map to the few matches of one pose cluster, where it drowns among all."""
+    p = matches.reference * (1, -1) if mirror else matches.reference
+    near = find_pose_cluster(
+        p, matches.target, matches.growth, matches.turn, matches.likeness, max(shape)
+    )
     if near is None:
         return None
     if not widely:
-        return _consensus(pairs, mirror, ours, near)
+        return _fit_robustly(matches, mirror, shape, near)
     # What was let in lies near already: of that, some agree more closely by chance.
-    chance = near.sum() * (REACH_PX / (1.5 * REACH * max(ours))) ** 2
-    return _consensus(pairs, mirror, ours, near, chance)
+    chance = near.sum() * (SETTINGS.reach / (1.5 * REACH * max(shape))) ** 2
+    return _fit_robustly(matches, mirror, shape, near, chance)
 
 
-def _consensus(
-    pairs: Pairs,
+def _fit_robustly(
+    matches: TentativeMatches,
     mirror: bool,
-    ours: tuple[int, ...],
+    shape: tuple[int, ...],
     among: np.ndarray | None = None,
     chance: float | None = None,
-) -> tuple[Homography, np.ndarray] | None:
+) -> InitialTransform | None:
+    """Fit a homography by MAGSAC++; None where no more matches agree than `chance` gives."""
+    rows = np.arange(len(matches)) if among is None else np.flatnonzero(among)
+    p, q = matches.reference[rows], matches.target[rows]
+    if len(p) < SETTINGS.least_inliers:
+        return None
+    found, inside = _magsac(p, q, mirror)
+    if found is None:
+        return None
+    # Matches that agree must be more than chance gives: the spread of random pairs over the frame.
+    low, high = np.percentile(p[inside], (2, 98), axis=0) if inside.any() else (p[0], p[0])
+    if chance is None:
+        chance = len(matches) * np.pi * SETTINGS.reach**2 * 4 / (shape[0] * shape[1])
+    least = max(SETTINGS.least_inliers, 8 + 6 * np.sqrt(chance) + chance)
+    if not (inside.sum() >= least and is_plausible(found, (*low, *high), mirror)):
+        return None
+    kept = np.zeros(len(matches), bool)
+    kept[rows[inside]] = True
+    return InitialTransform(found, matches.reference, matches.target, kept, mirror)
+
+
+def _magsac(p: np.ndarray, q: np.ndarray, mirror: bool) -> tuple[Homography | None, np.ndarray]:
+    """Return the homography p → q and which matches agree, (n,) bool; None where there is none."""
     import cv2
 
-    rows = np.arange(len(pairs)) if among is None else np.flatnonzero(among)
-    p, q = pairs.p[rows], pairs.q[rows]
-    if len(p) < LEAST_INLIERS:
-        return None
     settings = cv2.UsacParams()
-    settings.threshold, settings.confidence, settings.maxIterations = REACH_PX, 0.9999, 20000
+    settings.threshold, settings.confidence = SETTINGS.reach, 0.9999
+    settings.maxIterations, settings.randomGeneratorState = 20000, 0
     settings.score, settings.sampler = cv2.SCORE_METHOD_MAGSAC, cv2.SAMPLING_UNIFORM
-    settings.loMethod, settings.randomGeneratorState = cv2.LOCAL_OPTIM_SIGMA, 0
+    settings.loMethod = cv2.LOCAL_OPTIM_SIGMA
     try:
         # OpenCV's sampler turns down all samples that change orientation.
         flip = np.diag([-1.0 if mirror else 1.0, 1.0, 1.0])
         matrix, mask = cv2.findHomography(q * np.diag(flip)[:2], p, settings)
         forward = flip @ np.linalg.inv(matrix) if matrix is not None else None
     except (cv2.error, np.linalg.LinAlgError):
-        return None
+        forward = None
     if forward is None or not np.isfinite(forward).all():
-        return None
-    found = Homography(forward / forward[2, 2])
-    inside = mask.reshape(-1).astype(bool)
-    # Matches that agree must be more than chance gives: the spread of random pairs over the frame.
-    low, high = np.percentile(p[inside], (2, 98), axis=0) if inside.any() else (p[0], p[0])
-    box = (*low, *high)
-    if chance is None:
-        chance = len(pairs) * np.pi * REACH_PX**2 * 4 / (ours[0] * ours[1])
-    enough = inside.sum() >= max(LEAST_INLIERS, 8 + 6 * np.sqrt(chance) + chance)
-    if not (enough and plausible(found, box, mirror)):
-        return None
-    kept = np.zeros(len(pairs), bool)
-    kept[rows[inside]] = True
-    return found, kept
+        return None, np.zeros(len(p), bool)
+    return Homography(forward / forward[2, 2]), mask.reshape(-1).astype(bool)
 
 
-def plausible(transform: Transform, box: Sequence[float], mirrored: bool) -> bool:
+def is_plausible(transform: Transform, box: Sequence[float], mirrored: bool) -> bool:
     """Whether the Jacobian keeps its sign and scales stay in 0.14 to 7 all over a box.
 
     `box` is (x0, y0, x1, y1) in reference px.
@@ -201,66 +276,198 @@ def plausible(transform: Transform, box: Sequence[float], mirrored: bool) -> boo
         return False
     values = np.linalg.svd(jacobian, compute_uv=False)
     determinant = np.linalg.det(jacobian) * (-1 if mirrored else 1)
-    in_range = (values > SCALES[0]).all() and (values < SCALES[1]).all()
+    low, high = SETTINGS.scales
+    in_range = (values > low).all() and (values < high).all()
     steady = determinant.min() > 0.2 * determinant.max() and (values[:, 0] < 3 * values[:, 1]).all()
     return bool(in_range and steady and determinant.min() > 0)
 
 
-def rematch(first: Start, ours: KeyPoints, theirs: KeyPoints, shape: tuple[int, ...]) -> Start:
+def _rematch(
+    first: InitialTransform, ours: KeyPoints, theirs: KeyPoints, shape: tuple[int, ...]
+) -> InitialTransform:
     """Match again, each point only against those where the first map expects its partner."""
-    if not len(ours.positions) or not len(theirs.positions):
+    if not len(ours) or not len(theirs):
         return first
     from scipy.spatial import cKDTree
 
-    scale = float(np.sqrt(abs(np.linalg.det(first.transform.jacobian(first.reference[:1])[0]))))
-    reach = max(6.0, 0.015 * max(shape)) * scale
-    expected = np.nan_to_num(first.transform(ours.positions), nan=-1e9)
-    count = min(12, len(theirs.positions))
-    near = cKDTree(theirs.positions).query(expected, k=count, distance_upper_bound=reach)[1]
+    reach = max(6.0, 0.015 * max(shape)) * first.scale
+    expected = np.nan_to_num(first.transform(ours.points), nan=-1e9)
+    count = min(12, len(theirs))
+    near = cKDTree(theirs.points).query(expected, k=count, distance_upper_bound=reach)[1]
     near = near.reshape(len(expected), -1)
-    candidates = np.minimum(near, len(theirs.positions) - 1)
-    flipped = mirrored(theirs.descriptors) if first.mirrored else theirs.descriptors
+    candidates = np.minimum(near, len(theirs) - 1)
+    upright = mirror_descriptors(theirs.descriptors) if first.mirrored else theirs.descriptors
     alike = np.maximum(
-        np.einsum("nd,nkd->nk", ours.descriptors, flipped[candidates]),
-        np.einsum("nd,nkd->nk", ours.descriptors, inverted(flipped)[candidates]),
+        np.einsum("nd,nkd->nk", ours.descriptors, upright[candidates]),
+        np.einsum("nd,nkd->nk", ours.descriptors, invert_descriptors(upright)[candidates]),
     )
-    alike[near >= len(theirs.positions)] = -1
+    alike[near >= len(theirs)] = -1
     rows, best = np.arange(len(alike)), alike.argmax(1)
-    good = alike[rows, best] > LEAST_LIKENESS
-    p, q = ours.positions[good], theirs.positions[candidates[rows, best][good]]
-    once = unique(p, q)
-    return polish(first, p[once], q[once])
+    good = alike[rows, best] > SETTINGS.least_likeness
+    p, q = ours.points[good], theirs.points[candidates[rows, best][good]]
+    once = unique_rows(p, q)
+    return _refine(first, p[once], q[once])
 
 
-def polish(
-    first: Start,
+def _refine(
+    first: InitialTransform,
     p: np.ndarray,
     q: np.ndarray,
-    sure: np.ndarray | None = None,
+    fixed: np.ndarray | None = None,
     dropped: np.ndarray | None = None,
-) -> Start:
-    """Robust refit from homography to cubic on the new pairs, each from the one before.
+) -> InitialTransform:
+    """Refit from homography to cubic on new matches by iterative re-weighting, each from the one before.
 
-    Pairs of the mask `sure` stay, whatever their error; those of `dropped` are never used.
+    Matches of the mask `fixed` stay, whatever their error; those of `dropped` are never used.
     """
-    sure = np.zeros(len(p), bool) if sure is None else sure
+    fixed = np.zeros(len(p), bool) if fixed is None else fixed
     free = np.ones(len(p), bool) if dropped is None else ~dropped
-    model: Transform = first.transform
-    scale = float(np.sqrt(abs(np.linalg.det(model.jacobian(first.reference[:1])[0]))))
-    kept = (np.linalg.norm(model(p) - q, axis=1) < REACH_PX * scale) & free | sure
+    model, scale, reach = first.transform, first.scale, SETTINGS.reach
+    kept = (np.linalg.norm(model(p) - q, axis=1) < reach * scale) & free | fixed
     for order in (2, 3):
-        if kept.sum() < 4 * (order + 1) * (order + 2):
+        least = 4 * (order + 1) * (order + 2)
+        if kept.sum() < least:
             break
         for _ in range(4):
             error = np.linalg.norm(model(p) - q, axis=1) / scale
             spread = max(float(np.median(error[kept])), 0.05)
-            # Where most pairs are chance, their median error grows with what is let in.
-            kept = (error < np.clip(4 * spread, 0.5, REACH_PX)) & free | sure
-            if kept.sum() < 4 * (order + 1) * (order + 2):
+            # Where most matches are chance, their median error grows with what is let in.
+            kept = (error < np.clip(4 * spread, 0.5, reach)) & free | fixed
+            if kept.sum() < least:
                 break
             weights = 1 / (1 + (error[kept] / (2 * spread)) ** 2)
-            weights[sure[kept]] = 1.0
+            weights[fixed[kept]] = 1.0
             model = Polynomial.fit(p[kept], q[kept], order=order, weights=weights)
-    if kept.sum() < LEAST_INLIERS:
+    if kept.sum() < SETTINGS.least_inliers:
         return first
-    return Start(model, p, q, kept, first.mirrored)
+    return InitialTransform(model, p, q, kept, first.mirrored)
+
+
+# --- from pairs given by hand
+
+
+def seed_with_points(
+    found: InitialTransform | None,
+    by_hand: ManualPoints,
+    reference: CameraFeatures,
+    target: CameraFeatures,
+) -> InitialTransform | None:
+    """Return the initial transform that pairs by hand and key points together give.
+
+    Parameters
+    ----------
+    found : InitialTransform or None
+        By key points alone.
+    by_hand : ManualPoints
+        Of this sensor.
+    reference, target : CameraFeatures
+
+    Returns
+    -------
+    initial : InitialTransform or None
+        None where there are neither key points nor four pairs by hand. Where most of the pairs
+        contradict what key points found, the pairs are taken.
+    """
+    fixed = by_hand.fixed
+    shape = reference.greys[0].shape
+    if found is None or _contradicts(found, fixed, shape):
+        if len(fixed) < LEAST_TO_START:
+            return found
+        found = _rematch_all(fit_initial_transform(fixed), reference, target)
+    marked = by_hand.mark(found.reference, found.target)
+    if not (marked.reason != "").any():
+        return found
+    kept = np.zeros(len(marked.reason), bool)
+    kept[: len(found.kept)] = found.kept
+    kept = kept & ~marked.dropped | marked.fixed
+    p, q = marked.reference, marked.target
+    first = replace(found, reference=p, target=q, kept=kept)
+    return replace(_refine(first, p, q, marked.fixed, marked.dropped), reason=marked.reason)
+
+
+def fit_initial_transform(pairs: np.ndarray) -> InitialTransform:
+    """Fit a transform to pairs alone: the stiffest of similarity, affine and homography that fits.
+
+    Parameters
+    ----------
+    pairs : ndarray, (n, 4), n >= 4
+        Reference x, y and target x, y.
+
+    Examples
+    --------
+    >>> corners = np.array([[0.0, 0], [9, 0], [9, 9], [0, 9]])
+    >>> begun = fit_initial_transform(np.hstack([corners, 2 * corners + 1]))
+    >>> begun.transform(np.array([[4.0, 5.0]])).round(6).tolist(), begun.mirrored
+    ([[9.0, 11.0]], False)
+    """
+    p, q = pairs[:, :2], pairs[:, 2:]
+    affine = Affine.fit(p, q)
+    mirrored = bool(np.linalg.det(affine.matrix[:, :2]) < 0)
+    similarity = _fit_similarity(p, q, mirrored)
+    reach = SETTINGS.reach * _scale(similarity, p)
+    kept = np.ones(len(p), bool)
+    for chosen in (similarity, affine):
+        if np.linalg.norm(chosen(p) - q, axis=1).max() <= reach:
+            return InitialTransform(chosen, p, q, kept, mirrored)
+    return InitialTransform(_fit_homography(p, q) or affine, p, q, kept, mirrored)
+
+
+def _rematch_all(
+    first: InitialTransform, reference: CameraFeatures, target: CameraFeatures
+) -> InitialTransform:
+    """Refine by key points near where the pairs put them; the picture pair with most agreeing ones wins."""
+    best = first
+    for side in (SETTINGS.long_side, 2 * SETTINGS.long_side):
+        ours, theirs = reference.at(side), target.at(side)
+        for i in range(len(reference.greys)):
+            for j in range(len(target.greys)):
+                tried = _rematch(first, ours[i], theirs[j], ours.shape)
+                if tried.count > max(best.count, 3 * len(first.kept)):
+                    best = tried
+        if best is not first:
+            break
+    return best
+
+
+def _contradicts(found: InitialTransform, fixed: np.ndarray, shape: tuple[int, ...]) -> bool:
+    if not len(fixed):
+        return False
+    miss = np.linalg.norm(found.transform(fixed[:, :2]) - fixed[:, 2:], axis=1)
+    scale = np.sqrt(np.abs(np.linalg.det(found.transform.jacobian(fixed[:, :2]))))
+    off = np.nan_to_num(miss / np.maximum(scale, 1e-9), nan=np.inf)
+    most = max(SETTINGS.least_contradiction, SETTINGS.contradiction_share * max(shape))
+    return bool(np.median(off) > most)
+
+
+def _fit_similarity(p: np.ndarray, q: np.ndarray, mirrored: bool) -> Affine:
+    sign = -1.0 if mirrored else 1.0
+    centre, middle = p.mean(0), q.mean(0)
+    u, v = (p - centre).T
+    one = np.stack([np.stack([u, -v * sign], 1), np.stack([v * sign, u], 1)], 1).reshape(-1, 2)
+    a, b = np.linalg.lstsq(one, (q - middle).reshape(-1), rcond=None)[0]
+    linear = np.array([[a, -b * sign], [b, a * sign]])
+    return Affine(np.column_stack([linear, middle - linear @ centre]))
+
+
+def _fit_homography(p: np.ndarray, q: np.ndarray) -> Homography | None:
+    """Direct linear transform on centred, scaled coordinates ([Hartley1997]_); None where none is determined."""
+
+    def frame(points: np.ndarray) -> np.ndarray:
+        centre = points.mean(0)
+        spread = max(float(np.abs(points - centre).max()), 1e-9)
+        return np.array(
+            [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
+        )
+
+    a, b = frame(p), frame(q)
+    x, y = (p @ a[:2, :2].T + a[:2, 2]).T
+    u, v = (q @ b[:2, :2].T + b[:2, 2]).T
+    one, nil = np.ones_like(x), np.zeros_like(x)
+    rows = np.concatenate(
+        [
+            np.stack([x, y, one, nil, nil, nil, -u * x, -u * y, -u], 1),
+            np.stack([nil, nil, nil, x, y, one, -v * x, -v * y, -v], 1),
+        ]
+    )
+    matrix = np.linalg.inv(b) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ a
+    return Homography(matrix / matrix[2, 2]) if abs(matrix[2, 2]) > 1e-9 else None

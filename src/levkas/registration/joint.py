@@ -1,122 +1,240 @@
-"""Several captures by one camera, adjusted together on the frame of each.
+"""Joint adjustment: several captures by one camera, adjusted together on the frame of each.
 
-A camera looks at every painting through the same lens, and a rig that stands still looks from the same
-place. What others of its captures saw is laid on the frame of one of them by a homography each (the
-paintings may lie anywhere), and one map is fitted to all of it and to what this capture saw. That map
-takes part in the ladder of the capture as one model more, also behind plain ones for how this painting
-lies: it is taken only where it predicts blocks of this very capture, left out of the fit, better than
-all that the capture found alone. What sets the bands apart is shared as `shared_colour` says.
+A camera looks at every painting through the same lens, and a stand that is not moved looks from the same
+place. What others of its captures observed is transferred to the frame of one of them by a homography each
+(the paintings may lie anywhere), and one map is fitted to all of it and to what this capture observed.
+That shared map is one more model in the selection for the capture, also behind plain ones for how this
+painting lies: it is taken only where it predicts blocks of this very capture, left out of the fit, better
+than all that the capture found alone. Chromatic shifts are pooled as `pooled_chromatic` does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
-from levkas.geometry.depth_step import LedgeShift
-from levkas.geometry.transforms import Composed, Transform
-from levkas.registration.cross_validation import Fit
-from levkas.registration.model_selection import MOST_JUDGED, RUNGS, Rung, climb
+from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
+from levkas.registration.chromatic import ChromaticShifts
+from levkas.registration.depth_step import depth_step_of
+from levkas.registration.model_selection import (
+    HOMOGRAPHY,
+    MODELS,
+    Fit,
+    SelectedModel,
+    SelectionTerms,
+    select_model,
+)
+from levkas.registration.model_selection import SETTINGS as SELECTION
 from levkas.registration.models import Observations, fit_projective
-from levkas.registration.pooled_chromatic import share
-
-if TYPE_CHECKING:
-    from levkas.registration.chromatic import Chromatic
-    from levkas.registration.observations import Sighting
-
-ROUNDS = 2
-#: A homography that leaves more, reference px, joins what was not seen from one place.
-SAME_PLACE_PX = 0.5
-#: Blocks in which two captures are compared. Windows overlap, so that chance alone reaches 2.7; panels
-#: of other depth and curvature reach 2.8 to 90, and what they share is not worth what they differ by.
-BLOCKS, LEAST_IN_BLOCK, LEAST_BLOCKS, MOST_EXCESS = 6, 4, 6, 2.75
-#: A map says little beyond what it was fitted to: so much of its extent.
-RIM = 0.1
-#: Turned or scaled by more, colour does not lie in the same directions.
-SAME_POSE = 0.02
+from levkas.registration.pooled_chromatic import pool_chromatic
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class JointSettings:
+    """Constants of the joint adjustment.
+
+    Parameters
+    ----------
+    rounds : int
+        Of transferring the others' observations and fitting the shared map.
+    same_place : float, reference px
+        A homography that leaves more joins captures that were not taken from one place.
+    blocks, least_in_block, least_blocks : int
+        Blocks across in which two captures are compared; windows in a block; blocks.
+    most_excess : float
+        Variance between two captures over that of chance up to which they are joined. Windows overlap, so
+        that chance alone reaches 2.7; panels of other depth and curvature reach 2.8 to 90, and what they
+        share is not worth what they differ by.
+    rim : float
+        Share of its extent by which a map is evaluated beyond what it was fitted to.
+    same_pose : float
+        Captures turned or scaled by more have their chromatic shifts in other directions.
+    """
+
+    rounds: int = 2
+    same_place: float = 0.5
+    blocks: int = 6
+    least_in_block: int = 4
+    least_blocks: int = 6
+    most_excess: float = 2.75
+    rim: float = 0.1
+    same_pose: float = 0.02
+
+
+SETTINGS = JointSettings()
+_OBSERVED = ("points", "target", "jacobian", "information")
+
+
+@dataclass(frozen=True)
+class SensorObservations:
+    """One sensor of one capture, as its own registration left it; outlives the pictures.
+
+    Parameters
+    ----------
+    sensor : str
+    labels : tuple of str
+        Its bands, in the order of `chromatic`.
+    base : Transform
+        Reference px → native px, without chromatic shifts.
+    chromatic : ChromaticShifts
+    held_out : float, reference px
+        Error of `base` in blocks that it was not fitted to; 0 where nothing was fitted.
+    seen : Observations or None
+        What `base` was fitted to; None for the reference's own sensor.
+    terms : SelectionTerms
+        On which it was fitted.
+    """
+
+    sensor: str
+    labels: tuple[str, ...]
+    base: Transform
+    chromatic: ChromaticShifts
+    held_out: float = 0.0
+    seen: Observations | None = None
+    terms: SelectionTerms = field(default_factory=SelectionTerms)
+
+    @classmethod
+    def of_reference(
+        cls, sensor: str, labels: tuple[str, ...], chromatic: ChromaticShifts
+    ) -> SensorObservations:
+        """Return those of the reference's own sensor, which has no base map."""
+        return cls(sensor, labels, Affine.identity(), chromatic)
+
+    def enlarged(self, grow: Affine) -> SensorObservations:
+        """Return the observations in larger native px: `grow` maps those of now to them."""
+        if self.seen is None:
+            return self
+        jacobian = np.einsum("ab,nbc->nac", grow.matrix[:, :2], self.seen.jacobian)
+        seen = replace(self.seen, target=grow(self.seen.target), jacobian=jacobian)
+        return replace(self, base=Composed(self.base, grow), seen=seen)
+
+    def without_depth_step(self) -> Observations:
+        """Return what was observed as a painting without its step in depth would have shown it."""
+        assert self.seen is not None
+        step, _ = depth_step_of(self.base)
+        return self.seen if step is None else replace(self.seen, points=step(self.seen.points))
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Return arrays that hold all of it."""
+        c = self.chromatic
+        fields = {
+            "sensor": self.sensor,
+            "labels": self.labels,
+            "base": self.base.to_dict(),
+            "kind": c.kind,
+            "spread": c.spread,
+            "held_out": self.held_out,
+            "terms": asdict(self.terms),
+        }
+        arrays = {"fields": np.array(json.dumps(fields)), "centre": c.centre, "amounts": c.amounts}
+        if c.variances is not None:
+            arrays["variances"] = c.variances
+        if self.seen is not None:
+            arrays |= {name: getattr(self.seen, name) for name in _OBSERVED}
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> SensorObservations:
+        """Read what `to_arrays` gave; raises KeyError or ValueError on anything else."""
+        fields = json.loads(str(arrays["fields"]))
+        chromatic = ChromaticShifts(
+            fields["kind"], arrays["centre"], fields["spread"], arrays["amounts"],
+            arrays.get("variances"),
+        )  # fmt: skip
+        seen = Observations(*(arrays[name] for name in _OBSERVED)) if "points" in arrays else None
+        return cls(
+            fields["sensor"], tuple(fields["labels"]), from_dict(fields["base"]), chromatic,
+            fields["held_out"], seen, SelectionTerms(**fields["terms"]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class JointResult:
     """A sensor of one capture after it was adjusted with others.
 
     Parameters
     ----------
     base : Transform
-    chromatic : Chromatic
-    rung : Rung or None
-        The ladder with the rig's map in it; None for the reference's own sensor.
-    behind : Rung or None
-        The rig's own map, where it was taken.
+    chromatic : ChromaticShifts
+    selected : SelectedModel or None
+        The selection with the shared map in it; None where that was not taken.
+    shared : SelectedModel or None
+        The shared map itself, where it was taken.
     mates : tuple of int
         Which of the others took part.
     """
 
     base: Transform
-    chromatic: Chromatic
-    rung: Rung | None
-    behind: Rung | None
+    chromatic: ChromaticShifts
+    selected: SelectedModel | None
+    shared: SelectedModel | None
     mates: tuple[int, ...]
 
 
-def adjust(mine: Sighting, others: Sequence[Sighting]) -> Adjusted:
-    """Adjust one sensor of a capture with what other captures saw of the same sensor.
+def adjust_jointly(mine: SensorObservations, others: Sequence[SensorObservations]) -> JointResult:
+    """Adjust one sensor of a capture with what other captures observed with the same sensor.
 
     Parameters
     ----------
-    mine : Sighting
-    others : sequence of Sighting
+    mine : SensorObservations
+    others : sequence of SensorObservations
         Of the same sensor, other objects or other lightings.
 
     Returns
     -------
-    adjusted : Adjusted
-        As it was, where no other is of the same rig or none makes it better.
+    adjusted : JointResult
+        As it was, where no other was taken from the same place or none makes it better.
     """
-    if mine.seen is None or mine.terms is None:
-        alike = [k for k, other in enumerate(others) if _same_bands(mine, other)]
-        shared = share([mine.chromatic, *(others[k].chromatic for k in alike)])
-        return Adjusted(mine.base, shared, None, None, tuple(alike))
-    laid = [_laid(mine, other, _smooth(mine.base)) for other in others]
-    posed = [k for k, one in enumerate(laid) if _same_bands(mine, others[k]) and _alike(one)]
-    mates = [k for k, one in enumerate(laid) if one is not None and one.excess < MOST_EXCESS]
-    shared = share([mine.chromatic, *(others[k].chromatic for k in posed)])
+    if mine.seen is None:
+        posed = [k for k, other in enumerate(others) if _have_same_bands(mine, other)]
+        pooled = pool_chromatic([mine.chromatic, *(others[k].chromatic for k in posed)])
+        return JointResult(mine.base, pooled, None, None, tuple(posed))
+    laid = [_transfer(mine, other, depth_step_of(mine.base)[1]) for other in others]
+    posed = [
+        k
+        for k, one in enumerate(laid)
+        if one is not None and one.moved < SETTINGS.same_pose and _have_same_bands(mine, others[k])
+    ]
+    mates = [
+        k for k, one in enumerate(laid) if one is not None and one.excess < SETTINGS.most_excess
+    ]
+    pooled = pool_chromatic([mine.chromatic, *(others[k].chromatic for k in posed)])
+    alone = JointResult(mine.base, pooled, None, None, tuple(posed))
     if not mates:
-        return Adjusted(mine.base, shared, None, None, tuple(posed))
-    pooled, whole = _pool(mine, [others[k] for k in mates])
-    terms = mine.terms
-    rung = climb(
-        mine.seen, spacing=terms.spacing, apart=terms.apart, cell=terms.cell,
-        reaching=terms.reaching, sure=terms.sure, rig=whole,
-    )  # fmt: skip
-    if not rung.name.startswith("rig"):
-        return Adjusted(mine.base, shared, None, None, tuple(posed))
-    return Adjusted(rung.transform, shared, rung, pooled, tuple(sorted({*mates, *posed})))
+        return alone
+    shared, fit = _fit_shared(mine, [others[k] for k in mates])
+    selected = select_model(mine.seen, mine.terms, shared=fit)
+    if selected.spec is None or not selected.spec.shared:
+        return alone
+    taking_part = tuple(sorted({*mates, *posed}))
+    return JointResult(selected.transform, pooled, selected, shared, taking_part)
 
 
-def _pool(mine: Sighting, mates: Sequence[Sighting]) -> tuple[Rung, _Together]:
-    """Fit one map to what all saw, each laid on the frame of `mine`; return it, and how it is fitted."""
-    assert mine.terms is not None and mine.seen is not None
-    rig, found = _smooth(mine.base), None
-    for _ in range(ROUNDS):
-        laid = [one.seen for mate in mates if (one := _laid(mine, mate, rig)) is not None]
-        others = [_thinned(seen) for seen in laid]
-        whole = _thinned(_lowered(mine))
+def _fit_shared(
+    mine: SensorObservations, mates: Sequence[SensorObservations]
+) -> tuple[SelectedModel, _SharedFit]:
+    """Fit one map to all observations, each transferred to the frame of `mine`; return it, and its fit."""
+    base, found = depth_step_of(mine.base)[1], None
+    terms = SelectionTerms(spacing=mine.terms.spacing, apart=mine.terms.apart)
+    for _ in range(SETTINGS.rounds):
+        laid = [one for mate in mates if (one := _transfer(mine, mate, base)) is not None]
+        others = [_thinned(one.seen) for one in laid]
+        whole = _thinned(mine.without_depth_step())
         for seen in others:
             whole = whole.joined(seen)
-        rung = climb(whole, spacing=mine.terms.spacing, apart=mine.terms.apart)
-        rig = rung.transform
-        if others and rung.fit is not None:
-            found = rung, _Together(others, rung.fit)
+        selected = select_model(whole, terms)
+        base = selected.transform
+        if others and selected.fit is not None:
+            found = selected, _SharedFit(others, selected.fit)
     assert found is not None
     return found
 
 
-class _Together:
-    """Fits a map to observations and to those of others; what it was asked last it remembers."""
+class _SharedFit:
+    """Fits one map to observations and to those of others, once for the same observations."""
 
     def __init__(self, others: Sequence[Observations], fit: Fit) -> None:
         self._others, self._fit = others[0], fit
@@ -125,112 +243,96 @@ class _Together:
         self._known: dict[bytes, Transform] = {}
 
     def __call__(self, observations: Observations) -> Transform:
-        key = observations.points.tobytes()
+        parts = (observations.points, observations.target, observations.information)
+        key = b"".join(part.tobytes() for part in parts)
         if key not in self._known:
             self._known[key] = self._fit(observations.joined(self._others))
         return self._known[key]
 
 
 def _thinned(seen: Observations) -> Observations:
-    """At most some thousand windows, which know as much together as all of them."""
-    every = 1 + len(seen) // MOST_JUDGED
+    """Return at most some thousand windows, with the information of all of them."""
+    every = 1 + len(seen) // SELECTION.most_judged
     part = seen.part(np.arange(len(seen)) % every == 0)
     return part.weighted(np.full(len(part), float(every)))
 
 
-def _lowered(one: Sighting) -> Observations:
-    """What was seen, as a painting without its ledge would have shown it."""
-    assert one.seen is not None
-    steps = one.base.steps if isinstance(one.base, Composed) else ()
-    if steps and isinstance(steps[0], LedgeShift):
-        return replace(one.seen, points=steps[0](one.seen.points))
-    return one.seen
-
-
 @dataclass(frozen=True)
-class _Laid:
-    """What a mate saw, on another frame; `moved` by how much that is turned and scaled."""
+class _Transferred:
+    """Observations of another capture on this frame, how far that is turned and scaled, and their excess."""
 
     seen: Observations
     moved: float
     excess: float
 
 
-def _laid(mine: Sighting, mate: Sighting, rig: Transform) -> _Laid | None:
-    """Lay what a mate saw on the frame of `mine`; None where that cannot be of the same rig."""
-    if mate.seen is None or len(mate.seen) < RUNGS["homography"][0]:
+def _transfer(
+    mine: SensorObservations, mate: SensorObservations, base: Transform
+) -> _Transferred | None:
+    """Transfer a capture's observations to the frame of `mine`; None where it was taken from another place."""
+    least = MODELS[HOMOGRAPHY][0]
+    if mate.seen is None or len(mate.seen) < least:
         return None
-    seen = _lowered(mate)
+    seen = mate.without_depth_step()
     with np.errstate(all="ignore"):
-        places = rig.inverse(seen.target)
-    known = _within(mine, places)
-    if known.sum() < RUNGS["homography"][0]:
+        places = base.inverse(seen.target)
+    known = _is_within(mine, places)
+    if known.sum() < least:
         return None
     seen = seen.part(known)
-    alike = np.broadcast_to(np.eye(2), (len(seen), 2, 2))
-    there = replace(seen, target=places[known], jacobian=alike)
-    lay = fit_projective(there, lens=False)
-    left = np.linalg.norm(there.residuals(lay), axis=1)
-    if not np.median(left) < SAME_PLACE_PX:
+    identity = np.broadcast_to(np.eye(2), (len(seen), 2, 2))
+    there = replace(seen, target=places[known], jacobian=identity)
+    between = fit_projective(there, lens=False)
+    left = np.linalg.norm(there.residuals(between), axis=1)
+    if not np.median(left) < SETTINGS.same_place:
         return None
     middle = seen.points.mean(0, keepdims=True)
-    moved = float(np.abs(lay.jacobian(middle)[0] - np.eye(2)).max())
-    laid = replace(seen, points=lay(seen.points))
-    excess = _excess(_lowered(mine), laid)
+    moved = float(np.abs(between.jacobian(middle)[0] - np.eye(2)).max())
+    laid = replace(seen, points=between(seen.points))
+    excess = _excess(mine.without_depth_step(), laid)
     trusted = laid.weighted(np.full(len(laid), 1 / max(excess, 1.0)))
-    return _Laid(trusted, moved, excess)
+    return _Transferred(trusted, moved, excess)
 
 
 def _excess(mine: Observations, laid: Observations) -> float:
-    """Return the variance of what two captures see apart in the same places, over that of chance.
+    """Return the variance between two captures in the same places, over that of chance.
 
     Both are compared in blocks with one map that is fitted to both: a lens bends them alike, and a panel
     of another shape shows as places where they differ by more than their windows scatter.
     """
     both = fit_projective(mine.joined(laid), lens=True)
     low, high = mine.points.min(0), mine.points.max(0)
-    side = max(float((high - low).max()) / BLOCKS, 1e-9)
+    side = max(float((high - low).max()) / SETTINGS.blocks, 1e-9)
     apart = []
     mine_in, laid_in = (np.floor((seen.points - low) / side).astype(int) for seen in (mine, laid))
     left, theirs = mine.residuals(both), laid.residuals(both)
     for block in np.unique(mine_in, axis=0):
         here, there = (mine_in == block).all(1), (laid_in == block).all(1)
-        if min(here.sum(), there.sum()) < LEAST_IN_BLOCK:
+        if min(here.sum(), there.sum()) < SETTINGS.least_in_block:
             continue
-        mean, variance = _mean(left[here], mine.information[here])
-        other, more = _mean(theirs[there], laid.information[there])
+        mean, variance = _weighted_mean(left[here], mine.information[here])
+        other, more = _weighted_mean(theirs[there], laid.information[there])
         difference = other - mean
         apart.append(difference @ np.linalg.solve(variance + more, difference) / 2)
-    return float(np.mean(apart)) if len(apart) >= LEAST_BLOCKS else np.inf
+    return float(np.mean(apart)) if len(apart) >= SETTINGS.least_blocks else np.inf
 
 
-def _mean(values: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weighted_mean(values: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the weighted mean, (2,), and its covariance."""
     variance = np.linalg.inv(information.sum(0) + 1e-12 * np.eye(2))
     return variance @ np.einsum("nab,nb->a", information, values), variance
 
 
-def _within(mine: Sighting, places: np.ndarray) -> np.ndarray:
-    """Tell which places lie where `mine` saw anything, or a little beyond."""
+def _is_within(mine: SensorObservations, places: np.ndarray) -> np.ndarray:
+    """Tell which places lie where `mine` observed anything, or a little beyond."""
     assert mine.seen is not None
     low, high = mine.seen.points.min(0), mine.seen.points.max(0)
-    rim = RIM * (high - low)
+    rim = SETTINGS.rim * (high - low)
     with np.errstate(invalid="ignore"):
         return np.asarray(((places >= low - rim) & (places <= high + rim)).all(1))
 
 
-def _smooth(base: Transform) -> Transform:
-    """A base map without the term of a ledge: that is the painting's, not the rig's."""
-    if isinstance(base, Composed) and isinstance(base.steps[0], LedgeShift):
-        return Composed(*base.steps[1:])
-    return base
-
-
-def _alike(laid: _Laid | None) -> bool:
-    return laid is not None and laid.moved < SAME_POSE
-
-
-def _same_bands(mine: Sighting, other: Sighting) -> bool:
+def _have_same_bands(mine: SensorObservations, other: SensorObservations) -> bool:
     a, b = mine.chromatic, other.chromatic
     same = a.spread == b.spread and np.array_equal(a.centre, b.centre)
     return len(mine.labels) > 1 and mine.labels == other.labels and same

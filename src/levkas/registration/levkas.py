@@ -1,26 +1,41 @@
-"""The default method: key points for the start, dense prediction for every band, models by held-out blocks."""
+"""The default method: key points for the initial transform, dense shifts for every band, models by held-out blocks.
+
+`docs/explanation/registration.md` describes it on one page.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas.geometry.transforms import Transform
-from levkas.registration.record import Registration
+from levkas.registration.bands import describe_mask, segment_foreground, sqrt_images
+from levkas.registration.coarse_to_fine import RegisteredSensor, by_wavelength, register_sensor
+from levkas.registration.features import CameraFeatures
+from levkas.registration.joint import SensorObservations
+from levkas.registration.predictors import ReferenceStack, resample_bands
+from levkas.registration.record import (
+    Matches,
+    MatchState,
+    Registration,
+    Sigma,
+    describe_windows,
+)
+from levkas.registration.reference_bands import register_own_bands
+from levkas.registration.verdict import ONLY, judge_windows
 
 if TYPE_CHECKING:
-    from levkas.registration.images import BandImage
-    from levkas.registration.manual_points import Given
-    from levkas.registration.predictors import Scene
-    from levkas.registration.uncertainty import Sigma
+    from levkas.registration.bands import BandImage
+    from levkas.registration.manual_points import ManualPoints
 
-MOST_PREDICTING = 12
-MOST_GREYS = 4
+#: Bands of the reference that predict others, and means of parts of its spectrum that are searched for key points.
+MOST_PREDICTING, MOST_GREYS = 12, 4
 
 
-class Reference:
+class PreparedReference:
     """The reference camera made ready, once for all cameras that are registered to it.
 
     Parameters
@@ -35,50 +50,50 @@ class Reference:
     def __init__(
         self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None
     ) -> None:
-        from levkas.registration.foreground import describe_mask, find_object
-        from levkas.registration.key_points import KeyPictures
-        from levkas.registration.pictures import images_of
-
         self.anchor = next(image for image in bands if image.label == band)
-        self.siblings = [image for image in bands if image.sensor == self.anchor.sensor]
-        self.images = images_of(bands)
-        greys = _Greys([self.images[image.label] for image in self.siblings])
-        asked, body = _inside(region, self.anchor.values.shape), find_object(greys[0])
-        self._within = asked & body
+        self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
+        self.images = sqrt_images(bands)
+        greys = _Greys([self.images[image.label] for image in self.own_bands])
+        inside, body = _inside(region, self.anchor.values.shape), segment_foreground(greys[0])
+        self._mask = inside & body
         self.mask = describe_mask(body, region)
-        self.keys, self._greys = KeyPictures(greys, self._within), greys
-        self._scene: Scene | None = None
+        self.keys, self._greys = CameraFeatures(greys, self._mask), greys
+        self._stack: ReferenceStack | None = None
 
     def object_in(self, band: BandImage) -> np.ndarray:
         """Return a band's picture, NaN where the object is not."""
-        return np.where(self._within, self.images[band.label], np.float32(np.nan))
+        return np.where(self._mask, self.images[band.label], np.float32(np.nan))
 
     def predicting(self) -> list[BandImage]:
         """Return at most 12 bands, evenly over the wavelengths, the anchor among them."""
-        return _spread(self.siblings, self.anchor)
+        bands = by_wavelength(self.own_bands)
+        count = min(MOST_PREDICTING, len(bands))
+        picks = np.linspace(0, len(bands) - 1, count).round().astype(int)
+        return [bands[i] for i in sorted({*picks.tolist(), bands.index(self.anchor)})]
 
-    def scene(self, transforms: Mapping[str, Transform]) -> Scene:
-        """Return what predicts other bands; `transforms` of the reference camera's own bands."""
-        from levkas.registration.predictors import Scene, registered
-
-        if self._scene is None:
+    def stack(self, transforms: Mapping[str, Transform]) -> ReferenceStack:
+        """Return the predictors of other bands; `transforms` of the reference camera's own bands."""
+        if self._stack is None:
             bands = self.predicting()
             masked = {band.label: self.object_in(band) for band in bands}
             known = {band.label: transforms[band.label] for band in bands}
-            stack = registered(masked, known, self.anchor.values.shape)
-            self._scene = Scene(stack, [band.wavelength for band in bands])
-        return self._scene
+            stack = resample_bands(masked, known, self.anchor.values.shape)
+            self._stack = ReferenceStack(stack, [band.wavelength for band in bands])
+        return self._stack
 
-    def rest(self) -> None:
-        """Let go of what one camera alone needs and the next one can make again."""
-        if self._scene is not None:
-            self._scene.forget()
+    def release(self) -> None:
+        """Free what one camera alone needs and the next one can make again."""
+        if self._stack is not None:
+            self._stack.release()
 
-    def settle(self, transforms: Mapping[str, Transform]) -> None:
-        """Make all that other cameras need of the single bands, and let go of these."""
-        self.scene(transforms)
-        self._greys.settle()
-        self.images = {}
+    def freeze(self, transforms: Mapping[str, Transform]) -> None:
+        """Compute all that other cameras need of the single bands, then free these."""
+        self.stack(transforms)
+        self._greys.freeze()
+        self.images, self.own_bands = {}, []
+        # Bands share their memory with others that are not needed any more.
+        values, valid = self.anchor.values.copy(), self.anchor.valid.copy()
+        self.anchor = replace(self.anchor, values=values, valid=valid)
 
 
 def register_levkas(
@@ -86,14 +101,12 @@ def register_levkas(
     target: Sequence[BandImage],
     *,
     reference_band: str,
-    reject: float | None = None,
-    stop: float = 1.0,
     region: Sequence[float] | None = None,
-    rng: np.random.Generator | None = None,
     reference_transforms: Mapping[str, Transform] | None = None,
     reference_sigma: Mapping[str, Sigma] | None = None,
-    ready: Callable[[], Reference] | None = None,
-    given: Mapping[str, Given] | None = None,
+    ready: Callable[[], PreparedReference] | None = None,
+    given: Mapping[str, ManualPoints] | None = None,
+    **_ignored: Any,
 ) -> Registration:
     """Register every band of `target` to the reference band.
 
@@ -103,19 +116,15 @@ def register_levkas(
         Of either camera; the same sequence for the reference camera's own bands.
     reference_band : str
         Label of the band of `reference` that defines reference px.
-    reject, stop : float, reference px
-        Of the paper's method; nothing here depends on them.
     region : (x, y, width, height), reference px, optional
         Where the object lies; nothing outside is used.
-    rng : numpy.random.Generator, optional
-        Not drawn from: the method is deterministic.
     reference_transforms : mapping of label to Transform, optional
         Of the reference camera's own bands, from its own registration: saves measuring them again.
     reference_sigma : mapping of label to Sigma, optional
-        How well those are known.
+        Uncertainty of those.
     ready : callable, optional
         Returns the reference made ready: saves preparing it for every camera.
-    given : mapping of sensor name to Given, optional
+    given : mapping of sensor name to ManualPoints, optional
         Pairs by hand; four of them start a sensor that key points do not.
 
     Returns
@@ -125,35 +134,30 @@ def register_levkas(
     Raises
     ------
     RegistrationRefused
-        Where no start is found (``E_MATCHES``), or too little of the frames can be compared
+        Where no initial transform is found (``E_MATCHES``), or too little of the frames can be compared
         (``E_WINDOWS``).
     """
-    from levkas.registration.assessment import assess
-    from levkas.registration.key_points import KeyPictures
-    from levkas.registration.pictures import images_of
-    from levkas.registration.reference_bands import align_own
-    from levkas.registration.sensors import align_sensor
-
-    base = ready() if ready else Reference(reference, reference_band, region)
+    base = ready() if ready else PreparedReference(reference, reference_band, region)
     own, anchor = target is reference, base.anchor
     first = None
     if reference_transforms is None or own:
-        bands = base.siblings if own else base.predicting()
-        first = align_own(bands, {band.label: base.object_in(band) for band in bands}, anchor)
+        bands = base.own_bands if own else base.predicting()
+        images = {band.label: base.object_in(band) for band in bands}
+        first = register_own_bands(bands, images, anchor)
         reference_transforms, reference_sigma = first.transforms, first.sigma
     sensors = [first] if own and first is not None else []
     names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
     if names:
-        scene = base.scene(reference_transforms)
-        pictures = base.images if own else images_of(target)
+        stack = base.stack(reference_transforms)
+        pictures = base.images if own else sqrt_images(target)
         for name in names:
             bands = [image for image in target if image.sensor == name]
-            theirs = KeyPictures(_Greys([pictures[band.label] for band in bands]))
-            hand = (given or {}).get(name)
+            theirs = CameraFeatures(_Greys([pictures[band.label] for band in bands]))
+            by_hand = (given or {}).get(name)
             sensors.append(
-                align_sensor(bands, pictures, scene, base.keys, theirs, hand, reference_sigma)
+                register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, reference_sigma)
             )
-    return assess(sensors, [image.label for image in target], base.mask)
+    return _assemble(sensors, [image.label for image in target], base.mask)
 
 
 def _inside(region: Sequence[float] | None, shape: tuple[int, int]) -> np.ndarray:
@@ -165,18 +169,8 @@ def _inside(region: Sequence[float] | None, shape: tuple[int, int]) -> np.ndarra
     return inside
 
 
-def _spread(bands: Sequence[BandImage], anchor: BandImage) -> list[BandImage]:
-    """Return at most 12 bands, evenly over the wavelengths, the anchor among them."""
-    from levkas.registration.sensors import ordered
-
-    bands = ordered(bands)
-    picks = np.linspace(0, len(bands) - 1, min(MOST_PREDICTING, len(bands))).round().astype(int)
-    places = sorted({*picks.tolist(), bands.index(anchor)})
-    return [bands[i] for i in places]
-
-
 class _Greys(Sequence[np.ndarray]):
-    """The mean of all bands brought to one contrast, and up to four others, made when asked for.
+    """The mean of all bands brought to one contrast, and up to four others, computed when first used.
 
     Those are the bands themselves where they are few, else means of parts of the spectrum.
     """
@@ -190,8 +184,8 @@ class _Greys(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return len(self._groups)
 
-    def settle(self) -> None:
-        """Make all of them, and let go of the bands."""
+    def freeze(self) -> None:
+        """Compute all of them, and free the bands."""
         for i in range(len(self)):
             self[i]
         self._images = []
@@ -200,17 +194,145 @@ class _Greys(Sequence[np.ndarray]):
         if isinstance(i, slice):
             return [self[k] for k in range(*i.indices(len(self)))]
         if i not in self._made:
-            total = np.zeros(self._images[0].shape, np.float32)
-            count = np.zeros(self._images[0].shape, np.float32)
-            for k in self._groups[i]:
-                image = self._images[k]
-                known = np.isfinite(image)
-                some = image[::2, ::2][known[::2, ::2]]
-                if not some.size:
-                    continue
-                spread = np.float32(max(float(np.std(some)), 1e-12))
-                total += np.where(known, image / spread, np.float32(0))
-                count += known
-            with np.errstate(divide="ignore", invalid="ignore"):
-                self._made[i] = total / count
+            self._made[i] = _mean([self._images[k] for k in self._groups[i]])
         return self._made[i]
+
+
+def _mean(images: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean of images, each in units of its standard deviation, over what is finite."""
+    total, count = np.zeros((2, *images[0].shape), np.float32)
+    for image in images:
+        known = np.isfinite(image)
+        some = image[::2, ::2][known[::2, ::2]]
+        if not some.size:
+            continue
+        spread = np.float32(max(float(np.std(some)), 1e-12))
+        total += np.where(known, image / spread, np.float32(0))
+        count += known
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(total / count)
+
+
+# --- the record
+
+
+def _assemble(
+    sensors: Sequence[RegisteredSensor], labels: Sequence[str], mask: dict[str, Any]
+) -> Registration:
+    """Return the registration of a camera with `sensors`, bands in the order of `labels`."""
+    transforms: dict[str, Transform] = {}
+    sigma: dict[str, Sigma] = {}
+    for sensor in sensors:
+        transforms.update(sensor.transforms)
+        sigma.update(sensor.sigma)
+    return Registration(
+        method="levkas",
+        transforms={label: transforms[label] for label in labels},
+        verdict=judge_windows({s.name or ONLY: _numbers(s) for s in sensors}),
+        errors={"bands": _band_errors(sensors), "sensors": {s.name: _numbers(s) for s in sensors}},
+        matches=_matches(sensors[0]),
+        model={"kind": "levkas", "mask": mask, "sensors": [_model(s) for s in sensors]},
+        sigma={label: sigma[label] for label in labels},
+        others={s.name: _matches(s) for s in sensors[1:] if s.initial is not None},
+        observations=tuple(_observations(sensor) for sensor in sensors),
+        basis={"kind": "windows", "sensors": [_basis(s) for s in sensors]},
+    )
+
+
+def _model(sensor: RegisteredSensor) -> dict[str, Any]:
+    found = sensor.refined
+    return {
+        "sensor": sensor.name,
+        "base": found.selected.name if found else "identity",
+        "ladder": found.selected.scores if found else {},
+        "climbs": found.selections if found else [],
+        "chromatic": sensor.chromatic.kind,
+        "mirrored": bool(sensor.initial.mirrored) if sensor.initial else False,
+        "step": found.step if found else 1,
+        "rounds": found.course["rounds"] if found else None,
+        "settled": found.course["settled"] if found else None,
+    }
+
+
+def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
+    """Return the evidence on a sensor; of the reference's own, which is registered to nothing, nearly none."""
+    found, initial = sensor.refined, sensor.initial
+    course = found.course if found else {}
+    evidence = found.evidence if found else {}
+    verification = found.verification if found else {}
+    selected = found.selected if found else None
+    return {
+        "held_out_px": selected.held_out_error if selected else None,
+        "windows": len(selected.weights) if selected else None,
+        "share_above_chance": evidence.get("share_above_chance"),
+        "cover": evidence.get("cover"),
+        "step": found.step if found else 1,
+        "key_points_kept": int(initial.kept.sum()) if initial else None,
+        "key_points": len(initial.kept) if initial else None,
+        "rounds": course.get("rounds"),
+        "settled": course.get("settled"),
+        "moved": course.get("moved"),
+        "checked": verification.get("checked"),
+        "alike": bool(found and found.shares_light),
+        "terms": selected.spec.coefficients if selected and selected.spec else None,
+        "borne_out": verification,
+    }
+
+
+def _basis(sensor: RegisteredSensor) -> dict[str, Any]:
+    """Return the windows on which a sensor's base map rests; of the reference's own, which has none, its name."""
+    found = sensor.refined
+    if found is None:
+        return {"sensor": sensor.name}
+    labels = list(sensor.windows)
+    source = labels[0] if len(labels) == 1 else "fused"
+    return describe_windows(sensor.name, source, found.course["band"], found.selected, found.checks)
+
+
+def _band_errors(sensors: Sequence[RegisteredSensor]) -> dict[str, dict[str, float]]:
+    result = {}
+    for sensor in sensors:
+        for label, windows in sensor.windows.items():
+            used = np.trace(windows.information, axis1=1, axis2=2) > 0
+            result[label] = {
+                "windows": int(used.sum()),
+                "explained": float(np.median(windows.r2[used])) if used.any() else 0.0,
+            }
+    return result
+
+
+def _matches(sensor: RegisteredSensor) -> Matches:
+    """Return the matches of the initial transform with their residuals under the base map."""
+    initial, found = sensor.initial, sensor.refined
+    if initial is None or found is None:
+        return Matches.none()
+    miss = initial.target - found.base(initial.reference)
+    jacobian = found.base.jacobian(initial.reference)
+    residual = np.linalg.norm(np.linalg.solve(jacobian, miss[..., None])[..., 0], axis=1)
+    kept = initial.kept
+    reason = np.where(kept, "", "does not agree with the map of the others").astype(object)
+    if initial.reason is not None:
+        reason = np.where(initial.reason == "", reason, initial.reason)
+    return Matches.of(
+        initial.reference,
+        initial.target,
+        residual=residual,
+        # The map rests on windows, not on pairs: each pair measures what it did not see.
+        leave_one_out=residual,
+        weight=kept.astype(float),
+        state=np.where(kept, MatchState.KEPT, MatchState.REMOVED).astype(object),
+        reason=reason,
+        round=np.where(kept, -1, 0),
+    )
+
+
+def _observations(sensor: RegisteredSensor) -> SensorObservations:
+    """Return what is kept of a registered sensor to adjust it with other captures."""
+    labels, found = tuple(sensor.sigma), sensor.refined
+    if found is None:
+        return SensorObservations.of_reference(sensor.name, labels, sensor.chromatic)
+    selected = found.selected
+    return SensorObservations(
+        sensor.name, labels, found.base, sensor.chromatic, selected.held_out_error,
+        selected.observations, selected.terms,
+    )  # fmt: skip

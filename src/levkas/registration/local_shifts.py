@@ -23,7 +23,7 @@ LEAST_COVER = 0.6
 
 
 @dataclass(frozen=True)
-class Windows:
+class WindowShifts:
     """What dense refinement saw: one row a window.
 
     Parameters
@@ -35,7 +35,7 @@ class Windows:
         Inverse covariance of `shift` under white residuals; zero where a window is unusable.
     r2 : ndarray, (n,), 0..1
         Share of the window's variance (after bias and ramp) that the prediction explains.
-    leaning : ndarray, (n, k, k)
+    position_sensitivity : ndarray, (n, k, k)
         g_i <∇R_j, ∇P> / <∇P, ∇P>: how the prediction's position hangs on those of its predictors.
     """
 
@@ -43,7 +43,7 @@ class Windows:
     shift: np.ndarray
     information: np.ndarray
     r2: np.ndarray
-    leaning: np.ndarray
+    position_sensitivity: np.ndarray
 
 
 class Predictor:
@@ -94,7 +94,7 @@ class Predictor:
         """(height, width) of the common frame."""
         return self._known.shape[0], self._known.shape[1]
 
-    def compare(self, target: np.ndarray, *, ridge: float = RIDGE) -> Windows:
+    def compare(self, target: np.ndarray, *, ridge: float = RIDGE) -> WindowShifts:
         """Return the shifts of `target`, warped into the common frame, against the predictors."""
         rows, cols, cell, k = self._rows, self._cols, self.cell, self.k
         target = np.ascontiguousarray(target, np.float32)
@@ -111,7 +111,7 @@ class Predictor:
         )
         x, y = np.meshgrid(np.arange(cols), np.arange(rows))
         centres = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * (cell * self.step) - 0.5
-        return Windows(
+        return WindowShifts(
             centres,
             shift.reshape(-1, 2) * self.step,
             info.reshape(-1, 2, 2) / self.step**2,

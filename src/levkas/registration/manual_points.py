@@ -1,4 +1,4 @@
-"""Pairs that a person gave: what every method has to keep, may not use, or is measured by.
+"""Manual points: pairs that a person gave, which every method keeps, leaves out, or is measured by.
 
 A pair is known by where it lies: four coordinates, rounded to 0.01 px. A rebuild finds the same
 places again, numbers of rows it does not.
@@ -12,27 +12,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.registration.record import Matches
+from levkas.registration.record import HandMark, Matches, MatchState
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
-DECIMALS = 2
-NEAR_PX = 0.011
+#: Of coordinates by which a pair is known; how far two coordinates of one pair may differ, px.
+DECIMALS, NEAR_PX = 2, 0.011
+#: Pairs up to which a tree costs more than it saves.
 FEW = 64
-"""Pairs up to which a tree costs more than it saves."""
+#: Pairs by hand from which a registration can begin where key points give no initial transform.
 LEAST_TO_START = 4
-"""Pairs by hand from which a registration can begin where key points give no start."""
+#: Standard deviation of a place that a person points at, native px of either picture.
 HAND_PX = 0.5
-"""Standard deviation of a place that a person points at, native px of either picture."""
-REASONS = {
-    "added": "added by hand",
-    "pinned": "pinned by hand",
-    "restored": "restored by hand",
-    "deleted": "deleted by hand",
-    "checks": "measures, is not fitted",
+#: Kind of pairs, a field of `ManualPoints` → its mark.
+MARKS = {
+    "added": HandMark.ADDED,
+    "pinned": HandMark.PINNED,
+    "restored": HandMark.RESTORED,
+    "deleted": HandMark.DELETED,
+    "checks": HandMark.CHECK,
 }
-UNUSED = (REASONS["deleted"], REASONS["checks"])
+#: Marks of pairs that no fit rests on; kinds of pairs that are never removed.
+UNUSED, FIXED = (HandMark.DELETED, HandMark.CHECK), ("restored", "pinned", "added")
 
 
 def _none() -> np.ndarray:
@@ -40,7 +42,7 @@ def _none() -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Given:
+class ManualPoints:
     """Pairs given by hand for one sensor; each an (n, 4) array of reference x, y and target x, y.
 
     Parameters
@@ -57,8 +59,8 @@ class Given:
 
     Examples
     --------
-    >>> given = Given(added=np.array([[1.0, 2.0, 3.0, 4.0]]))
-    >>> len(given.sure), bool(given)
+    >>> given = ManualPoints(added=np.array([[1.0, 2.0, 3.0, 4.0]]))
+    >>> len(given.fixed), bool(given)
     (1, True)
     """
 
@@ -70,14 +72,14 @@ class Given:
     placed: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(len(self.sure) + len(self.deleted) + len(self.checks))
+        return bool(len(self.fixed) + len(self.deleted) + len(self.checks))
 
     @property
-    def sure(self) -> np.ndarray:
+    def fixed(self) -> np.ndarray:
         """All pairs that are never removed, (n, 4)."""
         return np.concatenate([self.added, self.pinned, self.restored])
 
-    def reduced(self, factor: int) -> Given:
+    def reduced(self, factor: int) -> ManualPoints:
         """Return the pairs with target px of pictures that are smaller by a whole factor."""
         if factor == 1:
             return self
@@ -88,33 +90,33 @@ class Given:
             pairs[:, 2:] = (pairs[:, 2:] - middle) / factor
         return replace(self, **parts)
 
-    def mark(self, reference: np.ndarray, target: np.ndarray) -> Marked:
+    def mark(self, reference: np.ndarray, target: np.ndarray) -> MarkedMatches:
         """Find the given pairs among those of a method, (n, 2) each, and append those it lacks."""
         found = np.hstack([reference, target]).reshape(-1, 4)
         reason = np.full(len(found), "", object)
-        reason[near(found, self.deleted) >= 0] = REASONS["deleted"]
-        reason[near(found, self.checks) >= 0] = REASONS["checks"]
+        reason[nearest_rows(found, self.deleted) >= 0] = HandMark.DELETED
+        reason[nearest_rows(found, self.checks) >= 0] = HandMark.CHECK
         more, why = [], []
-        for name in ("restored", "pinned", "added"):
-            pairs = getattr(self, name)
-            at = near(pairs, found)
-            reason[at[at >= 0]] = REASONS[name]
+        for kind in FIXED:
+            pairs, mark = getattr(self, kind), MARKS[kind]
+            at = nearest_rows(pairs, found)
+            reason[at[at >= 0]] = mark
             more.append(pairs[at < 0])
-            why += [REASONS[name]] * int((at < 0).sum())
+            why += [mark] * int((at < 0).sum())
         pairs = np.concatenate([found, *more])
         reasons = np.concatenate([reason, np.array(why, object)])
-        return Marked(pairs[:, :2].copy(), pairs[:, 2:].copy(), reasons)
+        return MarkedMatches(pairs[:, :2].copy(), pairs[:, 2:].copy(), reasons)
 
 
 @dataclass(frozen=True)
-class Marked:
-    """Pairs of a method and given ones together, and what was said of each.
+class MarkedMatches:
+    """Pairs of a method and given ones together, each with its mark.
 
     Parameters
     ----------
     reference, target : ndarray, (n, 2)
     reason : ndarray of str, (n,)
-        A value of `REASONS`; empty where nothing was said.
+        A `HandMark`; empty of pairs that are not marked.
     """
 
     reference: np.ndarray
@@ -127,7 +129,7 @@ class Marked:
         return np.asarray(np.logical_or.reduce([self.reason == word for word in UNUSED]), bool)
 
     @cached_property
-    def sure(self) -> np.ndarray:
+    def fixed(self) -> np.ndarray:
         """Mask of the pairs that are never removed, (n,) bool."""
         return np.asarray((self.reason != "") & ~self.dropped, bool)
 
@@ -141,10 +143,10 @@ def name_of(pair: np.ndarray) -> str:
     return ",".join(f"{v + 0.0:.{DECIMALS}f}" for v in np.round(np.asarray(pair, float), DECIMALS))
 
 
-def near(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
+def nearest_rows(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
     """Return for each of `pairs`, (n, 4), the row of `among`, (m, 4), at the same place; -1 for none.
 
-    >>> near(np.array([[1.0, 2, 3, 4.004], [1, 2, 3, 5]]), np.array([[1.0, 2, 3, 4]])).tolist()
+    >>> nearest_rows(np.array([[1.0, 2, 3, 4.004], [1, 2, 3, 5]]), np.array([[1.0, 2, 3, 4]])).tolist()
     [0, -1]
     """
     if not len(pairs) or not len(among):
@@ -159,7 +161,7 @@ def near(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
 
 
 def _near_few(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """`near` without a tree: few pairs lie beside those that are looked for even in x alone."""
+    """`nearest_rows` without a tree: few pairs lie beside those that are looked for even in x alone."""
     order = np.argsort(pairs[:, 0], kind="stable")
     along = pairs[order, 0]
     begin = np.searchsorted(along, among[:, 0] - NEAR_PX)
@@ -187,8 +189,8 @@ def measure_checks(checks: np.ndarray, transform: Transform) -> np.ndarray:
 
 
 def with_checks(matches: Matches, checks: np.ndarray, errors: np.ndarray) -> Matches:
-    """Append check points to matches, state ``"check"``, weight 0; those that are pairs become it."""
-    at = near(checks, np.hstack([matches.reference, matches.target]).reshape(-1, 4))
+    """Append check points to matches, state `MatchState.CHECK`, weight 0; those that are pairs become it."""
+    at = nearest_rows(checks, np.hstack([matches.reference, matches.target]).reshape(-1, 4))
     names = Matches.__dataclass_fields__
     n = int((at < 0).sum())
     more = Matches.of(checks[at < 0, :2], checks[at < 0, 2:], weight=np.zeros(n))
@@ -196,6 +198,6 @@ def with_checks(matches: Matches, checks: np.ndarray, errors: np.ndarray) -> Mat
     rows = np.where(at < 0, 0, at)
     rows[at < 0] = len(matches) + np.arange(n)
     for name, value in (("residual", errors), ("leave_one_out", errors), ("weight", 0.0),
-                        ("state", "check"), ("reason", REASONS["checks"]), ("round", -1)):  # fmt: skip
+                        ("state", MatchState.CHECK), ("reason", HandMark.CHECK), ("round", -1)):  # fmt: skip
         columns[name][rows] = value
     return Matches(**columns)

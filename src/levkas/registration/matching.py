@@ -1,21 +1,26 @@
-"""Matching of descriptors: exact, by brute force in blocks, one to one."""
+"""Matching of descriptors by brute force, exact and independent of the number of threads.
+
+The paper's method matches one to one by a row of `MATCHERS` (`match`). The default method also accepts inverted
+contrast and mirror images, and keeps how size, direction and descriptor of two key points compare
+(`match_mutually`, `match_widely`): where most matches are wrong these tell which agree.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from levkas.core.problems import Problem
+from levkas.registration.features import KeyPoints, invert_descriptors, mirror_descriptors
 from levkas.registration.record import RegistrationRefused
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from levkas.registration.features import KeyPoints
-
-RATIO = 0.9
+#: Largest ratio of nearest to second nearest distance ([Lowe2004]_ §7.1): one to one, and mutual.
+RATIO, MUTUAL_RATIO = 0.9, 0.92
+#: Candidates of every key point where matches are sought widely.
+WIDELY = 3
+#: Descriptors of the reference that are compared at once.
 BLOCK_ROWS = 1024
 
 
@@ -47,7 +52,7 @@ def match(
     ----------
     reference, target : KeyPoints
     matching : str
-        A key of `METHODS`.
+        A key of `MATCHERS`.
     ratio : float
         Largest ratio of nearest to second nearest distance, where the method asks for it.
 
@@ -63,9 +68,9 @@ def match(
     RegistrationRefused
         Where there is no such method, or `ratio` is not in (0, 1].
     """
-    if matching not in METHODS or not 0 < ratio <= 1:
-        name, value = ("matching", matching) if matching not in METHODS else ("ratio", ratio)
-        expected = ", ".join(sorted(METHODS)) if name == "matching" else "0 < ratio <= 1"
+    if matching not in MATCHERS or not 0 < ratio <= 1:
+        name, value = ("matching", matching) if matching not in MATCHERS else ("ratio", ratio)
+        expected = ", ".join(sorted(MATCHERS)) if name == "matching" else "0 < ratio <= 1"
         raise RegistrationRefused(
             Problem(
                 "E_VALUE",
@@ -78,7 +83,7 @@ def match(
     if not len(reference) or not len(target):
         return np.empty(0, int), np.empty(0, int), np.empty(0)
     found = find_neighbours(reference.descriptors, target.descriptors)
-    rows = np.flatnonzero(METHODS[matching](found, ratio))
+    rows = np.flatnonzero(MATCHERS[matching](found, ratio))
     columns, distance = found.nearest[rows], found.distance[rows]
     kept = _one_to_one(reference.points[rows], target.points[columns], distance)
     return rows[kept], columns[kept], distance[kept]
@@ -141,7 +146,7 @@ def lowe_ratio(found: Neighbours, ratio: float) -> np.ndarray:
     return np.asarray(found.distance < ratio * found.second)
 
 
-METHODS: dict[str, Callable[[Neighbours, float], np.ndarray]] = {
+MATCHERS: dict[str, Callable[[Neighbours, float], np.ndarray]] = {
     "mutual-ratio": mutual_ratio,
     "mutual": mutual,
     "ratio": lowe_ratio,
@@ -165,3 +170,86 @@ def _one_to_one(reference: np.ndarray, target: np.ndarray, distance: np.ndarray)
             taken_reference[at_reference[i]] = taken_target[at_target[i]] = True
             kept.append(i)
     return np.sort(np.array(kept, int))
+
+
+# --- matches of either contrast, and of mirror images
+
+
+@dataclass(frozen=True)
+class TentativeMatches:
+    """Matched places, and how size, direction and descriptor of the two compare; one row a match.
+
+    Parameters
+    ----------
+    reference, target : ndarray, (n, 2), px of either picture
+    growth : ndarray, (n,)
+        Size in the target over that in the reference.
+    turn : ndarray, (n,), degrees
+        Direction in the target less that in the reference; their sum in the mirror.
+    likeness : ndarray, (n,), -1..1
+        Dot product of the descriptors.
+    """
+
+    reference: np.ndarray
+    target: np.ndarray
+    growth: np.ndarray
+    turn: np.ndarray
+    likeness: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.reference)
+
+    @classmethod
+    def joined(cls, parts: Sequence[TentativeMatches]) -> TentativeMatches:
+        """Return all matches of all parts, each place once."""
+        columns = [np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)]
+        rows = unique_rows(columns[0], columns[1])
+        return cls(*(column[rows] for column in columns))
+
+
+_NONE = TentativeMatches(np.zeros((0, 2)), np.zeros((0, 2)), np.ones(0), np.zeros(0), np.zeros(0))
+
+
+def match_mutually(a: KeyPoints, b: KeyPoints, *, mirror: bool) -> TentativeMatches:
+    """Match key points that are each other's most alike and have no rival; of the mirror image if so."""
+    if len(a) < 2 or len(b) < 2:
+        return _NONE
+    alike = _likeness(a.descriptors, b.descriptors, mirror)
+    best = alike.argmax(1)
+    rows = np.arange(len(alike))
+    top = alike[rows, best]
+    mutual = alike.argmax(0)[best] == rows
+    alike[rows, best] = -1
+    # Key points with several main directions repeat; the rival has to lie elsewhere.
+    rival_at = alike.argmax(1)
+    rival = alike[rows, rival_at]
+    same = np.abs(b.points[rival_at] - b.points[best]).max(1) < 2
+    clear = (1 - top) < MUTUAL_RATIO**2 * (1 - rival)
+    good = mutual & (clear | same)
+    return _compared(a[good], b[best[good]], top[good], mirror)
+
+
+def match_widely(a: KeyPoints, b: KeyPoints, *, mirror: bool) -> TentativeMatches:
+    """Match every key point with the three that are most alike: few are right, more than mutual ones."""
+    if len(a) < 2 or len(b) < WIDELY:
+        return _NONE
+    alike = _likeness(a.descriptors, b.descriptors, mirror)
+    columns = np.argpartition(-alike, WIDELY - 1, axis=1)[:, :WIDELY].reshape(-1)
+    rows = np.repeat(np.arange(len(alike)), WIDELY)
+    return _compared(a[rows], b[columns], alike[rows, columns], mirror)
+
+
+def _likeness(a: np.ndarray, b: np.ndarray, mirror: bool) -> np.ndarray:
+    b = np.ascontiguousarray(mirror_descriptors(b) if mirror else b)
+    return np.maximum(a @ b.T, a @ np.ascontiguousarray(invert_descriptors(b)).T)
+
+
+def _compared(a: KeyPoints, b: KeyPoints, alike: np.ndarray, mirror: bool) -> TentativeMatches:
+    turn = b.angles + a.angles if mirror else b.angles - a.angles
+    return TentativeMatches(a.points, b.points, b.sizes / a.sizes, turn, alike)
+
+
+def unique_rows(reference: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the rows, ascending, of matches whose places no match before has."""
+    keys = np.round(np.hstack([reference, target]) * 2).astype(np.int64)
+    return np.sort(np.unique(keys, axis=0, return_index=True)[1])

@@ -14,28 +14,68 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
+from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial, Transform
 from levkas.registration.alignment import align_sensors, camera_grey
 from levkas.registration.arguments import check_thresholds
+from levkas.registration.bands import BandImage, area_average, stretch
 from levkas.registration.features import KeyPoints, find_key_points
-from levkas.registration.images import BandImage, area_average, stretch
-from levkas.registration.manual_points import Given, Marked
+from levkas.registration.manual_points import ManualPoints, MarkedMatches
 from levkas.registration.matching import RATIO, match
-from levkas.registration.outliers import Cleaned, clean
-from levkas.registration.record import Matches, Registration, RegistrationRefused, Verdict
-from levkas.registration.verdict import Evidence, judge
+from levkas.registration.outliers import Cleaned, clean, remove_outliers
+from levkas.registration.record import (
+    Matches,
+    MatchState,
+    Registration,
+    RegistrationRefused,
+    Verdict,
+)
+from levkas.registration.verdict import judge_matches
+from levkas.registration.verification import (
+    Overlap,
+    measure_shape,
+    measure_support,
+    measure_windows,
+)
+from levkas.registration.window_matching import SETTINGS as WINDOWS
+from levkas.registration.window_matching import CheckWindows, search_windows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-REJECT_SHARE = 1 / 16
-#: SIFT takes some 250 bytes a pixel: larger pictures are reduced first.
-MOST_PX = 4_000_000
 REASONS = {-1: "", 0: "farther than `reject` under scale alone"}
 
 
 @dataclass(frozen=True)
-class Camera:
+class PaperSettings:
+    """Constants of the paper's method, and of the evidence for its verdict.
+
+    Parameters
+    ----------
+    reject_share : float
+        T1 as a share of the reference's diagonal: the paper's 108 px of 1392 x 1040.
+    most_px : int
+        Pictures are reduced to so many pixels: SIFT takes some 250 bytes a pixel.
+    folds : int
+        Spatial folds of matches, cells along either side.
+    chance_trials, chance_matches : int
+        Removals of matches that are paired at random, and how many matches each takes.
+    seed : int
+        Of the random pairs.
+    """
+
+    reject_share: float = 1 / 16
+    most_px: int = 4_000_000
+    folds: int = 5
+    chance_trials: int = 5
+    chance_matches: int = 1000
+    seed: int = 20190817
+
+
+SETTINGS = PaperSettings()
+
+
+@dataclass(frozen=True)
+class AlignedCamera:
     """One camera in the frame of one of its sensors.
 
     Parameters
@@ -58,7 +98,7 @@ class Camera:
     @classmethod
     def of(
         cls, images: Sequence[BandImage], sensor: str, given: Mapping[str, Any] | None
-    ) -> Camera:
+    ) -> AlignedCamera:
         """Align the sensors of a camera and average its bands."""
         alignments = align_sensors(images, given=given, first=sensor)
         return cls(images, sensor, alignments, *camera_grey(images, alignments, sensor))
@@ -84,7 +124,7 @@ def register_mirhashemi2019(
     detector: str = "sift",
     matching: str = "mutual-ratio",
     ratio: float = RATIO,
-    given: Mapping[str, Given] | None = None,
+    given: Mapping[str, ManualPoints] | None = None,
 ) -> Registration:
     """Register one camera by the paper's method.
 
@@ -123,20 +163,22 @@ def register_mirhashemi2019(
     sensor = next(image.sensor for image in reference if image.label == reference_band)
     if target is reference:
         return _own(reference, sensor, align)
-    ours = Camera.of(reference, sensor, None)
-    theirs = Camera.of(target, target[0].sensor, align)
-    reject = float(np.hypot(*ours.size)) * REJECT_SHARE if reject is None else float(reject)
+    ours = AlignedCamera.of(reference, sensor, None)
+    theirs = AlignedCamera.of(target, target[0].sensor, align)
+    reject = (
+        float(np.hypot(*ours.size)) * SETTINGS.reject_share if reject is None else float(reject)
+    )
     scale = scale_only(ours.size, theirs.size, region, target_region)
-    hand = (given or {}).get(theirs.sensor, Given())
+    hand = (given or {}).get(theirs.sensor, ManualPoints())
     matched = find_matches(
         ours, theirs, scale, region, target_region,
-        detector=detector, matching=matching, ratio=ratio, none_is_well=len(hand.sure) > 0,
+        detector=detector, matching=matching, ratio=ratio, no_matches_are_valid=len(hand.fixed) > 0,
     )  # fmt: skip
     found = hand.mark(matched.reference, matched.target)
     cleaned = clean(
         found.target, found.reference, scale=scale, reject=reject, stop=stop,
         size=ours.size, target_size=theirs.size, order=order,
-        pinned=found.sure, dropped=found.dropped,
+        pinned=found.fixed, dropped=found.dropped,
     )  # fmt: skip
     matches = _describe(found, cleaned, stop)
     transform = Inverse(cleaned.model)
@@ -154,7 +196,7 @@ def register_mirhashemi2019(
     return Registration(
         method="mirhashemi2019",
         transforms=_spread(theirs, transform),
-        verdict=judge(evidence, rng=rng),
+        verdict=judge(evidence, rng),
         errors=_statistics(matches),
         matches=matches,
         trace=cleaned.trace,
@@ -201,8 +243,8 @@ def scale_only(
 
 
 def find_matches(
-    ours: Camera,
-    theirs: Camera,
+    ours: AlignedCamera,
+    theirs: AlignedCamera,
     scale: Affine,
     region: Sequence[float] | None,
     target_region: Sequence[float] | None,
@@ -210,21 +252,21 @@ def find_matches(
     detector: str,
     matching: str,
     ratio: float,
-    none_is_well: bool = False,
+    no_matches_are_valid: bool = False,
 ) -> Matches:
     """Match key points of the grey pictures, a finer target brought to the reference's sampling."""
-    most = [min(1.0, float(np.sqrt(MOST_PX / c.values.size))) for c in (ours, theirs)]
+    most = [min(1.0, float(np.sqrt(SETTINGS.most_px / c.values.size))) for c in (ours, theirs)]
     a, back_a = _key_points(ours, region, most[0], detector)
     matched = float(scale.matrix[0, 0]) * most[0]
     b, back_b = _key_points(theirs, target_region, min(matched, most[1]), detector)
     rows, columns, _ = match(a, b, matching=matching, ratio=ratio)
-    if not len(rows) and not none_is_well:
+    if not len(rows) and not no_matches_are_valid:
         raise _no_matches(a, b)
     return Matches.of(back_a(a.points[rows]), back_b(b.points[columns]))
 
 
 def _key_points(
-    camera: Camera, region: Sequence[float] | None, scale: float, detector: str
+    camera: AlignedCamera, region: Sequence[float] | None, scale: float, detector: str
 ) -> tuple[KeyPoints, Affine]:
     valid = camera.valid
     if region is not None:
@@ -236,7 +278,7 @@ def _key_points(
     return find_key_points(stretch(values, valid), valid, detector=detector), back
 
 
-def _describe(found: Marked, cleaned: Cleaned, stop: float) -> Matches:
+def _describe(found: MarkedMatches, cleaned: Cleaned, stop: float) -> Matches:
     """Say of every match whether it was kept, or when and why it left."""
     reasons = np.array(
         [REASONS.get(r, f"worst of its round, above {stop:g} px") for r in cleaned.round], object
@@ -248,7 +290,7 @@ def _describe(found: Marked, cleaned: Cleaned, stop: float) -> Matches:
         residual=cleaned.residual,
         leave_one_out=cleaned.leave_one_out,
         weight=cleaned.kept.astype(float),
-        state=np.where(cleaned.kept, "kept", "removed").astype(object),
+        state=np.where(cleaned.kept, MatchState.KEPT, MatchState.REMOVED).astype(object),
         reason=reasons,
         round=cleaned.round,
     )
@@ -269,7 +311,7 @@ def _statistics(matches: Matches) -> dict[str, Any]:
     }
 
 
-def _spread(camera: Camera, transform: Transform) -> dict[str, Transform]:
+def _spread(camera: AlignedCamera, transform: Transform) -> dict[str, Transform]:
     """Give every band the map of the camera's frame, then that of its sensor."""
     transforms: dict[str, Transform] = {}
     for image in camera.images:
@@ -283,14 +325,13 @@ def _spread(camera: Camera, transform: Transform) -> dict[str, Transform]:
 def _own(images: Sequence[BandImage], sensor: str, align: Mapping[str, Any] | None) -> Registration:
     """Return the reference camera itself: its bands stay, its other sensors are aligned."""
     aligned = align_sensors(images, given=align, first=sensor)
-    empty = np.empty((0, 2))
     reason = "The paper's method leaves the reference camera's own bands where they are."
     return Registration(
         method="mirhashemi2019",
         transforms={image.label: aligned[image.sensor] for image in images},
         verdict=Verdict("accept", (reason,)),
         errors={},
-        matches=Matches.of(empty, empty),
+        matches=Matches.none(),
         model={
             "kind": "identity",
             "sensors": {name: t.to_dict() for name, t in aligned.items()},
@@ -315,3 +356,152 @@ def _no_matches(a: KeyPoints, b: KeyPoints) -> RegistrationRefused:
             fix="Look at both pictures: exposure, focus, and whether they show the same object.",
         )
     )
+
+
+# --- evidence for the verdict
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a registration on matches is judged by.
+
+    Parameters
+    ----------
+    transform : Transform
+        Reference px → px of the target's grey picture.
+    matches : Matches
+    reference, target : (values, valid), each (h, w), float32 and bool
+        The grey pictures.
+    region : (x, y, width, height), reference px, or None
+        Where the object lies.
+    scale : Transform or None
+        Scale-only map target → reference, if matches were cut under it.
+    reject, stop : float, reference px
+    order : int
+        Of the polynomial that was fitted target → reference.
+    """
+
+    transform: Transform
+    matches: Matches
+    reference: tuple[np.ndarray, np.ndarray]
+    target: tuple[np.ndarray, np.ndarray]
+    region: tuple[float, ...] | None = None
+    scale: Transform | None = None
+    reject: float = np.inf
+    stop: float = 1.0
+    order: int = 3
+
+    @property
+    def overlap(self) -> Overlap:
+        """The part of the object that both pictures show."""
+        return Overlap(self.transform, self.reference[1], self.target[1], self.region)
+
+    @property
+    def terms(self) -> int:
+        """Coefficients of the polynomial, for x′ and y′ each."""
+        return (self.order + 1) * (self.order + 2) // 2
+
+
+def judge(evidence: Evidence, rng: np.random.Generator | None = None) -> Verdict:
+    """Decide whether a registration on matches is accepted; `rng` draws the random pairings."""
+    return judge_matches(measure(evidence, rng))
+
+
+def measure(evidence: Evidence, rng: np.random.Generator | None = None) -> dict[str, Any]:
+    """Return all numbers that the rules look at, by name."""
+    matches = evidence.matches
+    search = search_windows(
+        evidence.reference, evidence.target, evidence.transform, region=evidence.region
+    )
+    # What a working pixel of the comparison cannot show is not held against the map.
+    tolerance = max(evidence.stop, search.step)
+    checks = CheckWindows(
+        search.centres, search.shift, search.found, tolerance, WINDOWS.window * search.step
+    )
+    return {
+        "matches": len(matches),
+        "kept": int(matches.kept.sum()),
+        "terms": evidence.terms,
+        "stop": evidence.stop,
+        "tolerance": tolerance,
+        **measure_chance(evidence, rng or np.random.default_rng(SETTINGS.seed)),
+        **measure_held_out(evidence),
+        **measure_shape(evidence.overlap),
+        **measure_windows(checks),
+        "rival": float(search.rival),
+        **measure_support(evidence.overlap, checks, matches.reference[matches.kept]),
+    }
+
+
+def measure_held_out(evidence: Evidence) -> dict[str, Any]:
+    """Fit without one spatial block of matches at a time and predict those.
+
+    Blocks, not single matches: neighbours err alike, so that single ones left out are no independent
+    evidence.
+
+    Returns
+    -------
+    numbers : dict
+        ``held_out_median``, ``held_out_p90``, reference px; infinite where a fit is not possible.
+    """
+    kept = evidence.matches.kept
+    reference, target = evidence.matches.reference[kept], evidence.matches.target[kept]
+    errors = np.full(len(reference), np.inf)
+    fold = _folds(reference)
+    for k in np.unique(fold):
+        out = fold == k
+        if (~out).sum() >= evidence.terms:
+            model = Polynomial.fit(target[~out], reference[~out], order=evidence.order)
+            errors[out] = np.linalg.norm(model(target[out]) - reference[out], axis=1)
+    if not len(errors):
+        return {"held_out_median": np.inf, "held_out_p90": np.inf}
+    # Order statistics, not interpolation, which is undefined between two infinities.
+    middle, high = np.percentile(errors, (50, 90), method="lower")
+    return {"held_out_median": float(middle), "held_out_p90": float(high)}
+
+
+def _folds(points: np.ndarray) -> np.ndarray:
+    """Deal the cells of a 5 x 5 grid to folds so that no two neighbours share one."""
+    if not len(points):
+        return np.empty(0, int)
+    n = SETTINGS.folds
+    low, high = points.min(0), points.max(0)
+    cell = np.clip(((points - low) / np.maximum(high - low, 1e-9) * n).astype(int), 0, n - 1)
+    return (cell[:, 0] + 2 * cell[:, 1]) % n
+
+
+def measure_chance(evidence: Evidence, rng: np.random.Generator) -> dict[str, Any]:
+    """Count how many matches the same removal keeps where they are paired at random.
+
+    Returns
+    -------
+    numbers : dict
+        ``chance_kept``: the most that were kept in five trials with as many matches, each paired
+        with a random place within `reject`; 0 where nothing was cut under scale.
+    """
+    if evidence.scale is None or not np.isfinite(evidence.reject):
+        return {"chance_kept": 0}
+    matches, limit = evidence.matches, SETTINGS.chance_matches
+    near = matches.round != 0
+    placed = evidence.scale(matches.target[near])
+    used = placed if len(placed) <= limit else rng.permutation(placed)[:limit]
+    most = 0
+    for _ in range(SETTINGS.chance_trials):
+        angle = rng.uniform(0, 2 * np.pi, len(used))
+        radius = evidence.reject * np.sqrt(rng.uniform(0, 1, len(used)))
+        paired = used + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+        most = max(most, _count_kept(used, paired, evidence))
+    # Beyond what the coefficients absorb, the count grows with the number of matches.
+    more = most - evidence.terms
+    return {"chance_kept": round(evidence.terms + more * max(1.0, len(placed) / limit))}
+
+
+def _count_kept(target: np.ndarray, reference: np.ndarray, evidence: Evidence) -> int:
+    rounds = remove_outliers(
+        target, reference, scale=Affine.identity(), reject=2 * evidence.reject,
+        stop=evidence.stop, order=evidence.order,
+    )  # fmt: skip
+    try:
+        return len(target) - sum(step.removed for step in rounds)
+    except RegistrationRefused:
+        return evidence.terms

@@ -1,8 +1,9 @@
-"""The ladder of models: similarity to quintic, lens and spline, chosen on held-out blocks.
+"""Models of the base map, and which of them is taken: blocked cross-validation.
 
-A model is fitted to displacements that windows saw, each with its own 2 x 2 information, by
-re-weighted least squares; it is judged on spatial blocks that it did not see (neighbours err
-alike), and a richer one is taken only where it is better there.
+From a similarity to a quintic, with a lens, a spline and a step in depth. A model is fitted to the shifts of
+windows, each with its own 2 x 2 information, by re-weighted least squares. It is judged on spatial blocks
+that it was not fitted to ([Roberts2017]_): neighbouring windows err alike, so that single windows left out
+are no independent evidence. A richer model is taken only where it predicts those blocks better.
 """
 
 from __future__ import annotations
@@ -14,278 +15,529 @@ from functools import partial
 import numpy as np
 
 from levkas.geometry.transforms import Composed, Transform
-from levkas.registration.cross_validation import STANDING, Contest, Fit, Part, Rival, deal
-from levkas.registration.depth_steps import ORDERS, Ledge, find_ledges, fit_behind
+from levkas.registration.depth_step import (
+    ORDERS,
+    DepthStep,
+    find_depth_steps,
+    fit_with_depth_step,
+)
 from levkas.registration.models import (
     Observations,
     fit_polynomial,
     fit_projective,
     fit_similarity,
     fit_spline,
-    solve_pairs,
-    temper,
+    inflate_covariance,
+    solve_2x2,
 )
 
-ROUNDS = 5
-MOST_JUDGED = 2000
-
-#: Name → (least number of observations, fit); from the stiffest to the most yielding.
-RUNGS: dict[str, tuple[int, Fit]] = {
-    "similarity": (6, fit_similarity),
-    "affine": (9, partial(fit_polynomial, order=1)),
-    "homography": (16, partial(fit_projective, lens=False)),
-    "quadratic": (24, partial(fit_polynomial, order=2)),
-    "homography+lens": (36, partial(fit_projective, lens=True)),
-    "cubic": (40, partial(fit_polynomial, order=3)),
-    "quartic": (60, partial(fit_polynomial, order=4)),
-    "quintic": (84, partial(fit_polynomial, order=5)),
-}
-SPLINE_LEAST, LEDGE_LEAST = 150, 120
-#: What is tried behind a ledge whatever did best without it → order of a polynomial as yielding.
-BEHIND = {"cubic": 3, "quartic": 4}
-COARSE = ["similarity", "affine", "homography", "quadratic", "homography+lens", "cubic"]
-REACHING = ["similarity", "affine", "homography", "homography+lens"]
-STIFF = (1e-3, 1e-2)
-#: What is tried before the map of a rig; it is near already, and seen afresh in so many steps.
-TWICE = 1.0
-RIG, NEWTON = ("similarity", "affine", "homography", "quadratic"), 2
+Fit = Callable[[Observations], Transform]
+Folds = list[tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Terms:
-    """On what terms models are tried; as the arguments of `climb` are called."""
+class SelectionSettings:
+    """Constants of the selection.
 
-    spacing: float
+    Parameters
+    ----------
+    rounds : int
+        Of re-weighting observations under the most yielding model.
+    most_judged : int
+        Observations on which models are compared; all of them determine the one that is taken.
+    every : int
+        A fold is every so many-th row and column of blocks.
+    blocks : int
+        Across the longer side.
+    least_block : float
+        Side of a block, in lengths within which windows share pixels.
+    gain : float
+        Share by which a richer model has to lower the held-out error.
+    near, far : float
+        Models whose held-out error is up to so much, as a share, above the best may be right too: where
+        windows were seen, and where none were.
+    least_spline, least_depth_step : int
+        Observations from which a spline, and a step in depth, are tried.
+    stiffness : tuple of float
+        Prices of bending of the splines that are tried.
+    newton : int
+        Steps to find where a shared map has to be evaluated; it is near already.
+    """
+
+    rounds: int = 5
+    most_judged: int = 2000
+    every: int = 3
+    blocks: int = 8
+    least_block: float = 3.0
+    gain: float = 0.01
+    near: float = 0.1
+    far: float = 1.0
+    least_spline: int = 150
+    least_depth_step: int = 120
+    stiffness: tuple[float, ...] = (1e-2, 1e-3)
+    newton: int = 2
+
+
+SETTINGS = SelectionSettings()
+POLYNOMIALS = {1: "affine", 2: "quadratic", 3: "cubic", 4: "quartic", 5: "quintic"}
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """One model of a base map.
+
+    Parameters
+    ----------
+    family : {"similarity", "polynomial", "homography", ""}
+        Empty for a shared map alone.
+    order : int
+        Of a polynomial.
+    lens : bool
+        Brown's radial and tangential terms behind a homography.
+    spline : float or None
+        Price of bending of a smooth spline before the map.
+    depth_step : bool
+        A step in depth before the map.
+    shared : bool
+        Whether a map that captures of one camera share comes behind it.
+
+    Examples
+    --------
+    >>> str(ModelSpec("homography", lens=True, spline=0.01)), str(ModelSpec("polynomial", 3, shared=True))
+    ('homography+lens+spline(0.01)', 'rig+cubic')
+    """
+
+    family: str
+    order: int = 1
+    lens: bool = False
+    spline: float | None = None
+    depth_step: bool = False
+    shared: bool = False
+
+    def __str__(self) -> str:
+        plain = POLYNOMIALS[self.order] if self.family == "polynomial" else self.family
+        parts = ["rig"] * self.shared + [plain] * bool(plain) + ["lens"] * self.lens
+        parts += [] if self.spline is None else [f"spline({self.spline:g})"]
+        return "+".join(parts + ["ledge"] * self.depth_step)
+
+    @property
+    def plain(self) -> ModelSpec:
+        """The model without spline and step in depth."""
+        return replace(self, spline=None, depth_step=False)
+
+    @property
+    def coefficients(self) -> int:
+        """Coefficients of x and y each, without spline and step in depth; the most there are of a shared map."""
+        least = MODELS[self.plain][0] if self.plain in MODELS else MODELS[QUINTIC][0]
+        return max(3, least // 4)
+
+
+SIMILARITY, HOMOGRAPHY = ModelSpec("similarity"), ModelSpec("homography")
+AFFINE, QUADRATIC, CUBIC, QUARTIC, QUINTIC = (ModelSpec("polynomial", n) for n in POLYNOMIALS)
+LENS = ModelSpec("homography", lens=True)
+SHARED = ModelSpec("", shared=True)
+
+#: Model → (least number of observations, fit); from the stiffest to the most yielding.
+MODELS: dict[ModelSpec, tuple[int, Fit]] = {
+    SIMILARITY: (6, fit_similarity),
+    AFFINE: (9, partial(fit_polynomial, order=1)),
+    HOMOGRAPHY: (16, partial(fit_projective, lens=False)),
+    QUADRATIC: (24, partial(fit_polynomial, order=2)),
+    LENS: (36, partial(fit_projective, lens=True)),
+    CUBIC: (40, partial(fit_polynomial, order=3)),
+    QUARTIC: (60, partial(fit_polynomial, order=4)),
+    QUINTIC: (84, partial(fit_polynomial, order=5)),
+}
+#: On coarse grids nothing richer than a cubic: what is left is for a finer grid.
+COARSE = (SIMILARITY, AFFINE, HOMOGRAPHY, QUADRATIC, LENS, CUBIC)
+#: Models that are tame where nothing was observed.
+STIFF = (SIMILARITY, AFFINE, HOMOGRAPHY, LENS)
+#: Tried with a step in depth whatever did best without one → order of a polynomial as yielding.
+WITH_DEPTH_STEP = {CUBIC: 3, QUARTIC: 4}
+#: Tried before a shared map, for how this painting lies.
+BEFORE_SHARED = (SIMILARITY, AFFINE, HOMOGRAPHY, QUADRATIC)
+#: Name of a given map that no model improves.
+STANDING = "as it was"
+
+
+@dataclass(frozen=True)
+class SelectionTerms:
+    """Which models are tried, and the lengths on which windows are compared.
+
+    Parameters
+    ----------
+    spacing : float, reference px
+        Of the spline's knots.
+    apart : float, reference px
+        Windows up to so far from one another, along both axes, share pixels and err alike.
+    cell : float, reference px
+        Side of the cells of the windows.
+    coarse, stiff : bool
+        Only `COARSE`, only `STIFF` models.
+    depth_step : bool
+        Whether a step in depth may be looked for.
+    fixed : int
+        So many of the last observations keep their weight, whatever their residual.
+    """
+
+    spacing: float = 0.0
     apart: float = 0.0
     cell: float = 0.0
     coarse: bool = False
-    reaching: bool = False
-    sure: int = 0
+    stiff: bool = False
+    depth_step: bool = False
+    fixed: int = 0
+
+    def models(self, count: int) -> list[ModelSpec]:
+        """Return the plain models that `count` observations determine."""
+        tried: Sequence[ModelSpec] = COARSE if self.coarse else tuple(MODELS)
+        if self.stiff:
+            tried = STIFF[: -1 if self.coarse else None]
+        return [model for model in tried if count >= MODELS[model][0]]
 
 
 @dataclass(frozen=True)
-class Rung:
+class FoldFit:
+    """A model fitted without the blocks of a fold, and the share of all information that these hold."""
+
+    transform: Transform
+    without: float
+    fold: int = 0
+
+
+@dataclass(frozen=True)
+class AlternativeModel:
+    """Another model, and how close it comes to the one that was taken, 0..1."""
+
+    transform: Transform
+    weight: float
+
+
+@dataclass(frozen=True)
+class SelectedModel:
     """The model that was taken, and how all of them did.
 
     Parameters
     ----------
-    name : str
+    spec : ModelSpec or None
+        None where a given map stayed as it was.
     transform : Transform
     scores : dict of str to float
-        Held-out error of each model: root mean square in reference px under the weights.
+        Held-out error of each model by name: root mean square in reference px under the weights.
     observations : Observations
         As fitted: with the common variance floor and robust weights in their information.
     weights : ndarray, (n,)
         Robust weight of each observation, 0..1.
-    parts : tuple of Part
+    terms : SelectionTerms
+    folds : tuple of FoldFit
         The same model fitted without each fold of blocks.
-    rivals : tuple of Rival
+    alternatives : tuple of AlternativeModel
         Models that predict blocks nearly as well.
-    terms : Terms or None
-        On which it was taken.
     fit : callable or None
         How it was fitted.
-    reaching : callable or None
+    far_alternatives : callable
         Returns the models that predict blocks at most twice as badly: where nothing was seen they
         may be as right.
     """
 
-    name: str
+    spec: ModelSpec | None
     transform: Transform
     scores: dict[str, float]
     observations: Observations
     weights: np.ndarray
-    parts: tuple[Part, ...] = ()
-    rivals: tuple[Rival, ...] = ()
-    terms: Terms | None = None
+    terms: SelectionTerms
+    folds: tuple[FoldFit, ...] = ()
+    alternatives: tuple[AlternativeModel, ...] = ()
     fit: Fit | None = None
-    reaching: Callable[[], tuple[Rival, ...]] | None = None
+    far_alternatives: Callable[[], tuple[AlternativeModel, ...]] = tuple
 
     @property
-    def knowledge(self) -> float:
-        """All information together, 1/px², by how windows really scatter about the model."""
+    def name(self) -> str:
+        """Name of the model in the record."""
+        return STANDING if self.spec is None else str(self.spec)
+
+    @property
+    def held_out_error(self) -> float:
+        """Root mean square, reference px under the weights, in blocks that were not fitted."""
+        return float(self.scores[self.name])
+
+    @property
+    def total_information(self) -> float:
+        """All information together, 1/px², by how windows scatter about the model."""
         return float(np.trace(self.observations.information, axis1=1, axis2=2).sum())
 
     def held_out(self) -> np.ndarray:
         """Return how far each window, (n,), reference px, lies from a fit without its block; NaN without one."""
         missed = np.full(len(self.observations), np.nan)
-        if self.parts and self.terms is not None:
-            folds = deal(self.observations.points, self.terms.apart)
-            for part in self.parts:
-                unseen = folds[part.fold][0]
-                left = self.observations.part(unseen).residuals(part.transform)
+        if self.folds:
+            folds = spatial_folds(self.observations.points, self.terms.apart)
+            for one in self.folds:
+                unseen = folds[one.fold][0]
+                left = self.observations.part(unseen).residuals(one.transform)
                 missed[unseen] = np.hypot(*left.T)
         return missed
 
     def sigma(self, points: np.ndarray) -> np.ndarray:
         """Return one standard deviation of either axis at `points`, (n,), reference px.
 
-        Delete-a-group jackknife over the folds: it sees errors that whole blocks share, which
-        residuals of single windows do not. Without a share f of what is known, a map moves by
-        f / (1 - f) of its variance. Where windows cannot tell which model is right, how far the others
-        lie from it is added: a stiff model is steady where it is wrong.
+        Delete-a-group jackknife over the folds ([Kott2001]_): it sees errors that whole blocks share,
+        which residuals of single windows do not. Without a share f of the information, a map moves by
+        f / (1 - f) of its variance. Where windows cannot tell which model is right, the spread between
+        models is added ([Buckland1997]_): a stiff model is steady where it is wrong.
         """
-        if not self.parts:
+        if not self.folds:
             return np.full(len(points), np.nan)
         jacobian = self.transform.jacobian(points)
         here, total = self.transform(points), np.zeros(len(points))
-        for part in self.parts:
-            moved = solve_pairs(jacobian, part.transform(points) - here)
-            total += (1 - part.without) / part.without * (moved**2).sum(1) / 2
-        return np.sqrt(total / len(self.parts) + self._apart(points, self.rivals))
+        for one in self.folds:
+            moved = solve_2x2(jacobian, one.transform(points) - here)
+            total += (1 - one.without) / one.without * (moved**2).sum(1) / 2
+        return np.sqrt(total / len(self.folds) + self._spread(points, self.alternatives))
 
     def sigma_beyond(self, points: np.ndarray) -> np.ndarray:
-        """Return how far models lie apart at `points`, (n,), reference px, that may be right beyond what was seen."""
-        return np.sqrt(self._apart(points, self.reaching() if self.reaching else ()))
+        """Return the spread, (n,) reference px, of models that may be right beyond what was seen."""
+        return np.sqrt(self._spread(points, self.far_alternatives()))
 
-    def _apart(self, points: np.ndarray, rivals: Sequence[Rival]) -> np.ndarray:
-        """Return the variance, of either axis, of `rivals` about this model, each by its weight."""
+    def _spread(self, points: np.ndarray, models: Sequence[AlternativeModel]) -> np.ndarray:
+        """Return the variance, of either axis, of other models about this one, each by its weight."""
         jacobian, here = self.transform.jacobian(points), self.transform(points)
-        weights = 1 + sum(rival.weight for rival in rivals)
+        weights = 1 + sum(model.weight for model in models)
         variance = np.zeros(len(points))
-        for rival in rivals:
-            apart = solve_pairs(jacobian, rival.transform(points) - here)
-            variance += rival.weight / weights * (apart**2).sum(1) / 2
+        for model in models:
+            apart = solve_2x2(jacobian, model.transform(points) - here)
+            variance += model.weight / weights * (apart**2).sum(1) / 2
         return variance
 
 
-def climb(
+def select_model(
     observations: Observations,
+    terms: SelectionTerms,
     *,
-    spacing: float,
-    apart: float = 0.0,
-    cell: float = 0.0,
-    coarse: bool = False,
-    reaching: bool = False,
-    sure: int = 0,
     standing: Transform | None = None,
-    rig: Fit | None = None,
-) -> Rung:
+    shared: Fit | None = None,
+) -> SelectedModel:
     """Return the model that predicts held-out blocks best.
 
     Parameters
     ----------
     observations : Observations
         At least 6 of them.
-    spacing : float, reference px
-        Of the spline's knots.
-    apart : float, reference px
-        Windows up to so far from one another, along both axes, share pixels and err alike.
-    cell : float, reference px
-        Side of the cells of the windows, for the term of a ledge; 0: none is tried.
-    coarse : bool
-        Nothing richer than a cubic: what is left is for a finer grid.
-    reaching : bool
-        Only what is tame where nothing was observed: the map has to reach far beyond.
-    sure : int
-        So many of the last observations keep their weight, whatever their residual.
+    terms : SelectionTerms
     standing : Transform, optional
         A map from elsewhere; it stays where no model predicts blocks better.
-    rig : callable, optional
-        Fits one map to observations and to what other captures of the same rig saw; plain models
+    shared : callable, optional
+        Fits one map to observations and to those of other captures of the same camera; plain models
         before it are tried too.
 
     Raises
     ------
     ValueError
-        With fewer observations than the lowest rung needs.
+        With fewer observations than a similarity needs.
     """
-    names = REACHING[: -1 if coarse else None] if reaching else COARSE if coarse else list(RUNGS)
-    names = [name for name in names if len(observations) >= RUNGS[name][0]]
-    if not names:
+    models = terms.models(len(observations))
+    if not models:
         raise ValueError(f"a similarity needs at least 6 windows, got {len(observations)}")
-    model, tempered, weights = _robust(observations, names[-1], sure)
+    most_yielding, weighted, weights = _reweight(observations, MODELS[models[-1]][1], terms.fixed)
     # Which model is right shows in some thousands of windows; all of them decide how it lies.
-    every = 1 + len(tempered) // MOST_JUDGED
-    judged = tempered.part(np.arange(len(tempered)) % every == 0)
-    if rig is not None:
+    every = 1 + len(weighted) // SETTINGS.most_judged
+    judged = weighted.part(np.arange(len(weighted)) % every == 0)
+    if shared is not None:
         judged = judged.weighted(np.full(len(judged), float(every)))
-    contest = Contest(judged, deal(judged.points, apart, tempered.points))
-    for name in names:
-        contest.enter(name, *RUNGS[name])
-    if standing is not None and contest.withstands(standing):
-        return Rung(STANDING, standing, contest.scores, tempered, weights)
-    if contest.taken == names[-1]:
-        contest.fitted = model
-    bending = not (coarse or reaching) and len(observations) >= SPLINE_LEAST
-    seen = bending and cell and len(observations) >= LEDGE_LEAST
-    ledges = find_ledges(tempered, cell) if seen else []
-    if bending:
-        _bend(contest, contest.taken, spacing, ledges)
-    if rig is not None:
-        through = _enter_rig(contest, rig, [name for name in RIG if name in names])
-        if bending:
-            _bend(contest, through, spacing, ledges)
-    parts = () if coarse else contest.parts()
-    transform = contest.fitted or contest.fit(tempered)
-    rivals = () if coarse else contest.rivals()
-    terms = Terms(spacing, apart, cell, coarse, reaching, sure)
-    return Rung(
-        contest.taken, transform, contest.scores, tempered, weights, parts, rivals, terms, contest.fit,
-        partial(contest.rivals, TWICE),
+    comparison = ModelComparison(judged, spatial_folds(judged.points, terms.apart, weighted.points))
+    for model in models:
+        comparison.add(model, *MODELS[model])
+    if standing is not None and comparison.is_withstood_by(standing):
+        return SelectedModel(None, standing, comparison.scores, weighted, weights, terms)
+    bends = not (terms.coarse or terms.stiff) and len(observations) >= SETTINGS.least_spline
+    if bends:
+        steps: list[DepthStep] = []
+        if terms.depth_step and len(observations) >= SETTINGS.least_depth_step:
+            steps = find_depth_steps(weighted, terms.cell)
+        _add_bending(comparison, comparison.best, terms.spacing, steps)
+    if shared is not None:
+        through = _add_shared(comparison, shared, [m for m in BEFORE_SHARED if m in models])
+        if bends:
+            _add_bending(comparison, through, terms.spacing, steps)
+    best = comparison.best
+    fitted = most_yielding if best.spec == models[-1] else best.fit(weighted)
+    return SelectedModel(
+        best.spec, fitted, comparison.scores, weighted, weights, terms,
+        () if terms.coarse else comparison.fold_fits(),
+        () if terms.coarse else comparison.alternatives(SETTINGS.near),
+        best.fit, partial(comparison.alternatives, SETTINGS.far),
     )  # fmt: skip
 
 
-def _bend(contest: Contest, under: str, spacing: float, ledges: Sequence[Ledge]) -> None:
-    """Try a model with splines of falling stiffness, then what did best and plain ones behind a ledge."""
-    bent = [under]
-    for stiff in STIFF[::-1]:
-        bent.append(f"{under}+spline({stiff:g})")
-        on_top = partial(_on_top, under=contest.fits[under], spacing=spacing, stiff=stiff)
-        contest.enter(bent[-1], contest.least[under], on_top)
-    best = contest.taken if contest.taken in bent else min(bent, key=lambda n: contest.scores[n])
-    # Without its term richer models were needed than with it.
-    plain = [name for name in BEHIND if name in contest.fits]
-    for name in dict.fromkeys([*plain, *bent[:2], best]):
-        order = BEHIND.get(name, ORDERS[-1])
-        behind = [
-            partial(fit_behind, ledge=ledge, fit=contest.fits[name], order=order)
-            for ledge in ledges
+@dataclass(frozen=True)
+class Candidate:
+    """One model in a comparison: its least number of observations, its fit and its held-out error."""
+
+    spec: ModelSpec
+    least: int
+    fit: Fit
+    score: float
+
+
+class ModelComparison:
+    """Compares models by how well they predict blocks to which they were not fitted."""
+
+    best: Candidate
+
+    def __init__(self, judged: Observations, folds: Folds) -> None:
+        self._judged, self._folds = judged, folds
+        self.candidates: dict[ModelSpec, Candidate] = {}
+        self.scores: dict[str, float] = {}
+
+    def add(self, spec: ModelSpec, least: int, *fits: Fit) -> Candidate:
+        """Try one more model, richer than those before; of several ways to fit it the best stands for it."""
+        tried = [Candidate(spec, least, fit, self._held_out_error(least, fit)) for fit in fits]
+        found = min(tried, key=lambda one: one.score)
+        if not self.candidates or found.score < self.best.score * (1 - SETTINGS.gain):
+            self.best = found
+        self.candidates[spec], self.scores[str(spec)] = found, found.score
+        return found
+
+    def _held_out_error(self, least: int, fit: Fit) -> float:
+        """Return the error in blocks that were not fitted; infinite where too little is left to fit."""
+        total = weight = 0.0
+        for unseen, rest in self._folds:
+            if not unseen.any():
+                continue
+            if rest.sum() < least:
+                return np.inf
+            part = self._judged.part(unseen)
+            squares, information = _misfit(part, fit(self._judged.part(rest)))
+            total, weight = total + squares, weight + information / 2
+        return float(np.sqrt(total / (2 * weight))) if weight else np.inf
+
+    def is_withstood_by(self, standing: Transform) -> bool:
+        """Tell whether a map that was not fitted to any of this is as good as the best."""
+        squares, information = _misfit(self._judged, standing)
+        self.scores[STANDING] = float(np.sqrt(squares / information))
+        return not self.best.score < self.scores[STANDING] * (1 - SETTINGS.gain)
+
+    def fold_fits(self) -> tuple[FoldFit, ...]:
+        """Return the best model fitted without each fold, and the share of information left out."""
+        information = np.trace(self._judged.information, axis1=1, axis2=2)
+        return tuple(
+            FoldFit(
+                self.best.fit(self._judged.part(rest)),
+                float(information[~rest].sum() / information.sum()),
+                fold,
+            )
+            for fold, (unseen, rest) in enumerate(self._folds)
+            if unseen.any() and rest.sum() >= 6
+        )
+
+    def alternatives(self, near: float) -> tuple[AlternativeModel, ...]:
+        """Return the models that come within `near` of the best, as a share of its held-out error."""
+        if not self.best.score:
+            return ()
+        close = [
+            (1 - (one.score / self.best.score - 1) / near, one)
+            for one in self.candidates.values()
+            if one.spec != self.best.spec
         ]
-        if behind:
-            contest.enter(f"{name}+ledge", contest.least[name], *behind)
+        return tuple(
+            AlternativeModel(one.fit(self._judged), min(weight, 1.0))
+            for weight, one in close
+            if weight > 0
+        )
 
 
-def _enter_rig(contest: Contest, rig: Fit, names: Sequence[str]) -> str:
-    """Try the rig's map, and plain models before it; return the best of them."""
-    entered = ["rig", *(f"rig+{name}" for name in names)]
-    contest.enter("rig", RUNGS[names[0]][0], rig)
-    for name, through in zip(names, entered[1:], strict=True):
-        contest.enter(through, RUNGS[name][0], partial(_through, rig=rig, fit=RUNGS[name][1]))
-    return min(entered, key=lambda name: contest.scores[name])
+def _misfit(observations: Observations, model: Transform) -> tuple[float, float]:
+    """Return the weighted squares of what a map misses, and the trace of all information."""
+    residuals, information = observations.residuals(model), observations.information
+    squares = float(np.einsum("na,nab,nb->", residuals, information, residuals))
+    return squares, float(np.trace(information, axis1=1, axis2=2).sum())
 
 
-def _through(observations: Observations, *, rig: Fit, fit: Fit) -> Transform:
-    whole = rig(observations)
-    return Composed(fit(seen_through(whole, observations)), whole)
+def _add_bending(
+    comparison: ModelComparison, under: Candidate, spacing: float, steps: Sequence[DepthStep]
+) -> None:
+    """Try a model with splines of falling stiffness, then the best and plain ones with a step in depth."""
+    bent = [under]
+    for price in SETTINGS.stiffness:
+        fit = partial(_fit_spline_before, under=under.fit, spacing=spacing, price=price)
+        bent.append(comparison.add(replace(under.spec, spline=price), under.least, fit))
+    specs = [one.spec for one in bent]
+    best = comparison.best
+    if best.spec not in specs:
+        best = min(bent, key=lambda one: one.score)
+    # Without its term richer models were needed than with it.
+    plain = [comparison.candidates[m] for m in WITH_DEPTH_STEP if m in comparison.candidates]
+    for one in dict.fromkeys([*plain, *bent[:2], best]):
+        order = WITH_DEPTH_STEP.get(one.spec, ORDERS[-1])
+        fits = [partial(fit_with_depth_step, step=step, fit=one.fit, order=order) for step in steps]
+        if fits:
+            comparison.add(replace(one.spec, depth_step=True), one.least, *fits)
 
 
-def seen_through(rig: Transform, observations: Observations) -> Observations:
-    """Return where `rig` would have to be asked to answer what was observed."""
+def _fit_spline_before(
+    observations: Observations, *, under: Fit, spacing: float, price: float
+) -> Transform:
+    return fit_spline(observations, under(observations), spacing, price)
+
+
+def _add_shared(comparison: ModelComparison, shared: Fit, models: Sequence[ModelSpec]) -> Candidate:
+    """Try the shared map, and plain models before it; return the best of them."""
+    tried = [comparison.add(SHARED, MODELS[models[0]][0], shared)]
+    for model in models:
+        least, plain = MODELS[model]
+        fit = partial(_fit_before_shared, shared=shared, plain=plain)
+        tried.append(comparison.add(replace(model, shared=True), least, fit))
+    return min(tried, key=lambda one: one.score)
+
+
+def _fit_before_shared(observations: Observations, *, shared: Fit, plain: Fit) -> Transform:
+    behind = shared(observations)
+    return Composed(plain(_seen_through(behind, observations)), behind)
+
+
+def _seen_through(shared: Transform, observations: Observations) -> Observations:
+    """Return where `shared` has to be evaluated to give what was observed."""
     places = observations.points
-    for _ in range(NEWTON):
-        places = places + solve_pairs(rig.jacobian(places), observations.target - rig(places))
-    alike = np.broadcast_to(np.eye(2), (len(places), 2, 2))
-    return replace(observations, target=places, jacobian=alike)
+    for _ in range(SETTINGS.newton):
+        places = places + solve_2x2(shared.jacobian(places), observations.target - shared(places))
+    identity = np.broadcast_to(np.eye(2), (len(places), 2, 2))
+    return replace(observations, target=places, jacobian=identity)
 
 
-def _on_top(observations: Observations, *, under: Fit, spacing: float, stiff: float) -> Transform:
-    return fit_spline(observations, under(observations), spacing, stiff)
-
-
-def _robust(
-    observations: Observations, name: str, sure: int
+def _reweight(
+    observations: Observations, fit: Fit, fixed: int
 ) -> tuple[Transform, Observations, np.ndarray]:
     """Re-weight under the most yielding model, so that no stiffer one declares its misfit outliers."""
-    fit = RUNGS[name][1]
     current, weights = observations, np.ones(len(observations))
     model = fit(current)
-    for _ in range(ROUNDS):
+    for _ in range(SETTINGS.rounds):
         residuals = observations.residuals(model)
-        information, weights = temper(residuals, observations.information)
-        weights[len(weights) - sure :] = 1.0
-        current = Observations(
-            observations.points, observations.target, observations.jacobian, information
-        ).weighted(weights)
+        information, weights = inflate_covariance(residuals, observations.information)
+        weights[len(weights) - fixed :] = 1.0
+        current = replace(observations, information=information).weighted(weights)
         model = fit(current)
     return model, current, weights
+
+
+def spatial_folds(points: np.ndarray, apart: float = 0.0, over: np.ndarray | None = None) -> Folds:
+    """Return (held out, fitted), masks (n,), of every fold of blocks over all of `over`, `points` without it.
+
+    Windows within `apart` of a held-out block are neither: they share pixels with what they would
+    predict.
+    """
+    over = points if over is None else over
+    low, high = over.min(0), over.max(0)
+    most = float((high - low).max()) / SETTINGS.blocks
+    size = max(most, SETTINGS.least_block * apart, 1e-9)
+    number = _fold_numbers(points - low, size)
+    near = np.stack([_fold_numbers(points - low + shift, size) for shift in _around(apart)])
+    return [(number == fold, (near != fold).all(0)) for fold in range(SETTINGS.every**2)]
+
+
+def _around(apart: float) -> np.ndarray:
+    steps = np.array([-apart, 0.0, apart])
+    return np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+
+
+def _fold_numbers(offsets: np.ndarray, size: float) -> np.ndarray:
+    block = np.floor(offsets / size).astype(int) % SETTINGS.every
+    return np.asarray(block[:, 0] + SETTINGS.every * block[:, 1])

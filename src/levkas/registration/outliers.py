@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Round:
+class RemovalRound:
     """One fit on the way.
 
     Parameters
@@ -80,8 +80,8 @@ def remove_outliers(
     order: int = 3,
     pinned: np.ndarray | None = None,
     dropped: np.ndarray | None = None,
-) -> Iterator[Round]:
-    """Yield a `Round` for every fit until the largest error is at most `stop`.
+) -> Iterator[RemovalRound]:
+    """Yield a `RemovalRound` for every fit until the largest error is at most `stop`.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def remove_outliers(
         for k, error in enumerate(many.largest.tolist()):
             done = error <= stop
             model = Polynomial(order, many.centre, many.spread, many.models[k])
-            yield Round(number, model, int(many.worst[k]), error, not done)
+            yield RemovalRound(number, model, int(many.worst[k]), error, not done)
             number += 1
 
 

@@ -13,14 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from levkas.registration.chromatic import Chromatic, groups_of
+from levkas.registration.chromatic import ChromaticShifts, groups_of
 
 #: Amounts, px², are never known better than this.
 LEAST_VARIANCE = 1e-10
 ROUNDS = 5
 
 
-def share(measured: Sequence[Chromatic], which: int = 0) -> Chromatic:
+def pool_chromatic(measured: Sequence[ChromaticShifts], which: int = 0) -> ChromaticShifts:
     """Return the fields of one capture, drawn to those of the others.
 
     Parameters
@@ -61,12 +61,12 @@ def share(measured: Sequence[Chromatic], which: int = 0) -> Chromatic:
 
 
 def _told(
-    one: Chromatic,
-    measured: Sequence[Chromatic],
+    one: ChromaticShifts,
+    measured: Sequence[ChromaticShifts],
     values: np.ndarray,
     whole: np.ndarray,
     known: np.ndarray,
-) -> Chromatic:
+) -> ChromaticShifts:
     kind = max((m.kind for m in measured), key=lambda kind: groups_of(kind)[-1][1])
     if one.variances is None:
         return replace(one, kind=kind, amounts=values)
@@ -77,7 +77,7 @@ def _told(
     return replace(one, kind=kind, amounts=values, variances=variances)
 
 
-def _stacked(measured: Sequence[Chromatic]) -> tuple[np.ndarray, np.ndarray]:
+def _stacked(measured: Sequence[ChromaticShifts]) -> tuple[np.ndarray, np.ndarray]:
     """Amounts and inverse variances, (captures, bands, fields); 0 where nothing is known."""
     bands, width = len(measured[0].amounts), max(m.amounts.shape[1] for m in measured)
     amounts, known = np.zeros((2, len(measured), bands, width))

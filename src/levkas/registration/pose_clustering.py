@@ -21,7 +21,7 @@ REACH = 0.025
 LEAST_VOTES = 8
 
 
-def vote(
+def find_pose_cluster(
     reference: np.ndarray,
     target: np.ndarray,
     growth: np.ndarray,
@@ -49,7 +49,7 @@ def vote(
     >>> rng = np.random.default_rng(0)
     >>> p, q = rng.uniform(0, 500, (2, 200, 2))
     >>> q[:14] = 2 * p[:14][:, ::-1] * (-1, 1) + (40, 7)     # two times, a quarter turn
-    >>> found = vote(p, q, np.full(200, 2.0), np.full(200, 90.0), np.ones(200), 500)
+    >>> found = find_pose_cluster(p, q, np.full(200, 2.0), np.full(200, 90.0), np.ones(200), 500)
     >>> bool(found[:14].all()), int(found.sum()) < 30
     (True, True)
     """

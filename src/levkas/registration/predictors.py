@@ -13,24 +13,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from levkas.core.threads import each, in_threads
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.local_shifts import RIDGE, Predictor, Windows
+from levkas.registration.bands import SAMPLED_PX
+from levkas.registration.local_shifts import RIDGE, Predictor, WindowShifts
 from levkas.registration.sampling import highpass, reduce, warp
 
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
 LEAST_SHARE = 1e-6
-TOE = 0.02
-SAMPLED_PX = 100_000
 LINES = 32
 #: Light that far beyond the outermost of some bands is predicted by them as well as what lies between.
 NEAR_NM, LEAST_BANDS = 20.0, 3
 
 
 @dataclass(frozen=True)
-class Palette:
+class PredictorBasis:
     """Images from which others are predicted.
 
     Parameters
@@ -47,37 +45,39 @@ class Palette:
     loadings: np.ndarray
     groups: np.ndarray
 
-    def ready(self) -> Palette:
+    def high_passed(self) -> PredictorBasis:
         """Return the images without their slow parts, blurred copies of the first ones appended.
 
         A combination of an image and its blurred copy is as sharp or as soft as the target is.
         """
         sharp = np.stack([highpass(image) for image in self.images])
-        soft = soften(soften(sharp[:BLURRED]))
-        return Palette(
+        soft = blur(blur(sharp[:BLURRED]))
+        return PredictorBasis(
             np.concatenate([sharp, soft]),
             np.concatenate([self.loadings, self.loadings[:BLURRED]]),
             np.concatenate([self.groups, np.full(len(soft), self.groups.max() + 1)]),
         )
 
-    def leaning(self, seen: Windows) -> np.ndarray:
-        """Return how a prediction's position hangs on that of each band, (bands,); sums to one."""
+    def position_sensitivity(self, seen: WindowShifts) -> np.ndarray:
+        """Return the derivative of a prediction's position by that of each band, (bands,); sums to one."""
         weights = np.trace(seen.information, axis1=1, axis2=2)
         if not weights.any():
             return np.zeros(self.loadings.shape[1])
-        mean = np.einsum("n,nij->ij", weights / weights.sum(), seen.leaning)
+        mean = np.einsum("n,nij->ij", weights / weights.sum(), seen.position_sensitivity)
         mean = np.where(self.groups[:, None] == self.groups, mean, 0.0)
         shares = np.einsum("ij,ib,jb->b", mean, self.loadings, self.loadings)
         return shares / shares.sum() if abs(shares.sum()) > 0.1 else np.zeros(len(shares))
 
 
-def condense(stack: np.ndarray, counts: tuple[int, int] = (LINEAR, LOGARITHMIC)) -> Palette:
+def principal_components(
+    stack: np.ndarray, counts: tuple[int, int] = (LINEAR, LOGARITHMIC)
+) -> PredictorBasis:
     """Return the principal images of reflectance and of its logarithm.
 
     Parameters
     ----------
     stack : ndarray, (bands, h, w), float32
-        Square roots of reflectance as `rooted` gives them; NaN where invalid in a band.
+        Square roots of reflectance as `sqrt_transform` gives them; NaN where invalid in a band.
     counts : (int, int)
         At most so many images of reflectance, and of its logarithm.
     """
@@ -94,7 +94,7 @@ def condense(stack: np.ndarray, counts: tuple[int, int] = (LINEAR, LOGARITHMIC))
     for group in (0, 1):
         part = images[groups == group]
         images[groups == group] = part / max(float(np.nanstd(part[0, ::4, ::4])), 1e-12)
-    return Palette(images, np.concatenate(loadings), groups)
+    return PredictorBasis(images, np.concatenate(loadings), groups)
 
 
 def _mix(
@@ -125,58 +125,15 @@ def _principal(rough: np.ndarray, count: int) -> np.ndarray:
     return (vectors * np.sign(vectors[np.abs(vectors).argmax(0), np.arange(len(order))])).T
 
 
-def rooted(image: np.ndarray) -> np.ndarray:
-    """Return square roots of an image in units of its 99th percentile; shot noise becomes even.
-
-    Counts below zero are the noise of the dark; an image that is negative for good is shifted.
-    """
-    image = np.ascontiguousarray(image, np.float32)
-    known = _some(image, SAMPLED_PX)
-    if not len(known):
-        return image
-    low, high = np.percentile(known, (2, 99))
-    low = min(float(low), 0.0)
-    scale = 1.0 / max(float(high) - low, 1e-12)
-    return np.asarray(_roots(image, np.float32(low), np.float32(scale)))
-
-
-@njit(nogil=True, cache=True)
-def _some(image, most):  # type: ignore[no-untyped-def]
-    """Return every n-th finite value, at least `most` of them where there are as many."""
-    count = 0
-    for value in image.flat:
-        count += np.isfinite(value)
-    every = max(count // most, 1)
-    picked = np.empty((count + every - 1) // every, np.float32)
-    place = 0
-    for value in image.flat:
-        if np.isfinite(value):
-            if place % every == 0:
-                picked[place // every] = value
-            place += 1
-    return picked
-
-
-@njit(nogil=True, cache=True)
-def _roots(image, low, scale):  # type: ignore[no-untyped-def]
-    out = np.empty(image.shape, np.float32)
-    toe, least = np.float32(TOE), np.float32(-0.5 * TOE)
-    flat, into = image.reshape(-1), out.reshape(-1)
-    for i in range(len(flat)):
-        scaled = (flat[i] - low) * scale
-        into[i] = np.sqrt((least if scaled < least else scaled) + toe)
-    return out
-
-
-def registered(
+def resample_bands(
     images: Mapping[str, np.ndarray], transforms: Mapping[str, Transform], shape: tuple[int, int]
 ) -> np.ndarray:
     """Return the bands in the reference frame, (bands, h, w), in the order of `transforms`."""
     there = [images[label] for label in transforms]
-    return np.stack(all_sampled(there, list(transforms.values()), shape, 1))
+    return np.stack(resample_all(there, list(transforms.values()), shape, 1))
 
 
-def sampled(
+def resample_band(
     image: np.ndarray, transform: Transform, size: tuple[int, int], step: int, *, block: int = 1
 ) -> np.ndarray:
     """Warp one band on to a grid of `step` reference px, averaged over blocks of the target."""
@@ -188,19 +145,21 @@ def sampled(
     )
 
 
-def all_sampled(
+def resample_all(
     images: Sequence[np.ndarray], transforms: Sequence[Transform], size: tuple[int, int], step: int
 ) -> list[np.ndarray]:
-    """Return `sampled` of every band through a map of its own, several at a time."""
-    return each(lambda image, t: sampled(image, t, size, step), images, transforms)
+    """Return `resample_band` of every band through a map of its own, several at a time."""
+    return each(lambda image, t: resample_band(image, t, size, step), images, transforms)
 
 
-def compared(predictor: Predictor, image: np.ndarray, *, ridge: float = RIDGE) -> Windows:
+def measure_shifts(
+    predictor: Predictor, image: np.ndarray, *, ridge: float = RIDGE
+) -> WindowShifts:
     """Return the shifts of `image`, sampled in the predictor's frame, once its slow part is out."""
     return predictor.compare(highpass(image), ridge=ridge)
 
 
-def soften(images: np.ndarray) -> np.ndarray:
+def blur(images: np.ndarray) -> np.ndarray:
     """Blur (k, h, w) images by (1 4 6 4 1)/16 on both axes: one pixel of sigma; NaN spreads."""
     return _convolved(images, (1, 4, 6, 4, 1))
 
@@ -225,47 +184,47 @@ def cell_px(shape: Sequence[int]) -> int:
     return 12 if min(shape) < 600 else 16
 
 
-class Scene:
+class ReferenceStack:
     """The reference's bands in the reference frame, as predictors at any step.
 
     Parameters
     ----------
     stack : ndarray, (bands, h, w)
-        Registered bands, `rooted`; NaN where invalid.
+        Registered bands, `sqrt_transform`; NaN where invalid.
     wavelengths : sequence of float
         Of the bands, nm; NaN where not known.
     """
 
     def __init__(self, stack: np.ndarray, wavelengths: Sequence[float] = ()) -> None:
-        self.palette = condense(stack)
+        self.palette = principal_components(stack)
         self._wavelengths, self.count = tuple(wavelengths), len(stack)
-        self._ready: dict[int, Predictor] = {}
+        self._predictors: dict[int, Predictor] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) of the reference frame."""
         return self.palette.images.shape[1], self.palette.images.shape[2]
 
-    def sees(self, wavelength: float) -> bool:
+    def covers(self, wavelength: float) -> bool:
         """Tell whether a wavelength, nm, lies among those of the reference's bands; not where any is unknown."""
         if len(self._wavelengths) < LEAST_BANDS or not np.isfinite(self._wavelengths).all():
             return False
         low, high = min(self._wavelengths) - NEAR_NM, max(self._wavelengths) + NEAR_NM
         return bool(low <= wavelength <= high)
 
-    def forget(self) -> None:
-        """Let go of the predictors, which are larger than what they are made of."""
-        self._ready.clear()
+    def release(self) -> None:
+        """Free the predictors, which are larger than what they are computed from."""
+        self._predictors.clear()
 
     def predictor(self, step: int = 1) -> Predictor:
         """Return the predictor on a grid of `step` reference px."""
-        if step not in self._ready:
+        if step not in self._predictors:
             palette = self.palette
             if step > 1:
                 # The target's samples are averages seen through the spline; so are these.
                 small = np.stack([reduce(image, step) for image in palette.images])
                 small = _convolved(small, (1, 4, 1))
-                palette = Palette(small, palette.loadings, palette.groups)
-            images = palette.ready().images
-            self._ready[step] = Predictor(images, step=step, cell=cell_px(images.shape[1:]))
-        return self._ready[step]
+                palette = PredictorBasis(small, palette.loadings, palette.groups)
+            images = palette.high_passed().images
+            self._predictors[step] = Predictor(images, step=step, cell=cell_px(images.shape[1:]))
+        return self._predictors[step]

@@ -1,8 +1,9 @@
-"""What a registration leaves behind: matches, the trace of their removal, the verdict, the transforms."""
+"""Records of a registration: matches, the trace of their removal, uncertainty, verdict, transforms."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -10,11 +11,12 @@ import numpy as np
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from levkas.geometry.transforms import Transform
-    from levkas.registration.observations import Sighting
-    from levkas.registration.uncertainty import Sigma
+    from levkas.registration.joint import SensorObservations
+    from levkas.registration.model_selection import SelectedModel
+    from levkas.registration.window_matching import CheckWindows
 
 COLUMNS = (
     "reference_x",
@@ -29,6 +31,8 @@ COLUMNS = (
     "round",
 )
 Decision = Literal["accept", "warn", "refuse"]
+#: Windows of one sensor that a record lists; of more an even selection.
+MOST_WINDOWS = 1000
 
 
 class RegistrationRefused(Refused):
@@ -42,9 +46,28 @@ class RegistrationRefused(Refused):
         return type(self), self.problems, {"trace": self.trace}
 
 
+class MatchState(StrEnum):
+    """State of a match in the table of matches."""
+
+    KEPT = "kept"
+    REMOVED = "removed"
+    #: Measures and is never fitted.
+    CHECK = "check"
+
+
+class HandMark(StrEnum):
+    """Reason, in the table of matches, of a pair that a person gave or marked."""
+
+    ADDED = "added by hand"
+    PINNED = "pinned by hand"
+    RESTORED = "restored by hand"
+    DELETED = "deleted by hand"
+    CHECK = "measures, is not fitted"
+
+
 @dataclass(frozen=True)
 class Matches:
-    """Pairs of control points and what became of them; one row a pair.
+    """Pairs of control points and their state; one row a pair.
 
     Parameters
     ----------
@@ -57,9 +80,9 @@ class Matches:
     weight : ndarray, (n,)
         In the final fit; 0 for a pair that was removed.
     state : ndarray of str, (n,)
-        ``"kept"``, ``"removed"`` or, for what measures and is never fitted, ``"check"``.
+        A `MatchState`.
     reason : ndarray of str, (n,)
-        Why it was removed, in a user's words; of a kept pair only that a person gave it.
+        Why it was removed, in a user's words; of a kept pair only its `HandMark`.
     round : ndarray of int, (n,)
         Iteration after which it left: 0 is the cut under scale alone; -1 for a kept pair.
 
@@ -87,11 +110,16 @@ class Matches:
             "residual": np.full(n, np.nan),
             "leave_one_out": np.full(n, np.nan),
             "weight": np.ones(n),
-            "state": np.full(n, "kept", object),
+            "state": np.full(n, MatchState.KEPT, object),
             "reason": np.full(n, "", object),
             "round": np.full(n, -1),
         }
         return cls(np.asarray(reference, float), np.asarray(target, float), **(columns | known))
+
+    @classmethod
+    def none(cls) -> Matches:
+        """Return no matches."""
+        return cls.of(np.empty((0, 2)), np.empty((0, 2)))
 
     def __len__(self) -> int:
         return len(self.reference)
@@ -99,7 +127,7 @@ class Matches:
     @property
     def kept(self) -> np.ndarray:
         """Mask of the pairs that the final fit rests on, (n,) bool."""
-        return np.asarray(self.state == "kept", bool)
+        return np.asarray(self.state == MatchState.KEPT, bool)
 
     def rows(self) -> Iterator[tuple[str, ...]]:
         """Yield the rows of CAMERA.matches.csv as text, columns as `COLUMNS` orders them."""
@@ -117,7 +145,7 @@ class Matches:
 
 @dataclass(frozen=True)
 class Trace:
-    """What the removal of outliers did, round by round: the paper's Figures 9 and 10.
+    """The removal of outliers round by round: the paper's Figures 9 and 10.
 
     Parameters
     ----------
@@ -184,8 +212,54 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Sigma:
+    """One standard deviation, of each axis, of where a band lies.
+
+    Parameters
+    ----------
+    x, y : ndarray, (n,) and (m,), reference px
+        Of a lattice over the reference's frame.
+    values : ndarray, (m, n), reference px
+
+    Examples
+    --------
+    >>> sigma = Sigma(np.array([0.0, 10.0]), np.array([0.0, 10.0]), np.array([[0.0, 1], [0, 1]]))
+    >>> sigma(np.array([[2.5, 7.0], [20.0, 0.0]])).tolist()
+    [0.25, 1.0]
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    values: np.ndarray
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Return sigma at `points`, (n, 2) reference px → (n,) reference px; the rim's beyond it."""
+        column, u = _cell(self.x, points[:, 0])
+        row, v = _cell(self.y, points[:, 1])
+        table = self.values
+        upper = (1 - u) * table[row, column] + u * table[row, column + 1]
+        lower = (1 - u) * table[row + 1, column] + u * table[row + 1, column + 1]
+        return np.asarray((1 - v) * upper + v * lower)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        return {"x": self.x.tolist(), "y": self.y.tolist(), "sigma_px": self.values.tolist()}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Sigma:
+        """Read what `to_dict` wrote."""
+        return cls(*(np.array(record[key], float) for key in ("x", "y", "sigma_px")))
+
+
+def _cell(lattice: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    cell = np.clip(np.searchsorted(lattice, places) - 1, 0, len(lattice) - 2)
+    share = (places - lattice[cell]) / (lattice[cell + 1] - lattice[cell])
+    return cell, np.clip(share, 0, 1)
+
+
+@dataclass(frozen=True)
 class Verdict:
-    """Whether a registration can be believed, why, and what to do next.
+    """Whether a registration can be relied on, why, and what to do next.
 
     Parameters
     ----------
@@ -230,16 +304,16 @@ class Registration:
         Of the target's first sensor; of the reference camera itself there are none.
     trace : Trace or None
         Of a method that removes outliers one by one.
-    basis : dict
-        What a map without such a trace rests on, as `describe_basis` tells it of each sensor, JSON-ready.
     model : dict
         ``kind`` and what else describes the model, JSON-ready.
     sigma : dict of str to Sigma
         Band label → one standard deviation of where it lies; empty where a method does not know.
     others : dict of str to Matches
         Sensor → its matches, for the target's other sensors; empty where a method has none.
-    sightings : tuple of Sighting
+    observations : tuple of SensorObservations
         One a sensor, for adjusting several captures together; empty where a method has none.
+    basis : dict
+        What a map without a trace rests on, `describe_windows` of each sensor, JSON-ready.
     """
 
     method: str
@@ -251,7 +325,7 @@ class Registration:
     model: dict[str, Any] = field(default_factory=dict)
     sigma: dict[str, Sigma] = field(default_factory=dict)
     others: dict[str, Matches] = field(default_factory=dict)
-    sightings: tuple[Sighting, ...] = ()
+    observations: tuple[SensorObservations, ...] = ()
     basis: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self, *, reference: str = "", target: str = "") -> dict[str, Any]:
@@ -266,6 +340,53 @@ class Registration:
             "errors": _plain(self.errors),
             "trace": self.trace.to_dict() if self.trace else _plain(self.basis),
         }
+
+
+def describe_windows(
+    sensor: str, source: str, band: str, selected: SelectedModel, checks: CheckWindows | None
+) -> dict[str, Any]:
+    """Return the windows on which the base map of a sensor rests, JSON-ready; a list a column, reference px.
+
+    Parameters
+    ----------
+    sensor : str
+    source : str
+        ``"fused"`` where the windows of several bands were put together, else the band.
+    band : str
+        By which the map was checked.
+    selected : SelectedModel
+    checks : CheckWindows or None
+
+    Returns
+    -------
+    record : dict
+        ``windows``: ``x``, ``y``; ``shift_x``, ``shift_y`` from where the map puts a window to where it is
+        seen; ``sigma`` of that, either axis; ``held_out``, the length of the same shift from a map that was
+        fitted without its block (None where there is none); ``weight`` in the fit, 0..1. ``count`` of all
+        windows, of which at most 1000, evenly, are written. ``checks``: the windows that were searched freely.
+    """
+    seen = selected.observations
+    every = max(1, -(-len(seen) // MOST_WINDOWS))
+    chosen = slice(None, None, every)
+    shift = seen.residuals(selected.transform)[chosen]
+    known = np.trace(seen.information, axis1=1, axis2=2)[chosen] / 2
+    held_out = selected.held_out()[chosen]
+    return {
+        "sensor": sensor,
+        "source": source,
+        "band": band,
+        "count": len(seen),
+        "windows": {
+            "x": np.round(seen.points[chosen, 0], 1).tolist(),
+            "y": np.round(seen.points[chosen, 1], 1).tolist(),
+            "shift_x": np.round(shift[:, 0], 4).tolist(),
+            "shift_y": np.round(shift[:, 1], 4).tolist(),
+            "sigma": [round(float(k**-0.5), 4) if k > 0 else None for k in known],
+            "held_out": [round(float(v), 4) if np.isfinite(v) else None for v in held_out],
+            "weight": np.round(selected.weights[chosen], 3).tolist(),
+        },
+        "checks": None if checks is None else checks.to_dict(),
+    }
 
 
 def _number(value: float) -> str:

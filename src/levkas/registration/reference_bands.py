@@ -1,8 +1,14 @@
-"""The reference camera's own bands against its reference band."""
+"""The reference camera's own bands, registered to its reference band.
+
+The bands of either half, every other one in the order of wavelength, are predicted from those of the other
+half. Where a prediction lies depends on where its bands lie: all positions are solved for together, that of
+the reference band being given.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,177 +16,214 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
-from levkas.registration.chromatic import LEAST_WINDOWS, Chromatic, fit_chromatic, still
-from levkas.registration.coarse_to_fine import LARGE_PX, frame_of, steps_of
-from levkas.registration.local_shifts import Predictor, Windows
-from levkas.registration.model_selection import climb
+from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
+from levkas.registration.coarse_to_fine import SETTINGS as REFINEMENT
+from levkas.registration.coarse_to_fine import (
+    RegisteredSensor,
+    by_wavelength,
+    evenly_spread,
+    frame_centre,
+    pyramid_steps,
+)
+from levkas.registration.local_shifts import Predictor, WindowShifts
+from levkas.registration.model_selection import SelectionTerms, select_model
 from levkas.registration.models import Observations
-from levkas.registration.predictors import all_sampled, cell_px, compared, condense
-from levkas.registration.sensors import Sensor, ordered
+from levkas.registration.predictors import (
+    cell_px,
+    measure_shifts,
+    principal_components,
+    resample_all,
+)
 from levkas.registration.uncertainty import measure_sigma
+from levkas.registration.window_fusion import SETTINGS as FUSION
+from levkas.registration.window_fusion import has_information
 
 if TYPE_CHECKING:
-    from levkas.registration.images import BandImage
-
-#: Bands that are not yet aligned differ by gradients, and a combination of them passes for a shift.
-#: The price of small components falls as they come to mean paint.
-RIDGES = (1e-2, 1e-3, 3e-4, 1e-4)
-#: Once they are aligned, what a few images leave of a band is paint that leans with the wavelength.
-FIRST, LAST = (5, 3), (8, 4)
-HALVES_FROM = 6
-FAR_PX = 0.5
-STEADY = 0.05
-ASKED = 8
+    from levkas.registration.bands import BandImage
 
 
-def align_own(
-    bands: Sequence[BandImage], images: Mapping[str, np.ndarray], anchor: BandImage
-) -> Sensor:
-    """Register the bands of the reference's sensor to `anchor`.
+@dataclass(frozen=True)
+class OwnBandSettings:
+    """Constants of the registration of the reference's own bands.
 
-    The bands of either half, every other one in the order of wavelength, are predicted from those
-    of the other half. Where a prediction lies depends on where its bands lie: all positions are
-    solved for together, the anchor's being given.
+    Parameters
+    ----------
+    ridges : tuple of float
+        Ridge of the predictions in each round. Bands that are not yet aligned differ by gradients, and a
+        combination of them passes for a shift; the price of small components falls as they come to be
+        paint.
+    first, last : (int, int)
+        Principal components of reflectance, and of its logarithm, before the last round and in it: once
+        bands are aligned, what a few images leave of a band is paint that changes with the wavelength.
+    halves_from : int
+        Bands from which they are predicted in two halves; fewer are predicted one by one.
+    far : float, px
+        Shift of a band from which all are brought near by the reference band alone first.
+    steady : float, px of the grid
+        A grid twice as fine may move no band by more: where noise drowns it, bands that look alike drift
+        together, and farther than that.
+    compared : int
+        Bands in which two grids are compared.
     """
-    bands = ordered(bands)
+
+    ridges: tuple[float, ...] = (1e-2, 1e-3, 3e-4, 1e-4)
+    first: tuple[int, int] = (5, 3)
+    last: tuple[int, int] = (8, 4)
+    halves_from: int = 6
+    far: float = 0.5
+    steady: float = 0.05
+    compared: int = 8
+
+
+SETTINGS = OwnBandSettings()
+
+
+def register_own_bands(
+    bands: Sequence[BandImage], images: Mapping[str, np.ndarray], anchor: BandImage
+) -> RegisteredSensor:
+    """Register the bands of the reference's sensor to `anchor`; `images` are their square roots by label."""
+    bands = by_wavelength(bands)
     labels = [band.label for band in bands]
     fixed = labels.index(anchor.label)
-    pictures = [images[label] for label in labels]
-    places = [band.wavelength for band in bands]
-    model = still(len(bands), *frame_of(anchor.values.shape))
-    seen: list[Windows] = []
+    stack = _Bands([images[label] for label in labels], [band.wavelength for band in bands], fixed)
+    model = zero_displacement(len(bands), *frame_centre(anchor.values.shape))
+    seen: list[WindowShifts] = []
     if len(bands) > 1:
-        step = _telling(pictures, fixed)
-        step = max(step, 1 if anchor.values.size < LARGE_PX else 2)
-        model = _nearer(pictures, places, fixed, model, step)
-        for ridge in RIDGES:
-            model, seen = _adjust(pictures, places, fixed, model, step, ridge)
-        if step > 1:
-            model, seen = _finer(pictures, places, fixed, model, step, seen)
+        model, seen = stack.align(model)
     identity = Affine.identity()
     transforms: dict[str, Transform] = {
         label: identity if i == fixed else model.transform(i) for i, label in enumerate(labels)
     }
-    windows = dict(zip(labels, seen, strict=False))
     sigma = measure_sigma(anchor.values.shape, labels, model)
-    return Sensor(anchor.sensor, transforms, identity, model, None, windows, sigma=sigma)
+    windows = dict(zip(labels, seen, strict=False))
+    return RegisteredSensor(anchor.sensor, transforms, model, windows, sigma)
 
 
-def _finer(
-    pictures: Sequence[np.ndarray],
-    places: Sequence[float],
-    fixed: int,
-    model: Chromatic,
-    step: int,
-    seen: list[Windows],
-) -> tuple[Chromatic, list[Windows]]:
-    """Adjust once more at half the step, and keep that if its windows know more.
+class _Bands:
+    """Pictures of one sensor's bands, their wavelengths, nm, and the number of the fixed one."""
 
-    What was measured on the coarser grid holds to a part of its pixel: where noise drowns the
-    finer one, bands that look alike drift together, and farther than that.
-    """
-    finer, looked = _adjust(pictures, places, fixed, model, step // 2, RIDGES[-1])
-    width = model.amounts.shape[1]
-    moved = np.sqrt(((finer.amounts[:, :width] - model.amounts) ** 2).sum(1)).max()
-    asked = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), ASKED)).round().astype(int))
-    before, after = (sum(each(_knowledge, [w[i] for i in asked])) for w in (seen, looked))
-    return (finer, looked) if after > before and moved < STEADY * step else (model, seen)
+    def __init__(
+        self, pictures: Sequence[np.ndarray], wavelengths: Sequence[float], fixed: int
+    ) -> None:
+        self.pictures, self.wavelengths, self.fixed = pictures, wavelengths, fixed
+        self.shape = pictures[fixed].shape
+
+    def align(self, model: ChromaticShifts) -> tuple[ChromaticShifts, list[WindowShifts]]:
+        """Return the shifts of all bands, and the windows of the last round."""
+        small = self.pictures[self.fixed].size < REFINEMENT.large
+        step = max(self._most_informative_step(), 1 if small else 2)
+        model = self._start(model, step)
+        seen: list[WindowShifts] = []
+        for ridge in SETTINGS.ridges:
+            model, seen = self._adjust(model, step, ridge)
+        return self._try_finer(model, step, seen) if step > 1 else (model, seen)
+
+    def _size(self, step: int) -> tuple[int, int]:
+        return self.shape[0] // step, self.shape[1] // step
+
+    def _predictor(self, stack: np.ndarray, step: int) -> Predictor:
+        basis = principal_components(stack).high_passed()
+        return Predictor(basis.images, step=step, cell=cell_px(self._size(step)))
+
+    def _most_informative_step(self) -> int:
+        """Return the step at which windows hold most information: fine grids of oversampled frames hold less."""
+        fixed, others = self.fixed, [i for i in range(len(self.pictures)) if i != self.fixed]
+        near = sorted(others, key=lambda i: abs(i - fixed))[:2]
+        shown = [self.pictures[i] for i in (fixed, *near)]
+        identity = [Affine.identity()] * len(shown)
+        best, most = 1, -np.inf
+        for step in pyramid_steps(self.shape, 1):
+            anchor, *rest = resample_all(shown, identity, self._size(step), step)
+            predictor = self._predictor(anchor[None], step)
+            total = sum(_information(w) for w in each(partial(measure_shifts, predictor), rest))
+            if total > most:
+                best, most = step, total
+        return best
+
+    def _start(self, model: ChromaticShifts, step: int) -> ChromaticShifts:
+        """Return the start from which the bands predict each other better: as they are, or brought near.
+
+        The reference band alone predicts other bands badly: it is of use only where bands are far apart.
+        """
+        near = self._bring_near(model)
+        if near is model:
+            return model
+        explained = []
+        for tried in (model, near):
+            seen = self._adjust(tried, step, SETTINGS.ridges[0])[1]
+            explained.append(float(np.mean([_explained(windows) for windows in seen])))
+        return near if explained[1] > explained[0] else model
+
+    def _bring_near(self, first: ChromaticShifts) -> ChromaticShifts:
+        """Bring bands that are pixels apart near by the reference band; return `first` where none is."""
+        model = first
+        for step in pyramid_steps(self.shape, 1):
+            warped = self._resample(model, step)
+            predictor = self._predictor(warped[self.fixed][None], step)
+            seen = each(partial(measure_shifts, predictor), warped)
+            model = fit_chromatic(seen, model, self.wavelengths, highest="affine", fixed=self.fixed)
+            if np.sqrt((model.amounts**2).sum(1)).max() < SETTINGS.far:
+                return first
+        return model
+
+    def _resample(self, model: ChromaticShifts, step: int) -> list[np.ndarray]:
+        maps = [model.transform(i) for i in range(len(self.pictures))]
+        return resample_all(self.pictures, maps, self._size(step), step)
+
+    def _adjust(
+        self, model: ChromaticShifts, step: int, ridge: float
+    ) -> tuple[ChromaticShifts, list[WindowShifts]]:
+        """Predict each group of bands from the others, and fit the shifts of all together."""
+        count = len(self.pictures)
+        warped = self._resample(model, step)
+        sensitivity, seen = np.zeros((count, count)), {}
+        counts = SETTINGS.last if ridge == SETTINGS.ridges[-1] else SETTINGS.first
+        for group in self._groups():
+            others = [i for i in range(count) if i not in group]
+            stack = np.stack([warped[i] for i in others])
+            basis = principal_components(stack, counts).high_passed()
+            predictor = Predictor(basis.images, step=step, cell=cell_px(self._size(step)))
+            measure = partial(measure_shifts, predictor, ridge=ridge)
+            for i, windows in zip(group, each(measure, [warped[i] for i in group]), strict=True):
+                seen[i] = windows
+                sensitivity[i, others] = basis.position_sensitivity(windows)
+        found = [seen[i] for i in range(count)]
+        fitted = fit_chromatic(
+            found, model, self.wavelengths, fixed=self.fixed, sensitivity=sensitivity
+        )
+        return fitted, found
+
+    def _groups(self) -> list[list[int]]:
+        count, fixed = len(self.pictures), self.fixed
+        if count < SETTINGS.halves_from:
+            return [[i] for i in range(count)]
+        return [list(range(k, count, 2)) for k in ((fixed + 1) % 2, fixed % 2)]
+
+    def _try_finer(
+        self, model: ChromaticShifts, step: int, seen: list[WindowShifts]
+    ) -> tuple[ChromaticShifts, list[WindowShifts]]:
+        """Adjust once more at half the step, and keep that if its windows hold more information."""
+        finer, finer_seen = self._adjust(model, step // 2, SETTINGS.ridges[-1])
+        width = model.amounts.shape[1]
+        moved = np.sqrt(((finer.amounts[:, :width] - model.amounts) ** 2).sum(1)).max()
+        before, after = (
+            sum(each(_information, evenly_spread(windows, SETTINGS.compared)))
+            for windows in (seen, finer_seen)
+        )
+        better = after > before and moved < SETTINGS.steady * step
+        return (finer, finer_seen) if better else (model, seen)
 
 
-def _telling(pictures: Sequence[np.ndarray], fixed: int) -> int:
-    """Return the step at which windows know most: fine grids of oversampled frames know less."""
-    near = sorted((i for i in range(len(pictures)) if i != fixed), key=lambda i: abs(i - fixed))[:2]
-    identity, shape = Affine.identity(), pictures[fixed].shape
-    best, known = 1, -np.inf
-    for step in steps_of(shape, 1):
-        size = (shape[0] // step, shape[1] // step)
-        shown = [pictures[i] for i in (fixed, *near)]
-        anchor, *others = all_sampled(shown, [identity] * len(shown), size, step)
-        predictor = Predictor(condense(anchor[None]).ready().images, step=step, cell=cell_px(size))
-        seen = each(partial(compared, predictor), others)
-        total = sum(_knowledge(windows) for windows in seen)
-        if total > known:
-            best, known = step, total
-    return best
-
-
-def _knowledge(seen: Windows) -> float:
-    """All information of the windows, 1/px², by how they really scatter about a smooth field."""
-    used = np.trace(seen.information, axis1=1, axis2=2) > 0
-    if used.sum() < LEAST_WINDOWS:
+def _information(seen: WindowShifts) -> float:
+    """Return the information of all windows, 1/px², by how they scatter about a smooth field."""
+    used = has_information(seen.information)
+    if used.sum() < FUSION.least_windows:
         return 0.0
     points, one = seen.centres[used], np.broadcast_to(np.eye(2), (int(used.sum()), 2, 2))
     observed = Observations(points, points - seen.shift[used], one, seen.information[used])
-    return climb(observed, spacing=1.0, coarse=True).knowledge
+    return select_model(observed, SelectionTerms(spacing=1.0, coarse=True)).total_information
 
 
-def _nearer(
-    pictures: Sequence[np.ndarray], places: Sequence[float], fixed: int, model: Chromatic, step: int
-) -> Chromatic:
-    """Return the start from which the bands predict each other better: as they are, or brought near.
-
-    The anchor alone predicts other bands badly: what it says is of use only where bands are far.
-    """
-    near = _approach(pictures, places, fixed, model)
-    if near is model:
-        return model
-    explained = []
-    for tried in (model, near):
-        seen = _adjust(pictures, places, fixed, tried, step, RIDGES[0])[1]
-        explained.append(float(np.mean([_explained(windows) for windows in seen])))
-    return near if explained[1] > explained[0] else model
-
-
-def _explained(windows: Windows) -> float:
-    used = np.trace(windows.information, axis1=1, axis2=2) > 0
+def _explained(windows: WindowShifts) -> float:
+    used = has_information(windows.information)
     return float(windows.r2[used].mean()) if used.any() else 0.0
-
-
-def _approach(
-    pictures: Sequence[np.ndarray], places: Sequence[float], fixed: int, model: Chromatic
-) -> Chromatic:
-    """Bring bands that are pixels apart near, by the anchor alone; leave what is near as it is."""
-    first, shape = model, pictures[fixed].shape
-    for step in steps_of(shape, 1):
-        size = (shape[0] // step, shape[1] // step)
-        maps = [model.transform(i) for i in range(len(pictures))]
-        warped = all_sampled(pictures, maps, size, step)
-        palette = condense(warped[fixed][None]).ready()
-        predictor = Predictor(palette.images, step=step, cell=cell_px(size))
-        seen = each(partial(compared, predictor), warped)
-        model = fit_chromatic(seen, model, places, highest="affine", fixed=fixed)
-        if np.sqrt((model.amounts**2).sum(1)).max() < FAR_PX:
-            return first
-    return model
-
-
-def _adjust(
-    pictures: Sequence[np.ndarray],
-    places: Sequence[float],
-    fixed: int,
-    model: Chromatic,
-    step: int,
-    ridge: float,
-) -> tuple[Chromatic, list[Windows]]:
-    count, (height, width) = len(pictures), pictures[fixed].shape
-    size = (height // step, width // step)
-    maps = [model.transform(i) for i in range(count)]
-    warped = all_sampled(pictures, maps, size, step)
-    leaning, seen = np.zeros((count, count)), {}
-    for group in _groups(count, fixed):
-        others = [i for i in range(count) if i not in group]
-        counts = LAST if ridge == RIDGES[-1] else FIRST
-        palette = condense(np.stack([warped[i] for i in others]), counts).ready()
-        predictor = Predictor(palette.images, step=step, cell=cell_px(size))
-        found = each(partial(compared, predictor, ridge=ridge), [warped[i] for i in group])
-        for i, windows in zip(group, found, strict=True):
-            seen[i] = windows
-            leaning[i, others] = palette.leaning(windows)
-    looked = [seen[i] for i in range(count)]
-    return fit_chromatic(looked, model, places, fixed=fixed, leaning=leaning), looked
-
-
-def _groups(count: int, fixed: int) -> list[list[int]]:
-    if count < HALVES_FROM:
-        return [[i] for i in range(count)]
-    return [list(range(k, count, 2)) for k in ((fixed + 1) % 2, fixed % 2)]

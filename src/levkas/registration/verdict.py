@@ -1,4 +1,4 @@
-"""Whether a registration can be believed: rules on evidence, with reasons in a user's words.
+"""Verdict: rules on evidence decide whether a registration is accepted, with reasons in a user's words.
 
 No rule looks at the residuals of the matches that were kept: the removal of outliers makes those
 small whether the map is right or not.
@@ -6,147 +6,213 @@ small whether the map is right or not.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from levkas.registration.agreement import WINDOW_PX, compare
-from levkas.registration.checks import Checks
-from levkas.registration.evidence import (
-    Evidence,
-    measure_chance,
-    measure_held_out,
-    measure_shape,
-    measure_support,
-    measure_windows,
-)
-from levkas.registration.record import Verdict
+from levkas.registration.record import Decision, Verdict
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
-    from levkas.geometry.transforms import Transform
+class Limits(NamedTuple):
+    """Value beyond which a rule warns, and beyond which it refuses."""
 
-SEED = 20190817
-MATCHES_PER_TERM = 4
-SURE_MATCHES_PER_TERM = 10
-CHANCE_FACTOR = 2
-SCALES = (0.15, 6.7)
-ANISOTROPY = {"warn": 1.5, "refuse": 2.0}
-AREA_RATIO = {"warn": 1.8, "refuse": 3.0}
-OVERLAP = {"warn": 0.8, "refuse": 0.1}
-COVERAGE = {"warn": 0.9, "refuse": 0.6}
-OFF_SHARE = 0.2
-RIVAL = {"warn": 0.85, "refuse": 0.95}
-LEAST_FOUND = 6
-LEAST_FOUND_SHARE = 0.05
-LEAST_AGREEING_SHARE = 0.6
+    warn: float
+    refuse: float
+
+    def exceeded_by(self, *values: float) -> Decision | None:
+        """Return the decision on the largest of `values`."""
+        largest = max(values)
+        return "refuse" if largest > self.refuse else "warn" if largest > self.warn else None
+
+
+ANISOTROPY, AREA_RATIO, RIVAL = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
+OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
+STRANGE = Limits(0.22, 0.28)
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Limits of the rules.
+
+    Parameters
+    ----------
+    matches_per_term, sure_matches_per_term : int
+        Matches for each coefficient of a polynomial that are needed; that make up for missing windows.
+    chance_factor : float
+        Matches that are kept, over those kept of places that are paired at random.
+    scales : (float, float)
+        Target px per reference px that a camera can have.
+    anisotropy, area_ratio, rival : Limits
+        Stretch one way over across; largest to smallest local area; correlation of the pictures at the
+        best place elsewhere, relative to here.
+    overlap : Limits
+        Least share of the reference that the target shows.
+    coverage : Limits
+        Least share of the cells that matches or windows confirm, of a map on matches.
+    least_coverage, off_share : float
+        Share of cells confirmed by windows below which, and share of cells off above which, a dense map
+        is refused.
+    least_found, least_found_share, least_agreeing_share : float
+        Windows that have to be found, in number and as a share; share of them that have to agree.
+    predicted : Limits
+        Least share of windows that are predicted better than 19 of 20 windows that cannot match.
+    good_steps, bad_px, bad_steps : float
+        Held-out error: px of the compared grid that are a warning; reference px, and px of the grid,
+        that are refused. Where the target is coarse, single windows scatter more than the map is off.
+    least_cover, least_checked : float
+        Share of the reference that has to be compared; of what both show that has to be checked.
+    most_sigmas : float
+        By so many of its sigmas others may move a band: three of a normal error are one in three hundred.
+    strange : Limits
+        Share of detail that only one of two pictures has. Views of one painting in light of the same
+        wavelengths: 0.01 to 0.17; copies by one pattern: 0.30 to 0.55 (`benchmarks/replicas.py`).
+    most_found_of_a_copy : float
+        Share of windows that are found. Of copies by one pattern 0.6 to 0.91 are.
+    """
+
+    matches_per_term: int = 4
+    sure_matches_per_term: int = 10
+    chance_factor: float = 2
+    scales: tuple[float, float] = (0.15, 6.7)
+    anisotropy: Limits = ANISOTROPY
+    area_ratio: Limits = AREA_RATIO
+    rival: Limits = RIVAL
+    overlap: Limits = OVERLAP
+    coverage: Limits = COVERAGE
+    least_coverage: float = 0.15
+    off_share: float = 0.2
+    least_found: int = 6
+    least_found_share: float = 0.05
+    least_agreeing_share: float = 0.6
+    predicted: Limits = PREDICTED
+    good_steps: float = 0.25
+    bad_px: float = 1.0
+    bad_steps: float = 0.3
+    least_cover: float = 0.5
+    least_checked: float = 0.75
+    most_sigmas: float = 3.0
+    strange: Limits = STRANGE
+    most_found_of_a_copy: float = 0.95
+
+
+SETTINGS = VerdictSettings()
+#: Name among the numbers of a sensor without one.
+ONLY = "sensor"
 
 OTHER = "Check that both pictures show the same object, the same way up and framed alike"
 POINTS = "give control points to start from"
 LOOK = "Look at both pictures in the report with the flicker before you rely on this camera."
 REGION = "Use nothing from there, or give control points there."
 
+Numbers = Mapping[str, Any]
+
 
 @dataclass(frozen=True)
-class Finding:
-    """What one rule found against a registration.
+class Objection:
+    """One rule's objection to a registration.
 
     Parameters
     ----------
     decision, reason, next_step : str
-    of_the_paper : str
-        The next step under the paper's method, where it has keys that the default method has not.
+    on_matches : str
+        The next step for a map on matches, where its method has options that a dense map has not.
     """
 
-    decision: str
+    decision: Decision
     reason: str
     next_step: str
-    of_the_paper: str = ""
+    on_matches: str = ""
 
 
-def judge(
-    evidence: Evidence,
-    *,
-    fit: Callable[[np.ndarray, np.ndarray], Transform] | None = None,
-    rng: np.random.Generator | None = None,
-) -> Verdict:
-    """Decide whether a registration is accepted, accepted with a warning, or refused.
+def judge_matches(numbers: dict[str, Any]) -> Verdict:
+    """Decide on a map that rests on matches, by the numbers of `mirhashemi2019.measure`."""
+    praise = (
+        f"{numbers['kept']} of {numbers['matches']} matches are kept, {numbers['agreeing']} of "
+        f"{numbers['found']} windows that are recognised lie where the map puts them, "
+        f"{numbers['window_median']:.2f} px off in the median; blocks left out of the fit are "
+        f"predicted to {numbers['held_out_median']:.2f} px."
+    )
+    objections = [
+        (one.reason, one.on_matches or one.next_step, one.decision)
+        for one in objections_to(numbers, MATCHES)
+    ]
+    return _decide(objections, (praise,), numbers)
+
+
+def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
+    """Decide on a map that rests on windows; the sensor with the worst evidence decides.
 
     Parameters
     ----------
-    evidence : Evidence
-    fit : callable, (target, reference) → Transform target → reference, optional
-        How the map was fitted, for the held-out blocks; the polynomial of `evidence.order`.
-    rng : numpy.random.Generator, optional
-        For the random pairings; a fixed seed without it, so that a verdict can be repeated.
-
-    Returns
-    -------
-    verdict : Verdict
-        Refused where one rule refuses; the next step is that of the first rule that spoke loudest.
+    numbers : mapping of a sensor's name to its numbers
+        As `Verdict.numbers` holds them. The reference's own sensor, which is registered to nothing,
+        is not judged.
     """
-    numbers = measure(evidence, fit=fit, rng=rng)
-    findings = [found for rule in RULES if (found := rule(numbers))]
-    refusals = [f for f in findings if f.decision == "refuse"]
-    if refusals:
-        first = refusals[0]
-        step = first.of_the_paper or first.next_step
-        return Verdict("refuse", _reasons(refusals), step, numbers)
-    if findings:
-        return Verdict("warn", _reasons(findings), findings[0].next_step, numbers)
-    return Verdict("accept", (_praise(numbers),), "", numbers)
+    judged = {name: n for name, n in numbers.items() if n["held_out_px"] is not None}
+    objections = []
+    for name, n in judged.items():
+        known = {"kept": n["key_points_kept"], **n, **n["borne_out"]}
+        objections += [
+            (_where(name) + one.reason, one.next_step, one.decision)
+            for one in objections_to(known, WINDOWS)
+        ]
+    praise = (_where(name) + _praise(n) for name, n in judged.items())
+    return _decide(objections, tuple(praise), dict(numbers))
 
 
-def measure(
-    evidence: Evidence,
-    *,
-    fit: Callable[[np.ndarray, np.ndarray], Transform] | None = None,
-    rng: np.random.Generator | None = None,
-) -> dict[str, Any]:
-    """Gather all numbers that the rules look at; keys as the functions of `evidence` say."""
-    matches = evidence.matches
-    agreement = compare(
-        evidence.reference, evidence.target, evidence.transform, region=evidence.region
-    )
-    # What a working pixel of the comparison cannot show is not held against the map.
-    tolerance = max(evidence.stop, agreement.step)
-    checks = Checks(
-        agreement.centres, agreement.shift, agreement.found, tolerance, WINDOW_PX * agreement.step
-    )
-    return {
-        "matches": len(matches),
-        "kept": int(matches.kept.sum()),
-        "terms": evidence.terms,
-        "stop": evidence.stop,
-        "tolerance": tolerance,
-        **measure_chance(evidence, rng or np.random.default_rng(SEED)),
-        **measure_held_out(evidence, fit),
-        **measure_shape(evidence),
-        **measure_windows(checks),
-        "rival": float(agreement.rival),
-        **measure_support(evidence, checks),
-    }
+def _decide(
+    objections: Sequence[tuple[str, str, Decision]],
+    praise: tuple[str, ...],
+    numbers: dict[str, Any],
+) -> Verdict:
+    """Refuse where one rule refuses; the next step is that of the first rule of the decision."""
+    decisions: tuple[Decision, ...] = ("refuse", "warn")
+    for decision in decisions:
+        found = [(reason, step) for reason, step, one in objections if one == decision]
+        if found:
+            return Verdict(decision, tuple(reason for reason, _ in found), found[0][1], numbers)
+    return Verdict("accept", praise, "", numbers)
 
 
-def _reasons(findings: list[Finding]) -> tuple[str, ...]:
-    return tuple(f.reason for f in findings)
+def _where(name: str) -> str:
+    return "" if name == ONLY else f"sensor {name}: "
 
 
-def _praise(n: dict[str, Any]) -> str:
+def _praise(numbers: Numbers) -> str:
+    n = numbers["borne_out"]
     return (
-        f"{n['kept']} of {n['matches']} matches are kept, {n['agreeing']} of {n['found']} windows "
-        f"that are recognised lie where the map puts them, {n['window_median']:.2f} px off in the "
-        f"median; blocks left out of the fit are predicted to {n['held_out_median']:.2f} px."
+        f"{n.get('agreeing', 0)} of {n.get('found', 0)} windows that are recognised lie where "
+        f"the map puts them; blocks left out of the fit are predicted to {numbers['held_out_px']:.2f} px, "
+        f"over the {_percent(n['checked'])} of the object that is checked."
     )
 
 
-def _enough_matches(n: dict[str, Any]) -> Finding | None:
-    least = MATCHES_PER_TERM * n["terms"]
+def _percent(share: float) -> str:
+    """Return a share as text, never rounded up to all of it.
+
+    >>> _percent(1.0), _percent(0.998), _percent(0.375)
+    ('100 %', '99 %', '38 %')
+    """
+    return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
+
+
+def _places(cells: Sequence[Sequence[float]]) -> str:
+    """Return the first four of (x, y, width, height) as text."""
+    where = "; ".join(", ".join(f"{v:.0f}" for v in cell) for cell in cells[:4])
+    return f"(x, y, width, height: {where}{'; …' if len(cells) > 4 else ''})"
+
+
+# --- rules; each returns an objection, or None
+
+
+def enough_matches(n: Numbers) -> Objection | None:
+    """Refuse a polynomial on few matches for each coefficient."""
+    least = SETTINGS.matches_per_term * n["terms"]
     if n["kept"] >= least:
         return None
-    return Finding(
+    return Objection(
         "refuse",
         f"Only {n['kept']} matches are left for a map with {n['terms']} coefficients for each of "
         f"x and y; at least {least} are needed.",
@@ -154,10 +220,11 @@ def _enough_matches(n: dict[str, Any]) -> Finding | None:
     )
 
 
-def _more_than_chance(n: dict[str, Any]) -> Finding | None:
-    if n["kept"] > CHANCE_FACTOR * n["chance_kept"]:
+def more_than_chance(n: Numbers) -> Objection | None:
+    """Refuse matches that are hardly more than random pairs give."""
+    if n["kept"] > SETTINGS.chance_factor * n["chance_kept"]:
         return None
-    return Finding(
+    return Objection(
         "refuse",
         f"{n['kept']} matches are kept, but {n['chance_kept']} are kept too when places are paired "
         "at random: the map may be chance.",
@@ -165,17 +232,43 @@ def _more_than_chance(n: dict[str, Any]) -> Finding | None:
     )
 
 
-def check_fold(n: dict[str, Any]) -> Finding | None:
+def better_than_chance(n: Numbers) -> Objection | None:
+    """Refuse or warn where windows are predicted hardly better than windows that cannot match."""
+    share = n["share_above_chance"]
+    if share is None or share >= SETTINGS.predicted.warn:
+        return None
+    refused = share < SETTINGS.predicted.refuse
+    return Objection(
+        "refuse" if refused else "warn",
+        f"{share:.0%} of the windows are predicted better than windows that cannot match.",
+        OTHER + "." if refused else LOOK,
+    )
+
+
+def predicts_windows(n: Numbers) -> Objection | None:
+    """Refuse or warn where blocks of windows that were not fitted are off."""
+    error, step = n["held_out_px"], n["step"]
+    if error is None or error < SETTINGS.good_steps * step:
+        return None
+    bad = not error < max(SETTINGS.bad_px, SETTINGS.bad_steps * step)
+    return Objection(
+        "refuse" if bad else "warn",
+        f"Windows that the model did not see are {error:.2f} px off: no one map fits all of them.",
+        f"{OTHER}; what has been bent or cut has no one map." if bad else LOOK,
+    )
+
+
+def does_not_fold(n: Numbers) -> Objection | None:
     """Refuse a map that folds over, has no answer, or leads wholly outside."""
     if n["overlap"] == 0:
-        return Finding(
+        return Objection(
             "refuse",
             "The map puts the reference wholly outside the other picture.",
             f"{OTHER}.",
         )
     if n["folded"] == 0:
         return None
-    return Finding(
+    return Objection(
         "refuse",
         f"The map folds over or has no answer in {100 * n['folded']:.0f} % of the overlap.",
         f"{OTHER}; if they do, {POINTS}.",
@@ -183,42 +276,46 @@ def check_fold(n: dict[str, Any]) -> Finding | None:
     )
 
 
-def check_shape(n: dict[str, Any]) -> Finding | None:
+def has_plausible_shape(n: Numbers) -> Objection | None:
     """Refuse or warn of scales and stretches that no camera makes."""
     if "area_ratio" not in n:
         return None
-    if n["scale_min"] < SCALES[0] or n["scale_max"] > SCALES[1]:
-        return Finding(
+    low, high = SETTINGS.scales
+    if n["scale_min"] < low or n["scale_max"] > high:
+        return Objection(
             "refuse",
             f"The map scales by {n['scale_min']:.2g} to {n['scale_max']:.2g}, beyond "
-            f"{SCALES[0]:g} to {SCALES[1]:g}.",
+            f"{low:g} to {high:g}.",
             f"{OTHER}.",
         )
-    for decision in ("refuse", "warn"):
-        if n["anisotropy"] > ANISOTROPY[decision] or n["area_ratio"] > AREA_RATIO[decision]:
-            return Finding(
-                decision,
-                f"The map stretches one way {n['anisotropy']:.2f} times as much as across, and "
-                f"areas {n['area_ratio']:.2f} times as much in one place as in another.",
-                f"{OTHER}; a camera that looks very aslant should be set up anew."
-                if decision == "refuse"
-                else LOOK,
-            )
-    return None
+    decisions = (
+        SETTINGS.anisotropy.exceeded_by(n["anisotropy"]),
+        SETTINGS.area_ratio.exceeded_by(n["area_ratio"]),
+    )
+    if decisions == (None, None):
+        return None
+    refused = "refuse" in decisions
+    return Objection(
+        "refuse" if refused else "warn",
+        f"The map stretches one way {n['anisotropy']:.2f} times as much as across, and "
+        f"areas {n['area_ratio']:.2f} times as much in one place as in another.",
+        f"{OTHER}; a camera that looks very aslant should be set up anew." if refused else LOOK,
+    )
 
 
-def _predicts(n: dict[str, Any]) -> Finding | None:
-    if n["held_out_median"] > n["tolerance"]:
-        miss = n["held_out_median"]
+def predicts_matches(n: Numbers) -> Objection | None:
+    """Refuse or warn where blocks of matches that were not fitted are off."""
+    miss = n["held_out_median"]
+    if miss > n["tolerance"]:
         text = f"off by {miss:.2f} px in the median" if np.isfinite(miss) else "not predicted"
-        return Finding(
+        return Objection(
             "refuse",
             f"Blocks of matches that are left out of the fit are {text}: the map fits its matches "
             "and says nothing of the rest.",
             f"{OTHER}; if they do, lower the order of the polynomial.",
         )
     if n["held_out_p90"] > 3 * n["tolerance"]:
-        return Finding(
+        return Objection(
             "warn",
             f"One match in ten that is left out of the fit is off by more than "
             f"{n['held_out_p90']:.1f} px.",
@@ -227,19 +324,20 @@ def _predicts(n: dict[str, Any]) -> Finding | None:
     return None
 
 
-def check_windows(n: dict[str, Any]) -> Finding | None:
-    """Refuse a map at which windows are not recognised, or not where it puts them."""
-    least = max(LEAST_FOUND, LEAST_FOUND_SHARE * n["windows"])
+def windows_agree(n: Numbers) -> Objection | None:
+    """Refuse a map at which windows are not found, or not where it puts them."""
+    least = max(SETTINGS.least_found, SETTINGS.least_found_share * n["windows"])
     if n["found"] < least:
-        sure = n["kept"] >= SURE_MATCHES_PER_TERM * n["terms"]
-        return Finding(
+        sure = n["kept"] >= SETTINGS.sure_matches_per_term * n["terms"]
+        return Objection(
             "warn" if sure else "refuse",
             f"Of {n['windows']} windows of the reference only {n['found']} are recognised where "
             "the map puts them: there is nothing to check the map by.",
             LOOK if sure else f"{OTHER}.",
         )
-    if n["agreeing"] < LEAST_AGREEING_SHARE * n["found"] or n["window_median"] > n["tolerance"]:
-        return Finding(
+    few = n["agreeing"] < SETTINGS.least_agreeing_share * n["found"]
+    if few or n["window_median"] > n["tolerance"]:
+        return Objection(
             "refuse",
             f"Of {n['found']} windows of the reference that are recognised, {n['agreeing']} lie "
             f"where the map puts them; they are {n['window_median']:.1f} px off in the median.",
@@ -249,77 +347,176 @@ def check_windows(n: dict[str, Any]) -> Finding | None:
     return None
 
 
-def check_rival(n: dict[str, Any]) -> Finding | None:
+def fits_nowhere_else(n: Numbers) -> Objection | None:
     """Refuse or warn where the pictures agree as well when shifted elsewhere."""
     if n["rival"] > 1:
-        return Finding(
+        return Objection(
             "refuse",
             "Shifted elsewhere, the pictures agree better than here: this is not the place.",
             f"{OTHER}; if they do, {POINTS}.",
             f"{OTHER}; if they do, try the method `levkas`, or {POINTS}.",
         )
-    for decision in ("refuse", "warn"):
-        if n["rival"] > RIVAL[decision]:
-            return Finding(
-                decision,
-                f"Shifted elsewhere, the pictures agree {100 * n['rival']:.0f} % as well as here: "
-                "the picture repeats itself.",
-                "Give `region` so that something that does not repeat is in it, or control points.",
-            )
-    return None
+    decision = SETTINGS.rival.exceeded_by(n["rival"])
+    if decision is None:
+        return None
+    return Objection(
+        decision,
+        f"Shifted elsewhere, the pictures agree {100 * n['rival']:.0f} % as well as here: "
+        "the picture repeats itself.",
+        "Give `region` so that something that does not repeat is in it, or control points.",
+    )
 
 
-def _covered(n: dict[str, Any]) -> Finding | None:
-    bad = n["unsupported"] + n["off"]
-    if n["off_share"] > OFF_SHARE:
-        return Finding(
+def shows_the_reference(n: Numbers) -> Objection | None:
+    """Refuse or warn where the target shows little of the reference."""
+    if n["overlap"] >= SETTINGS.overlap.warn:
+        return None
+    refused = n["overlap"] < SETTINGS.overlap.refuse
+    return Objection(
+        "refuse" if refused else "warn",
+        f"This camera shows {100 * n['overlap']:.0f} % of the reference; nothing is known "
+        "of the rest.",
+        f"{OTHER}." if refused else "Use nothing outside the overlap.",
+    )
+
+
+def matches_cover(n: Numbers) -> Objection | None:
+    """Refuse or warn where neither matches nor windows confirm parts of a map on matches."""
+    if n["off_share"] > SETTINGS.off_share:
+        return Objection(
             "refuse",
             f"The map is off in {100 * n['off_share']:.0f} % of what both pictures show.",
             f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
         )
-    if n["coverage"] < COVERAGE["refuse"]:
-        return Finding(
+    if n["coverage"] < SETTINGS.coverage.refuse:
+        return Objection(
             "refuse",
             f"Only {100 * n['coverage']:.0f} % of what both pictures show is borne out by matches "
             "or by comparison.",
             f"{OTHER}.",
         )
-    if n["off"] or n["coverage"] < COVERAGE["warn"]:
-        where = "; ".join(_place(cell) for cell in bad[:4])
-        return Finding(
+    if n["off"] or n["coverage"] < SETTINGS.coverage.warn:
+        return Objection(
             "warn",
             f"The map is off or not borne out in {100 * (1 - n['coverage']):.0f} % of what both "
-            f"pictures show (x, y, width, height: {where}{'; …' if len(bad) > 4 else ''}).",
+            f"pictures show {_places(n['unsupported'] + n['off'])}.",
             REGION,
         )
     return None
 
 
-def check_overlap(n: dict[str, Any]) -> Finding | None:
-    """Refuse or warn where the target shows little of the reference."""
-    for decision in ("refuse", "warn"):
-        if n["overlap"] < OVERLAP[decision]:
-            return Finding(
-                decision,
-                f"This camera shows {100 * n['overlap']:.0f} % of the reference; nothing is known "
-                "of the rest.",
-                f"{OTHER}." if decision == "refuse" else "Use nothing outside the overlap.",
-            )
-    return None
+def windows_cover(n: Numbers) -> Objection | None:
+    """Refuse or warn where windows do not confirm parts of a dense map."""
+    if "coverage" not in n or not (n["off"] or n["coverage"] < SETTINGS.coverage.warn):
+        return None
+    if n["off_share"] > SETTINGS.off_share or n["coverage"] < SETTINGS.least_coverage:
+        return Objection(
+            "refuse",
+            f"Of what both pictures show, {n['coverage']:.0%} is borne out by comparison, and the "
+            f"map is off in {n['off_share']:.0%}.",
+            f"{OTHER}.",
+        )
+    return Objection(
+        "warn",
+        f"The map is off or not borne out in {1 - n['coverage']:.0%} of what both pictures show "
+        f"{_places(n['unsupported'] + n['off'])}.",
+        REGION,
+    )
 
 
-def _place(cell: list[float]) -> str:
-    return ", ".join(f"{v:.0f}" for v in cell)
+def is_checked(n: Numbers) -> Objection | None:
+    """Warn where the map reaches over more than a quarter of what both pictures show."""
+    share = n.get("checked", 1.0)
+    if share >= SETTINGS.least_checked or not n["unchecked"]:
+        return None
+    *box, part = n["unchecked"][0]
+    return Objection(
+        "warn",
+        f"Blocks left out of the fit are predicted to {n['held_out_px']:.2f} px over the {_percent(share)} of "
+        f"the object that could be checked; nothing confirms the map in {_percent(part)} of it (x, y, width, "
+        f"height: {', '.join(f'{v:.0f}' for v in box)}), where it only reaches over.",
+        REGION,
+    )
 
 
-RULES: tuple[Callable[[dict[str, Any]], Finding | None], ...] = (
-    _enough_matches,
-    _more_than_chance,
-    check_fold,
-    check_shape,
-    _predicts,
-    check_windows,
-    check_rival,
-    check_overlap,
-    _covered,
-)
+def shows_the_same_painting(n: Numbers) -> Objection | None:
+    """Refuse or warn where outlines agree and the detail between them does not."""
+    strange = n.get("strange")
+    if strange is None or strange < SETTINGS.strange.warn:
+        return None
+    found = n["found"] / max(n["windows"], 1)
+    seen = f"Where windows are recognised, {strange:.0%} of their detail (strokes, cracks) is not in the reference"
+    copied = strange >= SETTINGS.strange.refuse and found < SETTINGS.most_found_of_a_copy
+    if n["alike"] and copied:
+        return Objection(
+            "refuse",
+            f"{seen}, which sees the same light: it is another painting by the same pattern.",
+            f"{OTHER}.",
+        )
+    return Objection(
+        "warn",
+        f"{seen}: it may be another painting by the same pattern, or one seen in quite another light.",
+        LOOK,
+    )
+
+
+def stays_within_its_sigma(n: Numbers) -> Objection | None:
+    """Warn where captures that a band was adjusted with move it by more than its own windows allow."""
+    excess = n.get("joint_excess")
+    if excess is None or excess["sigmas"] < SETTINGS.most_sigmas:
+        return None
+    return Objection(
+        "warn",
+        f"Adjusted with other captures, {excess['band']} moves by {excess['px']:.2f} px in the mean, "
+        f"{excess['sigmas']:.0f} times what its own windows leave open.",
+        "Look at the other captures of this camera, or build without `joint`.",
+    )
+
+
+def is_compared(n: Numbers) -> Objection | None:
+    """Warn where less than half of the reference could be compared."""
+    if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
+        return None
+    return Objection("warn", f"Only {n['cover']:.0%} of the reference could be compared.", LOOK)
+
+
+def has_converged(n: Numbers) -> Objection | None:
+    """Warn where the map still moved in the last round."""
+    if n["settled"] is not False:
+        return None
+    return Objection(
+        "warn",
+        f"The map had not come to rest in the last of {n['rounds']} rounds: it still moved by {n['moved']:.2f} px.",
+        LOOK,
+    )
+
+
+Rule = Callable[[Numbers], Objection | None]
+MATCHES, WINDOWS = frozenset({"matches"}), frozenset({"windows"})
+BOTH = MATCHES | WINDOWS
+
+#: Rules in the order of their reasons, and whether the maps that they judge rest on matches or windows.
+RULES: dict[Rule, frozenset[str]] = {
+    enough_matches: MATCHES,
+    more_than_chance: MATCHES,
+    better_than_chance: WINDOWS,
+    predicts_windows: WINDOWS,
+    does_not_fold: BOTH,
+    has_plausible_shape: BOTH,
+    predicts_matches: MATCHES,
+    windows_agree: BOTH,
+    fits_nowhere_else: BOTH,
+    shows_the_reference: BOTH,
+    matches_cover: MATCHES,
+    windows_cover: WINDOWS,
+    is_checked: WINDOWS,
+    shows_the_same_painting: WINDOWS,
+    stays_within_its_sigma: WINDOWS,
+    is_compared: WINDOWS,
+    has_converged: WINDOWS,
+}
+
+
+def objections_to(numbers: Numbers, basis: frozenset[str]) -> list[Objection]:
+    """Return the objections of the rules on maps that rest on `basis`, in the order of the rules."""
+    return [one for rule, on in RULES.items() if basis <= on and (one := rule(numbers))]

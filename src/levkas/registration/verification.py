@@ -1,113 +1,221 @@
-"""Whether windows that were free to be found elsewhere bear out a dense map.
+"""Verification of a map by evidence that it was not fitted to.
 
-Dense refinement looks at most a pixel or two around where a map already is: it would say little of
-a map that is wholly wrong. Here windows of the picture that the reference predicts for a band are
-looked for 12 px around, against how well windows are found that cannot match.
+Dense registration compares windows at most a pixel or two around where a map already is: it says little of
+a map that is wholly wrong. Three things are measured of it. A *permutation test*: windows are predicted
+better than those of a picture rolled by a third of the frame, which cannot match (as ASHLAR does with
+correlations, [Muhlich2022]_). *Free windows*: windows of the picture that the reference predicts for a band
+are searched 12 px around, and most of those that are found have to lie where the map puts them. *Shape*:
+the map neither folds nor stretches over what both pictures show.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from levkas.geometry.transforms import Affine
-from levkas.registration.agreement import LONG_SIDE_PX, WINDOW_PX, Agreement, compare
-from levkas.registration.checks import Checks
-from levkas.registration.evidence import (
-    Evidence,
-    measure_shape,
-    measure_support,
-    measure_windows,
-)
-from levkas.registration.record import Matches
+from levkas.geometry.transforms import Affine, Transform
+from levkas.registration.predictors import measure_shifts
+from levkas.registration.window_fusion import has_information
+from levkas.registration.window_matching import SETTINGS as WINDOWS
+from levkas.registration.window_matching import CheckWindows, WindowSearch, search_windows
 
 if TYPE_CHECKING:
-    from levkas.geometry.transforms import Transform
+    from levkas.registration.local_shifts import Predictor, WindowShifts
 
-BLOCK_PX = 80
-RIDGE = 1e-3
-LEAST_STRANGE = 6
-#: Of the detail of a window of the middle: fainter ones are counted as if they had so much.
-FAINT = 0.05
+Box = tuple[float, float, float, float]
 
 
-def corroborate(
+@dataclass(frozen=True)
+class VerificationSettings:
+    """Constants of the verification.
+
+    Parameters
+    ----------
+    grid : (int, int)
+        Points over the object at which the shape of a map is measured.
+    cells : (int, int)
+        Cells of the object in which windows have to confirm a map.
+    fine_per_cell, fine_least : int
+        Points along either side of a cell, and how many of them both pictures have to show for the cell
+        to count as shown.
+    most_unchecked : int
+        Rectangles of unchecked parts that are recorded.
+    least_found : int
+        Windows of a cell that have to be found for the cell to be off.
+    block : int, px
+        Side of the blocks in which a picture is predicted: what their gains could feign in a window of
+        40 px is little beside chance.
+    ridge : float
+        Of that prediction, as a share of the mean variance.
+    least_strange : int
+        Windows that have to be found to measure how much detail is not predicted.
+    faint : float
+        Windows with less detail, as a share of the median, count as if they had so much.
+    null_quantile : float
+        Of windows that cannot match.
+    """
+
+    grid: tuple[int, int] = (24, 18)
+    cells: tuple[int, int] = (6, 5)
+    fine_per_cell: int = 4
+    fine_least: int = 8
+    most_unchecked: int = 4
+    least_found: int = 3
+    block: int = 80
+    ridge: float = 1e-3
+    least_strange: int = 6
+    faint: float = 0.05
+    null_quantile: float = 0.95
+
+    @property
+    def fine(self) -> tuple[int, int]:
+        """Points over the object at which the overlap is measured."""
+        return self.fine_per_cell * self.cells[0], self.fine_per_cell * self.cells[1]
+
+
+SETTINGS = VerificationSettings()
+
+
+# --- permutation test
+
+
+@dataclass(frozen=True)
+class PermutationTest:
+    """How far one band is predicted beyond chance, on a grid about as fine as its picture.
+
+    Parameters
+    ----------
+    seen : WindowShifts
+        Through the map that is judged.
+    chance : float, 0..1
+        Value of `seen.r2` that 19 of 20 windows which cannot match stay below.
+    evidence : dict
+        ``share_above_chance`` of the windows, ``cover`` of the reference, ``chance_r2``.
+    """
+
+    #: Share of the windows; where fewer are predicted beyond chance, something covers the object.
+    PARTLY: ClassVar[float] = 0.8
+
+    seen: WindowShifts
+    chance: float
+    evidence: dict[str, float]
+
+    @property
+    def is_partly_covered(self) -> bool:
+        """Whether windows that chance explains lie together: something covers the object."""
+        used = has_information(self.seen.information)
+        predicted = self.is_predicted_around(self.seen.centres)[used]
+        return bool(predicted.sum() <= self.PARTLY * used.sum())
+
+    @property
+    def predicted(self) -> np.ndarray:
+        """Centres, (n, 2) reference px, of windows that are predicted beyond chance, as most near are."""
+        used = has_information(self.seen.information)
+        return np.asarray(self.seen.centres[used & self.is_predicted_around(self.seen.centres)])
+
+    def is_predicted_around(self, centres: np.ndarray) -> np.ndarray:
+        """Tell at which places, (n, 2) reference px, most windows near are predicted beyond chance."""
+        from scipy.spatial import cKDTree
+
+        used = has_information(self.seen.information)
+        if not used.any():
+            return np.zeros(len(centres), bool)
+        above = (self.seen.r2[used] > self.chance).astype(float)
+        near = cKDTree(self.seen.centres[used]).query(centres, k=min(9, int(used.sum())))[1]
+        return np.asarray(above[near].reshape(len(centres), -1).mean(1) > 0.5)
+
+
+def run_permutation_test(predictor: Predictor, image: np.ndarray) -> PermutationTest:
+    """Compare how well windows of `image`, (h, w), are predicted with those of the image rolled by a third."""
+    seen = measure_shifts(predictor, image)
+    used, able = has_information(seen.information), predictor.counts.reshape(-1) > 0
+    rolled = np.roll(image, (image.shape[0] // 3, image.shape[1] // 3), (0, 1))
+    by_chance = measure_shifts(predictor, rolled)
+    null = by_chance.r2[has_information(by_chance.information)]
+    level = float(np.quantile(null, SETTINGS.null_quantile)) if len(null) >= 10 else 0.5
+    evidence = {
+        "share_above_chance": float((seen.r2[used] > level).mean()) if used.any() else 0.0,
+        "cover": float(used.sum() / max(able.sum(), 1)),
+        "chance_r2": level,
+    }
+    return PermutationTest(seen, level, evidence)
+
+
+# --- free windows
+
+
+def verify(
     predictors: np.ndarray,
     image: np.ndarray,
     step: int,
     transform: Transform,
-    within: np.ndarray,
+    mask: np.ndarray,
     valid: np.ndarray,
     predicted_at: np.ndarray | None = None,
     cell: float = 0.0,
-) -> tuple[dict[str, Any], Checks]:
+) -> tuple[dict[str, Any], CheckWindows]:
     """Measure what the verdict on a dense map rests on.
 
     Parameters
     ----------
     predictors : ndarray, (k, h, w), float32
-        Images of the reference on a grid of `step` reference px, slow parts taken out; NaN where
-        invalid.
+        Images of the reference on a grid of `step` reference px, high-passed; NaN where invalid.
     image : ndarray, (h, w), float32
-        The band on the same grid, seen through `transform`, its slow part taken out too.
+        The band on the same grid, seen through `transform`, high-passed too.
     step : int, reference px
     transform : Transform
         Reference px → native px of the band.
-    within : ndarray of bool, reference px
+    mask : ndarray of bool, reference px
         Where the object lies.
     valid : ndarray of bool, native px
     predicted_at : ndarray, (n, 2), reference px, optional
-        Windows of the dense refinement that are predicted beyond chance, `cell` px apart.
+        Windows of the dense registration that are predicted beyond chance, `cell` px apart.
     cell : float, reference px
 
     Returns
     -------
     numbers : dict
-        As `measure_shape`, `measure_windows` and `measure_support` of `evidence` name them,
-        ``tolerance``, reference px, and ``strange``, of `measure_strange`.
-    checks : Checks
+        Of `measure_shape`, `measure_windows` and `measure_cells`, ``tolerance``, reference px, ``rival``,
+        and ``strange``, of `measure_unpredicted`.
+    checks : CheckWindows
         The windows themselves.
     """
     predicted = predict(predictors, image)
     both = [(np.nan_to_num(a), np.isfinite(a)) for a in (predicted, image)]
-    compared = compare(both[0], both[1], Affine.identity())
-    agreement = _enlarged(compared, step)
-    rows, columns = (np.flatnonzero(within.any(axis)) for axis in (1, 0))
-    box = (columns[0], rows[0], np.ptp(columns) + 1, np.ptp(rows) + 1) if len(rows) else None
-    evidence = Evidence(
-        transform=transform,
-        # A cell is borne out by what is seen there, not by one key point that agrees.
-        matches=Matches.of(np.empty((0, 2)), np.empty((0, 2))),
-        # Only where the pictures are valid is asked of them.
-        reference=(within, within),
-        target=(valid, valid),
-        region=None if box is None else tuple(float(v) for v in box),
-    )
-    tolerance = max(1.0, agreement.step)
-    checks = Checks(
-        agreement.centres, agreement.shift, agreement.found, tolerance,
-        WINDOW_PX * agreement.step, predicted_at, cell, evidence.region,
+    found = search_windows(both[0], both[1], Affine.identity())
+    search = _enlarged(found, step)
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    region = None
+    if len(rows):
+        region = (columns[0], rows[0], np.ptp(columns) + 1, np.ptp(rows) + 1)
+    overlap = Overlap(transform, mask, valid, region and tuple(float(v) for v in region))
+    tolerance = max(1.0, search.step)
+    checks = CheckWindows(
+        search.centres, search.shift, search.found, tolerance, WINDOWS.window * search.step,
+        predicted_at, cell, overlap.region,
     )  # fmt: skip
     numbers = {
         "tolerance": tolerance,
-        **measure_shape(evidence),
+        **measure_shape(overlap),
         **measure_windows(checks),
-        "rival": float(agreement.rival),
-        **measure_support(evidence, checks),
-        "strange": measure_strange(predicted, image, compared),
+        "rival": float(search.rival),
+        # A cell is confirmed by what is seen there, not by one key point that agrees.
+        **measure_support(overlap, checks, np.empty((0, 2))),
+        "strange": measure_unpredicted(predicted, image, found),
     }
-    share = float(within[_rows(box), _columns(box)].mean()) if box else 1.0
+    share = 1.0
+    if region is not None:
+        x, y, width, height = (int(v) for v in region)
+        share = float(mask[y : y + height, x : x + width].mean())
     numbers["overlap"] = min(1.0, numbers["overlap"] / max(share, 1e-9))
     return numbers, checks
 
 
 def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Return the combination of the predictors that is nearest to `image`, block by block, (h, w).
-
-    Gains of blocks of 80 px: what they could feign in a window of 40 px is little beside chance.
 
     Examples
     --------
@@ -119,85 +227,316 @@ def predict(predictors: np.ndarray, image: np.ndarray) -> np.ndarray:
     """
     count, height, width = predictors.shape
     out = np.full((height, width), np.nan, np.float32)
-    rows = np.linspace(0, height, max(1, round(height / BLOCK_PX)) + 1).astype(int)
-    columns = np.linspace(0, width, max(1, round(width / BLOCK_PX)) + 1).astype(int)
-    for top, bottom in pairwise(rows):
-        for left, right in pairwise(columns):
-            part = predictors[:, top:bottom, left:right].reshape(count, -1).astype(np.float64)
-            goal = image[top:bottom, left:right].reshape(-1).astype(np.float64)
-            known = np.isfinite(part).all(0)
-            used = known & np.isfinite(goal)
-            if used.sum() < 8 * count:
-                continue
-            gram = part[:, used] @ part[:, used].T
-            gram += RIDGE * np.trace(gram) / count * np.eye(count) + 1e-30 * np.eye(count)
-            gains = np.linalg.solve(gram, part[:, used] @ goal[used])
-            block = np.full(goal.shape, np.nan, np.float32)
-            block[known] = gains @ part[:, known]
-            out[top:bottom, left:right] = block.reshape(bottom - top, right - left)
+    rows, columns = (
+        np.linspace(0, n, max(1, round(n / SETTINGS.block)) + 1).astype(int)
+        for n in (height, width)
+    )
+    blocks = [(*row, *column) for row in pairwise(rows) for column in pairwise(columns)]
+    for top, bottom, left, right in blocks:
+        part = predictors[:, top:bottom, left:right].reshape(count, -1).astype(np.float64)
+        goal = image[top:bottom, left:right].reshape(-1).astype(np.float64)
+        known = np.isfinite(part).all(0)
+        used = known & np.isfinite(goal)
+        if used.sum() < 8 * count:
+            continue
+        gram = part[:, used] @ part[:, used].T
+        gram += SETTINGS.ridge * np.trace(gram) / count * np.eye(count) + 1e-30 * np.eye(count)
+        gains = np.linalg.solve(gram, part[:, used] @ goal[used])
+        block = np.full(goal.shape, np.nan, np.float32)
+        block[known] = gains @ part[:, known]
+        out[top:bottom, left:right] = block.reshape(bottom - top, right - left)
     return out
 
 
-def measure_strange(predicted: np.ndarray, image: np.ndarray, agreement: Agreement) -> float | None:
-    """Return the share of a picture's detail that its prediction lacks, the median over recognised windows.
+def measure_unpredicted(
+    predicted: np.ndarray, image: np.ndarray, search: WindowSearch
+) -> float | None:
+    """Return the share of a picture's detail that its prediction lacks, the median over found windows.
 
     Two views of one painting differ by noise, of which neighbouring pixels have little in common; of
-    brush strokes, craquelure and pattern they have much. Of what is left when the prediction is taken away only
-    what neighbours have in common is counted, as a share of what they have in common in the picture.
-    A copy by the same pattern has the same outlines, so that windows are recognised, and strokes of its own.
+    brush strokes, craquelure and pattern they have much. Of what is left when the prediction is
+    subtracted only the covariance of neighbours is counted, as a share of that in the picture.
+    A copy by the same pattern has the same outlines, so that windows are found, and strokes of its own.
 
     Parameters
     ----------
     predicted, image : ndarray, (h, w)
-        NaN where invalid; slow parts taken out.
-    agreement : Agreement
+        NaN where invalid; high-passed.
+    search : WindowSearch
         Of the two, in their own px.
 
     Returns
     -------
     strange : float or None
-        0 where all detail is predicted, 1 where none is; None where fewer than `LEAST_STRANGE` windows
-        are recognised.
+        0 where all detail is predicted, 1 where none is; None where fewer than six windows are found.
     """
     known = np.isfinite(predicted) & np.isfinite(image)
     detail, left = (np.where(known, part, np.nan) for part in (image, image - predicted))
-    places = np.rint(agreement.centres[agreement.found] - (WINDOW_PX - 1) / 2).astype(int)
-    if len(places) < LEAST_STRANGE:
+    places = np.rint(search.centres[search.found] - (WINDOWS.window - 1) / 2).astype(int)
+    if len(places) < SETTINGS.least_strange:
         return None
-    of, rest = (np.array([_common(part, *place) for place in places]) for part in (detail, left))
-    return float(np.median(rest / np.maximum(of, FAINT * max(float(np.median(of)), 1e-30))))
+    of, rest = (
+        np.array([_neighbour_covariance(part, *place) for place in places])
+        for part in (detail, left)
+    )
+    least = SETTINGS.faint * max(float(np.median(of)), 1e-30)
+    return float(np.median(rest / np.maximum(of, least)))
 
 
-def _common(image: np.ndarray, x: int, y: int) -> float:
+def _neighbour_covariance(image: np.ndarray, x: int, y: int) -> float:
     """Return the mean product of neighbours, along either axis, in the window at (x, y)."""
-    window = image[y : y + WINDOW_PX, x : x + WINDOW_PX]
+    window = image[y : y + WINDOWS.window, x : x + WINDOWS.window]
     window = window - np.nanmean(window)
     along, down = window[:, 1:] * window[:, :-1], window[1:] * window[:-1]
     return float((np.nanmean(along) + np.nanmean(down)) / 2)
 
 
-def reduction(shape: tuple[int, int], step: int) -> int:
-    """Return by how much more a frame that is compared at `step` can be reduced: 1, 2, 4 …"""
+def coarsening(shape: tuple[int, int], step: int) -> int:
+    """Return by how much more a frame that is compared at `step` is reduced: 1, 2, 4 …
+
+    >>> coarsening((3000, 4000), 1)
+    4
+    """
     more = 1
-    while max(shape) / (step * more) > 1.25 * LONG_SIDE_PX:
+    while max(shape) / (step * more) > 1.25 * WINDOWS.long_side:
         more *= 2
     return more
 
 
-def _enlarged(agreement: Agreement, step: int) -> Agreement:
+def _enlarged(search: WindowSearch, step: int) -> WindowSearch:
     """Turn px of a grid of `step` reference px into reference px."""
     return replace(
-        agreement,
-        centres=(agreement.centres + 0.5) * step - 0.5,
-        shift=agreement.shift * step,
-        reach=agreement.reach * step,
-        step=agreement.step * step,
+        search,
+        centres=(search.centres + 0.5) * step - 0.5,
+        shift=search.shift * step,
+        step=search.step * step,
     )
 
 
-def _rows(box: tuple[Any, ...]) -> slice:
-    return slice(int(box[1]), int(box[1] + box[3]))
+# --- shape and coverage
 
 
-def _columns(box: tuple[Any, ...]) -> slice:
-    return slice(int(box[0]), int(box[0] + box[2]))
+@dataclass(frozen=True)
+class Overlap:
+    """Two pictures and the map between them: which part of the object both show.
+
+    Parameters
+    ----------
+    transform : Transform
+        Reference px → target px.
+    reference, target : ndarray of bool, (h, w)
+        Where each picture is valid.
+    region : (x, y, width, height), reference px, or None
+        Where the object lies.
+    """
+
+    transform: Transform
+    reference: np.ndarray
+    target: np.ndarray
+    region: tuple[float, ...] | None = None
+
+    @property
+    def box(self) -> Box:
+        """(x, y, width, height) of what is judged: the region within the reference's frame."""
+        h, w = self.reference.shape
+        x, y, wide, high = self.region or (0, 0, w, h)
+        left, top = max(x, 0), max(y, 0)
+        return left, top, max(min(x + wide, w) - left, 1), max(min(y + high, h) - top, 1)
+
+    def shows(self, points: np.ndarray) -> np.ndarray:
+        """Tell which reference points, (n, 2), lie on valid px of both pictures."""
+        mapped = self.transform(points)
+        known = np.isfinite(mapped).all(1)
+        good = known.copy()
+        for places, valid in ((points, self.reference), (mapped, self.target)):
+            x, y = np.rint(np.where(known[:, None], places, -9)).astype(int).T
+            h, w = valid.shape
+            inside = (x >= 0) & (x < w) & (y >= 0) & (y < h)
+            good &= inside
+            good[inside] &= valid[y[inside], x[inside]]
+        return good
+
+
+def measure_shape(overlap: Overlap) -> dict[str, Any]:
+    """Measure the shape of a map over its overlap: scale, folds, stretch.
+
+    Returns
+    -------
+    numbers : dict
+        ``overlap`` 0..1, the share of the box that the target shows; within that share
+        ``folded`` 0..1, the part where the map has no or a flipped Jacobian; ``scale_min`` and
+        ``scale_max``, target px per reference px; ``area_ratio``, largest to smallest local area;
+        ``anisotropy``, largest ratio of the two principal scales; ``mirrored``.
+    """
+    points = grid_points(overlap.box, SETTINGS.grid)
+    inside = overlap.shows(points)
+    return {"overlap": float(inside.mean()), **measure_map(overlap.transform, points, inside)}
+
+
+def measure_map(transform: Transform, points: np.ndarray, inside: np.ndarray) -> dict[str, Any]:
+    """Measure folds and stretches of a map at `points`, (n, 2), of which the target shows `inside`, (n,) bool.
+
+    Returns
+    -------
+    numbers : dict
+        As of `measure_shape`, without the overlap.
+    """
+    change = transform.jacobian(points)
+    known = np.isfinite(change).all((1, 2))
+    determinant = np.linalg.det(np.where(known[:, None, None], change, 0))
+    mirrored = bool(np.median(determinant[inside]) < 0) if inside.any() else False
+    upright = (determinant < 0) if mirrored else (determinant > 0)
+    # A map that folds has no value beyond the fold: such points count, wherever they lie.
+    lost = ~np.isfinite(transform(points)).all(1)
+    judged = inside | lost
+    good = inside & upright & known
+    numbers: dict[str, Any] = {
+        "folded": float(1 - good[judged].mean()) if judged.any() else 1.0,
+        "mirrored": mirrored,
+    }
+    if good.any():
+        singular = np.linalg.svd(change[good], compute_uv=False)
+        area = singular.prod(1)
+        numbers |= {
+            "scale_min": float(singular.min()),
+            "scale_max": float(singular.max()),
+            "area_ratio": float(area.max() / area.min()),
+            "anisotropy": float((singular[:, 0] / singular[:, 1]).max()),
+        }
+    return numbers
+
+
+def grid_points(box: Box, shape: tuple[int, int]) -> np.ndarray:
+    """Return the centres, (columns · rows, 2), of a grid of cells over a box."""
+    x, y, w, h = box
+    columns, rows = shape
+    u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+    return np.stack([x - 0.5 + u.ravel() * w, y - 0.5 + v.ravel() * h], 1)
+
+
+def measure_windows(checks: CheckWindows) -> dict[str, Any]:
+    """Count windows that confirm a map; distances in reference px.
+
+    Returns
+    -------
+    numbers : dict
+        ``windows`` with structure, ``found`` of these, ``agreeing`` of the found;
+        ``window_median``, ``window_p90`` of how far the found ones are off (infinite without any).
+    """
+    found = checks.found
+    distance = np.hypot(*checks.shift.T)[found]
+    middle, high = np.percentile(distance, (50, 90)) if found.any() else (np.inf, np.inf)
+    return {
+        "windows": len(found),
+        "found": int(found.sum()),
+        "agreeing": int(checks.confirmed.sum()),
+        "window_median": float(middle),
+        "window_p90": float(high),
+    }
+
+
+def measure_support(
+    overlap: Overlap, checks: CheckWindows, matched_at: np.ndarray
+) -> dict[str, Any]:
+    """Return ``box``, (x, y, width, height) reference px, and the numbers of `measure_cells` in it."""
+    box = overlap.box
+    shown = overlap.shows(grid_points(box, SETTINGS.fine))
+    return {"box": list(box), **measure_cells(box, shown, checks, matched_at)}
+
+
+def measure_cells(
+    box: Box, shown: np.ndarray, checks: CheckWindows, matched_at: np.ndarray
+) -> dict[str, Any]:
+    """Find the cells of a box in which windows or matches confirm a map, and how much of it is checked.
+
+    Parameters
+    ----------
+    box : (x, y, width, height), reference px
+    shown : ndarray of bool, (n,)
+        Which points of the fine grid over the box both pictures show.
+    checks : CheckWindows
+        Windows of a cell that move alike confirm the map where their median is within the tolerance.
+    matched_at : ndarray, (m, 2), reference px
+        Matches, which confirm the cell that they lie in.
+
+    Returns
+    -------
+    numbers : dict
+        ``coverage`` 0..1: of the cells that both pictures show and that have structure, the share
+        that is confirmed; ``unsupported``, ``off``, ``outside``: lists of (x, y, width, height),
+        reference px, of the cells where nothing confirms it, where windows lie off it, and that the
+        target does not show. ``checked`` 0..1: of all that both pictures show, with structure or
+        without, the share that is no farther than a window's side from windows that confirm the map;
+        ``checked_box``: the rectangle about that, ``unchecked``: the rectangles about connected parts
+        of the rest, the largest first, each with its share of all at the end.
+    """
+    columns, rows = SETTINGS.cells
+    count = columns * rows
+    fine = grid_points(box, SETTINGS.fine)
+    shown_points = np.bincount(_cell_of(fine, box), shown, minlength=count)
+    in_view = shown_points >= SETTINGS.fine_least
+    matched = np.zeros(count, bool)
+    matched[_cell_of(matched_at, box)] = True
+    home = _cell_of(checks.centres, box)
+    structured = np.bincount(home, minlength=count) > 0
+    agreeing, off = np.zeros(count, bool), np.zeros(count, bool)
+    for cell in np.unique(home[checks.found]):
+        here = checks.shift[checks.found & (home == cell)]
+        middle = np.median(here, 0)
+        # Windows that are found in wrong places scatter; a map that is off moves them alike.
+        alike = (np.hypot(*(here - middle).T) <= checks.tolerance).mean() >= 0.5
+        agreeing[cell] = alike and np.hypot(*middle) <= checks.tolerance
+        off[cell] = alike and len(here) >= SETTINGS.least_found and not agreeing[cell]
+    judged = in_view & (structured | matched)
+    support = (matched | agreeing) & ~off
+    centres, size = grid_points(box, SETTINGS.cells), (box[2] / columns, box[3] / rows)
+
+    def rectangles(mask: np.ndarray) -> list[list[float]]:
+        corners = centres[mask] + 0.5 - np.array(size) / 2
+        return [[round(float(v), 1) for v in (*corner, *size)] for corner in corners]
+
+    return {
+        "coverage": float(support[judged].mean()) if judged.any() else 0.0,
+        "off_share": float(off[judged].mean()) if judged.any() else 0.0,
+        "unsupported": rectangles(judged & ~support & ~off),
+        "off": rectangles(judged & off),
+        "outside": rectangles(~in_view),
+        **_measure_checked(box, shown, checks.beyond(fine) == 0),
+    }
+
+
+def _measure_checked(box: Box, shown: np.ndarray, near: np.ndarray) -> dict[str, Any]:
+    """Return how much of what both pictures show is near to what confirms the map, and the rest's rectangles."""
+    from scipy import ndimage
+
+    columns, rows = SETTINGS.fine
+    total = max(int(shown.sum()), 1)
+    cell = np.array([box[2] / columns, box[3] / rows])
+
+    def rectangle(part: tuple[slice, ...]) -> list[float]:
+        low = np.array([part[1].start, part[0].start]) * cell + np.array(box[:2])
+        high = np.array([part[1].stop, part[0].stop]) * cell + np.array(box[:2])
+        return [round(float(v), 1) for v in (*low, *(high - low))]
+
+    good, rest = ((mask & shown).reshape(rows, columns) for mask in (near, ~near))
+    patches, count = ndimage.label(rest)
+    sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
+    parts = ndimage.find_objects(patches)
+    order = np.argsort(-sizes, kind="stable")[: SETTINGS.most_unchecked]
+    whole = ndimage.find_objects(good.astype(int))
+    return {
+        "checked": float(good.sum() / total),
+        "checked_box": rectangle(whole[0]) if whole else None,
+        "unchecked": [[*rectangle(parts[k]), round(float(sizes[k] / total), 4)] for k in order],
+    }
+
+
+def _cell_of(points: np.ndarray, box: Box) -> np.ndarray:
+    if not len(points):
+        return np.empty(0, int)
+    x, y, w, h = box
+    columns, rows = SETTINGS.cells
+    column = np.floor((points[:, 0] + 0.5 - x) / w * columns).astype(int)
+    row = np.floor((points[:, 1] + 0.5 - y) / h * rows).astype(int)
+    column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
+    return np.asarray(row * columns + column)

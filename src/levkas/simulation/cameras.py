@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from levkas.calibration.noise_model import Sensor
-from levkas.simulation.optics import Chromatic, View, turn
-from levkas.simulation.panel import Panel
+from levkas.simulation.optics import ChromaticOptics, Viewpoint, turn
+from levkas.simulation.painting import Panel
 from levkas.simulation.pigments import WAVELENGTHS
-from levkas.simulation.sensitivities import BandModel, bell, broad, narrow, silicon
 from levkas.simulation.truth import BandGeometry, CameraGeometry
 
 LARGEST_PANEL = Panel()
@@ -42,7 +42,7 @@ class CameraModel:
     sensors : tuple of SensorModel
     radial, tangential : tuple of 2 floats
         Of the lens at half the image's width.
-    chromatic : Chromatic
+    chromatic : ChromaticOptics
     blur : float
         Standard deviation of the optics in focus, px.
     defocus : float
@@ -66,7 +66,7 @@ class CameraModel:
     sensors: tuple[SensorModel, ...]
     radial: tuple[float, float]
     tangential: tuple[float, float]
-    chromatic: Chromatic
+    chromatic: ChromaticOptics
     blur: float = 0.45
     defocus: float = 0.25
     vignetting: float = 0.22
@@ -136,7 +136,7 @@ class CameraModel:
         tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
         shift_mm: tuple[float, float] = (0.0, 0.0),
         centre_off: tuple[float, float] = (0.0, 0.0),
-    ) -> View:
+    ) -> Viewpoint:
         """Return the camera before a panel: turned about X, Y, Z and moved aside.
 
         Parameters
@@ -149,7 +149,7 @@ class CameraModel:
         """
         rotation = turn(*tilt_deg)
         centre = ((self.width - 1) / 2 + centre_off[0], (self.height - 1) / 2 + centre_off[1])
-        view = View(
+        view = Viewpoint(
             self.width,
             self.height,
             tuple(float(v) for v in rotation.ravel()),
@@ -173,7 +173,9 @@ class CameraModel:
         )
 
 
-def _tuned(name: str, wavelengths: np.ndarray, chromatic: Chromatic, radial: float) -> CameraModel:
+def _tuned(
+    name: str, wavelengths: np.ndarray, chromatic: ChromaticOptics, radial: float
+) -> CameraModel:
     low, high = wavelengths[0], wavelengths[-1]
     passed = 1 / (1 + np.exp(-(WAVELENGTHS - low - 25) / 25))
     passed = passed / (1 + np.exp((WAVELENGTHS - high - 60) / 40))
@@ -208,7 +210,7 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
     d80 = CameraModel(
         "d80", "mosaic", 3900, 2611, 1900.0, broad("R G B", rgb, (3,)),
         (SensorModel("", (0, 1, 2), ((0, 1), (1, 2)), noise=_ccd(0.16, dark=32.0)),),
-        (-0.011, 0.0025), (2.5e-4, -2e-4), Chromatic((1.3e-3, 1.8e-3), (0.25,), (-0.2,)),
+        (-0.011, 0.0025), (2.5e-4, -2e-4), ChromaticOptics((1.3e-3, 1.8e-3), (0.25,), (-0.2,)),
         blur=0.55, vignetting=0.30, shots=5, whites=10, darks=10,
     )  # fmt: skip
     seven = [
@@ -224,7 +226,7 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
             SensorModel("ccd2", (3, 4, 5), bayer, 0.012, (7.6, -5.2), _ccd(0.30, dark=20.0)),
             SensorModel("ccd3", (6,), None, -0.075, (-6.3, -14.8), _ccd(0.30, dark=15.0)),
         ),
-        (0.005, -0.001), (-1e-4, 2e-4), Chromatic((-4e-4, 1.1e-3), (0.1,), (0.1,)),
+        (0.005, -0.001), (-1e-4, 2e-4), ChromaticOptics((-4e-4, 1.1e-3), (0.1,), (0.1,)),
         shots=5, whites=10, darks=10,
     )  # fmt: skip
     v10_bands = np.arange(400.0, 1001.0, 5.0)
@@ -233,11 +235,11 @@ def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
         "v10", "cube", 1100, 850, 1200.0, spectrograph,
         (SensorModel("", tuple(range(121)), None, noise=_ccd(0.25, dark=25.0)),),
         (-0.003, 0.0004), (0.0, 1e-4),
-        Chromatic((3e-4, 6e-4), (0.15,), (0.1, 0.1), (0.25,)),
+        ChromaticOptics((3e-4, 6e-4), (0.15,), (0.1, 0.1), (0.25,)),
         whites=64, darks=64, scan=True, setup="scan", wobble=(0.18, 150.0, 0.8), defocus=0.2,
     )  # fmt: skip
-    vis = _tuned("lctf-vis", np.arange(400.0, 721.0, 10.0), Chromatic((-6e-4, 1.0e-3), (0.2,), (0.15, 0.1)), -0.004)  # fmt: skip
-    nir = _tuned("lctf-nir", np.arange(450.0, 951.0, 10.0), Chromatic((5e-4, 7e-4), (-0.2,), (0.2,)), -0.0032)  # fmt: skip
+    vis = _tuned("lctf-vis", np.arange(400.0, 721.0, 10.0), ChromaticOptics((-6e-4, 1.0e-3), (0.2,), (0.15, 0.1)), -0.004)  # fmt: skip
+    nir = _tuned("lctf-nir", np.arange(450.0, 951.0, 10.0), ChromaticOptics((5e-4, 7e-4), (-0.2,), (0.2,)), -0.0032)  # fmt: skip
     models = {c.name: c for c in (d80, msbs, vis, nir, v10)}
     return {name: _thinned(c) if thin else c for name, c in models.items()}
 
@@ -258,3 +260,91 @@ def _thinned(camera: CameraModel) -> CameraModel:
             darks=32 if many else 1,
         )
     return replace(camera, shots=2, whites=3, darks=3)
+
+
+PEAK = 0.85
+
+
+@dataclass(frozen=True, eq=False)
+class BandModel:
+    """One channel.
+
+    Parameters
+    ----------
+    label : str
+    response : ndarray, (n,)
+        Light times sensitivity at `pigments.WAVELENGTHS`, of sum 1.
+    level : float
+        Where the brightest white lies, as a share of the sensor's range.
+    wavelength : float
+        Nominal, nm; the centroid of the response if left out.
+    """
+
+    label: str
+    response: np.ndarray
+    level: float
+    wavelength: float = float("nan")
+
+    @property
+    def centre(self) -> float:
+        """Wavelength at which the lens acts, nm."""
+        if np.isfinite(self.wavelength):
+            return self.wavelength
+        return float(WAVELENGTHS @ self.response)
+
+
+def bell(centre: float, width: float) -> np.ndarray:
+    """Return a Gaussian of peak 1 at `pigments.WAVELENGTHS`; width one standard deviation, nm."""
+    return np.exp(-0.5 * ((WAVELENGTHS - centre) / width) ** 2)
+
+
+def _lamp_light() -> np.ndarray:
+    """Halogen behind a D50 simulator: flat, falling into the near infrared."""
+    return (0.35 + 0.65 / (1 + np.exp(-(WAVELENGTHS - 430) / 22))) * (
+        0.30 + 0.70 / (1 + np.exp((WAVELENGTHS - 780) / 55))
+    )
+
+
+def silicon() -> np.ndarray:
+    """Quantum efficiency of a CCD."""
+    return (0.25 + 0.75 * bell(560, 130)) / (1 + np.exp((WAVELENGTHS - 935) / 40))
+
+
+def _responses(sensitivities: list[np.ndarray], light: np.ndarray) -> list[np.ndarray]:
+    return [s * light / (s * light).sum() for s in sensitivities]
+
+
+def broad(labels: str, shapes: list[np.ndarray], groups: tuple[int, ...]) -> tuple[BandModel, ...]:
+    """Return broad bands, the brightest of each sensor exposed to the peak."""
+    light = _lamp_light()
+    totals = np.array([(s * light).sum() for s in shapes])
+    levels = np.concatenate(
+        [PEAK * part / part.max() for part in np.split(totals, np.cumsum(groups)[:-1])]
+    )
+    return tuple(
+        BandModel(*b) for b in zip(labels.split(), _responses(shapes, light), levels, strict=True)
+    )
+
+
+def narrow(
+    wavelengths: np.ndarray, fwhm: float, transmission: np.ndarray, *, one_exposure: bool
+) -> tuple[BandModel, ...]:
+    """Return bands of a filter or a spectrograph; an own exposure each, up to six-fold, or one."""
+    power = _lamp_light() * silicon() * transmission
+    shapes = [bell(w, fwhm / 2.355) for w in wavelengths]
+    totals = np.array([(s * power).sum() for s in shapes])
+    share = totals / totals.max()
+    levels = PEAK * (share if one_exposure else np.minimum(1.0, 6 * share))
+    return tuple(
+        BandModel(f"{w:g} nm", r, float(v), float(w))
+        for w, r, v in zip(wavelengths, _responses(shapes, power), levels, strict=True)
+    )
+
+
+def response_table(bands: Sequence[BandModel]) -> tuple[list[str], np.ndarray]:
+    """Return the labels and sensitivities, (wavelengths, bands), each with a peak of 1.
+
+    The light is divided out of what `BandModel.response` holds.
+    """
+    shapes = np.stack([b.response / _lamp_light() for b in bands], 1)
+    return [b.label for b in bands], shapes / shapes.max(0)

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
-from levkas.core.files import publishing
+from levkas.core.files import Folder, publishing
 from levkas.core.ownership import require_outside, stands_in
-from levkas.simulation.cameras import CameraModel, camera_models
-from levkas.simulation.campaign_files import FrameWriter, write_campaign_toml, write_tables
-from levkas.simulation.capture import Camera, Sight, look
-from levkas.simulation.charts import chart_panel, paint_chart
+from levkas.simulation.cameras import BandModel, CameraModel, camera_models, response_table
+from levkas.simulation.capture import (
+    WHITE_REFLECTANCE,
+    Sight,
+    SimulatedCamera,
+    SimulatedFrame,
+    look,
+)
 from levkas.simulation.icon import paint_icon
-from levkas.simulation.optics import View, turn
-from levkas.simulation.painting import Painting
-from levkas.simulation.panel import Panel
-from levkas.simulation.photographs import paint_photograph
+from levkas.simulation.optics import Viewpoint, turn
+from levkas.simulation.painting import Painting, Panel
+from levkas.simulation.photographs import chart_panel, paint_chart, paint_photograph
+from levkas.simulation.pigments import WAVELENGTHS
 from levkas.simulation.presets import (
     REFERENCE,
     Preset,
@@ -28,14 +33,14 @@ from levkas.simulation.presets import (
 )
 from levkas.simulation.rendering import tabulate
 from levkas.simulation.sensing import key
-from levkas.simulation.truth import Truth
+from levkas.simulation.truth import SimulatedTruth
 
 CHART = "macbeth"
 SETUP = ("45-degree", "d80")
 
 
 @dataclass(frozen=True)
-class Step:
+class SimulationStep:
     """Progress: `done` of `total` units; `finished` where a painting or a target is done."""
 
     done: int
@@ -50,11 +55,11 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Simulated(Step):
+class Simulated(SimulationStep):
     """The last item: what was written."""
 
     campaign: Path = Path()
-    truth: Truth | None = None
+    truth: SimulatedTruth | None = None
     files: int = 0
     megabytes: float = 0.0
 
@@ -71,7 +76,7 @@ def simulate_campaign(
     grid: bool = True,
     library: Path | str | None = None,
     photographs: Sequence[Path | str] = (),
-) -> Iterator[Step]:
+) -> Iterator[SimulationStep]:
     """Simulate a campaign into `folder`: `raw/`, `truth/` and a campaign.toml that builds.
 
     Parameters
@@ -119,7 +124,7 @@ def simulate_campaign(
         why = "the folder is not empty" if found == "a folder" else f"{found} stands there"
         raise refusal(why, "folder", str(folder), "a new folder")
     root = int(np.random.default_rng(seed).integers(2**62))
-    session = Session(chosen, models, root, objects)
+    session = SimulatedSession(chosen, models, root, objects)
     under_lamp = setups and SETUP[1] in models
     need = _bytes_needed(models, objects + int(chosen.charts))
     with publishing(folder, bytes_needed=need) as aside:
@@ -149,7 +154,7 @@ def _bytes_needed(models: dict[str, CameraModel], targets: int) -> int:
     return total
 
 
-class Session:
+class SimulatedSession:
     """The state of one simulation: cameras at work, panels, views."""
 
     def __init__(
@@ -158,7 +163,7 @@ class Session:
         self.preset, self.models, self.root = preset, models, root
         self.names = [f"icon{i + 1}" for i in range(objects)]
         self.cameras = {
-            name: Camera(model, root, supersampling=preset.supersampling)
+            name: SimulatedCamera(model, root, supersampling=preset.supersampling)
             for name, model in models.items()
         }
         self.panels = {name: self._panel(name) for name in self.names}
@@ -184,7 +189,7 @@ class Session:
             twist_mm=float(rng.uniform(-1, 1) * p.twist_mm),
         )
 
-    def _view(self, name: str, model: CameraModel) -> View:
+    def _view(self, name: str, model: CameraModel) -> Viewpoint:
         """Place a camera once, and each object anew before it."""
         p, rng = self.preset, self._rng("place", model.name)
         turned = p.scanner_turn_deg if model.scan else 0.0
@@ -208,7 +213,7 @@ class Session:
         setups: bool,
         library: Path | str | None,
         photographs: list[Path],
-    ) -> Iterator[Step]:
+    ) -> Iterator[SimulationStep]:
         """Capture everything."""
         p = self.preset
         targets = len(self.names) + int(p.charts)
@@ -217,7 +222,7 @@ class Session:
         under_lamp = None
         if setups:
             model = self.models[SETUP[1]]
-            under_lamp = Camera(model, self.root, SETUP[0], p.supersampling)
+            under_lamp = SimulatedCamera(model, self.root, SETUP[0], p.supersampling)
             self.total += len(model.bands) * (len(self.names) + 1)
         for camera in self.cameras.values():
             for target in ("dark", "white"):
@@ -228,7 +233,7 @@ class Session:
             photograph = photographs[i] if i < len(photographs) else None
             painting = self.paint(name, i, library, photograph)
             self.done += 1
-            yield Step(self.done, self.total, f"{name} painted", True)
+            yield SimulationStep(self.done, self.total, f"{name} painted", True)
             yield from self._capture(writer, name, self.panels[name], painting, under_lamp)
         if p.charts:
             chart = paint_chart(self._fineness())
@@ -256,8 +261,8 @@ class Session:
         name: str,
         panel: Panel,
         painting: Painting,
-        under_lamp: Camera | None,
-    ) -> Iterator[Step]:
+        under_lamp: SimulatedCamera | None,
+    ) -> Iterator[SimulationStep]:
         # Finest first: each camera looks at the painting averaged to its own sampling.
         by_factor = {1: painting}
         for camera in self.cameras.values():
@@ -273,24 +278,197 @@ class Session:
                 yield from self._take(writer, under_lamp, name, glared)
 
     def _take(
-        self, writer: FrameWriter, camera: Camera, target: str, sight: Sight | None
-    ) -> Iterator[Step]:
+        self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: Sight | None
+    ) -> Iterator[SimulationStep]:
         name, first = camera.model.name, self.done
         one_file_a_band = camera.model.kind in ("bands", "cube")
         for frame in camera.shoot(target, sight, white=target == "white"):
             writer.add(camera, target, frame)
             if one_file_a_band and frame.shot == 0:
                 self.done += 1
-            yield Step(self.done, self.total, f"{target} {name} {frame.band}".rstrip())
+            yield SimulationStep(self.done, self.total, f"{target} {name} {frame.band}".rstrip())
         writer.finish(camera, target)
         self.done = first + len(camera.model.bands)
-        yield Step(self.done, self.total, f"{target} {name}", True)
+        yield SimulationStep(self.done, self.total, f"{target} {name}", True)
 
-    def truth(self) -> Truth:
+    def truth(self) -> SimulatedTruth:
         """Return the exact geometry of the campaign."""
-        return Truth(
+        return SimulatedTruth(
             REFERENCE,
             self.panels,
             {name: model.geometry() for name, model in self.models.items()},
             {name: self.views[name] for name in self.names},
         )
+
+
+WHITE_TABLE = "white_reflectance.csv"
+FIRST_SHOT = {"dark": 0, "white": 100}
+
+
+class FrameWriter:
+    """Writes frames below raw/ of a folder; gathers the bands of a cube until it is whole."""
+
+    def __init__(self, folder: Folder) -> None:
+        self.folder = folder
+        self.files = self.bytes = 0
+        self.cubes: dict[str, np.ndarray] = {}
+
+    def add(self, camera: SimulatedCamera, target: str, frame: SimulatedFrame) -> None:
+        """Write one frame, or keep it for its cube."""
+        kind = camera.model.kind
+        if kind == "cube":
+            labels = [b.label for b in camera.model.bands]
+            lines, samples = frame.counts.shape
+            # Interleaved by line, as the scanner writes it.
+            cube = self.cubes.setdefault(target, np.empty((lines, len(labels), samples), "<u2"))
+            cube[:, labels.index(frame.band)] = frame.counts
+            return
+        if kind == "bands":
+            file = f"{frame.band.removesuffix(' nm')}nm_{frame.shot:02d}.tif"
+        elif kind == "sensors":
+            file = f"{frame.sensor}_{frame.shot:03d}.tif"
+        else:
+            file = f"DSC_{FIRST_SHOT.get(target, 1000) + frame.shot:04d}.tif"
+        self._write(f"{_raw(camera)}/{target}/{file}", _tiff(frame.counts))
+
+    def finish(self, camera: SimulatedCamera, target: str) -> None:
+        """Write the cube of `target`, where the camera makes one."""
+        cube = self.cubes.pop(target, None)
+        if cube is not None:
+            name = f"{_raw(camera)}/{target}"
+            header = _envi_header(cube.shape[2], cube.shape[0], camera.model.bands)
+            self._write(f"{name}.raw", cube.data)
+            self._write(f"{name}.hdr", header.encode("ascii"))
+
+    def _write(self, name: str, data: bytes | memoryview) -> None:
+        self.folder.write_bytes(name, data)
+        self.files += 1
+        self.bytes += memoryview(data).nbytes
+
+
+def _raw(camera: SimulatedCamera) -> str:
+    return "/".join(part for part in ("raw", camera.setup, camera.model.name) if part)
+
+
+def _tiff(counts: np.ndarray) -> bytes:
+    import tifffile
+
+    buffer = BytesIO()
+    tifffile.imwrite(buffer, counts, photometric="minisblack", metadata=None)
+    return buffer.getvalue()
+
+
+def _envi_header(samples: int, lines: int, bands: tuple[BandModel, ...]) -> str:
+    wavelengths = ", ".join(f"{b.centre:.1f}" for b in bands)
+    return (
+        f"ENVI\nsamples = {samples}\nlines = {lines}\nbands = {len(bands)}\nheader offset = 0\n"
+        "file type = ENVI Standard\ndata type = 12\ninterleave = bil\nbyte order = 0\n"
+        f"wavelength units = nm\nwavelength = {{{wavelengths}}}\n"
+    )
+
+
+def write_tables(folder: Folder, models: Mapping[str, CameraModel]) -> None:
+    """Write the white board's reflectance and the sensitivities of broad-band cameras, as CSV."""
+    grid = np.arange(380, 1021, 10)
+    rows = [f"{w},{WHITE_REFLECTANCE}" for w in grid]
+    _write_lines(folder, WHITE_TABLE, ["wavelength,white", *rows])
+    for name, model in models.items():
+        if model.kind in ("mosaic", "sensors"):
+            labels, table = response_table(model.bands)
+            lines = [",".join(["wavelength", *labels])]
+            for w, row in zip(WAVELENGTHS, table, strict=True):
+                lines.append(",".join([f"{w:g}", *(f"{v:.5f}" for v in row)]))
+            _write_lines(folder, f"{name}_sensitivity.csv", lines)
+
+
+def _write_lines(folder: Folder, name: str, lines: list[str]) -> None:
+    folder.write_bytes(name, ("\n".join(lines) + "\n").encode())
+
+
+def write_campaign_toml(
+    folder: Folder,
+    models: Mapping[str, CameraModel],
+    panels: Mapping[str, Panel],
+    *,
+    reference: tuple[str, str],
+    chart: str | None,
+    setup: tuple[str, str] | None,
+    upright: bool,
+) -> None:
+    """Write campaign.toml."""
+    parts = [
+        '[campaign]\ntitle = "A simulated campaign"\ncreator = "levkas simulate"\n'
+        'date = "2019"\nlicence = "CC0-1.0"\n'
+        f'reference = {{ camera = "{reference[0]}", band = "{reference[1]}" }}\n'
+    ]
+    if upright:
+        parts.append(
+            "# Icons lie on their side before the cameras, as lamps at 70 degrees want it.\n"
+            '[grid]\nrotate = 90\nregion = "auto"\n'
+        )
+    parts += [_camera_text(model) for model in models.values()]
+    names = ", ".join(f'"{name}"' for name in panels)
+    charts = f'charts = {{ {chart} = "ColorChecker24" }}\n' if chart else ""
+    parts.append(
+        f'[targets]\ndark = "dark"\nwhite = {{ names = "white", reflectance = "{WHITE_TABLE}" }}\n'
+        f"{charts}objects = [{names}]\n"
+    )
+    if setup:
+        label, camera = setup
+        parts.append(
+            f"[setups.{label}.cameras.{camera}]\n"
+            f'files = "raw/{label}/{camera}/{{target}}/DSC_{{shot}}.tif"\n'
+        )
+    for name, panel in panels.items():
+        size = (panel.width_mm, panel.height_mm)
+        shown = size[::-1] if upright else size
+        parts.append(
+            f'[objects.{name}]\ntitle = "Simulated {name}"\nmedium = "egg tempera and gold on wood"\n'
+            f"size_mm = [{shown[0]:g}, {shown[1]:g}]\n"
+        )
+    folder.write_bytes("campaign.toml", "\n".join(parts).encode())
+
+
+def _camera_text(model: CameraModel) -> str:
+    noise = model.sensors[0].noise
+    levels = f"black = {noise.black:g}\nsaturation = {noise.saturation}\nbits = {noise.bits}\n"
+    head = f'[cameras.{model.name}]\nkind = "{model.kind}"\n'
+    raw = f"raw/{model.name}"
+    if model.kind == "mosaic":
+        return (
+            f'{head}files = "{raw}/{{target}}/DSC_{{shot}}.tif"\npattern = "{_pattern(model, 0)}"\n'
+            f'sensitivity = "{model.name}_sensitivity.csv"\n{levels}'
+        )
+    if model.kind == "bands":
+        return f'{head}files = "{raw}/{{target}}/{{wavelength}}nm_{{shot}}.tif"\n{_steps(model)}{levels}'
+    if model.kind == "cube":
+        return f'{head}files = "{raw}/{{target}}.hdr"\n{_steps(model)}{levels}'
+    text = f'{head}sensitivity = "{model.name}_sensitivity.csv"\n{levels}'
+    for i, sensor in enumerate(model.sensors):
+        labels = ", ".join(f'"{model.bands[k].label}"' for k in sensor.bands)
+        mosaic = f"pattern = {_rows(model, i)}\n" if sensor.pattern else ""
+        text += (
+            f'\n[[cameras.{model.name}.sensors]]\nname = "{sensor.name}"\n'
+            f'files = "{raw}/{{target}}/{sensor.name}_{{shot}}.tif"\n{mosaic}bands = [{labels}]\n'
+        )
+    return text
+
+
+def _pattern(model: CameraModel, sensor: int) -> str:
+    chosen = model.sensors[sensor]
+    return "".join(model.bands[chosen.bands[k]].label for row in chosen.pattern or () for k in row)
+
+
+def _rows(model: CameraModel, sensor: int) -> str:
+    chosen = model.sensors[sensor]
+    rows = [
+        ", ".join(f'"{model.bands[chosen.bands[k]].label}"' for k in row)
+        for row in chosen.pattern or ()
+    ]
+    return "[" + ", ".join(f"[{row}]" for row in rows) + "]"
+
+
+def _steps(model: CameraModel) -> str:
+    waves = [b.centre for b in model.bands]
+    step = waves[1] - waves[0]
+    return f"wavelengths = {{ start = {waves[0]:g}, stop = {waves[-1]:g}, step = {step:g} }}\n"

@@ -8,22 +8,20 @@ from functools import cached_property
 
 import numpy as np
 
-from levkas.simulation.cameras import CameraModel, SensorModel
-from levkas.simulation.lighting import SETUPS, Light, compose, light
-from levkas.simulation.optics import View, band_to_base
-from levkas.simulation.painting import Painting
-from levkas.simulation.panel import Panel
+from levkas.simulation.cameras import BandModel, CameraModel, SensorModel
+from levkas.simulation.lighting import SETUPS, SimulatedLight, compose, light
+from levkas.simulation.optics import Viewpoint, band_to_base
+from levkas.simulation.painting import Painting, Panel
 from levkas.simulation.pigments import WAVELENGTHS
-from levkas.simulation.rendering import Lattice, render, tabulate
+from levkas.simulation.rendering import RayLattice, render, tabulate
 from levkas.simulation.sensing import FixedPattern, expose, fixed_pattern, key
-from levkas.simulation.sensitivities import BandModel
 
 WHITE_REFLECTANCE = 0.98
 TABLE_REFLECTANCE = 0.045
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class SimulatedFrame:
     """One exposure of one sensor; of a band where it has its own file."""
 
     sensor: str
@@ -37,11 +35,11 @@ class Sight:
     """A painting before a camera: what `reflectance` needs, tabulated once for all bands."""
 
     camera: CameraModel
-    view: View
+    view: Viewpoint
     panel: Panel
     painting: Painting
-    lit: Light
-    lattice: Lattice
+    lit: SimulatedLight
+    lattice: RayLattice
 
     def reflectance(
         self, band: BandModel, sensor: SensorModel, *, supersampling: int = 3
@@ -66,12 +64,12 @@ class Sight:
 
 def look(
     camera: CameraModel,
-    view: View,
+    view: Viewpoint,
     panel: Panel,
     painting: Painting,
     *,
     setup: str | None = None,
-    lattice: Lattice | None = None,
+    lattice: RayLattice | None = None,
 ) -> Sight:
     """Put a painting before a camera, under a setup of `lighting.SETUPS` or the camera's own."""
     lit = light(painting, panel, view, SETUPS[setup or camera.setup])
@@ -79,7 +77,7 @@ def look(
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class SimulatedCamera:
     """A camera at work: its model, its light, and the fixed patterns of its sensors.
 
     Parameters
@@ -137,7 +135,9 @@ class Camera:
             self._patterns[sensor.name] = drawn
         return self._patterns[sensor.name]
 
-    def shoot(self, target: str, sight: Sight | None, *, white: bool = False) -> Iterator[Frame]:
+    def shoot(
+        self, target: str, sight: Sight | None, *, white: bool = False
+    ) -> Iterator[SimulatedFrame]:
         """Yield the frames of an object or chart (`sight`), of the white board, or of the dark.
 
         Parameters
@@ -192,7 +192,7 @@ class Camera:
         exposure: np.ndarray,
         sight: Sight | None,
         white: bool,
-    ) -> Iterator[Frame]:
+    ) -> Iterator[SimulatedFrame]:
         m = self.model
         templates = m.whites if white else m.darks
         count = m.shots if sight is not None else templates
@@ -203,4 +203,6 @@ class Camera:
             fixed = FixedPattern(*(a[:1].repeat(templates, 0) for a in vars(fixed).values()))
         for shot in range(count):
             seed = key(self.root, "noise", m.name, self.setup, target, sensor.name, band, str(shot))
-            yield Frame(sensor.name, band, shot, expose(exposure, sensor.noise, fixed, seed))
+            yield SimulatedFrame(
+                sensor.name, band, shot, expose(exposure, sensor.noise, fixed, seed)
+            )

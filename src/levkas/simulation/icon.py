@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.simulation.ageing import age
 from levkas.simulation.figures import (
     Saint,
+    fan,
+    lay_garment,
+    paint_folds,
     paint_halo,
     paint_hand,
     paint_head,
 )
-from levkas.simulation.garments import fan, lay_garment, paint_folds
-from levkas.simulation.ornaments import inscribe, paint_book, paint_border, rectangle
 from levkas.simulation.painting import Canvas, Painting, multiply
-from levkas.simulation.strokes import brush, curve
+from levkas.simulation.strokes import brush, curve, ellipse
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from levkas.simulation.panel import Panel
+    from levkas.simulation.figures import Saint
+    from levkas.simulation.painting import Canvas, Panel
 
 Garment = tuple[str, str, str]
 Pair = tuple[Garment, Garment]
@@ -229,3 +231,170 @@ def _paint_assist(canvas: Canvas, mantle: np.ndarray, saint: Saint, side: int) -
             lines.append(saint.line([tuple(a), (a[0] + 0.2 * side, a[1] + 0.12),
                                      (a[0] + 0.42 * side, a[1] + 0.34)], 0.4, 0.9))  # fmt: skip
     canvas.stroke(lines, "gold", 0.95, within=mantle, relief=10)
+
+
+def rectangle(canvas: Canvas, inset: float) -> np.ndarray:
+    """Return the outline `inset` mm inside the canvas, closed, (5, 2)."""
+    w, h = canvas.width - inset, canvas.height - inset
+    return np.array([(inset, inset), (w, inset), (w, h), (inset, h), (inset, inset)])
+
+
+def inscribe(
+    canvas: Canvas,
+    start: tuple[float, float],
+    size: float,
+    letters: int,
+    *,
+    rows: int,
+    paint: str = "vermilion",
+) -> None:
+    """Write a line or two of letter-like strokes: stems, bars and bows, a titlo above."""
+    rng = canvas.rng.spawn(1)[0]
+    strokes = []
+    for row in range(rows):
+        for k in range(letters):
+            x, y = start[0] + 0.95 * size * k * 0.8, start[1] + 2.1 * size * row
+            for _ in range(rng.integers(2, 4)):
+                kind, u = rng.integers(0, 4), rng.uniform(0, 0.5)
+                if kind == 0:
+                    path = [(u, -0.8), (u, 0.1), (u, 0.9)]
+                elif kind == 1:
+                    path = [(0, rng.uniform(-0.7, 0.7)), (0.3, 0.05), (0.6, rng.uniform(-0.7, 0.7))]
+                elif kind == 2:
+                    path = [(0.1, -0.75), (0.62, -0.5), (0.6, 0.4), (0.1, 0.75)]
+                else:
+                    path = [(0.6, -0.8), (0.3, 0), (0, 0.85)]
+                points = np.array(path) * size * 0.8 + (x, y)
+                strokes.append(brush(curve(points), 0.2 * size, taper=0.4))
+        titlo = np.array([(0, -1.3), (1.2, -1.5), (2.2, -1.2)]) * size + (
+            start[0],
+            start[1] + 2.1 * size * row,
+        )
+        strokes.append(brush(curve(titlo), 0.14 * size))
+    canvas.stroke(strokes, paint, 0.95)
+
+
+def paint_border(canvas: Canvas, inset: float) -> None:
+    """Paint the rims and a running ornament with pearls.
+
+    Rims are alike on both sides. A red line with white on one side alone moves by a third of a
+    millimetre between blue and red light, and a frame of such lines feigns a magnification.
+    """
+    rng = canvas.rng.spawn(1)[0]
+    rim = brush(rectangle(canvas, inset - 4.0), 2.6, taper=0)
+    canvas.stroke([rim], "white", 0.9)
+    canvas.stroke([rim * (1, 1, 0.6)], "vermilion")
+    canvas.stroke([brush(rectangle(canvas, 4.5), 1.6, taper=0)], "red ochre")
+    middle = 0.5 * inset
+    corners = rectangle(canvas, middle)
+    vine, leaves, pearls = [], [], []
+    for a, b in pairwise(corners):
+        length = np.hypot(*(b - a))
+        along = (b - a) / length
+        across = np.array([-along[1], along[0]])
+        t = np.linspace(0, 1, int(length))
+        swing = 3.2 * np.sin(2 * np.pi * t * round(length / 26))
+        vine.append(brush(a + np.outer(t * length, along) + np.outer(swing, across), 0.9, taper=0))
+        for k in range(round(length / 13)):
+            at = a + along * 13 * (k + 0.5)
+            side = 1 if k % 2 else -1
+            for lean in (-0.8, 0.0, 0.8):
+                tip = at - across * side * 6.0 * np.cos(lean) + along * 6.0 * np.sin(lean)
+                bend = at - across * side * 3.5 + along * (2.0 * lean + rng.normal(0, 0.4))
+                leaves.append(brush(curve([at, bend, tip]), 1.9, taper=0.95))
+            pearls.append(brush(ellipse(at + across * side * 4.5, 0.35), 1.0, taper=0))
+    canvas.stroke(vine, "green earth", 0.95)
+    canvas.stroke(leaves, "malachite", 0.9)
+    canvas.stroke([leaf * (1, 1, 0.3) for leaf in leaves], "malachite light", 0.9)
+    canvas.stroke(pearls, "white", relief=20)
+
+
+def paint_book(canvas: Canvas, saint: Saint, low: float) -> None:
+    """Paint a jewelled gospel book."""
+    x, y, w, h = 1.75, min(4.6, low - 1.9), 1.0, 1.35
+    lean = 0.1
+
+    def corner(u: float, v: float) -> tuple[float, float]:
+        return tuple(saint.at(np.array([x + u * w - lean * v, y + v * h + lean * u])))
+
+    cover = np.array([corner(u, v) for u, v in [(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]])
+    pages = cover + saint.size * np.array([0.16, 0.12])
+    canvas.lay(canvas.area(pages), "vermilion")
+    canvas.stroke([brush(pages, 0.8, taper=0)], "umber")
+    mask = canvas.area(cover)
+    canvas.lay(mask, "ochre", relief=40)
+    canvas.lay(mask, "gold", 0.9)
+    rim = np.array(
+        [corner(0.86 * u, 0.9 * v) for u, v in [(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]]
+    )
+    canvas.stroke([brush(cover, 0.9, taper=0), brush(rim, 0.5, taper=0)], "umber")
+    for u, v, radius, paint in [
+        (0, 0, 0.3, "azurite"), (-0.6, -0.65, 0.17, "malachite"), (0.6, -0.65, 0.17, "vermilion"),
+        (-0.6, 0.65, 0.17, "vermilion"), (0.6, 0.65, 0.17, "malachite"), (0, -0.6, 0.12, "ultramarine"),
+        (0, 0.6, 0.12, "ultramarine"), (-0.55, 0, 0.12, "madder"), (0.55, 0, 0.12, "madder"),
+    ]:  # fmt: skip
+        centre = corner(u, v)
+        canvas.lay(canvas.area(ellipse(centre, radius * saint.size)), paint, relief=30)
+        canvas.stroke([brush(ellipse(centre, radius * saint.size), 0.5, taper=0)], "umber")
+        canvas.stroke([brush(ellipse((centre[0] - 0.4, centre[1] - 0.4), 0.3), 0.4)], "white")
+    pearls = [
+        brush(ellipse(corner(0.93 * np.cos(a) / max(abs(np.cos(a)), abs(np.sin(a))),
+                              0.95 * np.sin(a) / max(abs(np.cos(a)), abs(np.sin(a)))), 0.25), 0.9, taper=0)
+        for a in np.linspace(0, 2 * np.pi, 44, endpoint=False)
+    ]  # fmt: skip
+    canvas.stroke(pearls, "white", relief=25)
+
+
+CELL_MM = (7.0, 4.6)
+
+
+def age(canvas: Canvas, *, field: np.ndarray) -> None:
+    """Let a finished painting age.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    field : ndarray, (n, 2), mm
+        Outline of the lowered centre; the border around it wears faster.
+    """
+    every = np.full(canvas.shape, 255, np.uint8)
+    border = every - canvas.area(field)
+    # Soot and dirt are dark, losses bright, in every band: what all the bands have in common.
+    canvas.vary(every, "umber", canvas.grain(60.0, octaves=3), above=0.4, most=0.25)
+    canvas.vary(every, "black", canvas.grain((9.0, 13.0), octaves=6), above=0.9, most=0.45)
+    canvas.vary(every, "black", canvas.grain(2.4, octaves=3), above=1.5, most=0.5)
+    canvas.vary(border, "gesso", canvas.grain((7.0, 12.0), octaves=6), above=2.0, most=0.95)
+    canvas.vary(every, "gesso", canvas.grain((5.0, 8.0), octaves=6), above=2.5, most=0.9)
+    canvas.vary(border, "wood", canvas.grain((5.0, 9.0), octaves=5), above=2.6, most=0.9)
+    cracks = crack_lines(canvas.width, canvas.height, canvas.rng.spawn(1)[0])
+    canvas.stroke(cracks, "black", 0.75, relief=-30)
+    canvas.relief += canvas.grain((1.0, 3.0), octaves=3) * np.float32(4)
+
+
+def crack_lines(width: float, height: float, rng: np.random.Generator) -> list[np.ndarray]:
+    """Return a net of cracks: ragged edges of cells that are longer along the grain of the wood.
+
+    Returns
+    -------
+    strokes : list of ndarray, (5, 3)
+        x, y and half the width, mm: a tenth to a third of a millimetre wide.
+    """
+    from scipy.spatial import Voronoi
+
+    step = np.array(CELL_MM)
+    columns, rows = (int(np.ceil(n / s)) + 2 for n, s in zip((width, height), step, strict=True))
+    nodes = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2) - 0.5
+    cells = Voronoi((nodes + rng.uniform(-0.48, 0.48, nodes.shape)) * step)
+    pairs = np.array([r for r in cells.ridge_vertices if -1 not in r])
+    pairs = pairs[rng.random(len(pairs)) < 0.72]
+    a, b = cells.vertices[pairs[:, 0]], cells.vertices[pairs[:, 1]]
+    long = np.hypot(*(b - a).T)
+    keep = (long > 0.3) & (long < 15)
+    a, b, long = a[keep], b[keep], long[keep]
+    across = np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], 1) / long[:, None]
+    ragged = rng.normal(0, 0.07, (len(a), 5)) * long[:, None]
+    ragged[:, [0, 4]] = 0
+    wide = rng.uniform(0.10, 0.32, len(a))
+    t = np.linspace(0, 1, 5)
+    lines = a[:, None] + (b - a)[:, None] * t[:, None] + across[:, None] * ragged[..., None]
+    return [brush(line, w, taper=0.3) for line, w in zip(lines, wide, strict=True)]

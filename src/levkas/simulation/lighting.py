@@ -16,9 +16,8 @@ from numba import njit, prange
 from levkas.simulation.rendering import Texture
 
 if TYPE_CHECKING:
-    from levkas.simulation.optics import View
-    from levkas.simulation.painting import Painting
-    from levkas.simulation.panel import Panel
+    from levkas.simulation.optics import Viewpoint
+    from levkas.simulation.painting import Painting, Panel
 
 VARNISH_MIRROR = 0.04
 VARNISH_ROUGHNESS = 0.16
@@ -29,7 +28,7 @@ PENUMBRA_MM = 0.35
 
 
 @dataclass(frozen=True)
-class Lamp:
+class SimulatedLamp:
     """A small lamp: degrees from the panel's normal, degrees from X towards Y, mm, relative power."""
 
     elevation: float
@@ -45,15 +44,15 @@ class Lamp:
         )
 
 
-SETUPS: dict[str, tuple[Lamp, ...]] = {
-    "proposed": (Lamp(70.0, 0.0), Lamp(70.0, 180.0)),
-    "45-degree": (Lamp(45.0, 195.0, 1500.0),),
-    "scan": (Lamp(45.0, 90.0, 500.0),),
+SETUPS: dict[str, tuple[SimulatedLamp, ...]] = {
+    "proposed": (SimulatedLamp(70.0, 0.0), SimulatedLamp(70.0, 180.0)),
+    "45-degree": (SimulatedLamp(45.0, 195.0, 1500.0),),
+    "scan": (SimulatedLamp(45.0, 90.0, 500.0),),
 }
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class SimulatedLight:
     """What a setup does to a painting, seen by one camera; arrays (rows, columns), float32.
 
     Parameters
@@ -81,7 +80,9 @@ def transmitted(angle_deg: float, index: float = 1.5) -> float:
     return float(1 - 0.5 * (across**2 + along**2))
 
 
-def light(painting: Painting, panel: Panel, view: View, lamps: tuple[Lamp, ...]) -> Light:
+def light(
+    painting: Painting, panel: Panel, view: Viewpoint, lamps: tuple[SimulatedLamp, ...]
+) -> SimulatedLight:
     """Light a painting with `lamps` for one camera.
 
     The lamps of a line scanner travel with it.
@@ -112,10 +113,10 @@ def light(painting: Painting, panel: Panel, view: View, lamps: tuple[Lamp, ...])
     places = np.array([[*lamp.place(), lamp.power * lamp.distance_mm**2] for lamp in lamps])
     out = np.empty((3, *painting.relief.shape), np.float32)
     _light(painting.relief, macro, numbers, places, out)
-    return Light(*out)
+    return SimulatedLight(*out)
 
 
-def _reached(height: np.ndarray, lamp: Lamp) -> np.ndarray:
+def _reached(height: np.ndarray, lamp: SimulatedLamp) -> np.ndarray:
     """Return how far a lamp reaches each node past the ledge, 0 to 1, with a soft edge."""
     place = lamp.place()
     low = np.array([place[0], place[1]]) / -place[2]
@@ -141,14 +142,14 @@ def transparency(wavelengths: np.ndarray) -> np.ndarray:
 
 
 def compose(
-    painting: Painting, lit: Light, response: np.ndarray, wavelengths: np.ndarray
+    painting: Painting, lit: SimulatedLight, response: np.ndarray, wavelengths: np.ndarray
 ) -> Texture:
     """Return the reflectance factor of a lit painting in one band.
 
     Parameters
     ----------
     painting : Painting
-    lit : Light
+    lit : SimulatedLight
     response : ndarray, (n,)
         Light times sensitivity at `wavelengths`, of sum 1.
     wavelengths : ndarray, (n,), nm

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from levkas.simulation import rays
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 
 MIDDLE_NM, SPAN_NM = 550.0, 300.0
 
 
 @dataclass(frozen=True)
-class Chromatic:
+class ChromaticOptics:
     """Lateral chromatic aberration, polynomials in x = (wavelength − 550 nm) / 300 nm.
 
     Parameters
@@ -53,7 +53,7 @@ class Chromatic:
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """One camera before one object: where it stands, how it projects, how large its image is.
 
     Parameters
@@ -115,14 +115,14 @@ class View:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, record: dict[str, Any]) -> View:
+    def from_dict(cls, record: dict[str, Any]) -> Viewpoint:
         """Return the view that `to_dict` wrote."""
         plain: dict[str, Any] = {
             k: tuple(v) if isinstance(v, list) else v for k, v in record.items()
         }
         return cls(**plain)
 
-    def moved(self, rotation: np.ndarray, translation: np.ndarray) -> View:
+    def moved(self, rotation: np.ndarray, translation: np.ndarray) -> Viewpoint:
         """Return the view of an object that was turned, then shifted, in the world (mm)."""
         mine = np.reshape(self.rotation, (3, 3))
         shifted = mine @ np.asarray(translation, float) + self.translation
@@ -147,13 +147,13 @@ def turn(x_deg: float, y_deg: float, z_deg: float) -> np.ndarray:
 
 
 def band_to_base(
-    view: View, chromatic: tuple[float, float, float, float], affine: np.ndarray
+    view: Viewpoint, chromatic: tuple[float, float, float, float], affine: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return what takes native pixels of a band to base pixels: a (2, 3) matrix, then the bow.
 
     Parameters
     ----------
-    view : View
+    view : Viewpoint
     chromatic : tuple
         What `Chromatic.at` returns.
     affine : ndarray, (2, 3)
@@ -176,7 +176,7 @@ def band_to_base(
 
 def base_to_band(
     points: np.ndarray,
-    view: View,
+    view: Viewpoint,
     chromatic: tuple[float, float, float, float],
     affine: np.ndarray,
 ) -> np.ndarray:
@@ -191,7 +191,7 @@ def base_to_band(
 
 def native_to_base(
     points: np.ndarray,
-    view: View,
+    view: Viewpoint,
     chromatic: tuple[float, float, float, float],
     affine: np.ndarray,
 ) -> np.ndarray:
@@ -202,12 +202,12 @@ def native_to_base(
     return base
 
 
-def panel_to_base(points: np.ndarray, view: View, panel: Panel) -> np.ndarray:
+def panel_to_base(points: np.ndarray, view: Viewpoint, panel: Panel) -> np.ndarray:
     """Project panel points (n, 2) = (s, t) mm to base pixels, hidden or not."""
     return rays.project(np.ascontiguousarray(points, float), view.vector(), panel.vector())
 
 
-def base_to_panel(points: np.ndarray, view: View, panel: Panel) -> np.ndarray:
+def base_to_panel(points: np.ndarray, view: Viewpoint, panel: Panel) -> np.ndarray:
     """Return the panel points (n, 2) = (s, t) mm that base pixels see first.
 
     Beyond its edges the panel is continued, so that a picture's edge is interpolated like the

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-from levkas.simulation.ageing import age
-from levkas.simulation.painting import Canvas, Painting
+from levkas.simulation.icon import age
+from levkas.simulation.painting import Canvas, Painting, Panel
 from levkas.simulation.pigments import WAVELENGTHS, paint_spectra
 
 if TYPE_CHECKING:
-    from levkas.simulation.panel import Panel
+    from levkas.simulation.painting import Panel
 
 LEVELS = 32
 
@@ -109,3 +109,62 @@ def _mixtures(codes: np.ndarray, spectra: np.ndarray) -> np.ndarray:
         row[:] = whole
         row[share.argmax()] += 255 - int(whole.sum())
     return amounts
+
+
+COLUMNS, ROWS = 6, 4
+PITCH_MM, PATCH_MM = 43.0, 40.0
+BOARD_MM = (289.0, 204.0)
+FRAME_REFLECTANCE = 0.035
+
+
+def chart_panel() -> Panel:
+    """Return the board: flat, 289 x 204 mm."""
+    return Panel(width_mm=BOARD_MM[0], height_mm=BOARD_MM[1], border_mm=0.0)
+
+
+def patch_centres() -> np.ndarray:
+    """Return the middles of the patches on the board, (24, 2) = (s, t) mm, row by row."""
+    s = (np.arange(COLUMNS) - (COLUMNS - 1) / 2) * PITCH_MM
+    t = (np.arange(ROWS) - (ROWS - 1) / 2) * PITCH_MM
+    return np.stack(np.meshgrid(s, t), -1).reshape(-1, 2)
+
+
+def patch_spectra() -> np.ndarray:
+    """Return the reflectance of the 24 patches at `pigments.WAVELENGTHS`, (24, n).
+
+    Notes
+    -----
+    BabelColor's average of many charts, as colour-science has it, 380–730 nm. Beyond 730 nm the
+    last value is held: nobody has published the charts there.
+    """
+    # colour-science sets numpy's printing back to that of version 1.13 for the whole process.
+    with np.printoptions():
+        from colour import SDS_COLOURCHECKERS
+
+    patches = SDS_COLOURCHECKERS["BabelColor Average"].values()
+    return np.stack([np.interp(WAVELENGTHS, sd.wavelengths, sd.values) for sd in patches])
+
+
+def paint_chart(px_per_mm: float) -> Painting:
+    """Return a ColorChecker Classic on its board, matte."""
+    columns, rows = (round(n * px_per_mm) for n in BOARD_MM)
+    s = (np.arange(columns) + 0.5) / px_per_mm - BOARD_MM[0] / 2
+    t = (np.arange(rows) + 0.5) / px_per_mm - BOARD_MM[1] / 2
+    amounts = np.zeros((rows, columns, 25), np.uint8)
+    amounts[..., 24] = 255
+    for k, (x, y) in enumerate(patch_centres()):
+        across = np.clip((PATCH_MM / 2 - np.abs(s - x)) * px_per_mm + 0.5, 0, 1)
+        down = np.clip((PATCH_MM / 2 - np.abs(t - y)) * px_per_mm + 0.5, 0, 1)
+        share = np.round(255 * np.outer(down, across)).astype(np.uint8)
+        amounts[..., k] = share
+        amounts[..., 24] -= share
+    frame = np.full((1, len(WAVELENGTHS)), FRAME_REFLECTANCE)
+    return Painting(
+        amounts,
+        np.vstack([patch_spectra(), frame]),
+        np.zeros(25, bool),
+        np.zeros((rows, columns), np.uint8),
+        np.zeros((rows, columns), np.float32),
+        px_per_mm,
+        gloss=0.0,
+    )

@@ -13,8 +13,8 @@ from math import ceil, erf, sqrt
 import numpy as np
 from numba import njit, prange
 
-from levkas.simulation.optics import View, base_to_panel
-from levkas.simulation.panel import Panel
+from levkas.simulation.optics import Viewpoint, base_to_panel
+from levkas.simulation.painting import Panel
 
 PAD = 12
 ROWS = 32
@@ -36,23 +36,23 @@ class Texture:
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class RayLattice:
     """The panel points that a camera's base pixels see, tabulated once for all its bands.
 
     Parameters
     ----------
     points : ndarray, (height + 2 PAD + 1, width + 2 PAD + 1, 2), float32
         (s, t) in mm at integer base pixels, the first at (−PAD, −PAD).
-    view : View
+    view : Viewpoint
     panel : Panel
     """
 
     points: np.ndarray
-    view: View
+    view: Viewpoint
     panel: Panel
 
 
-def tabulate(view: View, panel: Panel, *, pad: int = PAD) -> Lattice:
+def tabulate(view: Viewpoint, panel: Panel, *, pad: int = PAD) -> RayLattice:
     """Return the lattice of a view.
 
     Linear interpolation between its nodes is exact to 1e-4 px where the relief is smooth.
@@ -64,7 +64,7 @@ def tabulate(view: View, panel: Panel, *, pad: int = PAD) -> Lattice:
         ys = np.arange(top, min(top + 256, len(points))) - float(pad)
         block = np.stack(np.meshgrid(xs, ys), -1).reshape(-1, 2)
         points[top : top + 256] = base_to_panel(block, view, panel).reshape(len(ys), len(xs), 2)
-    return Lattice(points, view, panel)
+    return RayLattice(points, view, panel)
 
 
 def footprint(supersampling: int, blur: float) -> np.ndarray:
@@ -98,7 +98,7 @@ def footprint(supersampling: int, blur: float) -> np.ndarray:
 
 def render(
     texture: Texture,
-    lattice: Lattice,
+    lattice: RayLattice,
     matrix: np.ndarray,
     bow: float = 0.0,
     *,
@@ -111,7 +111,7 @@ def render(
     Parameters
     ----------
     texture : Texture
-    lattice : Lattice
+    lattice : RayLattice
     matrix, bow : ndarray (2, 3), float
         Native pixels of the band → base pixels, as `optics.band_to_base` returns them.
     surroundings : float

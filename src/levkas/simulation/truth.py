@@ -13,14 +13,14 @@ import numpy as np
 from levkas.core.cube import find_band
 from levkas.core.files import write_bytes, write_json
 from levkas.simulation.optics import (
-    Chromatic,
-    View,
+    ChromaticOptics,
+    Viewpoint,
     base_to_band,
     base_to_panel,
     native_to_base,
     panel_to_base,
 )
-from levkas.simulation.panel import Panel
+from levkas.simulation.painting import Panel
 
 SAME_MM = 1e-4
 GRID_POINTS = 3000
@@ -45,7 +45,7 @@ class CameraGeometry:
     width, height : int
         Native pixels of each sensor.
     bands : tuple of BandGeometry
-    chromatic : Chromatic
+    chromatic : ChromaticOptics
     sensors : dict of str to ndarray, (2, 3)
         Pixels of the first sensor → this one.
     """
@@ -53,7 +53,7 @@ class CameraGeometry:
     width: int
     height: int
     bands: tuple[BandGeometry, ...]
-    chromatic: Chromatic = field(default_factory=Chromatic)
+    chromatic: ChromaticOptics = field(default_factory=ChromaticOptics)
     sensors: dict[str, np.ndarray] = field(default_factory=dict)
 
     def band(self, label: str) -> BandGeometry:
@@ -69,7 +69,7 @@ class CameraGeometry:
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class SimulatedTruth:
     """Exact maps of a simulated campaign.
 
     Parameters
@@ -86,7 +86,7 @@ class Truth:
     reference: tuple[str, str]
     panels: dict[str, Panel]
     cameras: dict[str, CameraGeometry]
-    views: dict[str, dict[str, View]]
+    views: dict[str, dict[str, Viewpoint]]
 
     def from_panel(
         self, points: np.ndarray, camera: str, band: str | None = None, *, name: str | None = None
@@ -230,7 +230,7 @@ class Truth:
         }
 
     @classmethod
-    def from_dict(cls, record: dict[str, Any]) -> Truth:
+    def from_dict(cls, record: dict[str, Any]) -> SimulatedTruth:
         """Return the truth that `to_dict` recorded."""
         cameras = {
             name: CameraGeometry(
@@ -240,7 +240,7 @@ class Truth:
                     BandGeometry(*b)
                     for b in zip(r["bands"], r["wavelengths"], r["band_sensors"], strict=True)
                 ),
-                Chromatic(**{k: tuple(v) for k, v in r["chromatic"].items()}),
+                ChromaticOptics(**{k: tuple(v) for k, v in r["chromatic"].items()}),
                 {k: np.array(m) for k, m in r["sensors"].items()},
             )
             for name, r in record["cameras"].items()
@@ -250,11 +250,14 @@ class Truth:
             (camera, band),
             {name: Panel(**p) for name, p in record["panels"].items()},
             cameras,
-            {o: {c: View.from_dict(v) for c, v in by.items()} for o, by in record["views"].items()},
+            {
+                o: {c: Viewpoint.from_dict(v) for c, v in by.items()}
+                for o, by in record["views"].items()
+            },
         )
 
     @classmethod
-    def load(cls, folder: Path | str) -> Truth:
+    def load(cls, folder: Path | str) -> SimulatedTruth:
         """Read the truth of a campaign that `simulate_campaign` wrote, from its `truth` folder."""
         return cls.from_dict(json.loads((Path(folder) / "truth.json").read_text(encoding="utf-8")))
 

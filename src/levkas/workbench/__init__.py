@@ -1,1 +1,1 @@
-"""The registration workbench without its screen: what is shown of a camera, and what a hand changes."""
+"""The screen on which registrations are followed and corrected."""

@@ -13,25 +13,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.registration.replay import reject_of
+from levkas.registration.manual_points import MARKS
+from levkas.workbench.replay import reject_of
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.registration.outliers import Cleaned
     from levkas.registration.record import Matches
-    from levkas.workbench.session import Session
+    from levkas.workbench.session import CorrectionSession
 
 SAMPLED_ROUNDS = 120
 ALIGNED = 8
 MOST_OF_A_BYTE = 256
+BY_HAND = {mark: kind for kind, mark in MARKS.items()}
 
 
-def describe(session: Session, known: str = "", *, packed: bool = False) -> dict[str, Any]:
+def describe(
+    session: CorrectionSession, known: str = "", *, packed: bool = False
+) -> dict[str, Any]:
     """Return everything that a screen shows of the pairs, JSON-ready and short.
 
     Parameters
     ----------
-    session : Session
+    session : CorrectionSession
     known : str
         What `places` said when the screen was last told them: ``pairs`` is None where they are the same.
     packed : bool
@@ -41,7 +45,8 @@ def describe(session: Session, known: str = "", *, packed: bool = False) -> dict
     -------
     told : dict
         Columns are of one length; ``trace.models`` holds the polynomial of some rounds, so that a
-        screen can draw any moment of the removal itself.
+        screen can draw any moment of the removal itself. ``hand`` is what a person did to a pair: a key
+        of `MARKS`, or empty.
     """
     view = session.view
     matches = view.matches
@@ -57,6 +62,7 @@ def describe(session: Session, known: str = "", *, packed: bool = False) -> dict
         "leave_one_out": numbers(np.round(matches.leave_one_out, 3), "f4"),
         "weight": numbers(np.round(matches.weight, 3), "f4"),
         "state": words(matches.state),
+        "hand": words(np.array([BY_HAND.get(r, "") for r in matches.reason.tolist()], object)),
         "reason": words(matches.reason),
         "round": numbers(matches.round, "i4"),
         "summary": _summary(matches, matches.kept),
@@ -65,7 +71,7 @@ def describe(session: Session, known: str = "", *, packed: bool = False) -> dict
         "reject": session.edits.reject or session.found.reject or reject_of(session.found.size),
         "stop": session.edits.stop or session.found.stop,
         "overridden": {k: getattr(session.edits, k) is not None for k in ("reject", "stop")},
-        "corrections": session.edits.told(),
+        "corrections": session.edits.describe(),
         "note": session.edits.note,
         "can": session.can,
     }

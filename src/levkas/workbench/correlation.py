@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.geometry.transforms import Transform
-from levkas.workbench.pictures import Picture
+from levkas.workbench.pictures import ShownPicture
 
 HALF_PX = 16
 REACH_PX = 12
@@ -36,8 +36,8 @@ class Correlated:
 
 
 def find_partner(
-    reference: Picture,
-    target: Picture,
+    reference: ShownPicture,
+    target: ShownPicture,
     forward: Transform,
     point: np.ndarray,
     *,
@@ -48,7 +48,7 @@ def find_partner(
 
     Parameters
     ----------
-    reference, target : Picture
+    reference, target : ShownPicture
     forward : Transform
         Reference px → target px, right to about `reach`.
     point : ndarray, (2,), reference px

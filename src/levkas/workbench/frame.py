@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -15,14 +16,13 @@ from levkas.geometry.transforms import Inverse, Transform, from_dict
 from levkas.workbench import maps
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
 from levkas.workbench.operations import refused
-from levkas.workbench.pictures import Picture, encode, tinted, warped_tile
+from levkas.workbench.pictures import ShownPicture, encode, tinted, warped_tile
 from levkas.workbench.session import look
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import Capture
+    from levkas.campaign.discovery.captures import Capture, SensorFrames
     from levkas.registration.record import Matches
-    from levkas.workbench.sensor_view import SensorView
-    from levkas.workbench.session import Session, View
+    from levkas.workbench.session import CorrectionSession, SessionView
 
 SIDES = ("reference", "target")
 FEW = 12
@@ -31,7 +31,7 @@ SNAP_PX = 8.0
 
 
 @dataclass
-class Frame:
+class RegistrationView:
     """One sensor of a camera of an object.
 
     Parameters
@@ -40,7 +40,7 @@ class Frame:
         What is corrected, and the reference.
     record, main_record : dict
         registration/CAMERA.json of either camera.
-    session : Session
+    session : CorrectionSession
     band, reference_band : str
         Whose pictures are shown where nobody asks for others.
     read : callable, (capture, band) → Picture
@@ -51,13 +51,13 @@ class Frame:
     main: SensorView
     record: dict[str, Any]
     main_record: dict[str, Any]
-    session: Session
+    session: CorrectionSession
     band: str
     reference_band: str
-    read: Callable[[Capture, str], Picture]
+    read: Callable[[Capture, str], ShownPicture]
     read_flags: Callable[[Capture, str], np.ndarray]
     lock: threading.RLock = field(default_factory=threading.RLock)
-    trial: View | None = None
+    trial: SessionView | None = None
     """What the map would be if a pair lay elsewhere."""
     trials: int = 0
     builds: int = 0
@@ -117,7 +117,7 @@ class Frame:
         slope = from_dict(grid["transform"]).jacobian(np.zeros((1, 2)))[0]
         return float(grid["px_per_mm"]) / float(np.sqrt(abs(np.linalg.det(slope))))
 
-    def renew(self, fresh: Frame) -> None:
+    def renew(self, fresh: RegistrationView) -> None:
         """Take over what a new build recorded; corrections and undo stay."""
         with self.lock:
             self.record, self.main_record = fresh.record, fresh.main_record
@@ -147,7 +147,7 @@ class Frame:
         mean = round(float(good.mean()), 4) if len(good) else None
         return {"trial": self.trials, "mean": mean, "refusal": self.trial.refusal}
 
-    def picture(self, which: str, label: str = "") -> Picture:
+    def picture(self, which: str, label: str = "") -> ShownPicture:
         """Return a picture of the ``"reference"`` or of the ``"target"``, of the band shown unless another is named."""
         if which == "reference":
             return self.read(self.reference, label or self.reference_band)
@@ -298,10 +298,14 @@ class Frame:
         shift = np.zeros(2)
         if theirs != self.band and self.built is not None and theirs in self._built:
             shift = (self._built[theirs](point[None]) - self.built(point[None]))[0]
-        near = np.concatenate([here[0], there[0] + shift])
-        local = _shifted(forward, near, at=point) if np.isfinite(near).all() else forward
+        nearest_rows = np.concatenate([here[0], there[0] + shift])
+        local = (
+            _shifted(forward, nearest_rows, at=point)
+            if np.isfinite(nearest_rows).all()
+            else forward
+        )
         pictures = self.picture("reference", ours), self.picture("target", theirs)
-        found = find_partner(*pictures, local, near[:2], reach=reach)
+        found = find_partner(*pictures, local, nearest_rows[:2], reach=reach)
         x, y = np.array(found.target) - shift
         return replace(found, target=(float(x), float(y)))
 
@@ -344,7 +348,7 @@ class Frame:
     def take(self, files: list[bytes], dialect: str | None) -> dict[str, Any]:
         """Add the pairs of a file: those that are there already stay as they are."""
         from levkas.registration.control_points import parse_points
-        from levkas.registration.manual_points import near
+        from levkas.registration.manual_points import nearest_rows
 
         found = self.session.found
         points = parse_points(
@@ -353,7 +357,7 @@ class Frame:
         rows = np.hstack([points.reference, points.target])
         matches = self.session.view.matches
         here = np.hstack([matches.reference, matches.target]).reshape(-1, 4)
-        new = (near(rows, here) < 0) & np.asarray(points.enabled, bool)
+        new = (nearest_rows(rows, here) < 0) & np.asarray(points.enabled, bool)
         check = np.asarray(points.check, bool)
         self.session.add_all(
             [tuple(row) for row in rows[new & ~check].tolist()],
@@ -397,3 +401,44 @@ def _transforms(record: dict[str, Any], labels: list[str]) -> dict[str, Transfor
     """The maps of bands in a record, reference px → px of the band."""
     bands = record.get("bands", {})
     return {label: from_dict(bands[label]["transform"]) for label in labels if label in bands}
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """One sensor of a capture; most cameras have one."""
+
+    capture: Capture
+    sensor: SensorFrames
+
+    @property
+    def key(self) -> str:
+        """Id."""
+        return id_of(
+            self.capture.object, self.capture.layer, "" if self.is_first else self.sensor.name
+        )
+
+    @property
+    def is_first(self) -> bool:
+        """Whether edits.toml names it by its camera alone."""
+        return self.sensor == self.capture.sensors[0]
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of its bands."""
+        return [band.label for band in self.sensor.bands]
+
+
+def id_of(name: str, layer: str, sensor: str = "") -> str:
+    """Return the id of a camera of an object, of its first sensor unless another is named.
+
+    >>> id_of("icon1", "d80"), id_of("icon1", "msbs", "ccd2") == id_of("icon1", "msbs")
+    ('081b6cfe9096', False)
+    """
+    parts = [name, layer, sensor] if sensor else [name, layer]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:12]
+
+
+def sensor_of(capture: Capture, band: str) -> SensorFrames:
+    """Return the sensor that recorded a band; the first where none did."""
+    found = (s for s in capture.sensors if any(b.label == band for b in s.bands))
+    return next(found, capture.sensors[0])

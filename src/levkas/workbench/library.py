@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.campaign.campaign import load_campaign
-from levkas.campaign.discovery.find_captures import Capture, find_captures
+from levkas.campaign.discovery.captures import Capture
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 from levkas.registration.record import COLUMNS, Matches
-from levkas.workbench.frame import Frame
-from levkas.workbench.pictures import Picture, read_picture
-from levkas.workbench.sensor_view import SensorView, id_of, sensor_of
-from levkas.workbench.session import Found, Session
+from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
+from levkas.workbench.pictures import ShownPicture, read_picture
+from levkas.workbench.session import CorrectionSession, FoundPartner
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,8 +51,8 @@ class Library:
 
     path: Path
     output: Path | None = None
-    _frames: dict[str, Frame] = field(default_factory=dict)
-    _pictures: dict[tuple[str, str], Picture] = field(default_factory=dict)
+    _frames: dict[str, RegistrationView] = field(default_factory=dict)
+    _pictures: dict[tuple[str, str], ShownPicture] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     @cached_property
@@ -106,12 +106,12 @@ class Library:
                     "reference": self._is_reference(view),
                     "decision": verdict.get("decision", "not built"),
                     "reason": next(iter(verdict.get("reasons", [])), ""),
-                    "corrections": self._edits(view).told(),
+                    "corrections": self._edits(view).describe(),
                 }
             )
         return listed
 
-    def open(self, key: str) -> Frame:
+    def open(self, key: str) -> RegistrationView:
         """Open a camera, or return it as it stands.
 
         Raises
@@ -126,7 +126,7 @@ class Library:
                 self._frames[key] = self._opened(self.views[key])
             return self._frames[key]
 
-    def catch_up(self, frame: Frame) -> None:
+    def catch_up(self, frame: RegistrationView) -> None:
         """Take over what others wrote into edits.toml of a camera; the frame's lock is held by the caller."""
         frame.session.take(self._edits(frame.view))
 
@@ -139,7 +139,7 @@ class Library:
                 old.renew(self.open(each))
                 self._frames[each] = old
 
-    def picture(self, capture: Capture, band: str) -> Picture:
+    def picture(self, capture: Capture, band: str) -> ShownPicture:
         """Return one band as a picture; the last few are kept."""
         key = (id_of(capture.object, capture.layer), band)
         with self._lock:
@@ -168,7 +168,7 @@ class Library:
                 return place, labels.index(band)
         raise FrameMissing(Problem("E_BAND_MISSING", "there is no such band", found=band))
 
-    def _opened(self, view: SensorView) -> Frame:
+    def _opened(self, view: SensorView) -> RegistrationView:
         capture = view.capture
         record, reference = self._record(capture), self._reference(capture)
         if not record or "reference" not in record:
@@ -185,16 +185,16 @@ class Library:
         ours = record["reference"]
         shape = self._shape(self._page(capture, band)[0])
         keys = self.campaign.registration_of(capture.camera)
-        found = Found.of(
+        found = FoundPartner.of(
             self._matches(view),
             size=(int(ours["size"][0]), int(ours["size"][1])),
             target_size=(shape[1], shape[0]),
             reject=keys.get("reject"),
             stop=keys.get("stop", 1.0),
         )
-        session = Session(found, self._edits(view), partial(self._save, view))
+        session = CorrectionSession(found, self._edits(view), partial(self._save, view))
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
-        return Frame(
+        return RegistrationView(
             view, main, record, self._record(reference), session, band, str(ours["band"]),
             self.picture, self.flags,
         )  # fmt: skip
@@ -233,7 +233,7 @@ class Library:
         return parse_matches(text)
 
     def _edits(self, view: SensorView) -> FrameEdits:
-        edits = read_edits(self.edits_path).of(view.capture.object, view.capture.layer)
+        edits = read_edits(self.edits_path).of_layer(view.capture.object, view.capture.layer)
         return edits.get(self._band_of(view, edits), FrameEdits())
 
     def _band_of(self, view: SensorView, edits: Mapping[str, FrameEdits]) -> str:
@@ -246,7 +246,7 @@ class Library:
         capture = view.capture
 
         def frame_of(edits: Edits) -> str:
-            band = self._band_of(view, edits.of(capture.object, capture.layer))
+            band = self._band_of(view, edits.of_layer(capture.object, capture.layer))
             return f"{capture.layer}:{band}" if band else capture.layer
 
         return change_edits(self.edits_path, capture.object, frame_of, before, after)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-from levkas.workbench.pictures import Picture, place_on_lattice
+from levkas.workbench.pictures import ShownPicture, place_on_lattice
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
@@ -86,7 +86,7 @@ def draw_leave_one_out(matches: Matches, size: tuple[int, int]) -> Map:
     return _coloured(full, low=0.0)
 
 
-def draw_ssim(reference: Picture, target: Picture, forward: Transform) -> Map:
+def draw_ssim(reference: ShownPicture, target: ShownPicture, forward: Transform) -> Map:
     """Draw the structural similarity of the reference and of the target brought into its frame."""
     from levkas.quality.evaluation.similarity import structural_similarity
 
@@ -104,7 +104,7 @@ def draw_ssim(reference: Picture, target: Picture, forward: Transform) -> Map:
 
 def draw_flags(flags: np.ndarray, forward: Transform, size: tuple[int, int]) -> Map:
     """Draw the share of flagged pixels of one band, (h, w) uint8, in the reference frame."""
-    flagged = Picture(np.where(flags != 0, 255, 0).astype(np.uint8))
+    flagged = ShownPicture(np.where(flags != 0, 255, 0).astype(np.uint8))
     across, down = _axes(size, LONGEST_PX)
     placed = place_on_lattice(forward, across, down)
     step = max(1.0, max(size) / LONGEST_PX)

@@ -25,7 +25,7 @@ LATTICE_PX = 16
 JPEG_LEVEL = 88
 
 
-class Picture:
+class ShownPicture:
     """A grey picture and its copies at half, a quarter, … of its sampling.
 
     Parameters
@@ -87,7 +87,7 @@ class Picture:
 
 
 def warped_tile(
-    picture: Picture, forward: Mapper, size: tuple[int, int], level: int, column: int, row: int
+    picture: ShownPicture, forward: Mapper, size: tuple[int, int], level: int, column: int, row: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a tile of a picture brought into a frame of `size`, (h, w) uint8, and where it is known.
 
@@ -161,7 +161,7 @@ def encode(values: np.ndarray, inside: np.ndarray | None = None) -> tuple[bytes,
     return bytes(imagecodecs.png_encode(np.ascontiguousarray(alpha), level=1)), "image/png"
 
 
-def read_picture(path: Path, page: int) -> Picture:
+def read_picture(path: Path, page: int) -> ShownPicture:
     """Read one page of a calibrated TIFF as a picture of eight bits.
 
     Raises
@@ -178,7 +178,7 @@ def read_picture(path: Path, page: int) -> Picture:
         part = np.asarray(pages.read_page(page, start, start + ROWS), np.float32)
         tone = np.clip((np.nan_to_num(part, nan=low) - low) / (high - low), 0, 1)
         pixels[start : start + ROWS] = np.rint(255 * np.sqrt(tone))
-    return Picture(pixels)
+    return ShownPicture(pixels)
 
 
 def _limits(pages: TiffPages, page: int, height: int) -> tuple[float, float]:

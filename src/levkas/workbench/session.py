@@ -15,12 +15,12 @@ import numpy as np
 
 from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.geometry.transforms import Affine, Inverse, Transform
-from levkas.registration.manual_points import Marked, measure_checks
+from levkas.registration.manual_points import ManualPoints, MarkedMatches, measure_checks
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.outliers import Cleaned
-from levkas.registration.record import Matches, RegistrationRefused
-from levkas.registration.replay import reject_of, replay
+from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
 from levkas.workbench.operations import OPERATIONS, refused, set_threshold
+from levkas.workbench.replay import reject_of, replay
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,12 +28,11 @@ if TYPE_CHECKING:
 LEAST_FITTED = 3
 STILL_PX = 0.02
 """Target px that a map may move before pictures are brought over anew: less than can be seen."""
-OWN = "added by hand"
 CUT = "farther than `reject` at the start"
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundPartner:
     """What stands before any correction.
 
     Parameters
@@ -53,15 +52,15 @@ class Found:
     stop: float = 1.0
 
     @classmethod
-    def of(cls, matches: Matches, **more: Any) -> Found:
+    def of(cls, matches: Matches, **more: Any) -> FoundPartner:
         """Take what a build recorded, and leave out what came from a person."""
-        own = (matches.reason == OWN) | (matches.state == "check")
+        own = (matches.reason == HandMark.ADDED) | (matches.state == MatchState.CHECK)
         names = Matches.__dataclass_fields__
         return cls(Matches(**{n: getattr(matches, n)[~own] for n in names}), **more)
 
 
 @dataclass(frozen=True)
-class View:
+class SessionView:
     """What corrections make of the pairs.
 
     Parameters
@@ -83,25 +82,25 @@ class View:
 
 
 @dataclass
-class Session:
+class CorrectionSession:
     """Corrections of one frame, with undo and redo.
 
     Parameters
     ----------
-    found : Found
+    found : FoundPartner
     edits : FrameEdits
     save : callable, optional
         Writes a change, (before, after), on top of what others wrote meanwhile; returns what stands
         there then. Where it raises, nothing was changed.
     """
 
-    found: Found
+    found: FoundPartner
     edits: FrameEdits = field(default_factory=FrameEdits)
     save: Callable[[FrameEdits, FrameEdits], FrameEdits] | None = None
     version: int = 0
     _undone: list[FrameEdits] = field(default_factory=list)
     _done: list[FrameEdits] = field(default_factory=list)
-    _view: View | None = None
+    _view: SessionView | None = None
     _drawn: tuple[int, np.ndarray] | None = None
 
     @property
@@ -117,7 +116,7 @@ class Session:
         return self.version
 
     @property
-    def view(self) -> View:
+    def view(self) -> SessionView:
         """What the corrections make of the pairs, computed once a change."""
         if self._view is None:
             self._view = look(self.found, self.edits)
@@ -188,7 +187,7 @@ class Session:
         """Do again what was undone last."""
         self._step(self._undone, self._done)
 
-    def refresh(self, found: Found) -> None:
+    def refresh(self, found: FoundPartner) -> None:
         """Go on from what a new build found; corrections and undo stay."""
         self.found, self._view = found, None
         self.version += 1
@@ -241,9 +240,9 @@ class Session:
         return written
 
 
-def look(found: Found, edits: FrameEdits) -> View:
+def look(found: FoundPartner, edits: FrameEdits) -> SessionView:
     """Replay the removal of outliers on what was found and corrected."""
-    given = edits.given()
+    given = ManualPoints(**edits.pairs())
     marked = given.mark(found.matches.reference, found.matches.target)
     kept = np.concatenate([found.matches.kept, np.ones(len(marked.reason), bool)])
     kept = kept[: len(marked.reason)]
@@ -254,11 +253,11 @@ def look(found: Found, edits: FrameEdits) -> View:
     else:
         forward = Inverse(fitted.model)
         matches = _described(marked, fitted, edits.stop or found.stop)
-    return View(_with_checks(matches, given.checks, forward), fitted, forward, refusal)
+    return SessionView(_with_checks(matches, given.checks, forward), fitted, forward, refusal)
 
 
 def _fit(
-    found: Found, edits: FrameEdits, marked: Marked, kept: np.ndarray
+    found: FoundPartner, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
 ) -> tuple[Cleaned | None, str]:
     if (~marked.dropped).sum() < LEAST_FITTED:
         return None, f"{int((~marked.dropped).sum())} pairs: a map needs at least {LEAST_FITTED}"
@@ -271,7 +270,7 @@ def _fit(
             target_size=found.target_size,
             reject=edits.reject or found.reject,
             stop=edits.stop or found.stop,
-            sure=marked.sure,
+            sure=marked.fixed,
             dropped=marked.dropped,
         )
     except RegistrationRefused as refusal:
@@ -279,7 +278,7 @@ def _fit(
     return cleaned, ""
 
 
-def _stiff(found: Found, marked: Marked) -> Transform:
+def _stiff(found: FoundPartner, marked: MarkedMatches) -> Transform:
     """Scale alone, shifted on to the pairs that there are."""
     back = scale_only(found.size, found.target_size)
     use = ~marked.dropped
@@ -289,7 +288,7 @@ def _stiff(found: Found, marked: Marked) -> Transform:
     return Inverse(Affine(np.column_stack([back.matrix[:, :2], back.matrix[:, 2] + shift])))
 
 
-def _described(marked: Marked, fitted: Cleaned, stop: float) -> Matches:
+def _described(marked: MarkedMatches, fitted: Cleaned, stop: float) -> Matches:
     # A reason for every pair of thousands would cost more than the fit: the round says it all.
     told = np.full(len(marked.reason), "", object)
     told[fitted.round == 0] = CUT
@@ -306,7 +305,7 @@ def _described(marked: Marked, fitted: Cleaned, stop: float) -> Matches:
     )
 
 
-def _unfitted(marked: Marked) -> Matches:
+def _unfitted(marked: MarkedMatches) -> Matches:
     state = np.where(marked.dropped, "removed", "kept").astype(object)
     return Matches.of(marked.reference, marked.target, state=state, reason=marked.reason)
 
@@ -325,7 +324,7 @@ def _over(size: tuple[int, int]) -> np.ndarray:
     return np.stack(np.meshgrid(along, down), -1).reshape(-1, 2)
 
 
-def _place(pair: Sequence[float], found: Found) -> Pair:
+def _place(pair: Sequence[float], found: FoundPartner) -> Pair:
     """Check that a pair can be: four finite numbers, not far outside either picture."""
     values = np.asarray(pair, float).reshape(-1)
     if values.shape != (4,) or not np.isfinite(values).all():

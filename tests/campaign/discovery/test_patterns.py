@@ -4,9 +4,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from levkas.campaign.discovery.files import find
-from levkas.campaign.discovery.matching import match_pieces
-from levkas.campaign.discovery.patterns import Pattern, _compiled, _pieces, natural
+from levkas.campaign.discovery.file_index import find_files
+from levkas.campaign.discovery.patterns import Pattern, _compiled, _pieces, match_pieces, natural
 from levkas.core.problems import Refused
 
 
@@ -174,7 +173,7 @@ def test_many_stars_end_soon(what, tmp_path):
     path.touch()
     began = time.process_time()
     try:
-        assert find(tmp_path, [pattern]) == []
+        assert find_files(tmp_path, [pattern]) == []
     except Refused as refused:
         assert "too many ways" in str(refused)
     assert time.process_time() - began < 2
@@ -182,12 +181,12 @@ def test_many_stars_end_soon(what, tmp_path):
 
 def test_many_stars_find_what_is_there(tmp_path):
     (tmp_path / ("xa" * 12 + "icon1b.tif")).touch()
-    (found,) = find(tmp_path, ["*a" * 12 + "{target}b.tif"])
+    (found,) = find_files(tmp_path, ["*a" * 12 + "{target}b.tif"])
     assert found.target == "icon1"
     deep = tmp_path.joinpath(*"a" * 12, "icon1b.tif")
     deep.parent.mkdir(parents=True)
     deep.touch()
-    (found,) = find(tmp_path, ["**/a/" * 12 + "{target}b.tif"])
+    (found,) = find_files(tmp_path, ["**/a/" * 12 + "{target}b.tif"])
     assert found.target == "icon1"
 
 

@@ -50,7 +50,10 @@ def folder(tmp_path):
     return make
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(one, marks=[pytest.mark.slow] * (one not in ("numbers",))) for one in KINDS],
+)
 def test_the_work_of_looking_grows_with_the_number_of_files(folder, kind):
     few, many = folder(kind, 250), folder(kind, 750)
     look(folder(kind, 5))  # imports

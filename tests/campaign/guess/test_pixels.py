@@ -3,8 +3,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.campaign.guess.mosaics import name_mosaic
-from levkas.campaign.guess.pixels import bits_of, describe_pixels, find_mosaic, is_same_scene
+from levkas.campaign.guess.pixels import (
+    bits_of,
+    describe_pixels,
+    find_mosaic,
+    is_same_scene,
+    name_mosaic,
+)
 
 
 def noisy(shape=(60, 80), level=2000.0, seed=0):

@@ -156,7 +156,7 @@ def bench(served, browser):
 def add_viewer():
     """Return a function that writes the viewer into a database's folder."""
     from levkas.pages.screen import ScreenMissing, read_built
-    from levkas.viewer import About, write_viewer
+    from levkas.publish.viewer import About, write_viewer
 
     try:
         read_built("viewer.js")

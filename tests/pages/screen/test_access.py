@@ -8,6 +8,8 @@ from levkas.campaign.edits import read_edits
 from .serving import READY, opened, told
 from .walking import faint, nameless, walk
 
+pytestmark = pytest.mark.slow
+
 
 def check_walk(page):
     """Tab leads to every stop once, there and back, each in view, with a ring and a name."""
@@ -53,14 +55,14 @@ def test_a_registration_is_corrected_with_the_keyboard_alone(bench):
     page, server = bench
     keys = page.keyboard
     keys.press("w")
-    page.wait_for_function("() => levkasWorkbench.store.selected >= 0")
+    page.wait_for_function("() => levkasWorkbench.store.selected.value >= 0")
     page.locator("#pair-use").focus()
     keys.press("Enter")
-    assert "deleted by hand" in told(page, "told.reason").pop(0)
+    assert "deleted by hand" in told(page, "session.value.reason").pop(0)
     page.wait_for_selector("#pair-use:has-text('Restore')")
     assert focused(page) == "pair-use"
     keys.press("Escape")
-    assert told(page, "selected") == -1
+    assert told(page, "selected.value") == -1
     before = page.evaluate("levkasWorkbench.stage.left.centre")
     keys.press("+")
     keys.press("+")
@@ -71,12 +73,12 @@ def test_a_registration_is_corrected_with_the_keyboard_alone(bench):
     assert after[0] > before[0] + 5 and after[1] > before[1] + 5
     keys.press("n")
     page.wait_for_selector("#pair-accept")
-    proposed = told(page, "proposal.pair")
+    proposed = told(page, "proposal.value.pair")
     assert np.allclose(proposed[:2], after, atol=0.5)
     keys.press("ArrowRight")
     keys.press("Enter")
-    page.wait_for_function("() => levkasWorkbench.store.proposal === null")
-    told(page, "told.version")
+    page.wait_for_function("() => levkasWorkbench.store.proposal.value === null")
+    told(page, "session.value.version")
     added = read_edits(server.edits_path).frames["icon", "xray"].added
     assert len(added) == 1 and added[0][2] == pytest.approx(proposed[2] + 0.1, abs=0.011)
 
@@ -87,7 +89,7 @@ def test_the_keyboard_keeps_its_place_in_groups_lists_and_dialogs(bench):
     page.locator("[data-mode=side][role=radio]").focus()
     keys.press("ArrowRight")
     assert page.evaluate("document.activeElement.dataset.mode") == "curtain"
-    assert page.evaluate("levkasWorkbench.stage.mode") == "curtain"
+    assert page.evaluate("levkasWorkbench.stage.mode.value") == "curtain"
     keys.press("ArrowLeft")
     page.wait_for_function(READY)
     camera = page.locator("nav button:not([aria-current])").first

@@ -37,7 +37,13 @@ def page_of(name):
     return f"viewer/objects/{quote(name, safe='')}/index.html"
 
 
-@pytest.mark.parametrize("how", ["file", "http"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        pytest.param(one, marks=[pytest.mark.slow] * (one not in ("http",)))
+        for one in ["file", "http"]
+    ],
+)
 def test_hostile_titles_and_file_names_are_shown_and_do_nothing(browser, serve, folder, how):
     base = folder.as_uri() if how == "file" else serve(folder)
     page = browser.open(f"{base}/index.html", width=900, height=500)

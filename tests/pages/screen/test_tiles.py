@@ -11,10 +11,10 @@ from PIL import Image
 
 from levkas.core.digests import hash_tree
 from levkas.database.tiff_pages import open_pages
-from levkas.viewer import spectra
-from levkas.viewer.pyramid import OVERLAP_PX, TILE_PX, cut, halve, write_pyramid
-from levkas.viewer.relighting import ILLUMINANTS, observer_under, relighting_matrix
-from levkas.viewer.spectra import decode_block, encode_block, write_spectra
+from levkas.publish.viewer import spectra
+from levkas.publish.viewer.pyramid import OVERLAP_PX, TILE_PX, cut, halve, write_pyramid
+from levkas.publish.viewer.relighting import ILLUMINANTS, observer_under, relighting_matrix
+from levkas.publish.viewer.spectra import decode_block, encode_block, write_spectra
 
 from .database import write_database
 

@@ -48,6 +48,7 @@ def database(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_methods_are_set_side_by_side_with_errors_maps_and_memory(database, tmp_path):
     names = ["levkas", "mirhashemi2019", "opencv-sift-magsac"]
     arguments = [a for name in names for a in ("--method", name)]
@@ -62,7 +63,7 @@ def test_methods_are_set_side_by_side_with_errors_maps_and_memory(database, tmp_
         assert (tmp_path / "out" / row["map"]).is_file()
     page = (tmp_path / "out/comparison.html").read_text()
     assert page.count("<figure>") == 3 and "GDB-ICP" not in page
-    assert "Mean error by layer" in page and page.count("<polyline") == 2 * len(names)
+    assert "Mean error by layer" in page and page.count('role="img"') == 2
     assert json.loads((tmp_path / "out/comparison.json").read_text())["methods"]
 
 

@@ -15,6 +15,8 @@ from levkas.quality.comparison.intensities import opencv_ecc
 from levkas.quality.comparison.pairs import Pair
 from levkas.quality.comparison.structures import find_structures
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (180, 230)
 CENTRE = np.array([(SHAPE[1] - 1) / 2, (SHAPE[0] - 1) / 2])
 SPREAD = float(np.hypot(*SHAPE)) / 2

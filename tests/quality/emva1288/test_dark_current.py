@@ -163,6 +163,7 @@ def scan(folder, bands, *, current=0.0, times=(0.02, 0.02), lines=200, samples=1
     return float(np.std(response))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bands", [1, 4, 15, 16])
 def test_line_scans_of_few_bands_are_measured(tmp_path, bands):
     prnu = scan(tmp_path, bands)

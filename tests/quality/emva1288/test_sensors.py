@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from levkas.cli import app
 from levkas.core.problems import Refused
+from levkas.pages.emva1288 import render_examination
 from levkas.quality.emva1288 import examine_with_seed
 from levkas.quality.emva1288.facts import describe_files, describe_frame
-from levkas.quality.emva1288.page import render_page
 
 CAMPAIGN = """
 [campaign]
@@ -75,7 +75,9 @@ def test_the_brightest_pixel_is_no_full_scale(folder, tmp_path):
         assert channel.full_well is channel.snr is channel.dynamic_range is None
     assert sensor.facts.white is None
     assert any("`bits`" in note and "left out" in note for note in sensor.notes)
-    assert "photon transfer curve" in render_page(found) and "SNR at saturation" in found.text
+    assert (
+        "photon transfer curve" in render_examination(found) and "SNR at saturation" in found.text
+    )
 
 
 def test_clipped_darks_are_recognised_and_said(tmp_path):
@@ -105,7 +107,7 @@ def test_one_shot_of_each_still_gives_bounds_that_hold(tmp_path):
         assert told["gain K"][0] == "≤" and told["gain K"][1] > 0.1
         assert told["PRNU"] == ("≤", pytest.approx(2.09, rel=0.03)) and told["PRNU"][1] > 2
         assert told["full well"][0] == "≥" and told["full well"][1] < 40_310
-    assert "SNR of the white ≥" in found.text and "SNR of the white" in render_page(found)
+    assert "SNR of the white ≥" in found.text and "SNR of the white" in render_examination(found)
     assert json.dumps(found.to_dict()).count('"sign"') == 3 * 6
 
 
@@ -181,7 +183,7 @@ def test_the_command_writes_nothing_unless_asked(folder, tmp_path):
 
 
 def test_the_same_seed_gives_the_same_page(folder):
-    one, two = (render_page(examine_with_seed(folder, seed=3)) for _ in range(2))
+    one, two = (render_examination(examine_with_seed(folder, seed=3)) for _ in range(2))
     assert one == two
 
 

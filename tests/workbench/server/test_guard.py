@@ -3,6 +3,7 @@
 import asyncio
 import base64
 import json
+from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import unquote
 
 import pytest
@@ -192,6 +193,7 @@ QUERIES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_no_route_ends_in_a_fault_of_the_server_whatever_it_is_sent(app, client):
     """Every refusal has one shape; the client raises what a handler does not catch."""
     asked = 0
@@ -299,7 +301,9 @@ def ask_raw(app, path):
     async def send(message):
         sent.append(message)
 
-    asyncio.run(app(scope, receive, send))
+    # In a thread of its own: a browser of other tests may have a loop running in this one.
+    with ThreadPoolExecutor(1) as beside:
+        beside.submit(asyncio.run, app(scope, receive, send)).result()
     return sent[0]["status"], b"".join(m.get("body", b"") for m in sent)
 
 

@@ -39,6 +39,7 @@ def ask(address, path, *, cookie="", body=None):
     )
 
 
+@pytest.mark.skipif(os.name == "nt", reason="signals of Unix")
 def test_it_says_its_address_serves_this_machine_alone_and_ends_cleanly(campaign):
     run = subprocess.Popen(
         [*COMMAND, str(campaign), "--no-open"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -126,7 +127,13 @@ pathlib.Path(sys.argv[1] + ".part").rename(sys.argv[1])
 
 
 @pytest.mark.skipif(os.name == "nt", reason="$BROWSER and signals of Unix")
-@pytest.mark.parametrize("end", ["entered", "SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    "end",
+    [
+        pytest.param(one, marks=[pytest.mark.slow] * (one not in ("entered", "SIGINT")))
+        for one in ["entered", "SIGINT", "SIGTERM", "SIGHUP"]
+    ],
+)
 def test_the_page_that_holds_the_token_is_this_users_and_is_taken_away(campaign, tmp_path, end):
     """By a browser's entry, or by any end that a terminal gives; nothing else is left either."""
     (tmp_path / "browser.py").write_text(BROWSER)

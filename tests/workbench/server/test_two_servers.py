@@ -182,7 +182,9 @@ def test_what_a_person_wrote_stays_where_it_is(tmp_path):
     text = path.read_text()
     assert tomllib.loads(text)["objects"]["icon"]["cameras"]["nir"] == {"stop": 3.0}
     assert change(path, after, FrameEdits()) == FrameEdits()
-    assert read_edits(path).of("icon", "xray") == {} and "# Our own notes." in path.read_text()
+    assert (
+        read_edits(path).of_layer("icon", "xray") == {} and "# Our own notes." in path.read_text()
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,1 +1,1 @@
-"""Discovery."""
+"""Captures of a campaign found among its files."""

@@ -1,7 +1,8 @@
-"""Which bands a file holds: a mosaic's channels, a cube's or a photograph's, by header and as declared."""
+"""Bands of files: a mosaic's channels, a cube's or a photograph's bands, or one file a band."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -9,13 +10,14 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.campaign.discovery.captures import CaptureRefused, Rows
+from levkas.campaign.discovery.captures import CaptureRefused, FrameRef, Rows
+from levkas.campaign.discovery.patterns import natural
 from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
-    from levkas.campaign.schema.tables import Sensor
+    from levkas.campaign.schema.tables import SensorKeys
     from levkas.readers.frames import Facts
 
 NEAREST_NM = 0.5
@@ -62,7 +64,7 @@ def bands_of_mosaic(
 
 
 def bands_in_file(
-    camera: Camera, sensor: Sensor | None, facts: Facts, *, pages: bool = False
+    camera: Camera, sensor: SensorKeys | None, facts: Facts, *, pages: bool = False
 ) -> tuple[Band, ...]:
     """Bands of a file that holds them all: a cube, a photograph, a sensor without a mosaic.
 
@@ -107,20 +109,20 @@ def bands_in_file(
 
 def _default_names(
     camera: Camera,
-    sensor: Sensor | None,
+    sensor: SensorKeys | None,
     facts: Facts,
     count: int,
     centres: Sequence[float] | None,
 ) -> Sequence[str]:
     if camera.kind == "image":
         return ("R", "G", "B") if count == 3 else ("grey",)
-    told = facts.band_names if facts.band_names and len(facts.band_names) == count else None
+    names = facts.band_names if facts.band_names and len(facts.band_names) == count else None
     if sensor is not None and count == 1:
-        return told or (sensor.name,)
+        return names or (sensor.name,)
     if centres:
         return band_labels(centres)
-    if told and len(set(told)) == count:
-        return told
+    if names and len(set(names)) == count:
+        return names
     return [f"band {i + 1}" for i in range(count)]
 
 
@@ -144,7 +146,7 @@ def _check_near(
             )
 
 
-def relabel(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ...]:
+def with_declared_centres(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ...]:
     """Give channels of a mosaic, or of several sensors, the centres that are declared for them."""
     centres = camera.centres
     if centres is None:
@@ -156,10 +158,10 @@ def relabel(camera: Camera, bands: Sequence[Band], path: Path) -> tuple[Band, ..
     return tuple(replace(b, wavelength=w) for b, w in zip(bands, centres, strict=True))
 
 
-def described(declared: Sequence[float | str]) -> str:
-    """Say what was declared.
+def bands_text(declared: Sequence[float | str]) -> str:
+    """Return the declared bands in words.
 
-    >>> described([400.0, 410.0, 420.0])
+    >>> bands_text([400.0, 410.0, 420.0])
     '400–420 nm by 10 nm is 3 bands'
     """
     count = len(declared)
@@ -175,13 +177,187 @@ def count_problem(
     camera: Camera, field: str, declared: int, found: int, what: str, path: str
 ) -> Problem:
     """Return the problem of bands whose number does not fit `field`."""
-    told = described(camera.centres) if field == "wavelengths" and camera.centres else ""
+    declaration = bands_text(camera.centres) if field == "wavelengths" and camera.centres else ""
     return Problem(
         "E_BAND_COUNT",
-        f"{camera.name}: {told or f'{declared} {field} are declared'}, there are {found} {what}",
+        f"{camera.name}: {declaration or f'{declared} {field} are declared'}, there are {found} {what}",
         path or None,
         f"cameras.{camera.name}.{field}",
         found,
         declared,
         f"Mend `{field}` in campaign.toml, or give the whole file.",
+    )
+
+
+Key = float | str
+SAME_NM = 1e-6
+"""Between wavelengths that are one, as files and campaign.toml write them."""
+
+
+def band_key(frame: FrameRef) -> Key | None:
+    """Return the key of a frame's band: its wavelength, else its name, else None."""
+    return frame.wavelength if frame.wavelength is not None else frame.band
+
+
+def key_text(key: Key | None) -> str:
+    """Return a band's key as text.
+
+    >>> key_text(366.55)
+    '366.55 nm'
+    """
+    return f"{key:g} nm" if isinstance(key, float) else str(key)
+
+
+def bands_by_name(
+    camera: Camera, frames: Sequence[FrameRef], others: set[Key], folder: str
+) -> tuple[list[FrameRef], tuple[Band, ...]]:
+    """Order frames whose names have their band, and check them against what is expected.
+
+    Parameters
+    ----------
+    camera : Camera
+    frames : sequence of FrameRef
+        Of one object.
+    others : set
+        Bands of the camera's other objects and whites: expected too where nothing is declared.
+    folder : str
+        For messages.
+
+    Returns
+    -------
+    frames : list of FrameRef
+        With labels as their bands, band after band.
+    bands : tuple of Band
+
+    Raises
+    ------
+    CaptureRefused
+        For a missing band, one too many, or a name without its wavelength.
+    """
+    found = {band_key(f) for f in frames}
+    if None in found:
+        raise CaptureRefused(_nameless(camera, [f for f in frames if band_key(f) is None]))
+    keys = sorted((k for k in found if k is not None), key=_order)
+    by_wavelength = all(isinstance(k, float) for k in keys)
+    declared: Sequence[Key] | None = camera.centres if by_wavelength else camera.bands
+    keys = _checked(camera, keys, declared, others, folder)
+    if by_wavelength:
+        centres = [float(k) for k in keys]
+        names = camera.bands or _names_of(frames, keys) or tuple(band_labels(centres))
+    else:
+        names, centres = tuple(str(k) for k in keys), list(camera.centres or [nan] * len(keys))
+    if len(names) != len(keys):
+        raise CaptureRefused(count_problem(camera, "bands", len(names), len(keys), "files", folder))
+    bands = tuple(Band(n, w) for n, w in zip(names, centres, strict=True))
+    labels = dict(zip(keys, names, strict=True))
+    ranks = {key: i for i, key in enumerate(keys)}
+    ordered = sorted(frames, key=lambda f: (ranks[_sure(f)], f.exposure_s or 0.0))
+    return [replace(f, band=labels[_sure(f)]) for f in ordered], bands
+
+
+def label_templates(
+    templates: Sequence[FrameRef], frames: Sequence[FrameRef], bands: Sequence[Band]
+) -> list[FrameRef]:
+    """Give templates the labels of the bands they belong to; those of other bands are left out.
+
+    Parameters
+    ----------
+    templates : sequence of FrameRef
+        As found.
+    frames : sequence of FrameRef
+        Of the object, labelled.
+    bands : sequence of Band
+    """
+    labels: dict[Key, str] = {b.wavelength: b.label for b in bands if b.wavelength == b.wavelength}
+    labels |= {f.wavelength: f.band for f in frames if f.wavelength is not None and f.band}
+    labels |= {b.label: b.label for b in bands}
+    result = []
+    for frame in templates:
+        key = band_key(frame)
+        if key is None or frame.page is not None:
+            result.append(frame)
+        elif key in labels:
+            result.append(replace(frame, band=labels[key]))
+    return result
+
+
+def _order(key: Key) -> tuple[int, float, list[tuple[int, int, str]]]:
+    return (0, key, []) if isinstance(key, float) else (1, 0.0, natural(key))
+
+
+def _sure(frame: FrameRef) -> Key:
+    key = band_key(frame)
+    return "" if key is None else key
+
+
+def _names_of(frames: Sequence[FrameRef], keys: Sequence[Key]) -> tuple[str, ...] | None:
+    """Return the names beside wavelengths in the files' names."""
+    names = {f.wavelength: f.band for f in frames if f.wavelength is not None}
+    found = tuple(str(names[k]) for k in keys if isinstance(k, float) and names.get(k))
+    return found if len(set(found)) == len(keys) else None
+
+
+def _checked(
+    camera: Camera, keys: list[Key], declared: Sequence[Key] | None, others: set[Key], folder: str
+) -> list[Key]:
+    """Return the keys in their order, or refuse."""
+    alike = {k for k in others if isinstance(k, float) == isinstance(keys[0], float)}
+    expected = list(declared) if declared else sorted({*keys, *alike}, key=_order)
+    near = _Near(keys)
+    match = {k: near.same(k) for k in expected}
+    missing = [k for k in expected if match[k] is None]
+    taken = set(match.values())
+    surplus = [k for k in keys if k not in taken]
+    if not missing and not surplus:
+        return [k for k in match.values() if k is not None]
+    expectation = bands_text(declared) if declared else f"other targets have {len(expected)} bands"
+    lack = "missing " if missing else "not declared: "
+    field = "wavelengths" if isinstance(expected[0], float) else "bands"
+    raise CaptureRefused(
+        Problem(
+            "E_BAND_MISSING" if missing else "E_BAND_COUNT",
+            f"{camera.name}: {expectation}, the folder has {len(keys)} ({lack}{_listed(missing or surplus)})",
+            folder,
+            f"cameras.{camera.name}.{field}",
+            len(keys),
+            len(expected),
+            f"Add the missing files, or write the bands that there are as `{field}`."
+            if missing
+            else f"Take the files away, or add them to `{field}`.",
+        )
+    )
+
+
+class _Near:
+    """Keys among which one is looked up, wavelengths within 1e-6 nm; thousands of bands are."""
+
+    def __init__(self, keys: Sequence[Key]) -> None:
+        self._labels = {k for k in keys if not isinstance(k, float)}
+        self._wavelengths = sorted(k for k in keys if isinstance(k, float))
+
+    def same(self, key: Key) -> Key | None:
+        """Return the key that is alike, None without one."""
+        if not isinstance(key, float):
+            return key if key in self._labels else None
+        place = bisect_left(self._wavelengths, key - SAME_NM)
+        found = self._wavelengths[place : place + 1]
+        return found[0] if found and found[0] < key + SAME_NM else None
+
+
+def _listed(keys: Sequence[Key]) -> str:
+    some, more = keys[:6], " …" if len(keys) > 6 else ""
+    if all(isinstance(k, float) for k in some):
+        return ", ".join(f"{k:g}" for k in some) + f"{more} nm"
+    return ", ".join(map(key_text, some)) + more
+
+
+def _nameless(camera: Camera, frames: list[FrameRef]) -> Problem:
+    return Problem(
+        "E_BAND_MISSING",
+        f"{camera.name}: a file's name does not tell its band",
+        str(frames[0].path),
+        f"cameras.{camera.name}.files",
+        frames[0].path.name,
+        "a pattern with {wavelength} or {band}",
+        "Mend the pattern that this file fits.",
     )

@@ -17,7 +17,7 @@ class CaptureRefused(Refused):
 
 @dataclass(frozen=True)
 class FrameRef:
-    """Where one exposure of one sensor stands, and what its name says of it.
+    """One exposure of one sensor: its file, and the facts in its name.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ class FrameRef:
     band : str, optional
         Label of the band that the frame shows; None where it shows all, or serves all.
     wavelength : float, optional
-        nm, as the name says it.
+        nm, from the name.
     exposure_s : float, optional
-        As the name says it; None where only the file may know.
+        From the name; None where only the file may have it.
     shot, setup : str
     page : int, optional
         Of a multi-page TIFF, from 0. None: the whole file, for a `cube` all its pages.

@@ -1,39 +1,341 @@
-"""Every frame of a campaign, camera by camera and setup by setup, before anything is made of them."""
+"""Index the files of a campaign: folders listed once, files that fit patterns, frames by camera and setup."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import re
+import unicodedata
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.discovery.captures import CaptureRefused
-from levkas.campaign.discovery.files import Found, find
-from levkas.campaign.discovery.folders import Folders
-from levkas.campaign.discovery.manifest import read_manifest, with_exposures
-from levkas.campaign.discovery.patterns import Pattern
+from levkas.campaign.discovery.manifest import read_manifest
+from levkas.campaign.discovery.patterns import Pattern, natural, ways_to_read
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.readers.frames import Facts
 
+PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
+"""Names that an interrupted writer leaves behind."""
+OWN_FILES = ("campaign.toml", "edits.toml")
+DEEPEST = 64
+"""Folders in one another below the one that is looked at; captures lie three or four deep."""
+MOST_COMPARED, MOST_SHOWN = 2000, 3
+"""Names that are compared with a pattern, and that are shown."""
+TYPICAL = {"{wavelength}": "550", "{exposure}": "100", "{shot}": "001"}
+
+
+class FolderUnreadable(Refused):
+    """A folder of raw frames that cannot be listed."""
+
+
+class FolderListings:
+    """Listings by folder, kept while a campaign's files are looked for.
+
+    Parameters
+    ----------
+    never : iterable of Path
+        Folders not to look into, such as the campaign's output.
+
+    Examples
+    --------
+    >>> FolderListings().files(Path("/no/such/folder"))
+    ()
+    """
+
+    def __init__(self, *, never: Iterable[Path] = ()) -> None:
+        self._never = {os.path.normpath(folder) for folder in never}
+        self._known: dict[str, tuple[tuple[str, ...], tuple[str, ...], frozenset[str]]] = {}
+
+    def files(self, folder: Path) -> tuple[str, ...]:
+        """Return the names of the files of a folder, sorted; none where there is no folder.
+
+        Raises FolderUnreadable where it is there and cannot be listed.
+        """
+        return self._listed(folder)[0]
+
+    def folders(self, folder: Path) -> tuple[str, ...]:
+        """Return the names of the folders in a folder, sorted; raises as `files`."""
+        return self._listed(folder)[1]
+
+    def is_link(self, folder: Path, name: str) -> bool:
+        """Whether an entry is a symbolic link, which may lead back to where one comes from."""
+        return name in self._listed(folder)[2]
+
+    def _listed(self, folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozenset[str]]:
+        key = os.path.normpath(folder)
+        if key not in self._known:
+            self._known[key] = ((), (), frozenset()) if key in self._never else _list_folder(folder)
+        return self._known[key]
+
+
+def too_deep(folder: Path) -> FolderUnreadable:
+    """Return the refusal of a folder that lies deeper than `DEEPEST`."""
+    return FolderUnreadable(
+        Problem(
+            "E_SIZE",
+            "folders are nested too deeply",
+            str(folder),
+            found=f"over {DEEPEST} in one another",
+            expected=f"at most {DEEPEST}",
+            fix="Name the folder that holds the frames.",
+        )
+    )
+
+
+def walk_folders(
+    root: Path, folders: FolderListings
+) -> Iterator[tuple[tuple[str, ...], tuple[str, ...] | None]]:
+    """Yield (folders below the root, names of the files) of every folder, in natural order, from the top.
+
+    No folder is entered twice, whatever links lead to it. For what is nested deeper than `DEEPEST`
+    the names are None, and it is not entered.
+    """
+    visited: set[tuple[int, int]] = set()
+    waiting: list[tuple[str, ...]] = [()]
+    while waiting:
+        above = waiting.pop()
+        folder = root.joinpath(*above)
+        found = folder.stat() if folder.is_dir() else None
+        if found is None or (found.st_dev, found.st_ino) in visited:
+            continue
+        visited.add((found.st_dev, found.st_ino))
+        if len(above) > DEEPEST:
+            yield above, None
+            continue
+        yield above, tuple(_naturally(folders.files(folder)))
+        waiting += [(*above, name) for name in reversed(_naturally(folders.folders(folder)))]
+
+
+def _naturally(names: Iterable[str]) -> list[str]:
+    return sorted(names, key=lambda name: (natural(name), name))
+
+
+def _list_folder(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...], frozenset[str]]:
+    files, folders, links = [], [], set()
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.name.startswith(".") or PARTIAL.fullmatch(entry.name):
+                    continue
+                if entry.is_dir():
+                    folders.append(entry.name)
+                elif entry.is_file() and entry.name not in OWN_FILES:
+                    files.append(entry.name)
+                if entry.is_symlink():
+                    links.add(entry.name)
+    except (FileNotFoundError, NotADirectoryError):
+        return (), (), frozenset()
+    except OSError as error:
+        raise FolderUnreadable(
+            Problem(
+                "E_UNREADABLE",
+                "a folder of raw frames cannot be listed",
+                str(folder),
+                found=error.strerror,
+                fix="Give yourself the right to read it.",
+            )
+        ) from error
+    if "catalogue.csv" in files and "objects" in folders:
+        return (), (), frozenset()  # a database of ours, wherever it was written to
+    return tuple(sorted(files)), tuple(sorted(folders)), frozenset(links)
+
+
+def composed(name: str) -> str:
+    """Return a name with composed accents, as people type it; some file systems take them apart.
+
+    >>> len("e\\u0301"), len(composed("e\\u0301"))
+    (2, 1)
+    """
+    return unicodedata.normalize("NFC", name)
+
+
+# --- files that fit patterns ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FoundFile:
+    """A file that fits a pattern, with the values in its name; units nm and s."""
+
+    path: Path
+    pattern: Pattern
+    target: str = ""
+    setup: str = ""
+    band: str = ""
+    wavelength: float | None = None
+    exposure_s: float | None = None
+    shot: str = ""
+    sensor: str = ""
+
+
+def find_files(
+    root: Path,
+    patterns: Sequence[str | Pattern],
+    *,
+    known: Mapping[str, Collection[str]] | None = None,
+    folders: FolderListings | None = None,
+) -> list[FoundFile]:
+    """Find the files that fit one of some patterns, in natural order; the first that fits counts.
+
+    Parameters
+    ----------
+    root : Path
+        What the patterns are relative to.
+    patterns : sequence of str or Pattern
+    known : dict of field to values, optional
+        As `Pattern.read` takes it.
+    folders : Folders, optional
+        Listings that are already there.
+
+    Raises
+    ------
+    ValueError
+        For a pattern that cannot be read.
+    FolderUnreadable
+        For a folder that cannot be listed.
+    """
+    folders = folders or FolderListings()
+    ways = ways_to_read(known or {})
+    by_path: dict[Path, FoundFile] = {}
+    for pattern in patterns:
+        parsed = Pattern.parse(pattern) if isinstance(pattern, str) else pattern
+        for path, text in _walk(parsed, folders, _start(root, parsed), 0, "", set()):
+            values = None if path in by_path else parsed.read(text, ways)
+            if values is not None:
+                by_path[path] = FoundFile(path, parsed, **values)
+    return _without_data_of_headers(in_natural_order(by_path.values()))
+
+
+def with_exposures(
+    frames: Sequence[FoundFile], exposures: dict[str, float], root: Path
+) -> list[FoundFile]:
+    """Give frames the exposure that the manifest has for their path from `root`, or for their name."""
+    exposed = []
+    for frame in frames:
+        try:
+            name = frame.path.relative_to(root).as_posix()
+        except ValueError:
+            name = frame.path.name
+        seconds = exposures.get(name, exposures.get(frame.path.name))
+        exposed.append(frame if seconds is None else replace(frame, exposure_s=seconds))
+    return exposed
+
+
+def in_natural_order(found: Iterable[FoundFile]) -> list[FoundFile]:
+    """Return files by their paths, 9 before 10."""
+    return sorted(found, key=lambda f: (natural(f.path.as_posix()), f.path.as_posix()))
+
+
+def nearest(
+    root: Path, pattern: Pattern, *, folders: FolderListings | None = None
+) -> tuple[Path, list[str]]:
+    """Return where a pattern leads no further, and the names there that are nearest to it.
+
+    Examples
+    --------
+    >>> nearest(Path("/no/such/folder"), Pattern.parse("raw/{target}.tif"))
+    (PosixPath('/no/such/folder'), [])
+    """
+    folders = folders or FolderListings()
+    here = [_start(root, pattern)]
+    segment = pattern.segments[0]
+    for i, segment in enumerate(pattern.segments):
+        last = i == len(pattern.segments) - 1
+        if segment == "**":
+            break
+        if segment == "..":
+            here = [folder.parent for folder in here]
+            continue
+        listed = folders.files if last else folders.folders
+        there = [f / n for f in here for n in listed(f) if pattern.fits_segment(i, composed(n))]
+        if last or not there:
+            break
+        here = there
+    names = [n for f in here for n in (*folders.folders(f), *folders.files(f))][:MOST_COMPARED]
+    wanted = re.sub(r"\{[a-z]+\}|\*", lambda m: TYPICAL.get(m.group(), ""), segment).lower()
+    ranked = sorted(
+        dict.fromkeys(names),
+        key=lambda n: (-SequenceMatcher(None, wanted, n.lower()).ratio(), natural(n), n),
+    )
+    return here[0], ranked[:MOST_SHOWN]
+
+
+def _start(root: Path, pattern: Pattern) -> Path:
+    return Path("/") if pattern.absolute else root
+
+
+def _walk(
+    pattern: Pattern,
+    folders: FolderListings,
+    folder: Path,
+    index: int,
+    text: str,
+    been: set[tuple[int, str]],
+) -> Iterator[tuple[Path, str]]:
+    """Yield (path, its part that the pattern describes), one folder level a segment; no way is gone twice."""
+    if (index, text) in been:
+        return
+    been.add((index, text))
+    segment = pattern.segments[index]
+    if segment == "**" and text.count("/") > DEEPEST:
+        raise too_deep(folder)
+    if segment == "..":
+        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../", been)
+    elif segment == "**":
+        yield from _walk(pattern, folders, folder, index + 1, text, been)
+        for name in folders.folders(folder):
+            if not folders.is_link(folder, name):
+                deeper = f"{text}{composed(name)}/"
+                yield from _walk(pattern, folders, folder / name, index, deeper, been)
+    elif index == len(pattern.segments) - 1:
+        for name in folders.files(folder):
+            if pattern.fits_segment(index, composed(name)):
+                yield folder / name, text + composed(name)
+    elif not re.search(r"[{*]", segment):
+        yield from _walk(pattern, folders, folder / segment, index + 1, f"{text}{segment}/", been)
+    else:
+        for name in folders.folders(folder):
+            if pattern.fits_segment(index, composed(name)):
+                deeper = f"{text}{composed(name)}/"
+                yield from _walk(pattern, folders, folder / name, index + 1, deeper, been)
+
+
+def _without_data_of_headers(found: list[FoundFile]) -> list[FoundFile]:
+    """Leave out the data file of an ENVI header that was found too: it is one capture."""
+    headers = {f.path for f in found if f.path.suffix.lower() == ".hdr"}
+    if not headers:
+        return found
+    stems = {path.with_suffix("") for path in headers}
+    return [
+        f
+        for f in found
+        if f.path in headers or not (f.path in stems or f.path.with_suffix("") in stems)
+    ]
+
+
+# --- all frames of a campaign --------------------------------------------------------------------
+
 
 @dataclass
-class Survey:
+class FileIndex:
     """What is known while the captures of a campaign are looked for."""
 
     campaign: Campaign
-    folders: Folders
-    frames: dict[tuple[str, str], list[Found]] = field(default_factory=dict)
+    folders: FolderListings
+    frames: dict[tuple[str, str], list[FoundFile]] = field(default_factory=dict)
     broken: dict[tuple[str, str], Refused] = field(default_factory=dict)
     objects: list[str] = field(default_factory=list)
     _facts: dict[Path, Facts] = field(default_factory=dict)
-    _by_target: dict[tuple[str, str], dict[str, list[Found]]] = field(default_factory=dict)
+    _by_target: dict[tuple[str, str], dict[str, list[FoundFile]]] = field(default_factory=dict)
     _has_objects: dict[tuple[str, str], bool] = field(default_factory=dict)
     _bands: dict[tuple[str, str, str], set[float | str]] = field(default_factory=dict)
 
-    def of(self, name: str, camera: str, setup: str) -> list[Found]:
+    def of(self, name: str, camera: str, setup: str) -> list[FoundFile]:
         """Return the frames of one target by a camera under a setup, in natural order."""
         key = camera, setup
         if key not in self._by_target:
@@ -62,7 +364,7 @@ class Survey:
         return self._bands[key]
 
     def facts(self, path: Path) -> Facts:
-        """Return what a file's header says, read once."""
+        """Return the facts of a file's header, read once."""
         from levkas.readers.frames import read_facts
 
         if path not in self._facts:
@@ -70,37 +372,37 @@ class Survey:
         return self._facts[path]
 
 
-def look(campaign: Campaign) -> Survey:
+def scan_folders(campaign: Campaign) -> FileIndex:
     """Find the frames of every camera under every setup, whatever their targets."""
     output = campaign.output
     beside = [output.with_name(f"{output.name}.{what}") for what in ("kept", "removed")]
-    folders = Folders(never=(output, *beside))
-    survey = Survey(campaign, folders)
+    folders = FolderListings(never=(output, *beside))
+    index = FileIndex(campaign, folders)
     for name, camera in campaign.cameras.items():
-        _look(survey, name, camera)
-    return survey
+        _scan_camera(index, name, camera)
+    return index
 
 
-def _look(survey: Survey, name: str, camera: Camera) -> None:
+def _scan_camera(index: FileIndex, name: str, camera: Camera) -> None:
     """Find the frames of one camera under every setup."""
-    campaign, default = survey.campaign, (name, "")
-    survey.frames[default] = _find(survey, default, camera, None, "")
-    by_setup: dict[str, list[Found]] = {}
-    for found in survey.frames[default]:
+    campaign, default = index.campaign, (name, "")
+    index.frames[default] = _find_frames(index, default, camera, None, "")
+    by_setup: dict[str, list[FoundFile]] = {}
+    for found in index.frames[default]:
         by_setup.setdefault(found.setup, []).append(found)
     for setup, keys in campaign.setups.items():
         if setup == campaign.campaign.setup:  # the default one, described and no more
             continue
         own = keys.cameras.get(name)
         if own is not None and own.files:
-            survey.frames[name, setup] = _find(survey, (name, setup), camera, own.files, setup)
+            index.frames[name, setup] = _find_frames(index, (name, setup), camera, own.files, setup)
         elif own is not None or by_setup.get(setup):
-            survey.frames[name, setup] = by_setup.get(setup, [])
+            index.frames[name, setup] = by_setup.get(setup, [])
         by_setup.pop(setup, None)
-    survey.frames[default] = [f for found in by_setup.values() for f in found]
+    index.frames[default] = [f for found in by_setup.values() for f in found]
     unnamed = sorted(value for value in by_setup if value)
     if len(unnamed) > 1:
-        survey.broken[default] = CaptureRefused(
+        index.broken[default] = CaptureRefused(
             Problem(
                 "E_VALUE",
                 f"{name}: several setups, and which is the default one is not said",
@@ -113,26 +415,26 @@ def _look(survey: Survey, name: str, camera: Camera) -> None:
         )
 
 
-def _find(
-    survey: Survey, key: tuple[str, str], camera: Camera, files: Sequence[str] | None, setup: str
-) -> list[Found]:
+def _find_frames(
+    index: FileIndex, key: tuple[str, str], camera: Camera, files: Sequence[str] | None, setup: str
+) -> list[FoundFile]:
     """Find the frames of one camera, sensor by sensor; a folder that cannot be read is kept for later."""
     known = {
-        "target": declared_targets(survey.campaign),
+        "target": declared_targets(index.campaign),
         "band": camera.bands or (),
-        "setup": tuple(survey.campaign.setups),
+        "setup": tuple(index.campaign.setups),
     }
-    frames: list[Found] = []
+    frames: list[FoundFile] = []
     try:
         for sensor in [s.name for s in camera.sensors] or [""]:
             patterns = _patterns_of_sensor(camera, sensor, files, setup)
-            found = find(survey.campaign.root, patterns, known=known, folders=survey.folders)
+            found = find_files(index.campaign.root, patterns, known=known, folders=index.folders)
             frames += [replace(f, sensor=sensor) for f in found]
         if camera.manifest:
-            exposures = read_manifest(survey.campaign.root / camera.manifest)
-            frames = with_exposures(frames, exposures, survey.campaign.root)
+            exposures = read_manifest(index.campaign.root / camera.manifest)
+            frames = with_exposures(frames, exposures, index.campaign.root)
     except Refused as refused:
-        survey.broken[key] = refused
+        index.broken[key] = refused
     return frames
 
 
@@ -143,8 +445,8 @@ def _patterns_of_sensor(
     own = next((s.files for s in camera.sensors if s.name == sensor), ())
     patterns = [Pattern.parse(text) for text in files or own or camera.files]
     if sensor:
-        patterns = [p.given("sensor", sensor) for p in patterns]
-    return [p.given("setup", setup) if setup else p for p in patterns]
+        patterns = [p.with_value("sensor", sensor) for p in patterns]
+    return [p.with_value("setup", setup) if setup else p for p in patterns]
 
 
 def declared_targets(campaign: Campaign) -> tuple[str, ...]:
@@ -157,11 +459,11 @@ def declared_targets(campaign: Campaign) -> tuple[str, ...]:
 
 
 def patterns_of(
-    survey: Survey, camera: str, setup: str = "", *, sensor: str | None = None
+    index: FileIndex, camera: str, setup: str = "", *, sensor: str | None = None
 ) -> list[Pattern]:
     """Return every pattern of a camera under a setup, or of one of its sensors."""
-    keys = survey.campaign.cameras[camera]
-    own = survey.campaign.setups[setup].cameras.get(camera) if setup else None
+    keys = index.campaign.cameras[camera]
+    own = index.campaign.setups[setup].cameras.get(camera) if setup else None
     files = own.files if own and own.files else None
     sensors = [sensor] if sensor is not None else [s.name for s in keys.sensors] or [""]
     return [p for name in sensors for p in _patterns_of_sensor(keys, name, files, setup)]

@@ -1,27 +1,51 @@
-"""Which files hold which frame of which capture, checked against what the campaign declares."""
+"""Find the captures of a campaign: frames and bands of every sensor, with the darks and whites they need."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from levkas.campaign.discovery.bands import (
+    band_key,
+    bands_by_name,
+    bands_in_file,
+    bands_of_mosaic,
+    count_problem,
+    label_templates,
+    with_declared_centres,
+)
 from levkas.campaign.discovery.captures import (
     Capture,
     CaptureRefused,
     FrameRef,
     Refusals,
+    Rows,
     SensorFrames,
 )
-from levkas.campaign.discovery.file_index import Survey, declared_targets, look, patterns_of
-from levkas.campaign.discovery.files import nearest
+from levkas.campaign.discovery.file_index import (
+    FileIndex,
+    FoundFile,
+    declared_targets,
+    in_natural_order,
+    nearest,
+    patterns_of,
+    scan_folders,
+)
 from levkas.campaign.discovery.patterns import natural
-from levkas.campaign.discovery.sensors import frames_of_sensors
-from levkas.campaign.schema.cross_checks import is_safe_name, meant
+from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
+from levkas.campaign.schema.cross_checks import closest_match, is_safe_name
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.campaign import Camera, Campaign
+    from levkas.campaign.discovery.file_index import FileIndex
+    from levkas.campaign.schema.tables import SensorKeys
+    from levkas.core.cube import Band
 
 __all__ = [
     "Capture",
@@ -34,11 +58,14 @@ __all__ = [
 ]
 
 
-def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_captures(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a campaign.
 
-    A camera or setup that has frames of some objects did not take the others: nothing is said. One
+    A camera or setup that has frames of some objects did not take the others, without a refusal. One
     that has frames of none is refused for each; so is an object without a reference image.
+    `index` is what `scan_folders` found, where the folders were walked already.
 
     Returns
     -------
@@ -52,19 +79,19 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     CaptureRefused
         Where there is no object at all.
     """
-    survey = look(campaign)
-    survey.objects = _objects(survey)
+    index = index or scan_folders(campaign)
+    index.objects = _objects(index)
     reference = campaign.reference.camera
-    order = sorted(survey.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
+    order = sorted(index.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
     captures: list[Capture] = []
     refusals: Refusals = {}
-    for name in survey.objects:
+    for name in index.objects:
         for camera_name, setup in order:
-            if not _is_promised(survey, name, camera_name, setup):
+            if not _is_promised(index, name, camera_name, setup):
                 continue
             try:
-                _require_frames(survey, name, camera_name, setup)
-                sensors = frames_of_sensors(survey, name, campaign.cameras[camera_name], setup)
+                _require_frames(index, name, camera_name, setup)
+                sensors = frames_of_sensors(index, name, campaign.cameras[camera_name], setup)
                 capture = Capture(name, camera_name, setup, sensors)
                 _check_reference_bands(campaign, capture)
                 captures.append(capture)
@@ -73,22 +100,24 @@ def find_captures(campaign: Campaign) -> tuple[list[Capture], Refusals]:
     return captures, refusals
 
 
-def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
+def find_charts(
+    campaign: Campaign, index: FileIndex | None = None
+) -> tuple[list[Capture], Refusals]:
     """Find every capture of a declared chart, by the cameras and setups that took it.
 
-    Returns as `find_captures`; plain images, which are not calibrated, are left out.
+    Takes and returns as `find_captures`; plain images, which are not calibrated, are left out.
     """
-    survey = look(campaign)
+    index = index or scan_folders(campaign)
     captures: list[Capture] = []
     refusals: Refusals = {}
     for name in campaign.targets.charts:
-        for camera, setup in survey.frames:
+        for camera, setup in index.frames:
             if campaign.cameras[camera].kind == "image":
                 continue
-            if not survey.of(name, camera, setup):
+            if not index.of(name, camera, setup):
                 continue
             try:
-                sensors = frames_of_sensors(survey, name, campaign.cameras[camera], setup)
+                sensors = frames_of_sensors(index, name, campaign.cameras[camera], setup)
                 captures.append(Capture(name, camera, setup, sensors))
             except Refused as refused:
                 refusals[name, camera, setup] = refused
@@ -98,56 +127,56 @@ def find_charts(campaign: Campaign) -> tuple[list[Capture], Refusals]:
 # --- objects ----------------------------------------------------------------------------------
 
 
-def _objects(survey: Survey) -> list[str]:
+def _objects(index: FileIndex) -> list[str]:
     """Objects as declared; else every target that is nothing else, whichever camera saw it."""
-    campaign = survey.campaign
+    campaign = index.campaign
     if campaign.targets.objects:
         return list(campaign.targets.objects)
     others = set(declared_targets(campaign)) - set(campaign.objects)
-    seen = {f.target for found in survey.frames.values() for f in found} - others
-    names = seen | set(campaign.objects)
+    found_targets = {f.target for found in index.frames.values() for f in found} - others
+    names = found_targets | set(campaign.objects)
     if not names:
-        raise _no_objects(survey)
+        raise _no_objects(index)
     return sorted(names, key=lambda n: (natural(n), n))
 
 
-def _no_objects(survey: Survey) -> Refused:
+def _no_objects(index: FileIndex) -> Refused:
     """Why a campaign is empty: a folder, a pattern, or names that are all templates."""
-    reference = survey.campaign.reference.camera
-    found = survey.frames[reference, ""]
-    if (reference, "") in survey.broken:
-        return survey.broken[reference, ""]
+    reference = index.campaign.reference.camera
+    found = index.frames[reference, ""]
+    if (reference, "") in index.broken:
+        return index.broken[reference, ""]
     if not found:
-        return CaptureRefused(_no_frames(survey, reference, "", "an object", None))
+        return CaptureRefused(_no_frames(index, reference, "", "an object", None))
     return CaptureRefused(
         Problem(
             "E_NO_FRAMES",
             f"{reference}: no file fits for an object",
-            str(survey.campaign.path),
+            str(index.campaign.path),
             f"cameras.{reference}.files",
             f"only {', '.join(sorted({f.target for f in found}, key=natural))}",
             "a {target} that is no dark, white or chart in "
-            + " or ".join(p.text for p in patterns_of(survey, reference)),
+            + " or ".join(p.text for p in patterns_of(index, reference)),
             "Put the object's frames where the pattern looks, or mend it.",
         )
     )
 
 
-def _is_promised(survey: Survey, name: str, camera: str, setup: str) -> bool:
+def _is_promised(index: FileIndex, name: str, camera: str, setup: str) -> bool:
     """Whether a camera is expected to have taken an object under a setup."""
-    if survey.of(name, camera, setup) or (camera, setup) in survey.broken:
+    if index.of(name, camera, setup) or (camera, setup) in index.broken:
         return True
-    if (camera, setup) == (survey.campaign.reference.camera, ""):
+    if (camera, setup) == (index.campaign.reference.camera, ""):
         return True
-    if survey.has_objects(camera, setup):
+    if index.has_objects(camera, setup):
         return False
     only_in_setups = not setup and any(
-        "{setup}" in t for t in survey.campaign.cameras[camera].patterns
+        "{setup}" in t for t in index.campaign.cameras[camera].patterns
     )
-    return not (only_in_setups and any(c == camera and s for c, s in survey.frames))
+    return not (only_in_setups and any(c == camera and s for c, s in index.frames))
 
 
-def _require_frames(survey: Survey, name: str, camera: str, setup: str) -> None:
+def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> None:
     if not is_safe_name(name):
         raise CaptureRefused(
             Problem(
@@ -159,35 +188,35 @@ def _require_frames(survey: Survey, name: str, camera: str, setup: str) -> None:
                 fix="Rename the frames, or list `targets.objects` to leave it out.",
             )
         )
-    if (camera, setup) in survey.broken:
-        raise survey.broken[camera, setup]
-    frames = survey.frames[camera, setup]
-    if survey.of(name, camera, setup):
+    if (camera, setup) in index.broken:
+        raise index.broken[camera, setup]
+    frames = index.frames[camera, setup]
+    if index.of(name, camera, setup):
         return
-    if (camera, setup) != (survey.campaign.reference.camera, "") or not frames:
-        raise CaptureRefused(_no_frames(survey, camera, setup, repr(name), name))
-    others = sorted({c for c, under in survey.frames if survey.of(name, c, under)})
+    if (camera, setup) != (index.campaign.reference.camera, "") or not frames:
+        raise CaptureRefused(_no_frames(index, camera, setup, repr(name), name))
+    others = sorted({c for c, under in index.frames if index.of(name, c, under)})
     known = sorted({f.target for f in frames}, key=natural)
     raise CaptureRefused(
         Problem(
             "E_NO_FRAMES",
             f"{name}: the reference camera {camera} has no image of it",
-            str(survey.campaign.path),
+            str(index.campaign.path),
             f"cameras.{camera}.files",
             f"seen by {', '.join(others)}" if others else f"targets {', '.join(known)}",
-            f"{{target}} = {name} in {' or '.join(p.text for p in patterns_of(survey, camera))}",
-            meant(name, known)
+            f"{{target}} = {name} in {' or '.join(p.text for p in patterns_of(index, camera))}",
+            closest_match(name, known)
             if not others
             else "Add the image, or list in `targets.objects` only the objects that have one.",
         )
     )
 
 
-def _no_frames(survey: Survey, camera: str, setup: str, what: str, target: str | None) -> Problem:
+def _no_frames(index: FileIndex, camera: str, setup: str, what: str, target: str | None) -> Problem:
     """No file fits: show the pattern, and the names that came nearest."""
-    patterns = patterns_of(survey, camera, setup)
-    wanted = patterns[0].given("target", target) if target else patterns[0]
-    folder, names = nearest(survey.campaign.root, wanted, folders=survey.folders)
+    patterns = patterns_of(index, camera, setup)
+    wanted = patterns[0].with_value("target", target) if target else patterns[0]
+    folder, names = nearest(index.campaign.root, wanted, folders=index.folders)
     where = f"setups.{setup}.cameras.{camera}.files" if setup else f"cameras.{camera}.files"
     return Problem(
         "E_NO_FRAMES",
@@ -214,3 +243,294 @@ def _check_reference_bands(campaign: Campaign, capture: Capture) -> None:
         except Refused as refused:
             problems = (replace(p, file=str(campaign.path), field=where) for p in refused.problems)
             raise CaptureRefused(*problems) from None
+
+
+def frames_of_sensors(
+    index: FileIndex, name: str, camera: Camera, setup: str
+) -> tuple[SensorFrames, ...]:
+    """Return what every sensor of a camera saw of an object, everything declared found.
+
+    Raises
+    ------
+    CaptureRefused
+        With the problems of all sensors.
+    """
+    problems: list[Problem] = []
+    sensors: list[SensorFrames] = []
+    for sensor in camera.sensors or (None,):
+        try:
+            sensors.append(_sensor(index, name, camera, setup, sensor))
+        except Refused as refused:
+            problems.extend(refused.problems)
+    if problems:
+        raise CaptureRefused(*problems)
+    bands = [band for s in sensors for band in s.bands]
+    twice = [label for label, n in Counter(b.label for b in bands).items() if n > 1]
+    if twice:
+        raise CaptureRefused(_same_names(index, camera, twice))
+    if camera.kind in ("mosaic", "sensors"):
+        bands = list(with_declared_centres(camera, bands, sensors[0].object[0].path))
+    left = iter(bands)
+    return tuple(replace(s, bands=tuple(islice(left, len(s.bands)))) for s in sensors)
+
+
+def _sensor(
+    index: FileIndex, name: str, camera: Camera, setup: str, sensor: SensorKeys | None
+) -> SensorFrames:
+    """Return the frames of one sensor of an object, with its bands, darks and whites."""
+    label = sensor.name if sensor else ""
+
+    def frames_of(targets: Iterable[str], setup: str) -> list[FoundFile]:
+        found = [f for t in dict.fromkeys(targets) for f in index.of(t, camera.name, setup)]
+        return [f for f in in_natural_order(found) if f.sensor == label]
+
+    found = frames_of([name], setup)
+    if not found:
+        raise CaptureRefused(_no_sensor(index, name, camera, label))
+    dark_names, white_names = index.campaign.darks_of(camera), index.campaign.whites_of(camera)
+    darks = [_ref(f) for f in frames_of(dark_names, setup) or frames_of(dark_names, "")]
+    whites = [_ref(f) for f in frames_of(white_names, setup)]
+    missing = [
+        _no_template(index, camera, label, setup, kind, names)
+        for kind, names, got in (("dark", dark_names, darks), ("white", white_names, whites))
+        if names and not got
+    ]
+    if missing:
+        raise CaptureRefused(*missing)
+    frames, pattern, bands = _frames_and_bands(index, camera, sensor, found, setup)
+    darks, whites = (_fitted(index, camera, t, frames, bands) for t in (darks, whites))
+    _check_exposures(camera, found, frames)
+    for kind, templates in (("dark", darks), ("white", whites)):
+        _check_every_band(camera, kind, templates, bands)
+    align = sensor.align if sensor else "measure"
+    return SensorFrames(label, pattern, bands, align, tuple(frames), tuple(darks), tuple(whites))
+
+
+def _ref(found: FoundFile) -> FrameRef:
+    """Return a found file as a frame; an empty text is a band that is not known."""
+    values = {k: v for k, v in vars(found).items() if k not in ("pattern", "band")}
+    return FrameRef(**values, band=found.band or None)
+
+
+def _frames_and_bands(
+    index: FileIndex, camera: Camera, sensor: SensorKeys | None, found: list[FoundFile], setup: str
+) -> tuple[list[FrameRef], Rows | None, tuple[Band, ...]]:
+    """Return the frames of the object with their bands, the mosaic's pattern, and the bands."""
+    frames, first = [_ref(f) for f in found], found[0].path
+    pattern = sensor.pattern if sensor else camera.pattern
+    names = (sensor.bands if sensor else ()) or (camera.bands if camera.kind == "mosaic" else ())
+    if camera.kind == "mosaic" or (sensor and pattern):
+        facts = index.facts(first) if pattern is None else None
+        return frames, *bands_of_mosaic(camera, pattern, names, facts)
+    if camera.kind != "bands":
+        bands = bands_in_file(camera, sensor, index.facts(first))
+        if camera.kind == "cube":
+            _check_counts(index, camera, frames[1:], len(bands))
+        return frames, None, bands
+    if all(band_key(f) is None for f in frames):
+        bands = bands_in_file(camera, None, index.facts(first), pages=True)
+        _check_counts(index, camera, frames[1:], len(bands))
+        paged = [replace(f, band=b.label, page=i) for i, b in enumerate(bands) for f in frames]
+        return paged, pattern, bands
+    others = index.bands(camera, sensor.name if sensor else "", setup)
+    frames, bands = bands_by_name(camera, frames, others, str(first.parent))
+    return frames, pattern, bands
+
+
+def _fitted(
+    index: FileIndex,
+    camera: Camera,
+    templates: list[FrameRef],
+    frames: list[FrameRef],
+    bands: tuple[Band, ...],
+) -> list[FrameRef]:
+    """Give templates the bands they belong to, by name or by page; without either they serve all."""
+    if camera.kind == "cube":
+        _check_counts(index, camera, templates, len(bands))
+    if camera.kind != "bands":
+        return templates
+    paged: list[FrameRef] = []
+    for template in templates:
+        pages = 1
+        if band_key(template) is None and frames[0].page is not None:
+            pages = index.facts(template.path).pages
+        if pages == 1:
+            paged.append(template)
+            continue
+        _check_counts(index, camera, [template], len(bands))
+        paged += [replace(template, band=b.label, page=i) for i, b in enumerate(bands)]
+    return label_templates(paged, frames, bands)
+
+
+def _check_counts(index: FileIndex, camera: Camera, frames: list[FrameRef], bands: int) -> None:
+    """Refuse cubes, or TIFFs of pages, that have not as many bands as the object's first file."""
+    for frame in frames:
+        facts = index.facts(frame.path)
+        samples = facts.shape[2] if len(facts.shape) == 3 else 1
+        found = samples if facts.kind == "envi" or samples > 1 else facts.pages
+        if found != bands:
+            where = f"in {frame.path.name}"
+            problem = count_problem(camera, "bands", bands, found, where, str(frame.path))
+            raise CaptureRefused(problem)
+
+
+# --- several files of one band ----------------------------------------------------------------
+
+
+def _check_exposures(camera: Camera, found: list[FoundFile], frames: list[FrameRef]) -> None:
+    """Refuse several files of one band, unless campaign.toml declares them shots, strips or exposures."""
+    shots_are_declared = {f.path: "shot" in f.pattern.fields for f in found}
+    groups: dict[str | None, list[FrameRef]] = {}
+    for frame in frames:
+        groups.setdefault(frame.band, []).append(frame)
+    for band, group in groups.items():
+        what = f"band {band}" if band else f"{group[0].target!r}"
+        times = sorted({f.exposure_s for f in group if f.exposure_s is not None})
+        if len(times) > 1 and camera.exposures == "one":
+            raise CaptureRefused(_several_exposures(camera, what, group, times))
+        if camera.kind not in ("bands", "image"):
+            continue
+        for time in {f.exposure_s for f in group}:
+            same = [f for f in group if f.exposure_s == time]
+            if len(same) > 1 and not all(shots_are_declared[f.path] for f in same):
+                raise CaptureRefused(_two_files(camera, what, same))
+
+
+def _several_exposures(
+    camera: Camera, what: str, frames: list[FrameRef], times: list[float]
+) -> Problem:
+    return Problem(
+        "E_EXPOSURES",
+        f"{camera.name}: several exposures of {what}",
+        str(frames[0].path.parent),
+        f"cameras.{camera.name}.exposures",
+        ", ".join(f"{t:g} s" for t in times),
+        "one exposure",
+        'Write exposures = "best" (the longest unsaturated) or "merge".'
+        if camera.kind != "cube"
+        else 'Name one of them in `files`; or write exposures = "best" if they are strips of one scan: each is '
+        "divided by its own time.",
+    )
+
+
+def _two_files(camera: Camera, what: str, frames: list[FrameRef]) -> Problem:
+    return Problem(
+        "E_BAND_TWICE",
+        f"{camera.name}: two files for {what}",
+        str(frames[1].path),
+        f"cameras.{camera.name}.files",
+        ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else ""),
+        "one file",
+        "Take one away; or write {shot} where the names differ, if they are shots to average.",
+    )
+
+
+def _check_every_band(
+    camera: Camera, kind: str, templates: list[FrameRef], bands: tuple[Band, ...]
+) -> None:
+    """Refuse templates that belong to bands and leave one of the object's without."""
+    if not templates or any(f.band is None for f in templates):
+        return
+    served = {f.band for f in templates}
+    lacking = [b.label for b in bands if b.label not in served]
+    if lacking:
+        raise CaptureRefused(
+            Problem(
+                "E_TEMPLATE_MISSING",
+                f"{camera.name}: no {kind} for {len(lacking)} of {len(bands)} bands",
+                str(templates[0].path.parent),
+                f"cameras.{camera.name}.files",
+                f"none for {', '.join(lacking[:6])}{' …' if len(lacking) > 6 else ''}",
+                f"a {kind} for every band, or one without a band for all",
+                f"Add the frames, or write `{kind} = []` under [cameras.{camera.name}].",
+            )
+        )
+
+
+def _same_names(index: FileIndex, camera: Camera, twice: list[str]) -> Problem:
+    return Problem(
+        "E_BAND_TWICE",
+        f"{camera.name}: two channels have one name",
+        str(index.campaign.path),
+        f"cameras.{camera.name}.bands",
+        ", ".join(twice),
+        "names that differ",
+        "Give each sensor's channels names of their own, such as R1 and R2.",
+    )
+
+
+# --- missing frames ----------------------------------------------------------------------------
+
+
+def _no_sensor(index: FileIndex, name: str, camera: Camera, sensor: str) -> Problem:
+    patterns = " or ".join(p.text for p in patterns_of(index, camera.name, sensor=sensor))
+    return Problem(
+        "E_BAND_MISSING",
+        f"{camera.name}: sensor {sensor} has no frame of {name!r}",
+        str(index.campaign.path),
+        f"cameras.{camera.name}.sensors.{sensor}.files",
+        "no file",
+        patterns,
+        "Add the frames, or mend the pattern.",
+    )
+
+
+def _no_template(
+    index: FileIndex, camera: Camera, sensor: str, setup: str, kind: str, names: tuple[str, ...]
+) -> Problem:
+    own = getattr(camera, kind) is not None
+    patterns = dict.fromkeys(p.text for p in patterns_of(index, camera.name, setup))
+    under = f" under {setup}" if setup else ""
+    return Problem(
+        "E_TEMPLATE_MISSING",
+        f"{' '.join(filter(None, (camera.name, sensor)))}{under}: the declared {kind} was not found",
+        str(index.campaign.path),
+        f"cameras.{camera.name}.{kind}" if own else f"targets.{kind}",
+        "no file",
+        f"{{target}} = {' or '.join(names)} in {' or '.join(patterns)}",
+        f"Add the frames; or, if there are none, write `{kind} = []` under [cameras.{camera.name}].",
+    )
+
+
+# --- corrections by hand ----------------------------------------------------------------------
+
+
+def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
+    """Refuse corrections of what the campaign does not have, and two tables of one sensor.
+
+    Raises
+    ------
+    EditsInvalid
+    """
+    known: dict[str, dict[str, dict[str, str]]] = {}
+    for capture in captures:
+        labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
+        known.setdefault(capture.object, {})[capture.layer] = labels
+    problems = []
+    edited: dict[tuple[str, str, str], str] = {}
+    for name, frame in sorted(edits.frames):
+        layer, _, band = frame.partition(":")
+        where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
+        for kind, wanted, names in (
+            ("object", name, list(known)),
+            ("camera", layer, list(layers)),
+            ("band", band, list(layers.get(layer, {}))),
+        ):
+            if wanted and wanted not in names:
+                known_names = ", ".join(sorted(names))
+                problem = Problem(
+                    "E_VALUE", f"there is no such {kind}", None, where, wanted, known_names
+                )
+                problems.append(with_explanation(problem, path))
+                break
+        else:
+            sensors = layers[layer]
+            place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
+            if (first := edited.setdefault(place, frame)) != frame:
+                message = "the sensor is edited twice"
+                problem = Problem(
+                    "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
+                )
+                problems.append(with_explanation(problem, path))
+    if problems:
+        raise EditsInvalid(*problems)

@@ -1,17 +1,14 @@
-"""Exposures that a table beside the frames tells, where neither names nor EXIF do."""
+"""Read exposures from a table beside the frames, where neither names nor EXIF have them."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from levkas.campaign.discovery.captures import CaptureRefused
-from levkas.campaign.discovery.files import Found
 from levkas.core.problems import Problem
-from levkas.readers.texts import TextRefused, read_text
+from levkas.readers.text import TextRefused, read_text
 
 EXPECTED = "a CSV with the columns file and exposure_s, in UTF-8"
 
@@ -27,7 +24,7 @@ def read_manifest(path: Path) -> dict[str, float]:
     Raises
     ------
     CaptureRefused
-        Where it cannot be read; every row that says no exposure > 0 is listed, at most ten.
+        Where it cannot be read; every row without an exposure > 0 is listed, at most ten.
     """
     exposures: dict[str, float] = {}
     problems = []
@@ -57,19 +54,6 @@ def read_manifest(path: Path) -> dict[str, float]:
     if problems:
         raise CaptureRefused(*problems[:10])
     return exposures
-
-
-def with_exposures(frames: Sequence[Found], exposures: dict[str, float], root: Path) -> list[Found]:
-    """Give frames the exposure that the manifest has for their path from `root`, or for their name."""
-    told = []
-    for frame in frames:
-        try:
-            name = frame.path.relative_to(root).as_posix()
-        except ValueError:
-            name = frame.path.name
-        seconds = exposures.get(name, exposures.get(frame.path.name))
-        told.append(frame if seconds is None else replace(frame, exposure_s=seconds))
-    return told
 
 
 def _bad_row(path: Path, number: int, row: dict[str, str]) -> Problem:

@@ -3,21 +3,190 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
-from levkas.campaign.discovery.matching import (
-    Depths,
-    Fixed,
-    Kind,
-    Number,
-    OneOf,
-    Piece,
-    Span,
-    match_pieces,
-)
+from levkas.core.problems import Problem, Refused
+
+MOST_STEPS = 200_000
+"""Steps for one name; only repeated placeholders with many readings of the first come near it."""
+_DIGITS = re.compile(r"\d+")
+_OPEN = re.compile(r"(?<![^\W_])")
+_CLOSED = re.compile(r"(?![^\W_])")
+
+
+@dataclass(frozen=True)
+class LiteralPiece:
+    """Literal text, upper and lower case alike in its suffix."""
+
+    source: re.Pattern[str]
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        """Yield where it ends that begins at `start`, what an expression tries first coming first."""
+        if found := self.source.match(text, start):
+            yield found.end()
+
+
+@dataclass(frozen=True)
+class TextPiece:
+    """Any text within a name, of `least` letters or more; as much as it can be, or as little."""
+
+    least: int = 0
+    greedy: bool = True
+
+    def ends(self, text: str, start: int, tried: int | None = None) -> Iterator[int]:
+        """Yield as the others do; `tried` is a later start in the same name, whose ends have failed."""
+        last = end_of_name(text, start) if tried is None else tried + self.least - 1
+        places = range(start + self.least, last + 1)
+        yield from reversed(places) if self.greedy else places
+
+
+@dataclass(frozen=True)
+class NumberPiece:
+    """A number with or without decimals, never a part of a longer one."""
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        before, point = text[start - 1 : start], text[max(start - 2, 0) : start]
+        if before.isdecimal() or (len(point) == 2 and point[0].isdecimal() and point[1] == "."):
+            return
+        whole = _DIGITS.match(text, start)
+        if whole is None:
+            return
+        point = text[whole.end() : whole.end() + 1]
+        decimals = _DIGITS.match(text, whole.end() + 1) if point == "." else None
+        if decimals:
+            yield decimals.end()
+        yield whole.end()
+
+
+@dataclass(frozen=True)
+class ChoicePiece:
+    """One of some values; beside a wildcard no part of a longer word."""
+
+    values: tuple[str, ...]
+    open_before: bool = False
+    open_after: bool = False
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        if self.open_before and not _OPEN.match(text, start):
+            return
+        for length in self.lengths:
+            end = start + length
+            if text[start:end] in self.known and (not self.open_after or _CLOSED.match(text, end)):
+                yield end
+
+    @cached_property
+    def known(self) -> frozenset[str]:
+        """The values, to be looked up: there may be thousands."""
+        return frozenset(self.values)
+
+    @cached_property
+    def lengths(self) -> tuple[int, ...]:
+        """How long they are, in their order."""
+        return tuple(dict.fromkeys(map(len, self.values)))
+
+
+@dataclass(frozen=True)
+class FoldersPiece:
+    """Any number of whole folders, none included; as many as there can be."""
+
+    def ends(self, text: str, start: int) -> Iterator[int]:
+        found = [start]
+        while (slash := text.find("/", found[-1])) > found[-1]:
+            found.append(slash + 1)
+        yield from reversed(found)
+
+
+def end_of_name(text: str, start: int) -> int:
+    """Return where the name of a folder or file ends that a place lies in."""
+    slash = text.find("/", start)
+    return len(text) if slash < 0 else slash
+
+
+PieceKind = LiteralPiece | TextPiece | NumberPiece | ChoicePiece | FoldersPiece
+Piece = tuple[PieceKind, str]
+"""What it matches, and the name of the placeholder; empty for none."""
+
+
+def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
+    """Return the values of the placeholders in a text; None where it does not fit.
+
+    A placeholder that occurs twice has one value.
+
+    Raises
+    ------
+    Refused
+        Where that alone leaves too many ways to read a name.
+    """
+    names = [name for _, name in pieces]
+    twice = {name for name in names if name and names.count(name) > 1}
+    failed: dict[tuple[object, ...], int] = {}
+    places: list[int] = []
+    known: list[dict[str, str]] = []
+    waiting: list[Iterator[int]] = []
+
+    def enter(index: int, start: int, values: dict[str, str]) -> None:
+        """Go on with a piece at a place, unless it failed there."""
+        tried = failed.get(_state(pieces, index, text, start, values))
+        if tried is not None and tried <= start:
+            return
+        kind, name = pieces[index]
+        places.append(start)
+        known.append(values)
+        if name in values:
+            same = text.startswith(values[name], start)
+            waiting.append(iter([start + len(values[name])] if same else []))
+        elif isinstance(kind, TextPiece):
+            waiting.append(kind.ends(text, start, tried))
+        else:
+            waiting.append(kind.ends(text, start))
+
+    enter(0, 0, {})
+    for _ in range(MOST_STEPS):
+        if not waiting:
+            return None
+        index, start, values = len(waiting) - 1, places[-1], known[-1]
+        end = next(waiting[-1], None)
+        if end is None:
+            failed[_state(pieces, index, text, start, values)] = start
+            for stack in (waiting, places, known):
+                stack.pop()  # type: ignore[attr-defined]
+        elif index + 1 < len(pieces):
+            name = names[index]
+            if name in twice and name not in values:
+                values = {**values, name: text[start:end]}
+            enter(index + 1, end, values)
+        elif end == len(text):
+            return _values_by_name(names, [*places, end], text)
+    raise Refused(
+        Problem(
+            "E_VALUE",
+            "a name can be read in too many ways",
+            field="files",
+            found=text[:80],
+            expected="a pattern whose placeholders stand apart",
+            fix="Put letters between the placeholders of `files`.",
+        )
+    )
+
+
+def _state(
+    pieces: Sequence[Piece], index: int, text: str, start: int, values: dict[str, str]
+) -> tuple[object, ...]:
+    """Return what a failure depends on: of a span the name that it lies in, for a later start ends where it may."""
+    free = isinstance(pieces[index][0], TextPiece) and pieces[index][1] not in values
+    return index, end_of_name(text, start) if free else start, free, *values.items()
+
+
+def _values_by_name(names: Sequence[str], places: Sequence[int], text: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name, start, end in zip(names, places[:-1], places[1:], strict=True):
+        if name:
+            found.setdefault(name, text[start:end])
+    return found
+
 
 FIELDS = ("target", "setup", "band", "wavelength", "exposure", "shot", "sensor")
 SECONDS = {
@@ -35,7 +204,7 @@ SECONDS = {
 _PIECE = re.compile(r"(\{[^{}]*\}|\*\*|\*)")
 _NUMBER = r"(?<!\d)(?<!\d\.)\d+(?:\.\d+)?(?!\d)"  # never the tail of a longer number
 _BODY = {
-    "target": r"[^/]+",  # as much as it can: the rest of a pattern says what is not its
+    "target": r"[^/]+",  # as much as it can: the rest of a pattern bounds it
     "setup": r"[^/]+?",
     "band": r"[^/]+?",
     "sensor": r"[^/]+?",
@@ -43,14 +212,14 @@ _BODY = {
     "wavelength": _NUMBER,
     "exposure": _NUMBER,
 }
-_KIND: dict[str, Kind] = {
-    "target": Span(1),
-    "setup": Span(1, greedy=False),
-    "band": Span(1, greedy=False),
-    "sensor": Span(1, greedy=False),
-    "shot": Span(0, greedy=False),
-    "wavelength": Number(),
-    "exposure": Number(),
+_KIND: dict[str, PieceKind] = {
+    "target": TextPiece(1),
+    "setup": TextPiece(1, greedy=False),
+    "band": TextPiece(1, greedy=False),
+    "sensor": TextPiece(1, greedy=False),
+    "shot": TextPiece(0, greedy=False),
+    "wavelength": NumberPiece(),
+    "exposure": NumberPiece(),
 }
 LONGEST = 4096
 """Letters of a path, as file systems have it."""
@@ -144,19 +313,19 @@ class Pattern:
         """Whether it starts at the root of the file system."""
         return self.text.startswith("/")
 
-    def given(self, field: str, value: str) -> Pattern:
+    def with_value(self, field: str, value: str) -> Pattern:
         """Return the pattern with one placeholder filled in."""
         return Pattern.parse(self.text.replace(f"{{{field}}}", value))
 
     def fits_segment(self, index: int, name: str) -> bool:
-        """Whether a file's or folder's name could stand at one place between slashes."""
+        """Whether a file's or folder's name fits one segment of the pattern."""
         last = index == len(self.segments) - 1
         return _match(self.segments[index], NOTHING_KNOWN, last, name, named=False) is not None
 
     def read(
         self, path: str, known: Mapping[str, Collection[str]] | tuple[Known, ...] | None = None
     ) -> dict[str, Any] | None:
-        """Return what a path says, by field; None where it does not fit.
+        """Return the values of the fields in a path; None where it does not fit.
 
         Parameters
         ----------
@@ -211,13 +380,13 @@ def natural(text: str) -> list[tuple[int, int, str]]:
 
 def ways_to_read(known: Mapping[str, Collection[str]]) -> tuple[Known, ...]:
     """Return what names are read with: everything known, then all but the target, then nothing."""
-    told = Known((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
-    but_target = Known(item for item in told if item[0] != "target")
-    return tuple(dict.fromkeys((told, but_target, NOTHING_KNOWN)))
+    found = Known((name, tuple(sorted(values))) for name, values in sorted(known.items()) if values)
+    but_target = Known(item for item in found if item[0] != "target")
+    return tuple(dict.fromkeys((found, but_target, NOTHING_KNOWN)))
 
 
 def _match(text: str, known: Known, ends: bool, name: str, *, named: bool) -> dict[str, str] | None:
-    """Return what a name says by placeholder; None where it does not fit."""
+    """Return the values of the placeholders in a name; None where it does not fit."""
     if known.is_long or _free(text) > (2 if len(name) > SHORT else TAME):
         return match_pieces(_pieces(text, known, named, ends), name)
     found = _compiled(text, known, named, ends).fullmatch(name)
@@ -233,7 +402,7 @@ def _free(text: str) -> int:
 
 
 def _split(text: str) -> list[str]:
-    """Return stars, placeholders and what stands between; ``\0`` for any number of folders."""
+    """Return stars, placeholders and the text between; ``\0`` for any number of folders."""
     pieces = [p for p in _PIECE.split(text) if p]
     if "**" not in pieces:
         return pieces
@@ -247,17 +416,19 @@ def _pieces(text: str, known: Known, named: bool, ends: bool) -> tuple[Piece, ..
     out: list[Piece] = []
     for i, piece in enumerate(pieces):
         if piece == "\0":
-            out.append((Depths(), ""))
+            out.append((FoldersPiece(), ""))
         elif piece == "*":
-            out.append((Span(), ""))
+            out.append((TextPiece(), ""))
         elif not piece.startswith("{"):
-            out.append((Fixed(re.compile(_literal(piece, ends and i == len(pieces) - 1))), ""))
+            out.append(
+                (LiteralPiece(re.compile(_literal(piece, ends and i == len(pieces) - 1))), "")
+            )
         else:
             name = piece[1:-1]
             kind = _KIND[name]
             if name in values:
                 before, after = (_beside(pieces[j : j + 1]) for j in (i - 1, i + 1))
-                kind = OneOf(_longest_first(values[name]), before, after)
+                kind = ChoicePiece(_longest_first(values[name]), before, after)
             out.append((kind, name if named else ""))
     return tuple(out)
 

@@ -1,11 +1,11 @@
-"""A folder of captures guessed into a campaign.toml, every guess with its reason."""
+"""Guess a campaign.toml from a folder of captures, every guess with its reason."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.campaign.guess.refusals import LookRefused
+from levkas.campaign.guess.proposal import LookRefused
 from levkas.core.problems import Problem
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ FILE = "campaign.toml"
 def look(folder: str | Path) -> Proposal:
     """Guess a campaign from the names, headers and numbers of the files below a folder.
 
-    Nothing is written. What cannot be told from the files is listed as unknown.
+    Nothing is written. What the files do not show is listed as unknown.
 
     Parameters
     ----------
@@ -28,18 +28,18 @@ def look(folder: str | Path) -> Proposal:
     Returns
     -------
     proposal : Proposal
-        `text` is a whole campaign.toml with comments, `to_dict()` what it says.
+        `text` is a whole campaign.toml with comments, `to_dict()` its content.
 
     Raises
     ------
     LookRefused
         Where there is no image that can be read.
     """
-    from levkas.campaign.guess.campaigns import propose
     from levkas.campaign.guess.listing import list_captures
+    from levkas.campaign.guess.proposal import propose
 
     listing = list_captures(folder)
-    if not listing.seen:
+    if not listing.captures:
         others = ", ".join(f"{n} {suffix}" for suffix, n in listing.others.most_common(5))
         unreadable = [f"{name}: {why}" for name, why in list(listing.unreadable.items())[:3]]
         raise LookRefused(

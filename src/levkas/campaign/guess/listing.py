@@ -1,4 +1,4 @@
-"""What stands in a folder of captures: every image with its header's facts, and what is no image."""
+"""Files in a folder of captures: every image with its header's facts, and what is no image."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from levkas.campaign.discovery.folders import DEEPEST, Folders, walk
+from levkas.campaign.discovery.file_index import DEEPEST, FolderListings, walk_folders
 from levkas.core.problems import Refused
 from levkas.readers.facts import Facts
 
@@ -17,8 +17,8 @@ FEW = 3
 
 
 @dataclass(frozen=True)
-class Seen:
-    """One capture: its file, the folders it stands in below the root, its stem, and its facts.
+class CaptureFile:
+    """One capture: its file, the folders it lies in below the root, and its facts.
 
     Facts that are `borrowed` are those of files like it: its header was not read.
     """
@@ -27,11 +27,6 @@ class Seen:
     folders: tuple[str, ...]
     facts: Facts
     borrowed: bool = False
-
-    @property
-    def stem(self) -> str:
-        """Its name without the suffix."""
-        return self.path.stem
 
     @property
     def name(self) -> str:
@@ -43,6 +38,14 @@ class Seen:
         """Samples of a pixel."""
         return int(self.facts.shape[2]) if len(self.facts.shape) == 3 else 1
 
+    @property
+    def signature(self) -> tuple[object, ...]:
+        """What all frames of one sensor share: size (of a scan the width), channels, type of number."""
+        shape = self.facts.shape
+        if self.facts.kind == "envi":
+            return ("envi", shape[1], shape[2], self.facts.dtype)
+        return (shape[:2], self.channels, self.facts.dtype, self.facts.kind == "raw")
+
 
 @dataclass
 class Listing:
@@ -51,7 +54,7 @@ class Listing:
     Attributes
     ----------
     root : Path
-    seen : list of Seen
+    captures : list of CaptureFile
         In natural order.
     tables : list of str
         CSV files, relative.
@@ -62,7 +65,7 @@ class Listing:
     """
 
     root: Path
-    seen: list[Seen] = field(default_factory=list)
+    captures: list[CaptureFile] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     unreadable: dict[str, str] = field(default_factory=dict)
     others: Counter[str] = field(default_factory=Counter)
@@ -74,7 +77,7 @@ def list_captures(root: str | Path) -> Listing:
 
     listing = Listing(Path(root))
     paths: list[tuple[tuple[str, ...], Path]] = []
-    for above, names in walk(listing.root, Folders()):
+    for above, names in walk_folders(listing.root, FolderListings()):
         if any(name.endswith((".kept", ".removed")) for name in above):
             continue
         if names is None:
@@ -98,36 +101,27 @@ def list_captures(root: str | Path) -> Listing:
         spared = len(alike) >= FEW and (suffix in SUFFIXES or len(paths) > MOST_READ)
         if spared and all(f.shape == alike[0].shape for f in alike):
             facts = replace(alike[0], path=path, exposure_s=None, captured=None)
-            listing.seen.append(Seen(path, folders, facts, borrowed=True))
+            listing.captures.append(CaptureFile(path, folders, facts, borrowed=True))
             continue
-        told = _no_capture(path) or _facts(path)
-        if isinstance(told, str):
-            listing.unreadable[name] = told
+        try:
+            facts = _facts_of_image(path)
+        except Refused as refused:
+            problem = refused.problems[0]
+            sizes = f" ({problem.found}; {problem.expected})"
+            shown = problem.code in ("E_SIZE", "E_MEMORY")
+            listing.unreadable[name] = problem.message + (sizes if shown else "")
             continue
-        alike.append(told)
-        listing.seen.append(Seen(path, folders, told))
+        alike.append(facts)
+        listing.captures.append(CaptureFile(path, folders, facts))
     return listing
 
 
-def _facts(path: Path) -> Facts | str:
+def _facts_of_image(path: Path) -> Facts:
+    """Read the facts of a capture; an ENVI library of spectra is refused as no image."""
+    from levkas.readers.envi_header import parse_header
+    from levkas.readers.facts import unreadable
     from levkas.readers.frames import read_facts
 
-    try:
-        return read_facts(path)
-    except Refused as refused:
-        problem = refused.problems[0]
-        sizes = f" ({problem.found}; {problem.expected})"
-        return problem.message + (sizes if problem.code in ("E_SIZE", "E_MEMORY") else "")
-
-
-def _no_capture(path: Path) -> str:
-    """Say of an ENVI header that it describes no image: a library of spectra."""
-    if path.suffix.lower() != ".hdr":
-        return ""
-    from levkas.readers.envi import parse_header
-
-    try:
-        kind = str(parse_header(path).get("file type", "")).lower()
-    except Refused as refused:
-        return refused.problems[0].message
-    return "a library of spectra, no image" if "library" in kind else ""
+    if path.suffix.lower() == ".hdr" and "library" in parse_header(path).text("file type").lower():
+        raise unreadable(path, "a library of spectra, no image")
+    return read_facts(path)

@@ -1,16 +1,38 @@
-"""What the numbers of one frame tell of it: how dark, how even, how many bits, what mosaic."""
+"""Statistics of frames, decoded once, and the mosaics that they show."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+
+from levkas.core.problems import Refused
+
+if TYPE_CHECKING:
+    from levkas.campaign.guess.listing import CaptureFile
+    from levkas.campaign.guess.names import NamedFile
 
 LARGEST_TILE = 5
 LEAST_SPAN = 0.06
 """Phases of a mosaic differ by more of their mean; rows and columns of a plain sensor do not."""
 BLOCKS = 24
-CODES = 1 << 16
+GREENS_ALIKE = 0.03
+"""The two greens of a Bayer tile differ by less of their mean, other colours by more."""
+AGREE = 0.8
+"""Share of the evidence that must point one way."""
+FIRST = "whether red or blue comes first in the mosaic"
+DIAGONALS = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
+LONG_NM, MIDDLE_NM, SHORT_NM = (600.0, 720.0), (510.0, 570.0), (380.0, 480.0)
+T = TypeVar("T")
+MOST_SAMPLED = 6
+"""Frames of one kind that are decoded."""
+CLIPPED = 20
+"""Samples at the highest code from which on it is taken for the sensor's end."""
+LINES = 64
+"""Of a cube: read from its middle, fewer where they would be more than `MOST_SEEN` values."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +81,8 @@ def describe_pixels(values: np.ndarray) -> Statistics:
     --------
     >>> frame = np.full((60, 60), 4080, np.uint16)
     >>> frame[::2, ::2] = 1600
-    >>> told = describe_pixels(frame)
-    >>> told.top, told.step, find_mosaic(told.phases)
+    >>> found = describe_pixels(frame)
+    >>> found.top, found.step, find_mosaic(found.phases)
     (4080, 80, 2)
     """
     plane = np.asarray(values)
@@ -165,3 +187,198 @@ def _step(values: np.ndarray) -> int:
         return 1
     codes = np.unique(values)
     return max(1, int(np.gcd.reduce(codes.astype(np.int64)))) if codes.size > 1 else 1
+
+
+@dataclass(frozen=True)
+class GuessedMosaic:
+    """A guessed mosaic: rows of channel names, why, and what remains unknown ("" for nothing)."""
+
+    rows: tuple[tuple[str, ...], ...]
+    why: str
+    unknown: str = ""
+
+    @property
+    def letters(self) -> str:
+        """``"RGGB"`` of a Bayer mosaic, else ""."""
+        flat = [name for row in self.rows for name in row]
+        return "".join(flat) if all(len(name) == 1 for name in flat) else ""
+
+
+def name_mosaic(
+    side: int,
+    bright: np.ndarray,
+    *,
+    dark: float = 0.0,
+    shown: Mapping[str, np.ndarray] | None = None,
+    warmth: Mapping[str, float] | None = None,
+    narrow: Mapping[float, np.ndarray] | None = None,
+) -> GuessedMosaic:
+    """Name the channels of a mosaic.
+
+    Parameters
+    ----------
+    side : int
+        Of its tile, sensels.
+    bright : ndarray, (side, side)
+        Phase means of a white, or of an object where there is none; counts.
+    dark : float
+        Level without light.
+    shown : mapping of object to ndarray, optional
+        Phase means of objects, where `bright` is a white.
+    warmth : mapping of object to float, optional
+        Logarithm of its mean reflectance in long over that in short waves, as another camera saw it.
+    narrow : mapping of nm to ndarray, optional
+        Phase means behind narrow filters.
+
+    Examples
+    --------
+    >>> white = np.array([[2189.0, 3011.0], [3011.0, 1949.0]])
+    >>> icon = {"icon": np.array([[455.0, 333.0], [332.0, 177.0]])}
+    >>> name_mosaic(2, white, dark=66, shown=icon, warmth={"icon": 1.2}).letters
+    'RGGB'
+    """
+    if narrow and side == 2 and (mosaic := _by_wavelength(narrow, dark)):
+        return mosaic
+    diagonal = _greens(bright - dark) if side == 2 else None
+    if diagonal is None:
+        names = [f"B{i + 1}" for i in range(side * side)]
+        rows = tuple(tuple(names[r * side : (r + 1) * side]) for r in range(side))
+        unknown = "what each channel of the mosaic sees: the names are in reading order"
+        return GuessedMosaic(rows, f"levels repeat every {side} sensels", unknown)
+    greens, ends = (DIAGONALS[diagonal], DIAGONALS[1 - diagonal])
+    red, why, unknown = _first_is_red(ends, bright - dark, dark, shown or {}, warmth or {})
+    grid = np.full((2, 2), "B", dtype=object)
+    grid[greens[0]] = grid[greens[1]] = "G"
+    grid[ends[0] if red else ends[1]] = "R"
+    rows = tuple(tuple(str(n) for n in row) for row in grid)
+    return GuessedMosaic(rows, f"two phases on a diagonal are alike: greens{why}", unknown)
+
+
+def _first_is_red(
+    ends: tuple[tuple[int, int], tuple[int, int]],
+    bright: np.ndarray,
+    dark: float,
+    shown: Mapping[str, np.ndarray],
+    warmth: Mapping[str, float],
+) -> tuple[bool, str, str]:
+    """Return whether the first of two phases is the red one, why, and what remains unknown."""
+    votes = {}
+    for target, phases in shown.items():
+        first, last = (max(phases[p] - dark, 1e-3) / max(bright[p], 1e-3) for p in ends)
+        votes[target] = float(np.log(first / last))
+    known = {target: vote * warmth[target] for target, vote in votes.items() if target in warmth}
+    if known and sum(map(abs, known.values())) > 0.01:
+        vote, most = sum(known.values()), sum(map(abs, known.values()))
+        sure = abs(vote) > AGREE * most
+        return vote > 0, "; red sees objects as spectra have them", "" if sure else FIRST
+    if not votes:
+        return True, "", FIRST
+    vote = sum(votes.values())
+    why = "; red is where objects are brighter against the white, as paintings are"
+    return vote >= 0, why, FIRST
+
+
+def _greens(levels: np.ndarray) -> int | None:
+    """Return which of `DIAGONALS` holds two like phases; None for neither or both."""
+
+    def differ(a: float, b: float) -> float:
+        return abs(a - b) / max(0.5 * (a + b), 1e-9)
+
+    main, other = differ(levels[0, 0], levels[1, 1]), differ(levels[0, 1], levels[1, 0])
+    if min(main, other) > GREENS_ALIKE or max(main, other) < 2 * min(main, other) + 0.01:
+        return None
+    return 0 if main < other else 1
+
+
+def _by_wavelength(narrow: Mapping[float, np.ndarray], dark: float) -> GuessedMosaic | None:
+    """Red, green and blue are the phases that see long, middle and short waves best."""
+    shares: dict[str, np.ndarray] = {}
+    for name, (low, high) in (("R", LONG_NM), ("G", MIDDLE_NM), ("B", SHORT_NM)):
+        levels = [phases - dark for nm, phases in narrow.items() if low <= nm <= high]
+        if not levels:
+            return None
+        shares[name] = np.mean([p / max(float(p.sum()), 1e-9) for p in levels], axis=0)
+    red, blue = (np.unravel_index(int(shares[n].argmax()), (2, 2)) for n in "RB")
+    grid = np.full((2, 2), "G", dtype=object)
+    grid[red], grid[blue] = "R", "B"
+    greens = np.argwhere(grid == "G")
+    if len(greens) != 2 or abs(greens[0] - greens[1]).sum() != 2:
+        return None
+    rows = tuple(tuple(str(n) for n in row) for row in grid)
+    return GuessedMosaic(rows, "one phase sees the long waves best (R), one the short ones (B)")
+
+
+# --- frames, decoded once ---------------------------------------------------------------------
+
+
+def spread(things: Sequence[T], count: int) -> list[T]:
+    """Return up to `count` of some things, evenly over all.
+
+    >>> spread("abcdefg", 3)
+    ['a', 'd', 'g']
+    """
+    places = np.linspace(0, len(things) - 1, min(count, len(things))).round()
+    return [things[int(i)] for i in np.unique(places)] if things else []
+
+
+class Samples:
+    """Statistics of frames by path, decoded when they are first asked for."""
+
+    def __init__(self) -> None:
+        self._known: dict[Path, Statistics | None] = {}
+        self.refused: dict[str, str] = {}
+
+    def of(self, capture: CaptureFile) -> Statistics | None:
+        """Return the statistics of one frame; None where it cannot be decoded."""
+        if capture.path not in self._known:
+            try:
+                self._known[capture.path] = describe_pixels(_plane(capture))
+            except Refused as refused:
+                self._known[capture.path] = None
+                self.refused[capture.name] = str(refused.problems[0])
+            except ValueError:
+                self._known[capture.path] = None
+        return self._known[capture.path]
+
+    def of_some(self, frames: Sequence[NamedFile], count: int) -> list[Statistics]:
+        """Return the statistics of up to `count` frames, spread over all."""
+        found = (self.of(frame.file) for frame in spread(frames, count))
+        return [statistics for statistics in found if statistics is not None]
+
+    def spectrum_of(self, capture: CaptureFile) -> np.ndarray | None:
+        """Return the mean level of each band of some lines of a cube, (bands,); None where it cannot be read."""
+        try:
+            block = _middle_lines(capture)
+        except (Refused, ValueError):
+            return None
+        return np.asarray(block.mean(axis=(0, 1), dtype=np.float64))
+
+    def same_scene(self, one: CaptureFile, other: CaptureFile) -> bool | None:
+        """Whether two frames show the same; None where one cannot be decoded."""
+        a, b = self.of(one), self.of(other)
+        return None if a is None or b is None else is_same_scene(a.thumbnail, b.thumbnail)
+
+
+def _plane(capture: CaptureFile) -> np.ndarray:
+    """Read one plane: of a cube the brightest band of a few lines, of a photograph the mean."""
+    if capture.facts.kind == "envi":
+        block = _middle_lines(capture)
+        return np.asarray(block[:, :, int(block.mean(axis=(0, 1), dtype=np.float64).argmax())])
+    from levkas.readers.frames import read_sample
+
+    values = read_sample(capture.path)
+    return values if values.ndim == 2 else values[..., :3].mean(axis=2, dtype=np.float32)
+
+
+def _middle_lines(capture: CaptureFile) -> np.ndarray:
+    """Read some lines of a cube, (lines, samples, bands)."""
+    from levkas.readers.envi import open_envi
+    from levkas.readers.facts import check_memory
+    from levkas.readers.frames import MOST_SEEN
+
+    cube = open_envi(capture.path)
+    lines, samples, bands = cube.facts.shape
+    count = max(1, min(LINES, MOST_SEEN // (samples * bands)))
+    check_memory(capture.path, count * samples * bands, np.dtype(cube.layout).itemsize)
+    start = max(0, lines // 2 - count // 2)
+    return cube.read_lines(start, min(lines, start + count))

@@ -1,74 +1,53 @@
-"""A guessed campaign, and its campaign.toml with a reason beside every guess."""
+"""Propose a campaign for a folder of captures: cameras, reference, targets, and a campaign.toml with reasons."""
 
 from __future__ import annotations
 
-import json
 import re
+import textwrap
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from levkas.campaign.campaign import campaign_of
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.campaign.discovery.patterns import natural
+from levkas.campaign.guess.appearance import find_warmth, infer_roles
+from levkas.campaign.guess.describe import (
+    CameraGuess,
+    Guess,
+    describe_camera,
+    find_white_table,
+    with_sensitivity,
+)
+from levkas.campaign.guess.groups import CameraGroup, group_cameras
+from levkas.campaign.guess.listing import Listing
+from levkas.campaign.guess.names import name_targets
+from levkas.campaign.guess.pixels import Samples
+from levkas.campaign.guess.words import CHARTS, GENERIC
+from levkas.campaign.schema.cross_checks import find_contradictions, is_safe_name
+from levkas.campaign.schema.tables import Document
+from levkas.campaign.schema.toml import to_inline_toml, to_toml_key
+from levkas.core.cube import band_labels
+from levkas.core.problems import Problem, Refused
 
 WIDTH = 100
 COLUMN = 53
 """Where comments begin, beside keys that leave them the place."""
+GREEN_NM = 550.0
+"""Where eyes and lenses are at their best; the reference band of the paper."""
+VISIBLE_NM, NEAR_NM = (400.0, 720.0), 30.0
+PHOTOGRAPHS = r"(.*[-_ ])?(photo|photograph|foto|vis|visible|rgb|color|colour)([-_ ].*)?"
+"""Names of cameras that took the picture as one sees it."""
+RANKS = {"bands": 4, "mosaic": 3, "cube": 2, "sensors": 2, "image": 1}
+"""Which kinds make the better reference: a sharp frame a band, then a sharp mosaic."""
+MOST_LISTED = 6
+UNKNOWN_WHITE = "what the white board reflects: 1 is taken"
 
 
-@dataclass(frozen=True)
-class Said:
-    """One value of campaign.toml and why it is this one."""
-
-    value: Any
-    why: str = ""
-
-
-@dataclass(frozen=True)
-class SensorGuess:
-    """One sensor of a camera: its name at ``{sensor}``, and its mosaic and channels where it has one."""
-
-    name: str
-    keys: dict[str, Said] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class CameraGuess:
-    """One camera.
-
-    Parameters
-    ----------
-    name : str
-    about : tuple of str
-        Comments above its table.
-    keys : dict
-        In the order of the file: kind, files, …
-    sensors : tuple of SensorGuess
-    hints : tuple of str
-        Keys that may be wanted, as comments.
-    unknown : tuple of str
-        What the files do not say.
-    centres : tuple of float
-        Wavelengths of its bands, nm, as names or headers say them.
-    targets : dict
-        Target → role.
-    setups : dict
-        Name → files.
-    """
-
-    name: str
-    keys: dict[str, Said]
-    about: tuple[str, ...] = ()
-    sensors: tuple[SensorGuess, ...] = ()
-    hints: tuple[str, ...] = ()
-    unknown: tuple[str, ...] = ()
-    centres: tuple[float, ...] = ()
-    targets: dict[str, str] = field(default_factory=dict)
-    setups: dict[str, Said] = field(default_factory=dict)
-
-    @property
-    def kind(self) -> str:
-        """As in campaign.toml."""
-        return str(self.keys["kind"].value)
+class LookRefused(Refused):
+    """A folder holds nothing that a campaign could be made of, or already has one."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +57,7 @@ class Proposal:
     Parameters
     ----------
     root : Path
-        The folder that was looked at, where campaign.toml would stand.
+        The folder that was looked at, where campaign.toml belongs.
     described : dict
         Keys of [campaign].
     cameras : tuple of CameraGuess
@@ -88,15 +67,15 @@ class Proposal:
     hints : tuple of str
         Keys of [targets] that may be wanted, as comments.
     unknown : tuple of str
-        What a person must say; empty where nothing is left open.
+        What a person must fill in; empty where nothing is left open.
     left_out : tuple of str
-        Files that are in no camera, and why.
+        FilePatterns that are in no camera, and why.
     """
 
     root: Path
-    described: dict[str, Said]
+    described: dict[str, Guess]
     cameras: tuple[CameraGuess, ...]
-    targets: dict[str, Said]
+    targets: dict[str, Guess]
     objects: tuple[str, ...]
     hints: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
@@ -108,11 +87,11 @@ class Proposal:
         return "\n".join(_document(self)) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what campaign.toml says, as a parser reads it."""
+        """Return the content of campaign.toml, as a parser reads it."""
         return tomllib.loads(self.text)
 
     def to_report(self) -> dict[str, Any]:
-        """Return what `--json` says: the campaign, its text, what is unknown, what is left out."""
+        """Return the report of `--json`: the campaign, its text, what is unknown, what is left out."""
         return {
             "campaign": self.to_dict(),
             "toml": self.text,
@@ -121,29 +100,217 @@ class Proposal:
         }
 
 
-def to_toml(value: Any) -> str:
-    """Spell one value as TOML.
+def propose(listing: Listing) -> Proposal:
+    """Make a proposal of a listing that holds at least one capture."""
+    samples = Samples()
+    named = name_targets(listing.captures, same_scene=samples.same_scene)
+    groups, left_out = group_cameras(named, listing.root.resolve().name)
+    if not groups:
+        raise LookRefused(_no_object(listing, left_out))
+    by_eye = [f"{g.name}: {reason}" for g in groups for reason in infer_roles(g, samples)]
+    unknown = by_eye + _without_conflicts(groups)
+    warmth = find_warmth(groups, samples)
+    cameras = [
+        with_sensitivity(describe_camera(g, samples, warmth), listing.root, listing.tables)
+        for g in groups
+    ]
+    if len(cameras) == 1 and cameras[0].kind == "image" and len(cameras[0].targets) > 1:
+        unknown.append(
+            "whether some of these pictures show one object: each is taken for an object of its own, "
+            "and with one camera nothing is registered"
+        )
+    shapes = [group.frames[0].facts.shape for group in groups]
+    reference, why = _reference(cameras, [shape[0] * shape[1] for shape in shapes])
+    how = "by their histograms" if by_eye else "by their names"
+    targets, objects, more = _targets(listing, cameras, reference.name, how)
+    unknown += [text for camera in cameras for text in camera.unknown] + more
+    unreadable = {**listing.unreadable, **samples.refused}
+    left_out += [f"{name}: {reason}" for name, reason in unreadable.items()]
+    band = _band(reference)
+    keys = {"camera": reference.name} | ({"band": band} if band else {})
+    proposal = Proposal(
+        root=listing.root,
+        described={
+            "title": Guess(_title(listing.root)),
+            **_date(listing),
+            "reference": Guess(keys, why),
+        },
+        cameras=tuple(_with_own_templates(c, targets) for c in cameras),
+        targets=targets,
+        objects=tuple(objects),
+        hints=_hints(targets) if UNKNOWN_WHITE in unknown else (),
+        unknown=tuple(_shortened(unknown)),
+        left_out=tuple(_shortened(left_out)),
+    )
+    return replace(proposal, unknown=(*proposal.unknown, *_shortened(_refusals(proposal))))
 
-    Examples
-    --------
-    >>> print(to_toml({"start": 400.0, "step": 10}), to_toml(("a", "b")), to_toml(True))
-    { start = 400, step = 10 } ["a", "b"] true
-    """
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, float):
-        return f"{value:.12g}"
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(k)} = {to_toml(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(to_toml(v) for v in value) + "]"
-    return str(value)
+
+def _no_object(listing: Listing, left_out: Sequence[str]) -> Problem:
+    return Problem(
+        "E_NO_FRAMES",
+        "all captures here are darks, whites or charts",
+        file=str(listing.root),
+        found="; ".join(left_out[:MOST_LISTED]),
+        expected="frames of an object",
+        fix="Give the folder that holds the objects' frames too.",
+    )
 
 
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else to_toml(name)
+def _without_conflicts(groups: Sequence[CameraGroup]) -> list[str]:
+    """Take a target for an object everywhere where cameras disagree; return what was so decided."""
+    roles: dict[str, set[str]] = {}
+    for frame in (f for g in groups for f in g.frames):
+        roles.setdefault(frame.target, set()).add(frame.role)
+    doubted = {target for target, shown in roles.items() if len(shown) > 1}
+    for group in groups:
+        group.frames = [f.with_role("object") if f.target in doubted else f for f in group.frames]
+    return [
+        f"whether {name} is an object: not all cameras' frames look it" for name in sorted(doubted)
+    ]
+
+
+def _refusals(proposal: Proposal) -> list[str]:
+    """Read the proposal as a campaign and find its captures; return what would be refused, and why."""
+    root = proposal.root.resolve()
+    document = Document.model_validate(proposal.to_dict())
+    if wrong := list(find_contradictions(document, root)):
+        return [str(p) for p in wrong]
+    try:
+        _, refusals = find_captures(campaign_of(document, root / "campaign.toml"))
+    except Refused as refused:
+        return [str(p) for p in refused.problems]
+    lines = []
+    for (name, camera, setup), refusal in refusals.items():
+        layer = f"{camera}@{setup}" if setup else camera
+        for problem in refusal.problems:
+            fix = f". {problem.fix}" if problem.fix else ""
+            lines.append(f"{name}/{layer} would be refused: {problem.message}{fix}")
+    return lines
+
+
+# --- reference --------------------------------------------------------------------------------
+
+
+def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[CameraGuess, str]:
+    """Return the camera to register the others to: it saw most objects, has most bands in the visible."""
+
+    def worth(i: int) -> tuple[float, ...]:
+        camera = cameras[i]
+        objects = sum(role == "object" for role in camera.targets.values())
+        visible = [w for w in camera.centres if VISIBLE_NM[0] <= w <= VISIBLE_NM[1]]
+        near = bool(visible) and min(abs(w - GREEN_NM) for w in visible) <= NEAR_NM
+        plain = camera.kind == "image" and bool(re.fullmatch(PHOTOGRAPHS, camera.name.lower()))
+        order = RANKS[camera.kind], len(visible), plain, sizes[i]
+        return objects, near or not camera.centres, *order
+
+    best = max(range(len(cameras)), key=worth)
+    why = "the only camera" if len(cameras) == 1 else "a guess: what all else is registered to"
+    return cameras[best], why
+
+
+def _band(camera: CameraGuess) -> str:
+    """Return the label of the band nearest to green; "" where the default, the middle one, will do."""
+    centres = camera.centres
+    if not centres or camera.kind in ("mosaic", "image"):
+        return ""
+    place = min(range(len(centres)), key=lambda i: abs(centres[i] - GREEN_NM))
+    if camera.kind != "sensors":
+        return band_labels(centres)[place]
+    labels = [label for s in camera.sensors for label in s.keys["bands"].value]
+    return str(labels[place]) if len(labels) == len(centres) else ""
+
+
+# --- targets ----------------------------------------------------------------------------------
+
+
+def _targets(
+    listing: Listing, cameras: Sequence[CameraGuess], reference: str, how: str
+) -> tuple[dict[str, Guess], list[str], list[str]]:
+    """Return the keys of [targets], the objects, and what is unknown of them."""
+    gathered: dict[str, dict[str, None]] = {"dark": {}, "white": {}, "chart": {}, "object": {}}
+    for camera in cameras:
+        for target, role in camera.targets.items():
+            gathered[role][target] = None
+    by_role = {role: list(names) for role, names in gathered.items()}
+    calibrated = {t for c in cameras if c.kind != "image" for t in c.targets}
+    unknown: list[str] = []
+    keys: dict[str, Guess] = {}
+    if dark := sorted(by_role["dark"], key=natural):
+        keys["dark"] = Guess(dark[0] if len(dark) == 1 else dark, how)
+    if white := sorted(by_role["white"], key=natural):
+        keys["white"], shown = _white(listing, white, how)
+        unknown += shown if set(white) & calibrated else []
+    charts = {t: _chart(t) for t in sorted(by_role["chart"], key=natural)}
+    if charts:
+        keys["charts"] = Guess(charts, "by their names; check which chart each is")
+    registered = next(c.targets for c in cameras if c.name == reference)
+    objects = sorted(by_role["object"], key=natural)
+    if unsafe := [name for name in objects if not is_safe_name(name)]:
+        unknown.append(
+            f"how to call {', '.join(unsafe[:MOST_LISTED])}: file names cannot hold this"
+        )
+    objects = [name for name in objects if name not in unsafe]
+    lost = [name for name in objects if name not in registered]
+    if lost:
+        unknown.append(f"where the reference camera's image of {', '.join(lost[:MOST_LISTED])} is")
+    objects = [name for name in objects if name in registered]
+    if objects:
+        keys["objects"] = Guess(objects, "all other targets" if dark or white or charts else "")
+    return keys, objects, unknown
+
+
+def _white(listing: Listing, names: list[str], how: str) -> tuple[Guess, list[str]]:
+    """Return the white board, with a table of its reflectance where one lies beside."""
+    one: object = names[0] if len(names) == 1 else names
+    if table := find_white_table(listing.root, listing.tables):
+        return Guess({"names": one, "reflectance": table}, "the table that stands beside"), []
+    return Guess(one, f"{how}; what it reflects is not in the files"), [UNKNOWN_WHITE]
+
+
+def _hints(targets: dict[str, Guess]) -> tuple[str, ...]:
+    white = to_inline_toml({"names": targets["white"].value, "reflectance": 0.98})
+    return (f"white = {white}  # a share, or a CSV over wavelength",)
+
+
+def _chart(target: str) -> str:
+    word = next((w for w in re.split(r"[\W_\d]+", target.lower()) if w in CHARTS), "chart")
+    return CHARTS[word]
+
+
+def _with_own_templates(camera: CameraGuess, targets: dict[str, Guess]) -> CameraGuess:
+    """Add to a camera that it has no dark or white where others have one."""
+    if camera.kind == "image":
+        return camera
+    keys = dict(camera.keys)
+    for role in ("dark", "white"):
+        if role in targets and role not in camera.targets.values():
+            keys[role] = Guess([], f"no {role} of this camera was found")
+    return replace(camera, keys=keys)
+
+
+# --- the campaign -----------------------------------------------------------------------------
+
+
+def _title(root: Path) -> str:
+    here = root.resolve()
+    name = here.parent.name if here.name.lower() in GENERIC and here.parent.name else here.name
+    return name.replace("_", " ")
+
+
+def _date(listing: Listing) -> dict[str, Guess]:
+    dates = sorted(s.facts.captured for s in listing.captures if s.facts.captured)
+    return {"date": Guess(dates[0][:10], "of the earliest capture, by its header")} if dates else {}
+
+
+def _shortened(lines: Sequence[str]) -> list[str]:
+    """Leave out repetitions, and the tail of a long list."""
+    shown = list(dict.fromkeys(lines))
+    if len(shown) <= 3 * MOST_LISTED:
+        return shown
+    return [*shown[: 3 * MOST_LISTED], f"… and {len(shown) - 3 * MOST_LISTED} more"]
+
+
+# --- the text ----------------------------------------------------------------------------------
 
 
 def _document(proposal: Proposal) -> Iterator[str]:
@@ -161,22 +328,22 @@ def _document(proposal: Proposal) -> Iterator[str]:
     for camera in proposal.cameras:
         yield ""
         yield from (line for about in camera.about for line in _wrapped(about))
-        yield f"[cameras.{_key(camera.name)}]"
+        yield f"[cameras.{to_toml_key(camera.name)}]"
         yield from _table(camera.keys)
         yield from (f"# {hint}" for hint in camera.hints)
         for sensor in camera.sensors:
-            yield f"\n[[cameras.{_key(camera.name)}.sensors]]"
-            yield from _table({"name": Said(sensor.name), **sensor.keys})
+            yield f"\n[[cameras.{to_toml_key(camera.name)}.sensors]]"
+            yield from _table({"name": Guess(sensor.name), **sensor.keys})
     if proposal.targets:
         yield "\n[targets]"
         yield from _table(proposal.targets)
         yield from (f"# {hint}" for hint in proposal.hints)
     for camera in proposal.cameras:
         for name, files in camera.setups.items():
-            yield f"\n[setups.{_key(name)}.cameras.{_key(camera.name)}]"
+            yield f"\n[setups.{to_toml_key(name)}.cameras.{to_toml_key(camera.name)}]"
             yield from _table({"files": files})
     if proposal.objects:
-        yield f"\n# [objects.{_key(proposal.objects[0])}]"
+        yield f"\n# [objects.{to_toml_key(proposal.objects[0])}]"
         yield from _aligned('# title = ""', "what a museum says of it; all of it is optional")
         yield from _aligned("# size_mm = [width, height]", "gives the sampling in px per mm")
     if len(proposal.objects) > 1 or any(camera.setups for camera in proposal.cameras):
@@ -186,15 +353,17 @@ def _document(proposal: Proposal) -> Iterator[str]:
         )
 
 
-def _table(keys: dict[str, Said]) -> Iterator[str]:
-    for key, said in keys.items():
-        value = to_toml(said.value)
-        listed = isinstance(said.value, list | tuple) and len(value) > WIDTH - len(key) - 3
+def _table(keys: dict[str, Guess]) -> Iterator[str]:
+    for key, guess in keys.items():
+        value = to_inline_toml(guess.value)
+        listed = isinstance(guess.value, list | tuple) and len(value) > WIDTH - len(key) - 3
         if not listed:
-            yield from _aligned(f"{key} = {value}", said.why)
+            yield from _aligned(f"{key} = {value}", guess.why)
             continue
-        yield from _aligned(f"{key} = [", said.why)
-        yield from (f"    {line}" for line in _filled([f"{to_toml(v)}," for v in said.value]))
+        yield from _aligned(f"{key} = [", guess.why)
+        yield from (
+            f"    {line}" for line in _filled([f"{to_inline_toml(v)}," for v in guess.value])
+        )
         yield "]"
 
 
@@ -212,8 +381,6 @@ def _aligned(line: str, why: str) -> Iterator[str]:
 
 
 def _wrapped(text: str, *, first: str = "# ", rest: str = "# ") -> Iterator[str]:
-    import textwrap
-
     clean = " ".join(text.split())
     yield from textwrap.wrap(
         clean, WIDTH, initial_indent=first, subsequent_indent=rest, break_long_words=False

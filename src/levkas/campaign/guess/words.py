@@ -1,92 +1,35 @@
-"""What words in names of files and folders mean, in the languages that studios use."""
+"""Words in names of files and folders, in the languages that studios use, and names taken apart."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-DARK = frozenset(
-    [
-        "dark",
-        "darks",
-        "darkframe",
-        "darkref",
-        "darkfield",
-        "black",
-        "blackref",
-        "bias",
-        "lenscap",
-        "dunkel",
-        "schwarz",
-        "noir",
-        "noire",
-    ]
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+DARK = _words(
+    "dark darks darkframe darkref darkfield black blackref bias lenscap dunkel schwarz noir noire"
 )
-WHITE = frozenset(
-    [
-        "white",
-        "whites",
-        "whiteref",
-        "whiteboard",
-        "flat",
-        "flats",
-        "flatfield",
-        "ff",
-        "spectralon",
-        "weiss",
-        "blanc",
-        "blanche",
-    ]
+WHITE = _words(
+    "white whites whiteref whiteboard flat flats flatfield ff spectralon weiss blanc blanche"
 )
 CHARTS = {
-    "colorchecker": "ColorChecker24",
-    "colourchecker": "ColorChecker24",
-    "macbeth": "ColorChecker24",
-    "passport": "ColorChecker24",
-    "ccsg": "ColorCheckerSG",
-    "digitalsg": "ColorCheckerSG",
-    "colorcheckersg": "ColorCheckerSG",
+    **dict.fromkeys(("colorchecker", "colourchecker", "macbeth", "passport"), "ColorChecker24"),
+    **dict.fromkeys(("ccsg", "digitalsg", "colorcheckersg"), "ColorCheckerSG"),
     "chart": "ColorChecker24",
 }
 """Names of charts, and the reference that each most likely is."""
-IMAGES = frozenset(
-    [
-        "photo",
-        "photograph",
-        "foto",
-        "vis",
-        "visible",
-        "rgb",
-        "color",
-        "colour",
-        "uv",
-        "uvf",
-        "uvl",
-        "uvr",
-        "ir",
-        "irr",
-        "irrgb",
-        "irfc",
-        "nir",
-        "swir",
-        "xray",
-        "xr",
-        "xrr",
-        "radiograph",
-        "radiography",
-        "raking",
-        "transmitted",
-        "reflected",
-        "fluorescence",
-        "thermal",
-        "reflectogram",
-    ]
-)
-"""Kinds of technical photographs: in a name they tell the camera, not the object."""
-SENSORS = frozenset(
-    ["ccd", "cam", "camera", "sensor", "lens", "head", "chip", "cmos", "det", "detector"]
-)
-BANDS = frozenset(["band", "b", "ch", "chan", "channel", "filter", "f", "led"])
+IMAGES = _words("""
+    photo photograph foto vis visible rgb color colour uv uvf uvl uvr ir irr irrgb irfc nir swir xray xr
+    xrr radiograph radiography raking transmitted reflected fluorescence thermal reflectogram
+""")
+"""Kinds of technical photographs: in a name they stand for the camera, not the object."""
+SENSORS = _words("ccd cam camera sensor lens head chip cmos det detector")
+BANDS = _words("band b ch chan channel filter f led")
 LIGHTS = re.compile(
     r"(?i)(\d+[-_ ]?(deg|degree|degrees|°)|.*(polari[sz]ed|polar|diffuse|raking|light|lamp|soft|cross|"
     r"proposed|d50|d65|led|halogen|tungsten|flash|left|right|specular).*|45)"
@@ -94,79 +37,20 @@ LIGHTS = re.compile(
 """Names of lightings."""
 MILD = re.compile(r"(?i).*(proposed|diffuse|soft|normal|default|standard|cross).*")
 """Of several lightings the one that is most likely the default."""
-GENERIC = frozenset(
-    [
-        "raw",
-        "raws",
-        "frame",
-        "frames",
-        "image",
-        "images",
-        "img",
-        "imgs",
-        "data",
-        "capture",
-        "captures",
-        "captured",
-        "light",
-        "lights",
-        "shot",
-        "shots",
-        "tif",
-        "tiff",
-        "tiffs",
-        "png",
-        "jpg",
-        "jpeg",
-        "nef",
-        "dng",
-        "cr2",
-        "cr3",
-        "arw",
-        "envi",
-        "scans",
-        "scan",
-        "files",
-        "original",
-        "originals",
-        "picture",
-        "pictures",
-        "object",
-        "objects",
-        "sample",
-        "samples",
-    ]
-)
+GENERIC = _words("""
+    raw raws frame frames image images img imgs data capture captures captured light lights shot shots tif
+    tiff tiffs png jpg jpeg nef dng cr2 cr3 arw envi scans scan files original originals picture pictures object objects
+    sample samples
+""")
 """Folders that name nothing."""
-PREFIXES = frozenset(
-    [
-        "img",
-        "dsc",
-        "dscf",
-        "dscn",
-        "dscn",
-        "p",
-        "mg",
-        "im",
-        "image",
-        "frame",
-        "capture",
-        "scan",
-        "shot",
-        "pict",
-        "cimg",
-        "sam",
-        "raw",
-        "file",
-        "pic",
-    ]
+PREFIXES = _words(
+    "img dsc dscf dscn p mg im image frame capture scan shot pict cimg sam raw file pic"
 )
 """What cameras write before their running number."""
-MODELS = re.compile(
-    r"(?i)(lctf|vis|nir|rgb|cam|msi|hsi|multispectral|hyperspectral|kinect|silios|d\d+$)"
-)
+TARGET = "{target}"
+TYPED = ("time", "wavelength", "exposure")
+"""Kinds of tokens with a unit or a date."""
 
-_UNITS = "ms|us|µs|ns|s|sec|min"
 _KINDS = {
     "time": re.compile(
         r"(19|20)\d\d[-.]?[01]\d[-.]?[0-3]\d([-T]?[0-2]\d[-.h]?[0-5]\d([-.m]?[0-5]\d)?)?(-\d+)?"
@@ -175,7 +59,8 @@ _KINDS = {
         r"(?P<before>[A-Za-z]*?)(?P<number>\d{3,4}(?:\.\d+)?)(?P<after>[nN][mM])"
     ),
     "exposure": re.compile(
-        rf"(?P<before>(?i:exp|exposure|t|it|int|e)?)(?P<number>\d+(?:\.\d+)?)(?P<after>(?i:{_UNITS}))"
+        r"(?P<before>(?i:exp|exposure|t|it|int|e)?)(?P<number>\d+(?:\.\d+)?)"
+        r"(?P<after>(?i:ms|us|µs|ns|s|sec|min))"
     ),
     "number": re.compile(r"(?P<before>)(?P<number>\d+)(?P<after>)"),
     "numbered": re.compile(r"(?P<before>[A-Za-z][A-Za-z-]*?)(?P<number>\d+)(?P<after>)"),
@@ -184,10 +69,10 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Token:
-    """One part of a name: its text, what stands before it, and what it looks like.
+    """One part of a name: its text, the separators before it, and its kind.
 
     `kind` is ``"time"``, ``"wavelength"``, ``"exposure"``, ``"number"``, ``"numbered"`` (letters and
-    a number) or ``"word"``; `before`, `number` and `after` are the parts of one with a number.
+    a number), ``"target"`` or ``"word"``; `before`, `number` and `after` are the parts of one with a number.
     """
 
     text: str
@@ -201,6 +86,22 @@ class Token:
     def role(self) -> str:
         """``"dark"``, ``"white"``, ``"chart"`` or "", by the word itself."""
         return role_of(self.text)
+
+    @property
+    def word(self) -> str:
+        """The text beside its numbers; "" for what cameras write before theirs."""
+        text = {"word": self.text, "target": self.text, "numbered": self.before}.get(self.kind, "")
+        return "" if text.lower() in PREFIXES else text
+
+    @property
+    def names_sensor(self) -> bool:
+        """Whether it names one of several sensors, such as ``ccd1``."""
+        return self.kind == "numbered" and self.before.lower() in SENSORS
+
+    @property
+    def names_channel(self) -> bool:
+        """Whether it names a sensor or a band, such as ``ccd1`` or ``band3``."""
+        return self.kind == "numbered" and self.before.lower() in SENSORS | BANDS
 
 
 def role_of(text: str) -> str:
@@ -238,21 +139,24 @@ def tokens_of(stem: str) -> tuple[Token, ...]:
     tokens: list[Token] = []
     for gap, text in _split(stem, r"[_\s~+,()\[\]]+|\.(?!\d)|(?<!\d)\."):
         parts = _split(text, "-")
-        told = [_typed(part, before) for before, part in parts]
+        parts[0] = (gap + parts[0][0], parts[0][1])
+        apart = [_typed(part, before) for before, part in parts]
         splits = len(parts) > 1 and _KINDS["time"].fullmatch(text) is None
-        if splits and any(t.kind in ("wavelength", "exposure") or t.role for t in told):
-            first = told[0]
-            tokens.append(
-                Token(first.text, gap, first.kind, first.before, first.number, first.after)
-            )
-            tokens += told[1:]
+        if splits and any(t.kind in ("wavelength", "exposure") or t.role for t in apart):
+            tokens += apart
         else:
             tokens.append(_typed(text, gap))
     return tuple(tokens)
 
 
+def joined(tokens: Sequence[Token]) -> str:
+    """Return the text of some tokens as it stood, without the separators before the first."""
+    text = "".join(t.gap + t.text for t in tokens)
+    return text[len(tokens[0].gap) :] if tokens else ""
+
+
 def _split(text: str, pattern: str) -> list[tuple[str, str]]:
-    """Split into (what stands before, part), so that joining them all gives the text again."""
+    """Split into (separators before, part), so that joining them all gives the text again."""
     found, at, gap = [], 0, ""
     for cut in re.finditer(pattern, text):
         if cut.start() > at:
@@ -265,10 +169,10 @@ def _split(text: str, pattern: str) -> list[tuple[str, str]]:
 
 def _typed(text: str, gap: str) -> Token:
     for kind, pattern in _KINDS.items():
-        told = pattern.fullmatch(text)
-        if told is None:
+        found = pattern.fullmatch(text)
+        if found is None:
             continue
-        parts = told.groupdict()
+        parts = found.groupdict()
         if kind == "wavelength" and not 200 <= float(parts["number"]) <= 3000:
             continue
         return Token(text, gap, kind, **{k: v or "" for k, v in parts.items()})

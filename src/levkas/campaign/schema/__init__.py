@@ -1,1 +1,1 @@
-"""Schema."""
+"""campaign.toml as a schema: tables, values, cross-checks and error messages."""

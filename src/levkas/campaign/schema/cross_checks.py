@@ -1,15 +1,25 @@
-"""What the tables of campaign.toml say against one another, and against the files they name."""
+"""Check the tables of campaign.toml against one another, and against the files they name."""
 
 from __future__ import annotations
 
 import difflib
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
-from levkas.campaign.schema.cameras import check_camera, check_pattern, wrong
-from levkas.campaign.schema.tables import ONLY_OF_THE_PAPER, THRESHOLDS, Document, RegistrationKeys
+from levkas.campaign.discovery.patterns import Pattern
+from levkas.campaign.schema.tables import (
+    ONLY_OF_THE_PAPER,
+    THRESHOLDS,
+    CameraKeys,
+    Document,
+    Range,
+    RegistrationKeys,
+    SensorKeys,
+)
 from levkas.core.problems import Problem
 
 LONGEST_NAME = 80
@@ -22,7 +32,7 @@ _UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
 
 
 def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
-    """Yield everything that does not fit together; `file` is left for the caller to say."""
+    """Yield everything that does not fit together; `file` is left to the caller."""
     if too_many := list(_sizes(document)):
         yield from too_many
         return
@@ -34,18 +44,18 @@ def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
     yield from _registration(document)
     yield from _files(document, root)
     output = document.campaign.output
-    if why := no_place((root / output).resolve(), root.resolve()):
-        yield wrong(
+    if why := unusable_output((root / output).resolve(), root.resolve()):
+        yield value_problem(
             "campaign.output", why, output, "a folder of its own", 'Write output = "database".'
         )
 
 
-def no_place(output: Path, root: Path) -> str:
-    """Return why no database can be written to a folder, whatever stands there; ``""`` where one can.
+def unusable_output(output: Path, root: Path) -> str:
+    """Return why no database can be written to a folder, whatever is there; ``""`` where one can.
 
-    >>> no_place(Path("/"), Path("/data/icons"))
+    >>> unusable_output(Path("/"), Path("/data/icons"))
     'the database would be written over a whole disk or a home'
-    >>> no_place(Path("/data/icons/database"), Path("/data/icons"))
+    >>> unusable_output(Path("/data/icons/database"), Path("/data/icons"))
     ''
     """
     try:
@@ -68,10 +78,10 @@ def is_safe_name(name: str) -> bool:
     return 0 < len(name) <= LONGEST_NAME and not _UNSAFE.search(name)
 
 
-def meant(text: str, known: Iterable[str]) -> str | None:
+def closest_match(text: str, known: Iterable[str]) -> str | None:
     """Return ``Did you mean 'files'?`` where a known name is near.
 
-    >>> meant("fles", ["files", "kind"])
+    >>> closest_match("fles", ["files", "kind"])
     "Did you mean 'files'?"
     """
     names = [n for n in islice(known, MOST_COMPARED) if len(n) <= LONGEST_NAME]
@@ -116,12 +126,12 @@ def _sizes(document: Document) -> Iterator[Problem]:
 def _names(document: Document) -> Iterator[Problem]:
     cameras, reference = document.cameras, document.campaign.reference.camera
     if reference not in cameras:
-        yield wrong(
+        yield value_problem(
             "campaign.reference.camera",
             "the reference camera is not declared",
             reference,
             f"one of {listed(cameras)}",
-            meant(reference, cameras),
+            closest_match(reference, cameras),
         )
     own = [document.campaign.setup] if document.campaign.setup else []
     tables = {"cameras": list(cameras), "setups": [*document.setups, *own]}
@@ -132,14 +142,14 @@ def _names(document: Document) -> Iterator[Problem]:
     for table, names in tables.items():
         for name in dict.fromkeys(names):
             if not is_safe_name(name):
-                yield wrong(
+                yield value_problem(
                     f"{table}.{name}",
                     "this name cannot be part of a file name",
                     name,
                     f"at most {LONGEST_NAME} letters, digits, - and _",
                 )
     if "grid" in cameras:
-        yield wrong(
+        yield value_problem(
             "cameras.grid", "grid is the name of the published frame", "grid", "another name"
         )
     layers = [(name, f"cameras.{name}") for name in cameras]
@@ -156,7 +166,7 @@ def _twice(named: Iterable[tuple[str, str]], message: str) -> Iterator[Problem]:
     for name, field in named:
         other = first.setdefault(name.casefold(), field)
         if other != field:
-            yield wrong(field, message, name, f"a name that differs from {other}")
+            yield value_problem(field, message, name, f"a name that differs from {other}")
 
 
 # --- targets ----------------------------------------------------------------------------------
@@ -170,12 +180,12 @@ def _targets(document: Document) -> Iterator[Problem]:
         "charts": tuple(targets.charts),
         "objects": targets.objects or (),
     }
-    seen: dict[str, str] = {}
+    roles_of: dict[str, str] = {}
     for role, names in roles.items():
         for name in names:
-            other = seen.setdefault(name, role)
+            other = roles_of.setdefault(name, role)
             if other != role:
-                yield wrong(
+                yield value_problem(
                     f"targets.{role}", f"{name!r} is declared twice", name, f"{other} or {role}"
                 )
     known = tuple(targets.objects or ())
@@ -183,8 +193,8 @@ def _targets(document: Document) -> Iterator[Problem]:
     for name in islice(
         sorted(document.objects.keys() - set(known)), MOST_COMPARED // max(1, len(known))
     ):
-        if near := meant(name, known):
-            yield wrong(
+        if near := closest_match(name, known):
+            yield value_problem(
                 f"objects.{name}",
                 "facts of an object that is not among targets.objects",
                 name,
@@ -199,7 +209,7 @@ def _targets(document: Document) -> Iterator[Problem]:
 def _setups(document: Document) -> Iterator[Problem]:
     for setup, keys in document.setups.items():
         if setup == document.campaign.setup and keys.cameras:
-            yield wrong(
+            yield value_problem(
                 f"setups.{setup}.cameras",
                 "the default lighting has the cameras' own files",
                 ", ".join(keys.cameras),
@@ -209,18 +219,20 @@ def _setups(document: Document) -> Iterator[Problem]:
             field = f"setups.{setup}.cameras.{name}"
             camera = document.cameras.get(name)
             if camera is None:
-                yield wrong(
+                yield value_problem(
                     field,
                     "a setup names a camera that is not declared",
                     name,
                     f"one of {listed(document.cameras)}",
-                    meant(name, document.cameras),
+                    closest_match(name, document.cameras),
                 )
                 continue
             for text in own.files:
                 yield from check_pattern(f"{field}.files", text, camera.kind)
             if own.files and camera.kind == "sensors" and "{sensor}" not in "".join(own.files):
-                yield wrong(f"{field}.files", "the pattern has no {sensor}", " ".join(own.files))
+                yield value_problem(
+                    f"{field}.files", "the pattern has no {sensor}", " ".join(own.files)
+                )
             if not own.files and not any("{setup}" in text for text in camera.patterns):
                 yield Problem(
                     "E_KEY",
@@ -235,11 +247,9 @@ def _registration(document: Document) -> Iterator[Problem]:
     own = {name: camera.registration for name, camera in document.cameras.items()}
     methods = {name: keys.method or common.method or "levkas" for name, keys in own.items()}
     if common.use is not None and not any((common.points, *(k.points for k in own.values()))):
-        yield wrong("registration.use", "there are no points to use", common.use)
+        yield value_problem("registration.use", "there are no points to use", common.use)
     if "mirhashemi2019" not in methods.values():
         yield from _of_the_paper("registration", common)
-    else:
-        yield from _detector("registration", common)
     if common.joint and "levkas" not in methods.values():
         yield _not_joint("registration.joint")
     for name, keys in own.items():
@@ -247,18 +257,20 @@ def _registration(document: Document) -> Iterator[Problem]:
             yield _not_joint(f"cameras.{name}.registration.joint")
         if methods[name] != "mirhashemi2019":
             yield from _of_the_paper(f"cameras.{name}.registration", keys)
-        else:
-            yield from _detector(f"cameras.{name}.registration", keys)
         if keys.use is not None and (keys.points or common.points) is None:
-            yield wrong(f"cameras.{name}.registration.use", "there are no points to use", keys.use)
+            yield value_problem(
+                f"cameras.{name}.registration.use", "there are no points to use", keys.use
+            )
         reject, stop = keys.reject or common.reject, keys.stop or common.stop or 1.0
         if reject is not None and reject <= stop:
-            where = f"cameras.{name}.registration" if keys.given() else "registration"
-            yield wrong(f"{where}.reject", "reject is not above stop", reject, f"> {stop:g} px")
+            where = f"cameras.{name}.registration" if keys.declared() else "registration"
+            yield value_problem(
+                f"{where}.reject", "reject is not above stop", reject, f"> {stop:g} px"
+            )
 
 
 def _not_joint(where: str) -> Problem:
-    return wrong(
+    return value_problem(
         where,
         "the method 'mirhashemi2019' adjusts no captures together",
         "true",
@@ -269,7 +281,7 @@ def _not_joint(where: str) -> Problem:
 def _of_the_paper(where: str, keys: RegistrationKeys) -> Iterator[Problem]:
     for key in ONLY_OF_THE_PAPER:
         if getattr(keys, key) is not None:
-            yield wrong(
+            yield value_problem(
                 f"{where}.{key}",
                 f"the method 'levkas' has no `{key}`",
                 getattr(keys, key),
@@ -297,20 +309,10 @@ def find_ineffective(document: Document) -> Iterator[str]:
 
 
 def without_effect(field: str) -> str:
-    """Return what is said of a threshold that the default method does not have."""
+    """Return the warning about a threshold that the default method does not have."""
     return (
         f'{field} has no effect under the default method; it belongs to method = "mirhashemi2019"'
     )
-
-
-def _detector(where: str, keys: RegistrationKeys) -> Iterator[Problem]:
-    """Yield the problem of key points that the installed OpenCV does not find."""
-    if keys.detector in (None, "sift"):
-        return
-    from levkas.registration.features import available_detectors, no_detector
-
-    if keys.detector not in available_detectors():
-        yield no_detector(keys.detector, f"{where}.detector")
 
 
 def _files(document: Document, root: Path) -> Iterator[Problem]:
@@ -333,3 +335,160 @@ def _files(document: Document, root: Path) -> Iterator[Problem]:
                 found=name,
                 expected="a CSV file, named relative to campaign.toml",
             )
+
+
+KEYS_OF_KINDS = {
+    "pattern": ("mosaic", "bands"),
+    "bands": ("mosaic", "bands", "cube", "image"),
+    "demosaic": ("mosaic", "sensors"),
+    "scan": ("cube",),
+    "sensors": ("sensors",),
+}
+"""Camera keys that mean nothing elsewhere."""
+
+
+def value_problem(
+    field: str, message: str, found: Any = None, expected: str | None = None, fix: str | None = None
+) -> Problem:
+    """Return a value's problem."""
+    return Problem("E_VALUE", message, field=field, found=found, expected=expected, fix=fix)
+
+
+def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
+    """Yield what does not fit together in the table `where`, such as ``cameras.nir``."""
+    for key, kinds in KEYS_OF_KINDS.items():
+        if getattr(camera, key) and camera.kind not in kinds:
+            per_sensor = key in ("pattern", "bands") and camera.kind == "sensors"
+            yield value_problem(
+                f"{where}.{key}",
+                f"a camera of kind {camera.kind!r} has no `{key}`",
+                expected=" or ".join(f'kind = "{kind}"' for kind in kinds),
+                fix="Write it in each [[sensors]] table." if per_sensor else "Take it out.",
+            )
+    if camera.kind == "sensors":
+        yield from _sensors(where, camera)
+    elif not camera.files:
+        yield Problem("E_KEY", "files is required", field=f"{where}.files")
+    for text in camera.files:
+        yield from check_pattern(f"{where}.files", text, camera.kind)
+    yield from _wavelengths(where, camera)
+    yield from _channels(where, camera.pattern if camera.kind == "mosaic" else None, camera.bands)
+    if camera.black is not None and camera.saturation and camera.black >= camera.saturation:
+        yield value_problem(
+            f"{where}.black",
+            "black is not below saturation",
+            camera.black,
+            f"< {camera.saturation:g}",
+        )
+    dark, white = set(camera.dark or ()), set(camera.white or ())
+    if dark & white:
+        yield value_problem(
+            f"{where}.white", "a template is dark and white at once", min(dark & white)
+        )
+
+
+def _sensors(where: str, camera: CameraKeys) -> Iterator[Problem]:
+    if not camera.sensors:
+        yield Problem("E_KEY", "[[sensors]] tables are required", field=f"{where}.sensors")
+    for name, count in Counter(s.name for s in camera.sensors).items():
+        if count > 1:
+            yield value_problem(f"{where}.sensors.{name}", "two sensors have one name", name)
+    for sensor in camera.sensors:
+        at = f"{where}.sensors.{sensor.name}"
+        if not sensor.files and not any("{sensor}" in text for text in camera.files):
+            yield Problem(
+                "E_KEY",
+                "files is required",
+                field=f"{at}.files",
+                fix=f"Write it here, or {{sensor}} in {where}.files.",
+            )
+        for text in sensor.files:
+            yield from check_pattern(f"{at}.files", text, camera.kind)
+        yield from _channels(at, sensor.pattern, sensor.bands)
+    yield from _sensor_alignment(where, camera.sensors)
+
+
+def _sensor_alignment(where: str, sensors: tuple[SensorKeys, ...]) -> Iterator[Problem]:
+    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    if sensors and sensors[0].align not in ("measure", identity):
+        yield value_problem(
+            f"{where}.sensors.{sensors[0].name}.align",
+            "the first sensor is what the others are aligned to",
+            fix="Take it out.",
+        )
+
+
+def check_pattern(field: str, text: str, kind: str) -> Iterator[Problem]:
+    """Yield what is wrong with a pattern of files for a camera of some kind."""
+    try:
+        fields = Pattern.parse(text).fields
+    except ValueError as error:
+        yield value_problem(
+            field, str(error), text, "a pattern such as raw/NAME/{target}/{shot}.tif"
+        )
+        return
+    if "target" not in fields:
+        yield value_problem(field, "the pattern has no {target}", text, "raw/NAME/{target}/*.tif")
+    for name in ("band", "wavelength"):
+        if name in fields and kind != "bands":
+            yield value_problem(
+                field, f"only a camera of kind 'bands' has {{{name}}}", text, fix="Write * instead."
+            )
+    if "sensor" in fields and kind != "sensors":
+        yield value_problem(
+            field, "only a camera of kind 'sensors' has {sensor}", text, fix="Write * instead."
+        )
+
+
+def _wavelengths(where: str, camera: CameraKeys) -> Iterator[Problem]:
+    centres, keys = camera.centres, camera.wavelengths
+    if centres is None:
+        return
+    field = f"{where}.wavelengths"
+    if not centres and isinstance(keys, Range):
+        yield value_problem(
+            field,
+            f"{keys.start:g} to {keys.stop:g} nm is no whole number of steps of {keys.step:g} nm",
+        )
+    elif not centres:
+        yield value_problem(
+            field, "the list is empty", fix="Take it out: the files say their wavelengths."
+        )
+    elif len(set(centres)) < len(centres):
+        yield value_problem(
+            field, "a wavelength stands there twice", Counter(centres).most_common(1)[0][0]
+        )
+    elif camera.bands and len(camera.bands) != len(centres):
+        yield Problem(
+            "E_BAND_COUNT",
+            "`bands` and `wavelengths` do not fit",
+            field=field,
+            found=f"{len(centres)} wavelengths",
+            expected=f"{len(camera.bands)}, one a band",
+        )
+    elif not camera.bands and any("{band}" in text for text in camera.files):
+        yield Problem(
+            "E_KEY",
+            "nothing says which band has which wavelength",
+            field=f"{where}.bands",
+            fix="Write `bands` in the order of `wavelengths`.",
+        )
+
+
+def _channels(
+    where: str, pattern: tuple[tuple[str, ...], ...] | None, bands: tuple[str, ...] | None
+) -> Iterator[Problem]:
+    for name, count in Counter(bands or ()).items():
+        if count > 1:
+            yield Problem(
+                "E_BAND_TWICE", "two bands have one name", field=f"{where}.bands", found=name
+            )
+    channels = {name for row in pattern or () for name in row}
+    if pattern and bands and len(bands) != len(channels):
+        yield Problem(
+            "E_BAND_COUNT",
+            "`bands` does not fit `pattern`",
+            field=f"{where}.bands",
+            found=len(bands),
+            expected=f"{len(channels)}: {', '.join(sorted(channels))}",
+        )

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from levkas.campaign.schema.cross_checks import meant
+from levkas.campaign.schema.cross_checks import closest_match
 from levkas.campaign.schema.tables import Document
 from levkas.core.problems import Problem
 
@@ -69,7 +69,7 @@ def _problem(record: dict[str, Any], error: Any, document: type[BaseModel]) -> P
         known = _known_keys(where[:-1], document)
         open_ = [k for k in known if k not in _at(record, where[:-1])]
         elsewhere = [f"[{table}]" for table, keys in _tables(document, "").items() if key in keys]
-        near = meant(key, open_) or meant(key, known)
+        near = closest_match(key, open_) or closest_match(key, known)
         home = f"It belongs to {' or '.join(elsewhere)}." if elsewhere else "Take it out."
         return Problem(
             "E_KEY",

@@ -12,11 +12,11 @@ from levkas.campaign.schema.values import (
     Align,
     Date,
     Doi,
+    MosaicPattern,
     MuseumDate,
     Names,
     Number,
     Orcid,
-    Pattern,
     Reflectance,
     Region,
     Size,
@@ -81,7 +81,7 @@ def _creator(value: Any) -> Any:
     return {"name": value} if isinstance(value, str) else value
 
 
-class Reference(Table):
+class ReferenceKeys(Table):
     """What all else is registered to."""
 
     camera: Text
@@ -95,7 +95,7 @@ class Description(Table):
     creator: Text = ""
     date: Date | None = None
     licence: Text = ""
-    reference: Annotated[Reference, BeforeValidator(_reference)]
+    reference: Annotated[ReferenceKeys, BeforeValidator(_reference)]
     setup: Text = ""
     output: Annotated[Text, Field(min_length=1)] = "database"
 
@@ -123,8 +123,8 @@ class RegistrationKeys(Table):
     use: Literal["check", "seeds"] | None = None
     joint: Switch | None = None
 
-    def given(self) -> dict[str, Any]:
-        """Return what was said, by key."""
+    def declared(self) -> dict[str, Any]:
+        """Return the declared values, by key."""
         return {key: value for key, value in self if value is not None}
 
 
@@ -133,17 +133,17 @@ ONLY_OF_THE_PAPER = ("ratio", "order", "detector", "matching")
 THRESHOLDS = ("reject", "stop")
 """Keys of [registration] that the method "levkas" takes and does not need: T1 and T2 of the paper."""
 OF_THE_POINTS = ("points", "use")
-"""Keys of [registration] that say where control points are, and what for."""
+"""Keys of [registration] for the control points: where they are, and their use."""
 OF_THE_RIG = ("joint",)
-"""Keys of [registration] that say what captures are adjusted together."""
+"""Keys of [registration] for captures that are adjusted together."""
 
 
-class Sensor(Table):
+class SensorKeys(Table):
     """One sensor of a multi-sensor camera."""
 
     name: Text
     files: Names = ()
-    pattern: Pattern | None = None
+    pattern: MosaicPattern | None = None
     bands: Names = ()
     align: Align = "measure"
 
@@ -153,7 +153,7 @@ class CameraKeys(Table):
 
     kind: Literal["mosaic", "bands", "sensors", "cube", "image"]
     files: Names = ()
-    pattern: Pattern | None = None
+    pattern: MosaicPattern | None = None
     bands: Names | None = None
     wavelengths: Wavelengths | None = None
     sensitivity: Text | None = None
@@ -163,7 +163,7 @@ class CameraKeys(Table):
     saturation: Annotated[Number, Field(gt=0)] | None = None
     exposures: Literal["one", "best", "merge"] = "one"
     manifest: Text | None = None
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     denoise: Literal["hysime"] | None = None
     demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
@@ -216,7 +216,7 @@ class Setup(Table):
 
 
 class ObjectFacts(Table):
-    """What a museum says of a painting."""
+    """Museum facts of a painting."""
 
     title: Text = ""
     creator: Text = ""
@@ -238,7 +238,7 @@ class Creator(Table):
 
 
 class PublicationKeys(Table):
-    """What is said of the database when it is published."""
+    """Citation facts of the published database."""
 
     creators: tuple[Annotated[Creator, BeforeValidator(_creator)], ...] = ()
     description: Text = ""
@@ -263,3 +263,41 @@ class Document(Table):
     objects: dict[str, ObjectFacts] = {}
     registration: RegistrationKeys = RegistrationKeys()
     publication: PublicationKeys = PublicationKeys()
+
+
+MOST_PX = 1e6
+
+Place = Annotated[Number, Field(ge=-MOST_PX, le=MOST_PX)]
+Pair = tuple[Place, Place, Place, Place]
+Move = tuple[Place, Place, Place, Place, Place, Place, Place, Place]
+
+
+class FrameKeys(Table):
+    """What was corrected of one camera, under one lighting, for one object.
+
+    Pairs are (reference x, reference y, target x, target y); a move is a pair and the pair that
+    takes its place.
+    """
+
+    deleted: tuple[Pair, ...] = ()
+    restored: tuple[Pair, ...] = ()
+    pinned: tuple[Pair, ...] = ()
+    added: tuple[Pair, ...] = ()
+    moved: tuple[Move, ...] = ()
+    checks: tuple[Pair, ...] = ()
+    reject: Annotated[Number, Field(gt=0)] | None = None
+    stop: Annotated[Number, Field(gt=0)] | None = None
+    note: Text = ""
+
+
+class ObjectKeys(Table):
+    """What was corrected of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
+
+    cameras: dict[str, FrameKeys] = Field(default={})
+
+
+class EditsDocument(Table):
+    """edits.toml as a whole."""
+
+    version: Literal[1]
+    objects: dict[str, ObjectKeys] = Field(default={})

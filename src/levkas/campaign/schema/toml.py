@@ -1,36 +1,37 @@
-"""TOML files: those of a campaign, bounded before a parser sees them, and our own, spelled."""
+"""TOML files: those of a campaign, bounded before a parser sees them, and our own, written by tomlkit."""
 
 from __future__ import annotations
 
-import json
-import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 from levkas.core.problems import Problem, Refused
-from levkas.readers.texts import TextRefused, read_text
+from levkas.readers.text import TextRefused, read_text
 
 LARGEST_FILE = 1 << 20
-LONGEST_KEY = 1024
-"""Characters of a key, and of anything else that stands without quotes."""
+LONGEST_WORD = 1024
+"""Characters of a key, and of anything else without quotes."""
 DEEPEST = 16
 """Parts of a dotted key, and brackets within brackets: a key of 20,000 parts costs tomllib 1.5 GB."""
 MOST_TOKENS = 200_000
 """Keys, values and marks of a file: 500 objects and 40 cameras are 30,000, 15,000 pairs 150,000."""
 
-_TOKEN = re.compile(
+_QUOTED = re.compile(
     r'(?P<string>"""(?:\\.|[^\\])*?"{3,5}'
     r"|'''.*?'{3,5}"
     r'|"(?!"")(?:\\.|[^"\\\n])*"'
-    r"|'(?!'')[^'\n]*')"
-    r"|(?P<comment>\#[^\n]*)"
-    r"|(?P<open>[\[{])|(?P<close>[\]}])|(?P<end>[,\n][,\s]*)|(?P<equals>=)|(?P<dot>\.)"
-    r"""|(?P<bare>[ \t]*[+-]?\d+\.\d+(?![\w.+-])|[^\[\]{}=,.\n"'\#]+)""",
+    r"|'(?!'')[^'\n]*')(?P<key>(?=[ \t]*[.=]))?"
+    r"|\#[^\n]*",
     re.DOTALL,
 )
+_WORD = r"[^\s\[\]{}=,.]"
+_LONG = re.compile(rf"{_WORD}{{{LONGEST_WORD + 1}}}")
+_DOTTED = re.compile(rf"(?<!{_WORD})(?:{_WORD}+[ \t]*\.[ \t]*){{{DEEPEST + 1}}}")
+_TOKENS = re.compile(rf"{_WORD}+|[\[\]{{}}=,.]")
 
 
 class TomlRefused(Refused):
@@ -54,7 +55,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         text = read_text(path, "a TOML file in UTF-8", most=LARGEST_FILE).replace("\r\n", "\n")
     except TextRefused as refused:
         raise TomlRefused(*refused.problems) from None
-    _bound(path, text)
+    _check_bounds(path, text)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -71,12 +72,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def to_toml(record: Mapping[str, Any]) -> str:
-    """Spell a record as TOML; None and empty text, lists and tables are left out.
-
-    Parameters
-    ----------
-    record : mapping
-        Text, numbers, switches, lists of these and, one in another, mappings and lists of mappings.
+    """Return a record as TOML; None and empty text, lists and tables are left out.
 
     Examples
     --------
@@ -87,92 +83,77 @@ def to_toml(record: Mapping[str, Any]) -> str:
     [cameras.d80]
     bits = 12
     """
-    return "\n".join(_spell_table(_pruned(record), ())).lstrip("\n") + "\n"
+    import tomlkit
+
+    return tomlkit.dumps(_pruned(record))
 
 
-def _pruned(record: Mapping[str, Any]) -> dict[str, Any]:
-    inner = {k: _pruned(v) if isinstance(v, Mapping) else v for k, v in record.items()}
-    return {k: v for k, v in inner.items() if v is not None and v not in ("", [], (), {})}
+def to_inline_toml(value: Any) -> str:
+    """Return one value as TOML in one line; whole floats lose their decimals.
 
-
-def _spell_table(record: Mapping[str, Any], where: tuple[str, ...]) -> Iterator[str]:
-    tables = {k: v for k, v in record.items() if isinstance(v, Mapping)}
-    for key, value in record.items():
-        if not isinstance(value, Mapping):
-            yield f"{_spell_key(key)} = {_spell(value)}"
-    for key, table in tables.items():
-        inner = (*where, key)
-        if any(not isinstance(v, Mapping) for v in table.values()):
-            yield f"\n[{'.'.join(map(_spell_key, inner))}]"
-        yield from _spell_table(table, inner)
-
-
-def _spell(value: Any) -> str:
-    if isinstance(value, Mapping):
-        told = ", ".join(f"{_spell_key(k)} = {_spell(v)}" for k, v in _pruned(value).items())
-        return f"{{ {told} }}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_spell(v) for v in value) + "]"
-    if isinstance(value, str):
-        # JSON's escapes are TOML's; only DEL needs one more.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, float) and not math.isfinite(value):
-        return "nan" if value != value else ("inf" if value > 0 else "-inf")
-    return json.dumps(value)
-
-
-def _spell_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _spell(key)
-
-
-def _bound(path: Path, text: str) -> None:
-    """Refuse what would cost the parser more than the file is worth.
-
-    Where a string has no end the scan ends too: the parser fails at the same place.
+    Examples
+    --------
+    >>> print(to_inline_toml({"start": 400.0, "step": 10}), to_inline_toml(("a", "b")))
+    { start = 400, step = 10 } ["a", "b"]
     """
-    depth = parts = length = at = tokens = 0
-    while at < len(text) and (token := _TOKEN.match(text, at)):
-        kind, at = str(token.lastgroup), token.end()
-        tokens += 1
-        if tokens > MOST_TOKENS:
-            raise _too_much(
-                path, "it holds too much", _line(text, at), f"{MOST_TOKENS} keys, values and marks"
-            )
-        if kind == "comment":
-            continue
-        depth += {"open": 1, "close": -1}.get(kind, 0)
-        if kind in ("open", "close", "end"):
-            parts = length = 0
-        elif kind == "equals":
-            too_long, parts, length = length > LONGEST_KEY, 0, 0
-            if too_long:
-                raise _too_much(
-                    path, "a key is too long", _line(text, at), f"{LONGEST_KEY} characters"
+    if isinstance(value, dict):
+        pairs = (f"{to_toml_key(k)} = {to_inline_toml(v)}" for k, v in value.items())
+        return "{ " + ", ".join(pairs) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(to_inline_toml, value)) + "]"
+    if isinstance(value, float):
+        return f"{value:.12g}"
+    import tomlkit
+
+    return str(tomlkit.item(value).as_string())
+
+
+def to_toml_key(name: str) -> str:
+    """Return a key as TOML, in quotes where it needs them.
+
+    >>> print(to_toml_key("d80"), to_toml_key("two words"))
+    d80 "two words"
+    """
+    import tomlkit
+
+    return str(tomlkit.key(name).as_string())
+
+
+def _pruned(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        inner = {k: _pruned(v) for k, v in value.items()}
+        return {k: v for k, v in inner.items() if v is not None and v not in ("", [], {})}
+    return [_pruned(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _check_bounds(path: Path, text: str) -> None:
+    """Refuse what would cost the parser more than the file is worth; strings and comments count only as keys."""
+
+    def bare(found: re.Match[str]) -> str:
+        if found["string"] is None:
+            return ""
+        return "_" * (len(found[0]) - 2) if found["key"] is not None else "_"
+
+    left = _QUOTED.sub(bare, text)
+    levels = accumulate(1 if c in "[{" else -1 for c in re.findall(r"[\[\]{}]", left))
+    for message, too_much, most in (
+        ("a key or a word is too long", _LONG.search(left), f"{LONGEST_WORD} characters"),
+        ("it is nested too deeply", _DOTTED.search(left), f"{DEEPEST} parts of a key"),
+        ("it is nested too deeply", max(levels, default=0) > DEEPEST, f"{DEEPEST} levels"),
+        (
+            "it holds too much",
+            sum(1 for _ in _TOKENS.finditer(left)) > MOST_TOKENS,
+            f"{MOST_TOKENS} keys, values and marks",
+        ),
+    ):
+        if too_much:
+            raise TomlRefused(
+                Problem(
+                    "E_SIZE",
+                    f"{path.name}: {message}",
+                    str(path),
+                    found="more",
+                    expected=f"at most {most}",
+                    fix="docs/campaign.md has every key: none needs as much.",
                 )
-        else:
-            parts += kind == "dot"
-            length += at - token.start()
-        bare = kind == "bare" and max(map(len, token.group().split()), default=0)
-        if max(depth, parts) > DEEPEST:
-            raise _too_much(path, "it is nested too deeply", _line(text, at), f"{DEEPEST} levels")
-        if bare > LONGEST_KEY:
-            raise _too_much(
-                path, "a word is too long", _line(text, at), f"{LONGEST_KEY} characters"
             )
-
-
-def _line(text: str, at: int) -> str:
-    return f"line {text.count(chr(10), 0, at) + 1}"
-
-
-def _too_much(path: Path, message: str, found: str, expected: str) -> TomlRefused:
-    return TomlRefused(
-        Problem(
-            "E_SIZE",
-            f"{path.name}: {message}",
-            str(path),
-            found=found,
-            expected=f"at most {expected}",
-            fix="docs/campaign.md has every key: none needs as much.",
-        )
-    )

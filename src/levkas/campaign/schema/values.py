@@ -140,7 +140,7 @@ Switch = Annotated[bool, Strict()]
 
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_names)]
-Pattern = Annotated[tuple[tuple[str, ...], ...], PlainValidator(_pattern)]
+MosaicPattern = Annotated[tuple[tuple[str, ...], ...], PlainValidator(_pattern)]
 Align = Annotated[
     Literal["measure"] | tuple[tuple[float, float, float], ...], PlainValidator(_align)
 ]

@@ -32,7 +32,7 @@ class Capture:
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it; saturated pixels are not valid."""
-        from levkas.building.native import UNRELIABLE
+        from levkas.core.cube import UNRELIABLE
         from levkas.registration import BandImage
 
         return [

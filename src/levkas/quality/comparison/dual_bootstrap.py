@@ -21,8 +21,8 @@ import numpy as np
 from levkas.quality.comparison.answer import Answer, NoAnswer
 from levkas.quality.comparison.growing import LADDERS, Fitted, Form
 from levkas.quality.comparison.structures import Structures, find_structures
+from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints, find_key_points
-from levkas.registration.images import stretch
 from levkas.registration.matching import find_neighbours
 
 if TYPE_CHECKING:

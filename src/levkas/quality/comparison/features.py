@@ -8,8 +8,8 @@ import numpy as np
 
 from levkas.geometry.transforms import Homography
 from levkas.quality.comparison.answer import Answer, NoAnswer
+from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints, find_key_points
-from levkas.registration.images import stretch
 from levkas.registration.matching import find_neighbours
 
 if TYPE_CHECKING:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.geometry.transforms import Affine
-from levkas.registration.images import area_average
-from levkas.registration.mirhashemi2019 import Camera, scale_only
+from levkas.registration.bands import area_average
+from levkas.registration.mirhashemi2019 import AlignedCamera, scale_only
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from levkas.registration.images import BandImage
+    from levkas.registration.bands import BandImage
 
     Map = Callable[[np.ndarray], np.ndarray]
 
@@ -69,7 +69,7 @@ def pair_of(
     target: Sequence[BandImage],
     reference_band: str,
     region: Sequence[float] | None = None,
-) -> tuple[Pair, Camera]:
+) -> tuple[Pair, AlignedCamera]:
     """Make the pair of two cameras; the target's other sensors are aligned to its first.
 
     Returns
@@ -79,8 +79,8 @@ def pair_of(
         With the alignment of every sensor.
     """
     sensor = next(image.sensor for image in reference if image.label == reference_band)
-    ours = Camera.of([i for i in reference if i.sensor == sensor], sensor, None)
-    theirs = Camera.of(target, target[0].sensor, None)
+    ours = AlignedCamera.of([i for i in reference if i.sensor == sensor], sensor, None)
+    theirs = AlignedCamera.of(target, target[0].sensor, None)
     x, y, w, h = _cut(region, ours.size)
     pull = scale_only(ours.size, theirs.size)  # target → reference
     scale = min(1.0, float(pull.matrix[0, 0]))
@@ -100,7 +100,7 @@ def pair_of(
     return pair, theirs
 
 
-def spread(camera: Camera, found: Map) -> dict[str, Map]:
+def spread(camera: AlignedCamera, found: Map) -> dict[str, Map]:
     """Give every band the map of its camera's first sensor, then that of its own sensor."""
     maps: dict[str, Map] = {}
     for image in camera.images:

@@ -166,9 +166,4 @@ def compare(
         time_limit_s=time_limit_s or TIME_LIMIT_S,
     )
     comparison = Comparison(draw(rows), problems)
-    if where is not None:
-        from levkas.quality.comparison.page import write_page
-
-        with where.writing():
-            write_page(comparison, where.folder)
     return comparison

@@ -18,7 +18,7 @@ from levkas.quality.comparison.captures import Capture, read_capture
 from levkas.quality.comparison.fields import AnyMap
 from levkas.quality.comparison.methods import COMPARED
 from levkas.quality.comparison.pairs import pair_of, spread
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -194,7 +194,7 @@ def _similarity(
     trial: Trial, record: dict[str, Any], target: Capture, maps: dict[str, Map]
 ) -> float | None:
     """SSIM of the mean of the registered bands against the reference's published layer."""
-    from levkas.building.resampling import grey_of, read_grey
+    from levkas.database.grey import grey_of, read_grey
     from levkas.database.layout import Places
     from levkas.geometry.resample import warp
     from levkas.quality.evaluation.similarity import structural_similarity

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.bench import Bench, exposure_of
 from levkas.calibration.clipping import DarkLevel, fit_clipped_dark, is_clipped
 from levkas.calibration.patterns import channel_table, split
+from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import CalibrationRefused
 from levkas.quality.emva1288.gathered import Key, Sensor, reduce_stack
 from levkas.quality.emva1288.photon_transfer import Dark, model_darks
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 MOST_CLIPPED = 1_000_000  # pixels of a dark whose likelihood is asked for
 
@@ -53,7 +53,7 @@ def _clipped_dark(sensor: Sensor, shots: Sequence[FrameRef], time: float | None)
     return {channel: Dark.of_clipped(level, time) for channel, level in found.items()}
 
 
-def _channels(frames: Sequence[np.ndarray], bench: Bench) -> dict[str, list[np.ndarray]]:
+def _channels(frames: Sequence[np.ndarray], bench: SensorContext) -> dict[str, list[np.ndarray]]:
     """Return the codes of each channel, flat, frame by frame."""
     pattern = bench.sensor.pattern
     if pattern is None or bench.camera.kind == "bands":

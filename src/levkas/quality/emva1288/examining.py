@@ -17,7 +17,7 @@ from levkas.quality.emva1288.reports import Examination, SensorReport
 if TYPE_CHECKING:
     import numpy as np
 
-    from levkas.quality.emva1288.code_spacing import Levels
+    from levkas.calibration.code_spacing import Levels
     from levkas.quality.emva1288.gathered import Sensor
 
 
@@ -188,7 +188,7 @@ def _no_facts() -> FrameFacts:
 
 
 def _no_levels() -> Levels:
-    from levkas.quality.emva1288.code_spacing import Levels
+    from levkas.calibration.code_spacing import Levels
 
     return Levels(0, 0, 0)
 

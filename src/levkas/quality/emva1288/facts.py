@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from levkas.campaign.discovery.folders import Folders, too_deep, walk
+from levkas.calibration.code_spacing import MOST_CODES, Levels, count_codes, find_levels
+from levkas.campaign.discovery.file_index import FolderListings, too_deep, walk_folders
 from levkas.core.problems import Problem, Refused
-from levkas.quality.emva1288.code_spacing import MOST_CODES, Levels, count_codes, find_levels
 from levkas.readers.frames import Facts, kind_of, read_facts, read_frame
 from levkas.readers.tiff import read_tiff_pages
 
@@ -223,7 +223,7 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
 def frames_below(folder: Path) -> list[Path]:
     """Return the files below a folder that are frames by name and first bytes."""
     found = []
-    for above, names in walk(folder, Folders()):
+    for above, names in walk_folders(folder, FolderListings()):
         if names is None:
             raise too_deep(folder.joinpath(*above))
         for file in (folder.joinpath(*above, name) for name in names):

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.bench import Bench, exposure_of
 from levkas.calibration.blocks import Blocks, block_statistics
+from levkas.calibration.code_spacing import Levels
 from levkas.calibration.linearity import Linearity
+from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import Template
-from levkas.quality.emva1288.code_spacing import Levels
 from levkas.quality.emva1288.drift import Drift
 from levkas.quality.emva1288.photon_transfer import Dark
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import FrameRef
+    from levkas.campaign.discovery.captures import FrameRef
 
 Key = tuple[str | None, float | None]
 """Band and exposure, s."""
@@ -43,7 +43,7 @@ class Sensor:
 
     camera: str
     name: str
-    bench: Bench
+    bench: SensorContext
     levels: Levels = field(default_factory=lambda: Levels(0, 0, 0))
     darks: dict[str, list[Dark]] = field(default_factory=dict)
     whites: dict[str, list[Blocks]] = field(default_factory=dict)
@@ -63,7 +63,7 @@ def by_exposure(frames: Iterable[FrameRef]) -> dict[Key, list[FrameRef]]:
 
 
 def reduce_stack(
-    stack: Template, bench: Bench, drift: Drift | None = None, *, dark: bool = False
+    stack: Template, bench: SensorContext, drift: Drift | None = None, *, dark: bool = False
 ) -> dict[str, Blocks]:
     """Reduce a stack by the camera's channels; a tunable filter has one, whatever the mosaic.
 

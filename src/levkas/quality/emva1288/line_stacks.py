@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.bench import exposure_of, read_cube
 from levkas.calibration.blocks import SIDE, Blocks, block_statistics, cut_blocks
+from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.calibration.pairing import pair_blocks
+from levkas.calibration.sensor_context import exposure_of, read_cube
 from levkas.calibration.templates import Template, average
-from levkas.quality.emva1288.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.quality.emva1288.dark_levels import level_under
 from levkas.quality.emva1288.drift import Drift, Light, measure_drift
 from levkas.quality.emva1288.gathered import Sensor, by_exposure
 from levkas.quality.emva1288.photon_transfer import Dark, model_darks
 
 if TYPE_CHECKING:
-    from levkas.campaign.discovery.find_captures import FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 CHANNEL = "all"
 THIN = 4

@@ -14,10 +14,10 @@ import numpy as np
 
 from levkas.calibration.blocks import Blocks
 from levkas.calibration.clipping import DarkLevel
+from levkas.calibration.code_spacing import Levels
 from levkas.calibration.estimates import SLOPE_TO, DarkModel, Moved, estimate
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
-from levkas.quality.emva1288.code_spacing import Levels
 
 DRAWS = 200
 LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise

@@ -15,7 +15,7 @@ from levkas.quality.emva1288.facts import FrameFacts, describe_levels, facts_tab
 from levkas.quality.emva1288.photon_transfer import Interval, PhotonTransfer
 
 if TYPE_CHECKING:
-    from levkas.quality.emva1288.code_spacing import Levels
+    from levkas.calibration.code_spacing import Levels
 
 ROWS = (
     ("gain", "system gain K", "DN/e⁻", 1.0),

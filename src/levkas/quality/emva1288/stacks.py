@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.building.bench import Bench, exposure_of
 from levkas.calibration.blocks import Blocks
+from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
+from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import average
-from levkas.quality.emva1288.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.quality.emva1288.dark_levels import (
     level_under,
     measure_dark,
@@ -27,7 +27,7 @@ from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
-    from levkas.campaign.discovery.find_captures import Capture, FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
 
 MOST_BANDS = 5  # of a tunable filter: the sensor behind it is the same
 MOST_SCENES = 3
@@ -52,7 +52,7 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
         objects = [(c.object, c.sensors[number].object) for c in captures]
         facts = read_facts(frames.object[0].path)
         # Nothing is kept from one reading to the next: there is no shelf.
-        bench = Bench(campaign, campaign.cameras[camera], frames, facts, cast(Any, None))
+        bench = SensorContext(campaign, campaign.cameras[camera], frames, facts, None)
         sensor = Sensor(camera, frames.name, bench)
         if campaign.cameras[camera].kind == "cube":
             gather_lines(sensor, frames)

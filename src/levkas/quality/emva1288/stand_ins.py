@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.building.bench import exposure_of
 from levkas.calibration.pairing import pair_blocks
+from levkas.calibration.sensor_context import exposure_of
 from levkas.quality.emva1288.dark_levels import level_under
 from levkas.quality.emva1288.gathered import Key, Sensor, by_exposure
 from levkas.quality.emva1288.photon_transfer import Dark
 
 if TYPE_CHECKING:
     from levkas.calibration.templates import Template
-    from levkas.campaign.discovery.find_captures import FrameRef, SensorFrames
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
 MOST_PAIRS = 5
 

@@ -1,1 +1,1 @@
-"""Evaluation."""
+"""Errors against truth, structural similarity, loop closure."""

@@ -21,7 +21,7 @@ from levkas.quality.evaluation.similarity import (
     read_truth,
     summarise_errors,
 )
-from levkas.readers.texts import read_json
+from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from levkas.registration.control_points.points import Size
@@ -294,7 +294,7 @@ def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float
 
 def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
     """Mean of the registered bands, and the pixels that every band saw."""
-    from levkas.building.resampling import read_grey
+    from levkas.database.grey import read_grey
     from levkas.database.layout import Places
 
     path = Places(output).layer(name, record["camera"], record.get("setup", ""))

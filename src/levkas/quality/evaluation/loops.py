@@ -13,7 +13,7 @@ from levkas.registration import RegistrationRefused, register
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
-    from levkas.registration.images import BandImage
+    from levkas.registration.bands import BandImage
 
 GRID = (25, 19)
 
@@ -140,11 +140,10 @@ def _on(view: View, places: np.ndarray) -> np.ndarray:
 
 def points_on(image: BandImage, shape: tuple[int, int] = GRID) -> np.ndarray:
     """Return points all over the object that an image shows, (n, 2): its background says nothing."""
-    from levkas.registration.foreground import find_object
-    from levkas.registration.pictures import images_of
+    from levkas.registration.bands import segment_foreground, sqrt_images
 
     x, y = (np.linspace(0.02, 0.98, k) * (n - 1) for k, n in zip(shape, image.size, strict=True))
     points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    within = find_object(images_of([image])[image.label])
+    within = segment_foreground(sqrt_images([image])[image.label])
     column, row = np.rint(points).astype(int).T
     return points[within[row, column]]

@@ -1,1 +1,1 @@
-"""Image quality."""
+"""Measures of images: sharpness, noise, dynamic range, glare, evenness of light."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -161,30 +160,22 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> Reference:
         ``E_CHART_REFERENCE`` where patches are missing or numbers are none.
     """
     try:
-        lines = csv.reader(io.StringIO(text, newline=""))
-        rows = [row for row in lines if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise _bad_reference(file, str(error), "a table") from None
-    if len(rows) < 3:
-        raise _bad_reference(file, f"{len(rows)} rows", "a header and two wavelengths or more")
-    names = ["".join(c for c in cell if c.isalnum()).upper() for cell in rows[0][1:]]
+        table, head = parse_spectra(text)
+    except ValueError as error:
+        raise _bad_reference(file, str(error), "numbers") from None
+    if not head or len(table) < 2:
+        rows = len(table) + bool(head)
+        raise _bad_reference(file, f"{rows} rows", "a header and two wavelengths or more")
+    names = ["".join(c for c in cell if c.isalnum()).upper() for cell in head[1:]]
     names, note = _mended(names, chart)
     missing = [patch for patch in chart.patches if patch not in names]
     if missing:
-        raise _bad_reference(
-            file,
-            f"no {', '.join(missing[:5])}",
-            f"a column for each of {len(chart.patches)} patches",
-        )
-    try:
-        table = np.array([[float(cell) for cell in row] for row in rows[1:]])
-    except ValueError as error:
-        raise _bad_reference(file, str(error), "numbers") from None
+        expected = f"a column for each of {len(chart.patches)} patches"
+        raise _bad_reference(file, f"no {', '.join(missing[:5])}", expected)
     if table.shape[1] != len(names) + 1 or not np.isfinite(table).all():
         raise _bad_reference(file, "rows of several lengths, or NaN", "a number a patch")
-    table = table[np.argsort(table[:, 0])]
-    if not table[0, 0] > 0 or not (np.diff(table[:, 0]) > 0).all():
-        raise _bad_reference(file, "wavelengths that stand twice, or are none", "each once, in nm")
+    if not are_spectra(table):
+        raise _bad_reference(file, "wavelengths that are none or not distinct", "each once, in nm")
     spectra = table[:, 1:].T[[names.index(patch) for patch in chart.patches]]
     spectra = spectra / 100 if spectra.max() > 2 else spectra
     return Reference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV", note)

@@ -1,1 +1,1 @@
-"""The local server of the workbench: a guard, thin routes, and no state of its own."""
+"""The local server of the workbench, behind its guard."""

@@ -6,7 +6,7 @@ import base64
 import binascii
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import wraps
 from secrets import compare_digest
 from typing import Any
@@ -21,12 +21,10 @@ from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
 from levkas.pages.screen import read_built
 from levkas.workbench.answer import describe, to_bytes
-from levkas.workbench.frame import SIDES, Frame
+from levkas.workbench.frame import SIDES, RegistrationView, SensorView
 from levkas.workbench.library import FrameMissing, Library
 from levkas.workbench.maps import KINDS, MapMissing, find_kinds
 from levkas.workbench.operations import OperationRefused, refused
-from levkas.workbench.sensor_view import SensorView
-from levkas.workbench.server.pages import PAGE
 from levkas.workbench.server.rebuilding import Busy, Rebuild
 
 STATUS: dict[type[Refused], int] = {
@@ -101,125 +99,142 @@ async def refuse_http(request: Request, error: Exception) -> Response:
     )
 
 
-def routes(
-    library: Library, *, token: str, cookie: str, entered: Callable[[], object] = lambda: None
-) -> list[Route]:
-    """Return every route; each but those of `guard.OPEN` is behind the token, which `cookie` carries.
+@dataclass(frozen=True)
+class Handlers:
+    """One method a route: request and body in, response out.
 
-    `entered` is called whenever a browser has handed in the token.
+    Parameters
+    ----------
+    library : Library
+    token, cookie : str
+        What a browser hands in, and the name of the cookie that carries it from then on.
+    entered : callable
+        Called whenever a browser has handed in the token.
+    rebuild : Rebuild
     """
-    rebuild = Rebuild(library)
 
-    def frame_of(request: Request) -> Frame:
-        return library.open(request.path_params["id"])
+    library: Library
+    token: str
+    cookie: str
+    entered: Callable[[], object]
+    rebuild: Rebuild
 
-    def page(request: Request, body: dict[str, Any]) -> Response:
+    def _frame(self, request: Request) -> RegistrationView:
+        return self.library.open(request.path_params["id"])
+
+    def page(self, request: Request, body: dict[str, Any]) -> Response:
         return HTMLResponse(PAGE)
 
-    def asset(request: Request, body: dict[str, Any]) -> Response:
+    def asset(self, request: Request, body: dict[str, Any]) -> Response:
         name = request.path_params["name"]
         if name not in ASSETS:
             raise FrameMissing(Problem("E_NO_FILE", "there is no such file"))
         return Response(read_built(name), media_type=ASSETS[name])
 
-    def enter(request: Request, body: dict[str, Any]) -> Response:
+    def enter(self, request: Request, body: dict[str, Any]) -> Response:
         given = str(body.get("token", ""))
-        if not compare_digest(given.encode(), token.encode()):
+        if not compare_digest(given.encode(), self.token.encode()):
             problem = {"code": "E_NOT_ALLOWED", "message": "the token is wrong"}
             return JSONResponse({"ok": False, "problems": [problem]}, 401)
         response = JSONResponse({"ok": True})
-        entered()
-        response.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
+        self.entered()
+        response.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
         return response
 
-    def cameras(request: Request, body: dict[str, Any]) -> Response:
-        title = library.campaign.campaign.title
-        return JSONResponse({"ok": True, "campaign": title, "cameras": library.list()})
+    def cameras(self, request: Request, body: dict[str, Any]) -> Response:
+        title = self.library.campaign.campaign.title
+        return JSONResponse({"ok": True, "campaign": title, "cameras": self.library.list()})
 
-    def camera(request: Request, body: dict[str, Any]) -> Response:
-        return JSONResponse({"ok": True, **describe_frame(frame_of(request))})
+    def camera(self, request: Request, body: dict[str, Any]) -> Response:
+        return JSONResponse({"ok": True, **describe_frame(self._frame(request))})
 
-    def pairs(request: Request, body: dict[str, Any]) -> Response:
-        frame = frame_of(request)
+    def pairs(self, request: Request, body: dict[str, Any]) -> Response:
+        frame = self._frame(request)
         with frame.lock:
-            library.catch_up(frame)
+            self.library.catch_up(frame)
             return _told(describe(frame.session, packed=True))
 
-    def edit(request: Request, body: dict[str, Any]) -> Response:
-        frame = frame_of(request)
+    def edit(self, request: Request, body: dict[str, Any]) -> Response:
+        frame = self._frame(request)
         with frame.lock:
             change(frame, body)
             return _told(describe(frame.session, str(body.get("known", "")), packed=True))
 
-    def attempt(request: Request, body: dict[str, Any]) -> Response:
-        frame = frame_of(request)
+    def attempt(self, request: Request, body: dict[str, Any]) -> Response:
+        frame = self._frame(request)
         to = _pair(body["to"]) if body.get("to") is not None else None
         with frame.lock:
             return JSONResponse({"ok": True, **frame.attempt(_pair(body.get("pair")), to)})
 
-    def partner(request: Request, body: dict[str, Any]) -> Response:
-        with (frame := frame_of(request)).lock:
+    def partner(self, request: Request, body: dict[str, Any]) -> Response:
+        with (frame := self._frame(request)).lock:
             return JSONResponse({"ok": True, **frame.partner(**_asked(request))})
 
-    def tile(request: Request, body: dict[str, Any]) -> Response:
+    def tile(self, request: Request, body: dict[str, Any]) -> Response:
         which = request.path_params["which"]
         level, column, row = (_digits(request.path_params[k]) for k in ("level", "column", "row"))
         asked = request.query_params
         more = {"map_": asked.get("map", ""), "tint": asked.get("tint", "")}
         bands = _bands(asked.get("bands", ""))
         try:
-            data, kind = frame_of(request).tile(which, (level, column, row), bands=bands, **more)
+            data, kind = self._frame(request).tile(which, (level, column, row), bands=bands, **more)
         except IndexError:
             raise FrameMissing(Problem("E_NO_TILE", "there is no such tile")) from None
         return Response(data, media_type=kind, headers={"cache-control": "private, max-age=900"})
 
-    def map_(request: Request, body: dict[str, Any]) -> Response:
+    def map_(self, request: Request, body: dict[str, Any]) -> Response:
         kind = request.path_params["kind"]
         if kind not in KINDS:
             raise FrameMissing(
                 Problem("E_NO_MAP", "there is no such map", expected=", ".join(KINDS))
             )
-        frame = frame_of(request)
+        frame = self._frame(request)
         with frame.lock:
             drawn = frame.map(kind, request.query_params.get("map", ""))
         return JSONResponse({"ok": True, "kind": kind, "meaning": KINDS[kind], **drawn})
 
-    def export(request: Request, body: dict[str, Any]) -> Response:
-        frame = frame_of(request)
+    def export(self, request: Request, body: dict[str, Any]) -> Response:
+        frame = self._frame(request)
         files, losses = frame.export(str(body.get("dialect", "levkas")))
         told = [{"name": n, "data": base64.b64encode(d).decode("ascii")} for n, d in files]
         return JSONResponse({"ok": True, "files": told, "losses": losses})
 
-    def import_(request: Request, body: dict[str, Any]) -> Response:
-        frame = frame_of(request)
+    def import_(self, request: Request, body: dict[str, Any]) -> Response:
+        frame = self._frame(request)
         with frame.lock:
             told = frame.take(_files(body.get("files")), str(body.get("dialect") or "") or None)
             return _told({**told, **describe(frame.session, packed=True)})
 
-    def start_build(request: Request, body: dict[str, Any]) -> Response:
-        rebuild.start(request.path_params["id"])
-        return JSONResponse({"ok": True, **rebuild.to_dict()})
+    def start_build(self, request: Request, body: dict[str, Any]) -> Response:
+        self.rebuild.start(request.path_params["id"])
+        return JSONResponse({"ok": True, **self.rebuild.to_dict()})
 
-    def build_state(request: Request, body: dict[str, Any]) -> Response:
-        return JSONResponse({"ok": True, **rebuild.to_dict()})
+    def build_state(self, request: Request, body: dict[str, Any]) -> Response:
+        return JSONResponse({"ok": True, **self.rebuild.to_dict()})
 
+
+def routes(
+    library: Library, *, token: str, cookie: str, entered: Callable[[], object] = lambda: None
+) -> list[Route]:
+    """Return every route; each but those of `guard.OPEN` is behind the token, which `cookie` carries."""
+    handlers = Handlers(library, token, cookie, entered, Rebuild(library))
     one = "/api/cameras/{id}"
     table: list[tuple[str, Callable[..., Response], str]] = [
-        ("/", page, "GET"),
-        ("/assets/{name}", asset, "GET"),
-        ("/enter", enter, "POST"),
-        ("/api/cameras", cameras, "GET"),
-        (one, camera, "GET"),
-        (f"{one}/pairs", pairs, "GET"),
-        (f"{one}/edit", edit, "POST"),
-        (f"{one}/attempt", attempt, "POST"),
-        (f"{one}/partner", partner, "GET"),
-        (one + "/tiles/{which}/{level}/{column}/{row}", tile, "GET"),
-        (one + "/maps/{kind}", map_, "GET"),
-        (f"{one}/export", export, "POST"),
-        (f"{one}/import", import_, "POST"),
-        (f"{one}/build", start_build, "POST"),
-        ("/api/build", build_state, "GET"),
+        ("/", handlers.page, "GET"),
+        ("/assets/{name}", handlers.asset, "GET"),
+        ("/enter", handlers.enter, "POST"),
+        ("/api/cameras", handlers.cameras, "GET"),
+        (one, handlers.camera, "GET"),
+        (f"{one}/pairs", handlers.pairs, "GET"),
+        (f"{one}/edit", handlers.edit, "POST"),
+        (f"{one}/attempt", handlers.attempt, "POST"),
+        (f"{one}/partner", handlers.partner, "GET"),
+        (one + "/tiles/{which}/{level}/{column}/{row}", handlers.tile, "GET"),
+        (one + "/maps/{kind}", handlers.map_, "GET"),
+        (f"{one}/export", handlers.export, "POST"),
+        (f"{one}/import", handlers.import_, "POST"),
+        (f"{one}/build", handlers.start_build, "POST"),
+        ("/api/build", handlers.build_state, "GET"),
     ]
     return [Route(path, answering(handler), methods=[method]) for path, handler, method in table]
 
@@ -228,7 +243,7 @@ def _told(told: dict[str, Any]) -> Response:
     return Response(to_bytes({"ok": True, **told}), media_type="application/octet-stream")
 
 
-def change(frame: Frame, body: dict[str, Any]) -> None:
+def change(frame: RegistrationView, body: dict[str, Any]) -> None:
     """Do what a request asks to the corrections of a camera.
 
     Raises
@@ -251,7 +266,7 @@ def change(frame: Frame, body: dict[str, Any]) -> None:
         session.apply(name, _pair(body.get("pair")), to)
 
 
-def describe_frame(frame: Frame) -> dict[str, Any]:
+def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     """Return what a screen needs to know of a camera before its pairs, JSON-ready."""
     verdict = frame.record.get("verdict", {})
     model = frame.record.get("model", {})
@@ -286,7 +301,7 @@ def describe_frame(frame: Frame) -> dict[str, Any]:
     }
 
 
-def reasons_of(frame: Frame, reasons: list[str]) -> list[str]:
+def reasons_of(frame: RegistrationView, reasons: list[str]) -> list[str]:
     """Return the reasons of a verdict but for those that speak of other sensors of the camera."""
     names = [f"sensor {s.name}: " for s in frame.capture.sensors if s.name]
     mine = f"sensor {frame.view.sensor.name}: "
@@ -362,3 +377,22 @@ def _files(value: Any) -> list[bytes]:
     raise OperationRefused(
         Problem("E_VALUE", "no file came", expected=f"one or {MOST_FILES} files, base64")
     )
+
+
+PAGE = """\
+<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="robots" content="noindex">
+<title>Levkas workbench</title>
+<link rel="icon" href="data:,">
+<link rel="stylesheet" href="/assets/workbench.css">
+<script src="/assets/workbench.js" defer></script>
+</head>
+<body>
+<noscript>The workbench needs JavaScript; nothing is loaded from anywhere else.</noscript>
+</body>
+</html>
+"""

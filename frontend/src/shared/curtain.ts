@@ -1,0 +1,68 @@
+// The line between A, left of it, and B, right of it: dragged, or moved with the arrow keys.
+import { make } from "./element";
+
+const STEP = 0.02;
+
+/** A line over a pane; `fraction` is where it stands, 0 left to 1 right. */
+export class Curtain {
+  fraction = 0.5;
+  readonly line = make(
+    "div",
+    {
+      class: "curtain",
+      role: "slider",
+      tabindex: 0,
+      "aria-label": "Curtain between A and B",
+      "aria-orientation": "horizontal",
+      "aria-valuemin": 0,
+      "aria-valuemax": 100,
+      hidden: true,
+    },
+    make("span", { class: "curtain-name left", "aria-hidden": "true" }, "A"),
+    make("span", { class: "curtain-grip", "aria-hidden": "true" }, "⇆"),
+    make("span", { class: "curtain-name right", "aria-hidden": "true" }, "B"),
+  );
+
+  constructor(
+    pane: HTMLElement,
+    private readonly onMove: () => void,
+  ) {
+    pane.append(this.line);
+    this.line.addEventListener("pointerdown", (event) => {
+      event.stopPropagation();
+      this.line.setPointerCapture(event.pointerId);
+    });
+    this.line.addEventListener("pointermove", (event) => {
+      if (!this.line.hasPointerCapture(event.pointerId)) return;
+      const box = pane.getBoundingClientRect();
+      this.move((event.clientX - box.left) / box.width);
+    });
+    this.line.addEventListener("keydown", (event) => {
+      const [by, to] = [MOVES[event.key], ENDS[event.key]];
+      if (by === undefined && to === undefined) return;
+      event.preventDefault();
+      event.stopPropagation();
+      this.move(to ?? this.fraction + (by ?? 0));
+    });
+    this.move(0.5);
+  }
+
+  set shown(on: boolean) {
+    this.line.hidden = !on;
+  }
+
+  move(fraction: number): void {
+    this.fraction = Math.min(1, Math.max(0, fraction));
+    this.line.style.left = `${100 * this.fraction}%`;
+    this.line.setAttribute("aria-valuenow", String(Math.round(100 * this.fraction)));
+    this.onMove();
+  }
+}
+
+const MOVES: Record<string, number> = {
+  ArrowLeft: -STEP,
+  ArrowRight: STEP,
+  PageDown: -5 * STEP,
+  PageUp: 5 * STEP,
+};
+const ENDS: Record<string, number> = { Home: 0, End: 1 };

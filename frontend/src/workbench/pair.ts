@@ -1,0 +1,168 @@
+// The selected pair, a proposed one, or a measured place, and what can be done with it.
+import { effect } from "@preact/signals-core";
+import { make, refill } from "../shared/element";
+import { length, px, type Pair, type Partner, type Proposal } from "./record";
+import type { Store } from "./store";
+
+const HINT =
+  "Click a mark in a picture or a row of the table. Click an empty place to add a pair: its partner in the other picture is found for you.";
+
+export class PairCard {
+  private readonly head = make("h2", { id: "pair-head" });
+  private readonly text = make("div", { "aria-live": "polite" });
+  private readonly actions = make("div", {
+    class: "actions",
+    tabindex: -1,
+    role: "group",
+    "aria-labelledby": "pair-head",
+  });
+  readonly root = make(
+    "section",
+    { class: "card pair", "aria-labelledby": "pair-head" },
+    this.head,
+    this.text,
+    this.actions,
+  );
+
+  constructor(private readonly store: Store) {
+    effect(() => {
+      const [proposal, measured] = [store.proposal.value, store.measured.value];
+      const pair = store.selectedPair();
+      if (proposal) this.showProposal(proposal);
+      else if (measured) this.showMeasured(measured);
+      else if (pair) this.showPair(pair);
+      else this.show("No pair chosen", [make("p", { class: "soft" }, HINT)], []);
+    });
+  }
+
+  /** Do something to the selected pair. */
+  act(operation: string): void {
+    const pair = this.store.selectedPair();
+    if (pair) void this.store.edit({ operation, pair });
+  }
+
+  /** Move what is selected or proposed in the target, by px of it; whether there is anything. */
+  nudge(dx: number, dy: number): boolean {
+    const proposal = this.store.proposal.peek();
+    const pair = proposal?.pair ?? this.store.selectedPair();
+    if (!pair) return false;
+    const to: Pair = [pair[0], pair[1], pair[2] + dx, pair[3] + dy];
+    if (proposal) this.store.choose({ proposal: { ...proposal, pair: to } });
+    else void this.store.edit({ operation: "move", pair, to }, to);
+    return true;
+  }
+
+  /** Add the proposed pair, or keep the measured place as a check point. */
+  accept(): void {
+    const proposal = this.store.proposal.peek();
+    const pair = (proposal ?? this.store.measured.peek())?.pair;
+    if (!pair) return;
+    this.cancel();
+    void this.store.edit({ operation: proposal ? "add" : "check", pair }, pair);
+  }
+
+  cancel(): void {
+    this.store.choose({});
+  }
+
+  private showPair(pair: Pair): void {
+    const [session, row] = [this.store.session.value!, this.store.selected.value];
+    const [state, hand] = [session.state[row]!, session.hand[row]];
+    const standing = {
+      check: "measures only; the map does not know it",
+      kept: "the map rests on it",
+      removed: `removed: ${session.reason[row]}`,
+    };
+    const [x, y, targetX, targetY] = pair.map((value) => value.toFixed(1));
+    const removed = state === "removed";
+    const isCheck = state === "check";
+    this.show(
+      `Pair ${row + 1}`,
+      [
+        make("p", {}, this.lengthOf(session.residual[row]), ` off; ${standing[state]}.`),
+        make(
+          "p",
+          { class: "soft" },
+          `By a map that does not know it: ${px(session.leave_one_out[row])} px. `,
+          `Reference ${x}, ${y}; here ${targetX}, ${targetY}.`,
+        ),
+      ],
+      [
+        removed
+          ? this.button("use", "Restore", "restore", "Let the map rest on it, come what may (R)")
+          : this.button("use", "Delete", "delete", "The map no longer rests on it (Del)"),
+        this.button("pin", hand === "pinned" ? "Unpin" : "Pin", "pin", "Never to be removed (P)"),
+        this.button("snap", "Snap", "snap", "Move it to where its surroundings agree best (S)"),
+        this.button(
+          "check",
+          isCheck ? "No check point" : "Check point",
+          "check",
+          "Measures, and is never fitted (C)",
+        ),
+      ],
+    );
+  }
+
+  private showProposal({ pair, score, sure, placed }: Proposal): void {
+    const likeness = `The partner was found by comparing, likeness ${percent(score)}`;
+    const found =
+      score === 0
+        ? "Nothing here can be compared: place it yourself."
+        : `${likeness}${sure ? "" : ": look before you accept"}.`;
+    const at = `Here ${pair[2].toFixed(1)}, ${pair[3].toFixed(1)}.`;
+    this.show(
+      "A new pair",
+      [
+        make("p", {}, placed ? "Placed by you." : found),
+        make(
+          "p",
+          { class: "soft" },
+          `Not there? Click the right place in the other picture. ${at} Arrow keys move it by 0.1 px, with Shift by 1 px.`,
+        ),
+      ],
+      this.choices("Add it", "Cancel"),
+    );
+  }
+
+  private showMeasured({ score, length }: Partner): void {
+    const text =
+      score > 0
+        ? [this.lengthOf(length), ` off (likeness ${percent(score)}).`]
+        : ["Nothing here can be compared."];
+    this.show(
+      "How far off here?",
+      [make("p", { id: "measured" }, ...text)],
+      this.choices("Keep as check point", "Close"),
+    );
+  }
+
+  private lengthOf(value: number | undefined): HTMLElement {
+    return make("strong", {}, length(value, this.store.frame.value?.px_per_mm ?? null));
+  }
+
+  private button(id: string, words: string, operation: string, title: string): HTMLElement {
+    const facts = { type: "button", id: `pair-${id}`, title, "data-operation": operation };
+    const button = make("button", facts, words);
+    button.addEventListener("click", () => this.act(operation));
+    return button;
+  }
+
+  /** To accept what is proposed or measured, or to let it go. */
+  private choices(accept: string, cancel: string): HTMLElement[] {
+    const yes = make("button", { type: "button", id: "pair-accept", class: "primary" }, accept);
+    const no = make("button", { type: "button", id: "pair-cancel" }, cancel);
+    yes.addEventListener("click", () => this.accept());
+    no.addEventListener("click", () => this.cancel());
+    return [yes, no];
+  }
+
+  private show(title: string, text: HTMLElement[], actions: HTMLElement[]): void {
+    this.head.textContent = title;
+    refill(this.text, ...text);
+    refill(this.actions, ...actions);
+  }
+}
+
+function percent(share: number): string {
+  return `${Math.round(100 * share)} %`;
+}

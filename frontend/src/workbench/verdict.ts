@@ -1,0 +1,150 @@
+// The verdict in words, and a new registration.
+import { effect, signal } from "@preact/signals-core";
+import { make, refill } from "../shared/element";
+import { describeProblem, getJson, messageOf, type Problem } from "./api";
+import { DECISIONS, length, type FrameInfo, type SessionState } from "./record";
+import type { Store } from "./store";
+
+interface Building {
+  state: string;
+  line: string;
+  done: number;
+  total: number;
+  problems: Problem[];
+}
+
+const POLL_MS = 400;
+const ENOUGH = 4; // pairs from which a new registration can begin
+
+/** The verdict of the last build, the sum of the pairs, and a new registration. */
+export class VerdictCard {
+  readonly root: HTMLElement;
+  private readonly again: HTMLButtonElement;
+  private readonly progress = make("p", {
+    class: "soft",
+    "aria-live": "polite",
+    id: "build-status",
+  });
+  private readonly running = signal(false);
+
+  constructor(private readonly store: Store) {
+    const content = make("div");
+    const title = "Runs the registration with your corrections, as levkas build does";
+    const button = { type: "button", class: "primary", id: "build", title };
+    this.again = make("button", button, "Register again");
+    this.again.addEventListener("click", () => void this.build());
+    this.root = make(
+      "section",
+      { class: "card verdict", "aria-labelledby": "verdict-head" },
+      make("h2", { id: "verdict-head" }, "Verdict"),
+      content,
+      this.again,
+      this.progress,
+    );
+    effect(() => {
+      const [frame, session] = [store.frame.value, store.session.value];
+      if (frame && session) refill(content, ...describe(frame, session));
+    });
+    effect(() => {
+      this.again.disabled = this.running.value;
+    });
+  }
+
+  private async build(): Promise<void> {
+    const frame = this.store.frame.value;
+    if (this.running.value || !frame) return;
+    this.running.value = true;
+    try {
+      let state = await getJson<Building>(`${this.store.path}/build`, {});
+      while (state.state === "running") {
+        const share = state.total ? ` (${state.done} of ${state.total})` : "";
+        this.progress.textContent = state.line + share;
+        await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+        state = await getJson<Building>("/api/build");
+      }
+      await this.store.open(frame.id);
+      await this.store.loadCameras();
+      this.store.map.value = this.store.frame.value?.built ? "built" : "pairs";
+      const failed = state.problems.map(describeProblem).join("\n");
+      this.progress.textContent = failed || "Registered again.";
+    } catch (error) {
+      this.progress.textContent = messageOf(error);
+    }
+    this.running.value = false;
+  }
+}
+
+function describe(frame: FrameInfo, session: SessionState): (HTMLElement | false)[] {
+  const { decision, reasons, next_step } = frame.verdict;
+  const stale = session.corrections !== "";
+  const badge = make("span", { class: `badge ${decision}` }, DECISIONS[decision] ?? decision);
+  const corrections = session.corrections.replace(/ \([0-9a-f]+\)$/, "");
+  return [
+    make("p", {}, badge, stale && make("span", { class: "soft" }, " as of the last registration")),
+    make("p", { class: "sum", id: "sum" }, ...summarise(frame, session)),
+    reasons.length > 0 && make("ul", {}, ...reasons.map((reason) => make("li", {}, reason))),
+    next_step !== "" && make("p", {}, make("strong", {}, "Next: "), next_step),
+    ...describeModels(frame),
+    stale &&
+      make(
+        "p",
+        { class: "soft", id: "corrections" },
+        `Your corrections: ${corrections}. Saved in edits.toml.`,
+      ),
+  ];
+}
+
+/** What the pairs say, for someone who has never heard of a residual. */
+function summarise(frame: FrameInfo, { summary, refusal, corrections }: SessionState): string[] {
+  const { kept, pairs, mean, max, checks, check_mean } = summary;
+  const measured = (value: number | null): string => length(value, frame.px_per_mm);
+  if (frame.is_reference)
+    return [
+      "This is the camera that all others are registered to. Its own bands are brought together by the registration; there are no pairs to correct.",
+    ];
+  if (refusal || mean === null) {
+    const found = pairs
+      ? `${kept} of at least ${ENOUGH} pairs. `
+      : "No place was recognised in both pictures. Click a place that you can find in both, and Enter; ";
+    return [found, `${ENOUGH} pairs are enough for a new registration.`];
+  }
+  const words = [
+    `${kept} places are recognised in both pictures. A simple map through them is off by ${measured(mean)} on average, by ${measured(max)} at worst.`,
+  ];
+  const taken = frame.ladder[0]?.[frame.chosen[0] ?? ""];
+  if (taken !== undefined && !corrections)
+    words.push(
+      ` The registration itself, which looks everywhere, is off by ${measured(taken)} where it was not fitted.`,
+    );
+  if (checks)
+    words.push(
+      ` Your ${checks} check point${checks > 1 ? "s are" : " is"} off by ${measured(check_mean)}.`,
+    );
+  return words;
+}
+
+function describeModels({ ladder, chosen }: FrameInfo): HTMLElement[] {
+  const tried = Object.entries(ladder[0] ?? {}).filter(([, error]) => Number.isFinite(error));
+  if (!tried.length) return [];
+  const rows = tried.map(([name, error]) => {
+    const taken = name === chosen[0];
+    return make(
+      "tr",
+      { class: taken && "taken" },
+      make("th", { scope: "row" }, name),
+      make("td", {}, error.toFixed(3)),
+      make("td", {}, taken && "taken"),
+    );
+  });
+  const about =
+    "Error on parts of the picture that the model had not seen, px. A richer one is taken only where it is better there.";
+  return [
+    make(
+      "details",
+      { id: "models" },
+      make("summary", { id: "models-head" }, "Models that were tried"),
+      make("p", { class: "soft" }, about),
+      make("table", {}, ...rows),
+    ),
+  ];
+}

@@ -1,0 +1,430 @@
+"""What was made of what: fingerprints of stages, so that a build does only what is stale."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from levkas.core.digests import hash_file, stamp_of
+from levkas.core.files import (
+    make_folder,
+    move_files,
+    remove,
+    rename_file,
+    write_changed,
+    write_json,
+)
+from levkas.core.json_safe import to_json
+from levkas.core.problems import Problem, Refused
+from levkas.database.containment import stays_inside
+from levkas.readers.text import read_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from levkas.campaign.discovery.captures import Capture
+
+STAGES = ("calibrate", "measure", "register", "resample")
+"""Of a capture, in their order."""
+WAS = ".was"
+"""Suffix of the record of a stage that is being done anew."""
+REFUSED = ".refused"
+"""Suffix of what a refused stage was refused for: it is tried again by every build, and read by `status`."""
+TICK_NS = 100_000_000
+"""Longer than the clocks of file systems that keep parts of a second stand still: at most 16 ms."""
+COARSE_TICK_NS = 2_000_000_000
+"""As long as those of others stand still: FAT counts in two seconds."""
+
+
+@dataclass(frozen=True, order=True)
+class Key:
+    """One stage of one capture; camera and setup are empty where a stage has none."""
+
+    object: str
+    camera: str = ""
+    setup: str = ""
+    stage: str = ""
+
+    @property
+    def layer(self) -> str:
+        """Camera and setup as frames and files name them: ``d80`` or ``d80@45-degree``."""
+        return f"{self.camera}@{self.setup}" if self.setup else self.camera
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the identifying fields of a stage report."""
+        return {
+            "object": self.object,
+            "camera": self.camera,
+            "setup": self.setup,
+            "stage": self.stage,
+        }
+
+
+CATALOGUE = Key("", stage="catalogue")
+
+
+def key_of(capture: Capture, stage: str) -> Key:
+    """Return the key of a stage of a capture."""
+    return Key(capture.object, capture.camera, capture.setup, stage)
+
+
+class Written(NamedTuple):
+    """What a stage has written: its files, those beside the database, and what later stages read of it."""
+
+    files: Iterable[Path]
+    notes: dict[str, Any]
+    aside: tuple[Path, ...] = ()
+    warnings: tuple[str, ...] = ()
+    problems: tuple[Problem, ...] = ()
+
+
+class Hashes:
+    """SHA-256 of files; size, times and inode spare a second reading of an unchanged one.
+
+    A file that was changed just before it was read may have been changed again within one tick of the
+    clock of its file system: its hash is kept only once that tick is over.
+
+    Parameters
+    ----------
+    path : Path
+        Where hashes are kept.
+    verify : bool
+        Read every file anew, whatever is kept of it.
+    """
+
+    def __init__(self, path: Path, *, verify: bool = False) -> None:
+        self.path = path
+        self.known: dict[str, list[Any]] = {} if verify else _read(path)
+        self.changed = False
+        self._unsettled: dict[str, list[Any]] = {}
+        self._files: dict[Path, tuple[Path, ...]] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, path: str | Path, *, own: bool = False) -> str:
+        """Return the hash of a file; `own` ones were written whole by Levkas just before."""
+        name = str(path)
+        stamp = [*stamp_of(name)]
+        entry = self._unsettled.get(name) or self.known.get(name)
+        if entry is None or entry[:-1] != stamp:
+            entry = self._hashed(name, stamp, own=own)
+        return str(entry[-1])
+
+    def of_frame(self, path: Path) -> dict[Path, str]:
+        """Return the hashes of all files that a frame is read from; raises OSError."""
+        from levkas.readers.frames import files_of
+
+        if path not in self._files:
+            self._files[path] = files_of(path)
+        return {file: self(file) for file in self._files[path]}
+
+    def save(self) -> None:
+        """Keep what was learnt."""
+        for name in list(self._unsettled):
+            with suppress(OSError):  # taken away meanwhile
+                self._hashed(name, [*stamp_of(name)])
+        with self._lock:
+            if self.changed:
+                write_json(self.path, self.known)
+                self.changed = False
+
+    def _hashed(self, name: str, stamp: list[int], *, own: bool = False) -> list[Any]:
+        """Hash a file that had a stamp just before."""
+        settled = own or _is_settled(stamp, time.time_ns())
+        entry = [*stamp, hash_file(name)]
+        with self._lock:
+            self._unsettled.pop(name, None)
+            if settled:
+                self.known[name] = entry
+                self.changed = True
+            else:
+                self._unsettled[name] = entry
+        return entry
+
+
+def _is_settled(stamp: Sequence[int], now: int) -> bool:
+    """Tell whether a file read from `now` on cannot be changed any more without another stamp.
+
+    >>> _is_settled((1, 10**18 + 1, 10**18 + 1, 1), 10**18 + TICK_NS)
+    False
+    """
+    times = stamp[1:3]
+    coarse = all(one % 1_000_000 == 0 for one in times)
+    return now - max(times) > (COARSE_TICK_NS if coarse else TICK_NS)
+
+
+class BuildRecords:
+    """Fingerprints and products of finished stages, one small file a stage.
+
+    A record is read once: what this build was told, or has noted itself, stays true for it, whatever
+    another build that runs beside it takes away or writes.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the records are kept, beside the database and never inside it.
+    output : Path
+        The database; products are recorded relative to it.
+    keep_removed : bool
+        Leave what the campaign no longer has where it is.
+    verify : bool
+        Read every file anew, whatever is kept of its hash.
+    """
+
+    def __init__(
+        self, folder: Path, output: Path, *, keep_removed: bool = False, verify: bool = False
+    ) -> None:
+        self.folder, self.output, self.keep_removed = folder, output, keep_removed
+        self.hashes = Hashes(folder / "hashes.json", verify=verify)
+        self._known: dict[str, dict[str, Any]] = {}
+        self._put_away: Path | None = None
+
+    def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
+        """Say why a stage must be done; empty where its products stand and fit."""
+        if not (record := self._record(key)):
+            return "its record was damaged" if self._path(key).is_file() else "not yet built"
+        if changed := _difference(record.get("fingerprint", {}), fingerprint):
+            return changed
+        for path, name, digest in self._made(record):
+            try:
+                if self.hashes(path, own=True) != digest:
+                    return f"{name} was changed after it was built"
+            except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+                return f"{name} is missing"
+        return ""
+
+    def damaged(self, key: Key) -> str:
+        """Read every product of a finished stage, and name the first that is not what was written.
+
+        `why_stale` believes size and time of a file; before a product is read again, nothing is
+        believed.
+        """
+        for path, name, digest in self._made(self._record(key)):
+            if not _is_file(path) or hash_file(path) != digest:
+                return name
+        return ""
+
+    def fingerprint(self, key: Key) -> dict[str, Any]:
+        """Return what a finished stage was made of; empty where it is not finished."""
+        return dict(self._record(key).get("fingerprint", {}))
+
+    def products(self, key: Key) -> dict[str, str]:
+        """Return the names and hashes of what a finished stage made."""
+        return dict(self._record(key).get("products", {}))
+
+    def hashes_of_products(self) -> dict[str, str]:
+        """Return name → SHA-256 of every product of every finished stage that still stands."""
+        known: dict[str, str] = {}
+        for place, _, names in sorted(os.walk(self.folder)):
+            if place != str(self.folder):
+                for name in sorted(n for n in names if n.endswith(".json")):
+                    record = self._recorded(f"{place}{os.sep}{name}")
+                    known.update(record.get("products", {}))
+        root = str(self.output)
+        return {name: sha for name, sha in known.items() if _is_file(f"{root}{os.sep}{name}")}
+
+    def told(self, key: Key) -> dict[str, Any]:
+        """Return what a finished stage noted for later ones."""
+        return dict(self._record(key).get("notes", {}))
+
+    def keep(
+        self,
+        key: Key,
+        fingerprint: dict[str, Any],
+        products: Iterable[Path],
+        *,
+        aside: Iterable[Path] = (),
+        **notes: Any,
+    ) -> None:
+        """Record a finished stage; called last, so that an interrupted one is done again.
+
+        `products` stand in the database, what is kept `aside` for later stages beside it.
+        """
+        made = {
+            p.relative_to(self.output).as_posix(): self.hashes(p, own=True)
+            for p in sorted(products)
+        }
+        told: dict[str, Any] = {"fingerprint": fingerprint, "products": made, "notes": notes}
+        if left := self.put_away_left(key, made):
+            told["left"] = left
+        if kept := {
+            p.relative_to(self.folder).as_posix(): self.hashes(p, own=True) for p in sorted(aside)
+        }:
+            told["aside"] = kept
+        path = self._path(key)
+        make_folder(path.parent)
+        record = json.loads(to_json(told))
+        write_json(path, {**record, "check": _check(record)})
+        self._known[str(path)] = record
+        for before in (path.with_suffix(WAS), path.with_suffix(REFUSED)):
+            if before.is_file():
+                remove(before)
+        self.hashes.save()
+
+    def forget(self, key: Key) -> None:
+        """Drop the record of a stage that is about to be done anew.
+
+        It stays under another name until the stage has ended: what the stage does not make any more is
+        still known then.
+        """
+        path = self._path(key)
+        self._known[str(path)] = {}
+        rename_file(path, path.with_suffix(WAS))
+
+    def refuse(self, key: Key, fingerprint: dict[str, Any], problems: Iterable[Problem]) -> None:
+        """Note what a stage was made of when it was refused, and why."""
+        told = {"fingerprint": fingerprint, "refused": [p.to_dict() for p in problems]}
+        record = json.loads(to_json(told))
+        path = self._path(key).with_suffix(REFUSED)
+        make_folder(path.parent)
+        write_changed(path, to_json({**record, "check": _check(record)}).encode())
+
+    def refusal(self, key: Key, fingerprint: dict[str, Any]) -> tuple[Problem, ...]:
+        """Return why a stage was refused that was made of the same; empty where it was not."""
+        record = _sound(_read(self._path(key).with_suffix(REFUSED)))
+        if not record or _difference(record.get("fingerprint", {}), fingerprint):
+            return ()
+        return tuple(Problem(**problem) for problem in record["refused"])
+
+    def drop(self, key: Key) -> None:
+        """Forget a stage that will not be done again, and what was kept aside of it."""
+        path = self._path(key)
+        for name in self._record(key).get("aside", {}):
+            remove(self.folder / name)
+        self._known[str(path)] = {}
+        for one in (path, path.with_suffix(WAS), path.with_suffix(REFUSED)):
+            if one.is_file():
+                remove(one)
+
+    def recorded(self) -> list[Key]:
+        """Return the stages that are recorded, or were being done anew when a build was interrupted."""
+        found = set()
+        for place, _, names in os.walk(self.folder):
+            above = place[len(str(self.folder)) :].replace(os.sep, "/")
+            where = [part for part in above.split("/") if part]
+            for stem, suffix in map(os.path.splitext, names):
+                if suffix not in (".json", WAS):
+                    continue
+                if len(where) == 2 and stem in STAGES:
+                    camera, _, setup = where[1].partition("@")
+                    found.add(Key(where[0], camera, setup, stem))
+                elif len(where) == 1 and stem == "report":
+                    found.add(Key(where[0], stage=stem))
+                elif len(where) == 1 and stem == "camera":
+                    found.add(Key("", where[0], stage=stem))
+        return sorted(found)
+
+    def made_by(self, key: Key) -> set[str]:
+        """Return the names of all that a stage has made, also of one that was being done anew."""
+        path = self._path(key)
+        records = self._record(key), _sound(_read(path.with_suffix(WAS)))
+        return {
+            n for record in records for part in ("products", "left") for n in record.get(part, ())
+        }
+
+    def put_away_left(self, key: Key, made: Iterable[str]) -> list[str]:
+        """Put away what a stage has made before and does not make any more; return what stays of it."""
+        left = self.made_by(key) - {*made}
+        stays = {n for n in left if self.keep_removed and n.startswith(("charts/", "setups/"))}
+        self.put_away(left - stays)
+        return sorted(n for n in stays if _is_file(f"{self.output}{os.sep}{n}"))
+
+    def put_away(self, names: Iterable[str]) -> Path | None:
+        """Move products out of the database, to a folder of this build; None where there are none."""
+        there = [name for name in names if _is_file(f"{self.output}{os.sep}{name}")]
+        if not there:
+            return None
+        if self._put_away is None:
+            beside = self.output.with_name(self.output.name + ".removed")
+            numbers = (str(n) for n in count(1))
+            self._put_away = next(beside / n for n in numbers if not (beside / n).exists())
+        move_files(there, self.output, self._put_away)
+        return self._put_away
+
+    def _made(self, record: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
+        """Yield path, name and hash of everything that a stage made."""
+        for part, folder in (("products", self.output), ("aside", self.folder)):
+            for name, digest in record.get(part, {}).items():
+                yield f"{folder}{os.sep}{name}", name, digest
+
+    def _record(self, key: Key) -> dict[str, Any]:
+        return self._recorded(str(self._path(key)))
+
+    def _recorded(self, path: str) -> dict[str, Any]:
+        if path not in self._known:
+            self._known[path] = _sound(_read(Path(path))) if _is_file(path) else {}
+        return self._known[path]
+
+    def _path(self, key: Key) -> Path:
+        parts = [part for part in (key.object, key.layer, key.stage) if part]
+        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}.json")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        # Parsed as it is: there are thousands where all is fresh, and a record bears its own hash.
+        record = json.loads(read_text(path, "a JSON table in UTF-8"))
+    except (Refused, ValueError, RecursionError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def _check(record: dict[str, Any]) -> str:
+    """Hash of what a record says, so that a bit that flips in its file is seen."""
+    return hashlib.sha256(json.dumps(record, ensure_ascii=False).encode()).hexdigest()
+
+
+def _is_file(path: str) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 -- thousands of times where all is fresh
+
+
+def _sound(record: dict[str, Any]) -> dict[str, Any]:
+    """Return a record without its check; nothing where it is not what was written.
+
+    One that names a file outside is none of ours: what it names is moved out or taken away some day.
+    """
+    body = {name: value for name, value in record.items() if name != "check"}
+    made = [n for part in ("products", "left", "aside") for n in body.get(part, ())]
+    return body if record.get("check") == _check(body) and all(map(stays_inside, made)) else {}
+
+
+def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
+    changes = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    if not changes:
+        return ""
+    name = changes[0]
+    more = f" and {len(changes) - 1} more" if len(changes) > 1 else ""
+    if name not in before:
+        return f"{name} is new{more}"
+    if name not in now:
+        return f"{name} is gone{more}"
+    if name.startswith("file ") or name == "code":
+        return f"{name} changed{more}"
+    if name.startswith("frame "):
+        return f"{name}{_other_use(before[name], now[name])}{more}"
+    return f"{name} {_short(before[name])} → {_short(now[name])}{more}"
+
+
+def _other_use(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> str:
+    """Say how the use of a file as a frame differs, by the first thing that does.
+
+    >>> _other_use([{"role": "dark"}], [{"role": "white"}])
+    ': role "dark" → "white"'
+    """
+    for one, other in zip(before, now, strict=False):
+        for key in {**one, **other}:
+            if one.get(key) != other.get(key):
+                return f": {key} {_short(one.get(key))} → {_short(other.get(key))}"
+    return f" is used {len(now)} times instead of {len(before)}"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 40 else text[:37] + "…"

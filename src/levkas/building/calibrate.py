@@ -1,0 +1,493 @@
+"""Raw frames of one capture to calibrated cubes in native pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.building.build_records import Written
+from levkas.building.capture_statistics import focus_of, note_light, note_sensels
+from levkas.building.exposures import (
+    average_shots,
+    check_scaling,
+    cube_of,
+    defects_of,
+    expose,
+    flatten,
+    line_noise,
+    mark_glare_in,
+    noise_of,
+    require_same_size,
+    white_of,
+)
+from levkas.building.line_templates import best_white, noise_behind_mirror, thinned
+from levkas.building.native_cubes import (
+    GROUP,
+    ROWS,
+    Native,
+    least_bytes,
+    read_native,
+    require_memory,
+    write_native,
+)
+from levkas.building.scan_opening import open_scan
+from levkas.building.scans import Scan, is_streamed
+from levkas.building.spectra import broad_centroids, white_reflectance
+from levkas.building.streaming import write_scan
+from levkas.calibration.defects import replace_defects
+from levkas.calibration.denoising import denoise, describe_removed
+from levkas.calibration.equalising import equalise_phases
+from levkas.calibration.flatfield import Calibrated
+from levkas.calibration.invalid_values import describe_gaps
+from levkas.calibration.mosaic import demosaic
+from levkas.calibration.noise_fit import mean_variance
+from levkas.calibration.pushbroom import average_lines, join_strips
+from levkas.calibration.sensor_context import (
+    CodesRefused,
+    SensorContext,
+    by_exposure,
+    doubt_scaling,
+    doubts_of,
+    exposure_of,
+    placed,
+    read_cube,
+    require_exposures,
+    templates_by_exposure,
+    timed,
+    times_in,
+    times_of,
+)
+from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.whites import thinning
+from levkas.core.cube import Cube, Flag
+from levkas.core.disk import require_space
+from levkas.core.files import together
+from levkas.core.problems import Problem, Refused
+from levkas.core.rounding import round_root
+from levkas.database.credits import credits_of
+from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
+
+if TYPE_CHECKING:
+    from levkas.building.template_cache import TemplateCache
+    from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.pushbroom import Seam
+    from levkas.campaign.campaign import Camera, Campaign
+    from levkas.campaign.discovery.captures import Capture, FrameRef
+    from levkas.database.layout import Places
+
+MOST_PROBLEMS = 50
+
+
+def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native | Scan:
+    """Calibrate a capture; a scan that is larger than memory is opened, and calibrated as it is written.
+
+    Raises
+    ------
+    Refused
+        UnreadableCapture or CalibrationRefused, with the files in question; TooLarge.
+    """
+    if is_streamed(capture, campaign):
+        return open_scan(capture, campaign, templates)
+    require_memory(capture, campaign.cameras[capture.camera].kind)
+    return develop(capture, campaign, templates)
+
+
+def write_calibrated(
+    made: Native | Scan,
+    capture: Capture,
+    campaign: Campaign,
+    places: Places,
+    before: Callable[[], object],
+) -> Written:
+    """Write a calibrated capture in native pixels; `before` as of `core.files.together`."""
+    credits = credits_of(campaign, capture.object, made.captured or "")
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    with together(before):
+        if isinstance(made, Native):
+            for cube in made.cubes.values():
+                require_space(places.output, least_bytes(cube))
+            files = write_native(made, capture, places, credits, centroids)
+        else:
+            files = write_scan(made, capture, places, credits, centroids)
+    notes = {
+        "quantity": made.quantity,
+        "warnings": list(made.warnings),
+        "captured": made.captured or "",
+        "learnt": dict(made.learnt),
+        "focus": focus_of(made) if isinstance(made, Native) else made.focus,
+    }
+    return Written(files, notes, warnings=made.warnings)
+
+
+def load_calibrated(
+    capture: Capture,
+    campaign: Campaign,
+    places: Places,
+    notes: Mapping[str, Any],
+    templates: TemplateCache,
+) -> Native | Scan:
+    """Read back what `write_calibrated` wrote, without sigma; `notes` as it returned them."""
+    if is_streamed(capture, campaign):
+        return open_scan(capture, campaign, templates)
+    warnings = tuple(notes.get("warnings", ()))
+    return read_native(capture, places, notes.get("quantity", "counts"), warnings)
+
+
+def develop(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Native:
+    """Calibrate every sensor of a capture.
+
+    Raises
+    ------
+    Refused
+        UnreadableCapture or CalibrationRefused, with the files in question.
+    """
+    camera = campaign.cameras[capture.camera]
+    cubes, notes, captured = {}, [], None
+    learnt: dict[str, dict[str, Any]] = {}
+    try:
+        for sensor in capture.sensors:
+            facts = read_facts(sensor.object[0].path)
+            captured = captured or facts.captured
+            bench = SensorContext(campaign, camera, sensor, facts, shelf)
+            if camera.kind != "image":
+                require_exposures(bench)
+            notes += doubts_of(bench)
+            cubes[sensor.name] = mark_glare_in(DEVELOPERS[camera.kind](bench, notes))
+            learnt[sensor.name] = bench.told
+    except (UnreadableCapture, CodesRefused) as refused:
+        raise type(refused)(*_all_problems(capture, campaign, shelf, refused)) from None
+    aligns = {sensor.name: sensor.align for sensor in capture.sensors}
+    where = f"{capture.object}/{capture.layer}"
+    told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
+    return Native(cubes, aligns, captured, told, learnt)
+
+
+def _all_problems(
+    capture: Capture, campaign: Campaign, shelf: TemplateCache, first: Refused
+) -> list[Problem]:
+    """What is wrong with every frame of a capture: who mends one wants to know of the others."""
+    problems = list(first.problems)
+    for sensor in capture.sensors:
+        for frame in (*sensor.object, *sensor.white, *sensor.dark):
+            try:
+                facts = read_facts(frame.path)
+                bench = SensorContext(
+                    campaign, campaign.cameras[capture.camera], sensor, facts, shelf
+                )
+                bench.checked(read_frame(frame.path, page=frame.page), frame)
+            except Refused as refused:
+                problems += refused.problems
+            if len(problems) > MOST_PROBLEMS:
+                return list(dict.fromkeys(problems))[:MOST_PROBLEMS]
+    return list(dict.fromkeys(problems))
+
+
+def develop_mosaic(bench: SensorContext, notes: list[str]) -> Cube:
+    """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
+
+    sensor, camera = bench.sensor, bench.camera
+    darks = bench.templates(sensor.dark)
+    shots = average_shots(bench, sensor.object)
+    whites = bench.templates(sensor.white) if sensor.white else []
+    require_same_size(bench, shots[0].mean.shape, darks, whites)
+    white = white_of(bench, sensor.white, darks)
+    noise = noise_of(bench, shots, [white] * len(shots), darks)
+    exposed = expose(bench, shots, darks, noise)
+    if exposed.shot.above_dark:
+        white = white_of(bench, sensor.white, darks, noise=noise, merged=True)
+    notes.append(check_scaling(bench, exposed, white, (shots, whites), darks))
+    pattern = sensor.pattern
+    note_light(bench.told, white, darks, pattern, [b.label for b in sensor.bands])
+    defects = defects_of(darks, white, pattern)
+    reflectance = white_reflectance(bench.campaign, sensor.bands)
+    flat = flatten(
+        bench,
+        exposed.shot,
+        darks,
+        white,
+        moved=exposed.moved,
+        white_reflectance=reflectance,
+        noise=noise,
+        defects=defects,
+        pattern=pattern,
+        labels=[b.label for b in sensor.bands],
+    )
+    notes.extend(flat.notes)
+    values, flags, variance = replace_defects(
+        flat.values, flat.flags, flat.variance, pattern=pattern
+    )
+    if pattern is None:
+        deep = values.shape if values.ndim == 3 else (*values.shape, 1)
+        variance = None if variance is None else variance.reshape(deep)
+        return cube_of(bench, values.reshape(deep), flags.reshape(deep), variance, flat.quantity)
+    note_sensels(bench.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
+    made = demosaic(
+        values,
+        flags,
+        variance,
+        pattern,
+        method=demosaicing_of(camera, pattern),
+        channels=[b.label for b in sensor.bands],
+    )
+    return cube_of(bench, *made, flat.quantity)
+
+
+def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | None:
+    """Return the method that is declared, or the kind's own; None for the pattern's own."""
+    beam_splitter = camera.kind == "sensors" and len(pattern) == 2
+    return camera.demosaic or ("bilinear" if beam_splitter else None)
+
+
+def develop_cube(bench: SensorContext, notes: list[str]) -> Cube:
+    """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
+
+    sensor, mirror = bench.sensor, bench.camera.scan == "mirror"
+
+    def make(frames: Sequence[FrameRef]) -> Template:
+        blocks = (bench.checked(read_cube(frame), frame) for frame in frames)
+        join = average if mirror else average_lines
+        return bench.whole(join(blocks, saturation=bench.saturation), frames)
+
+    darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
+    require_same_size(bench, _shape_of(sensor.object[0]), darks, whites)
+    step = thinning(whites[0].mean.shape[:2]) if mirror and whites else 1
+    chosen = best_white(whites, step) if whites else 0
+    white = whites[chosen] if whites else None
+    note_light(
+        bench.told,
+        thinned(white, step) if white else None,
+        [thinned(d, step) for d in darks],
+        None,
+        [b.label for b in sensor.bands],
+        period=(step, step),
+    )
+    reflectance = white_reflectance(bench.campaign, sensor.bands)
+    if mirror:
+        of_white = by_exposure(sensor.white)[chosen][1][0] if white else None
+        noise = noise_behind_mirror(bench, of_white)
+    else:
+        noise = line_noise(bench, darks, white)
+    _require_one_time(bench, white)
+    strips = []
+    for frame in sensor.object:
+        block, times = bench.checked(read_cube(frame), frame), times_of(frame)
+        shot = timed(
+            bench.whole(average(iter([block]), saturation=bench.saturation), [frame]), times
+        )
+        del block
+        notes.append(doubt_scaling(bench, times, times_in(white)) if white else "")
+        flat = flatten(
+            bench,
+            shot,
+            darks,
+            white,
+            white_reflectance=reflectance,
+            noise=noise,
+            labels=[b.label for b in sensor.bands],
+        )
+        notes.extend(flat.notes)
+        strips.append(flat)
+    whole = strips[0]
+    if len(strips) > 1:
+        whole, seams = join_strips(strips)
+        notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
+    values, variance = whole.values, whole.variance
+    if bench.camera.denoise:
+        values, variance = _denoised(values, variance, notes)
+    return cube_of(bench, values, whole.flags, variance, whole.quantity)
+
+
+def _shape_of(frame: FrameRef) -> tuple[int, ...]:
+    """(lines, samples, bands) of a cube, from its headers."""
+    facts = read_facts(frame.path)
+    if facts.pages > 1:
+        return (*facts.shape[:2], facts.pages)
+    return facts.shape if len(facts.shape) == 3 else (*facts.shape, 1)
+
+
+def _require_one_time(bench: SensorContext, white: Template | None) -> None:
+    """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
+    strips = by_exposure(bench.sensor.object)
+    if white is None and len(strips) > 1:
+        problem = Problem(
+            "E_EXPOSURES",
+            f"{bench.camera.name}: strips of several exposures, and no white",
+            field="targets.white",
+            found=", ".join(frames[0].path.name for _, frames in strips),
+            expected="strips of one exposure, or a white",
+            fix="Capture a white, or leave the other exposures out of `files`.",
+        )
+        raise CalibrationRefused(placed(problem, bench.sensor.object))
+
+
+def _describe_seam(number: int, seam: Seam) -> str:
+    worst = float(np.nanmax(np.abs(seam.difference)))
+    return (
+        f"strips {number} and {number + 1} share {seam.overlap} samples (shift {seam.shift} lines); "
+        f"the seam differs by {100 * seam.rms:.1f} % rms, by {100 * worst:.1f} % in its worst band"
+    )
+
+
+def _denoised(
+    values: np.ndarray, variance: np.ndarray | None, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Project a cube on its signal subspace (HySime), and say what that took away."""
+
+    if variance is not None:  # rounded as the sigma of lines that are read some at a time
+        variance = np.square(round_root(variance, out=variance), out=variance)
+    made = denoise(values, variance)
+    notes.append(describe_removed(made.subspace, made.removed, made.removed_most))
+    return made.values, made.variance
+
+
+def develop_image(bench: SensorContext, notes: list[str]) -> Cube:
+    """A photograph or radiograph: nothing to calibrate, its codes as they are."""
+
+    shot = bench.average(bench.sensor.object)
+    values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
+    if shot.lost is not None:
+        notes.append(describe_gaps(shot.lost, bench.camera.name))
+        values = np.where(shot.lost.reshape(values.shape), np.float32(np.nan), values)
+    saturated = shot.saturated.reshape(values.shape)
+    flags = np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
+    variance = None
+    if shot.variance is not None:
+        variance = mean_variance(shot, step=bench.step).reshape(values.shape)
+    return cube_of(bench, np.ascontiguousarray(values, np.float32), flags, variance, "counts")
+
+
+def develop_bands(bench: SensorContext, notes: list[str]) -> Cube:
+    """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
+    bands = bench.sensor.bands
+    reflectances = np.broadcast_to(white_reflectance(bench.campaign, bands), len(bands))
+    noise = _noise_of_bands(bench)
+    shape = (*bench.facts.shape[:2], len(bands))
+    values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    variance: np.ndarray | None = np.empty(shape, np.float32)
+    quantity = "reflectance"
+    for start in range(0, len(bands), GROUP):
+        group = []
+        for i, band in enumerate(bands[start : start + GROUP], start):
+            flat = _band(bench, band.label, float(reflectances[i]), noise)
+            notes.extend(flat.notes)
+            quantity = flat.quantity
+            _check_shape(bench, band.label, flat.values.shape, shape[:2])
+            group.append(flat)
+        _interleave([flat.values for flat in group], values, start)
+        _interleave([flat.flags for flat in group], flags, start)
+        variances = [flat.variance for flat in group if flat.variance is not None]
+        if variance is not None and len(variances) == len(group):
+            _interleave(variances, variance, start)
+        else:
+            variance = None
+    return cube_of(bench, values, flags, variance, quantity)
+
+
+def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:
+    """Copy planes to a cube's bands from `start` on, in one passage over its memory."""
+    for y in range(0, len(cube), ROWS):
+        rows = np.stack([plane[y : y + ROWS] for plane in planes])
+        cube[y : y + ROWS, :, start : start + len(planes)] = np.moveaxis(rows, 0, 2)
+
+
+def _band(
+    bench: SensorContext, label: str, reflectance: float, noise: NoiseModel | None
+) -> Calibrated:
+    """One band of one file, or of one file an exposure."""
+
+    sensor = bench.sensor
+    darks = bench.templates(_of_band(sensor.dark, label))
+    shots = average_shots(bench, [f for f in sensor.object if f.band == label])
+    frames = _require(_of_band(sensor.white, label), bench, label)
+    whites = bench.templates(frames) if frames else []
+    require_same_size(bench, shots[0].mean.shape, darks, whites)
+    exposed = expose(bench, shots, darks, noise)
+    white = white_of(bench, frames, darks, noise=noise, merged=exposed.shot.above_dark)
+    doubt = check_scaling(bench, exposed, white, (shots, whites), darks)
+    note_light(bench.told, white, darks, None, [label])
+    flat = flatten(
+        bench,
+        exposed.shot,
+        darks,
+        white,
+        moved=exposed.moved,
+        white_reflectance=reflectance,
+        noise=noise,
+        defects=defects_of(darks, white, sensor.pattern),
+        labels=[label],
+    )
+    plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
+    if sensor.pattern is not None:
+        plane = equalise_phases(*plane, sensor.pattern)
+    notes = (*flat.notes, doubt) if doubt else flat.notes
+    return replace(flat, values=plane[0], flags=plane[1], variance=plane[2], notes=notes)
+
+
+def _require(frames: list[FrameRef], bench: SensorContext, label: str) -> list[FrameRef]:
+    if not frames and bench.sensor.white:
+        raise CalibrationRefused(
+            Problem(
+                "E_TEMPLATE_MISSING",
+                f"{bench.camera.name}: no white for band {label}",
+                str(bench.sensor.white[0].path.parent),
+                f"cameras.{bench.camera.name}.files",
+                "no file",
+                f"a white frame of {label}",
+                "Add the frame, or leave the band out of `wavelengths`.",
+            )
+        )
+    return frames
+
+
+def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:
+    """Templates of one band: its own where frames carry a band, else those shared by all."""
+    own = [f for f in frames if f.band == label]
+    return own or [f for f in frames if f.band is None]
+
+
+def _check_shape(
+    bench: SensorContext, label: str, found: tuple[int, ...], expected: tuple[int, ...]
+) -> None:
+    if found != expected:
+        path = next(f.path for f in bench.sensor.object if f.band == label)
+        raise CalibrationRefused(
+            Problem(
+                "E_SIZE",
+                f"{bench.camera.name}: band {label} has another size than the others",
+                str(path),
+                "width, height",
+                f"{found[1]} x {found[0]}",
+                f"{expected[1]} x {expected[0]}",
+                "Take the frame of the right camera.",
+            )
+        )
+
+
+def _noise_of_bands(bench: SensorContext) -> NoiseModel | None:
+    """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor."""
+    bands = bench.sensor.bands
+    chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})
+    shots, whites, darks = [], [], list[Template]()
+    for i in chosen:
+        label = bands[i].label
+        frames = [f for f in bench.sensor.object if f.band == label]
+        alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
+        shots.append(bench.average(alike))
+        own = bench.templates(_of_band(bench.sensor.dark, label))
+        white = white_of(bench, _of_band(bench.sensor.white, label), own)
+        require_same_size(bench, shots[-1].mean.shape, own, [white] if white else [])
+        whites.append(white)
+        darks += own if any(f.band for f in bench.sensor.dark) or not darks else []
+    return noise_of(bench, shots, whites, darks)
+
+
+DEVELOPERS = {
+    "mosaic": develop_mosaic,
+    "sensors": develop_mosaic,
+    "bands": develop_bands,
+    "cube": develop_cube,
+    "image": develop_image,
+}

@@ -1,0 +1,344 @@
+"""What a build measures of sensors, light and layers on the way, as plain records for the reports."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.core.cube import Flag
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from levkas.building.native_cubes import Native
+    from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.templates import Template
+    from levkas.core.cube import Band, Cube
+    from levkas.database.tiff_pages import TiffPages
+    from levkas.quality.image_quality.light import LightField
+
+FEW_BANDS = 5
+"""Bands of a line scan or photograph whose light is looked at."""
+LEVELS = 65535
+SENSELS = "sensels"
+"""Among what is learnt of a sensor: of the object's picture, not of the camera."""
+CLIPPED = 0.02
+"""Share of zeros from which a dark was clipped, and its spread is not noise."""
+
+
+# --- the sensor ---------------------------------------------------------------------------------
+
+
+def note_noise(
+    told: dict[str, Any],
+    noise: NoiseModel | None,
+    dark: Template | None,
+    black: float,
+    saturation: float | None,
+) -> None:
+    """Note gain, noise in the dark and range of a sensor in `told`."""
+    from levkas.quality.image_quality.dynamic_range import sensor_stops
+
+    if noise is None or saturation is None:
+        return
+    floor = float(np.mean(dark.mean)) if dark is not None else black
+    read, source = _noise_in_the_dark(dark, noise.step), noise.source
+    if read is None and noise.read_variance > noise.step**2 / 12 * 1.01:
+        read = float(np.sqrt(noise.read_variance))
+    if read is None:  # the fit had one level only, and took rounding for all there is
+        return
+    told["sensor"] = {
+        "full": saturation - floor,
+        "read_noise": read,
+        "gain": float(noise.gain),
+        "stops": sensor_stops(saturation - floor, read),
+        "source": source,
+    }
+
+
+def _noise_in_the_dark(dark: Template | None, step: float) -> float | None:
+    """Standard deviation of one dark shot, rounding included, counts; None where there is none, or it was clipped.
+
+    Of a single dark the neighbours' differences, which leave out what is fixed and smooth.
+    """
+    from levkas.calibration.noise_fit import whole_variance
+
+    if dark is None or dark.mean.size < 1000:
+        return None
+    if float(dark.mean.min()) <= 0 and float(np.mean(dark.black | (dark.mean <= 0))) > CLIPPED:
+        return None
+    if dark.count > 1 and dark.variance is not None:
+        found = float(np.median(dark.variance) if dark.count > 20 else np.mean(dark.variance))
+    else:
+        apart = np.abs(np.diff(dark.mean.astype(float), axis=1)).ravel()
+        near = apart[apart <= np.quantile(apart, 0.995)]  # hot sensels are not noise
+        found = float(np.mean(near)) ** 2 * np.pi / 4
+    return float(np.sqrt(whole_variance(found, step)))
+
+
+def note_sensels(
+    told: dict[str, Any],
+    values: np.ndarray,
+    flags: np.ndarray,
+    variance: np.ndarray | None,
+    pattern: Any,
+    labels: Sequence[str],
+) -> None:
+    """Note noise and signal-to-noise of a mosaic's sensels in `told`, channel by channel."""
+    from levkas.calibration.patterns import channel_table
+    from levkas.quality.image_quality.dynamic_range import sensel_noise
+
+    if variance is None:
+        return
+    found = sensel_noise(values, flags, variance, channel_table(pattern, labels))
+    told[SENSELS] = {
+        label: {"noise": as_number(noise), "snr": as_number(snr)}
+        for label, (noise, snr) in zip(labels, found, strict=True)
+    }
+
+
+# --- the light ----------------------------------------------------------------------------------
+
+
+def note_light(
+    told: dict[str, Any],
+    white: Template | None,
+    darks: Sequence[Template],
+    pattern: Any,
+    labels: Sequence[str],
+    *,
+    period: tuple[int, int] = (1, 1),
+) -> None:
+    """Note how even the light is on the white, channel by channel, in `told`.
+
+    A white that cannot say, because it saturates, is noted with its reason. One that is merged is in
+    counts a second: how many bits the corners keep cannot be told. Of a cube that is only
+    every so-many-th pixel a side, these are the `period`.
+    """
+    from levkas.quality.image_quality.light import LightRefused, light_field
+
+    if white is None:
+        return
+    light = told.setdefault("light", {})
+    for label, plane, saturated, apart in _planes(white, darks, pattern, labels):
+        try:
+            field = light_field(plane, saturated=saturated)
+        except LightRefused as refused:
+            light[label] = {"refused": str(refused.problems[0])}
+            continue
+        light[label] = record_light(field, (apart[0] * period[0], apart[1] * period[1]))
+        if not white.above_dark:
+            light[label]["bits"] = [round(b, 2) for b in field.bits]
+
+
+def _planes(
+    white: Template, darks: Sequence[Template], pattern: Any, labels: Sequence[str]
+) -> list[tuple[str, np.ndarray, np.ndarray, tuple[int, int]]]:
+    """(label, counts above dark, saturated, period) of every channel; of a mosaic its first phase."""
+    from levkas.calibration.darks import level_under
+    from levkas.calibration.patterns import channel_names, channel_table
+    from levkas.calibration.sensor_context import spread
+
+    under = level_under(white, list(darks))
+    if white.mean.ndim == 3:
+        above, full = white.mean - under, white.saturated
+        chosen = spread(range(len(labels)), FEW_BANDS)
+        return [(labels[i], above[..., i], full[..., i], (1, 1)) for i in chosen]
+    if pattern is None:
+        return [(labels[0], white.mean - under, white.saturated, (1, 1))]
+    table = channel_table(pattern)
+    rows, columns = table.shape
+    found = []
+    for i, _ in enumerate(channel_names(pattern)):
+        y, x = (int(n) for n in np.argwhere(table == i)[0])
+        phase = np.s_[y::rows, x::columns]
+        dark = under if under.size == 1 else np.broadcast_to(under, white.mean.shape)[phase]
+        plane = white.mean[phase] - dark
+        found.append((labels[i], plane, white.saturated[phase], (columns, rows)))
+    return found
+
+
+def record_light(field: LightField, period: tuple[int, int] = (1, 1)) -> dict[str, Any]:
+    """Return a light field as a record; `period` is of the mosaic that the plane was taken from."""
+    levels = np.round(field.levels * LEVELS).astype("<u2")
+    x, y, width, height = field.rectangle
+    across, down = period
+    return {
+        "levels": base64.b64encode(levels.tobytes()).decode("ascii"),
+        "shape": list(levels.shape),
+        "step": [field.step * across, field.step * down],
+        "size": [field.size[0] * across, field.size[1] * down],
+        "rectangle": [x * across, y * down, width * across, height * down],
+        "drop": field.drop,
+        "uniformity": field.uniformity,
+        "share": field.share,
+    }
+
+
+def levels_of(record: Mapping[str, Any]) -> np.ndarray:
+    """Return the levels of a recorded light field, (rows, columns), 0 … 1."""
+    stored = np.frombuffer(base64.b64decode(record["levels"]), "<u2")
+    return stored.reshape(record["shape"]) / LEVELS
+
+
+# --- a layer on the grid ------------------------------------------------------------------------
+
+
+def flag_and_count(
+    cube: Cube,
+    other: tuple[np.ndarray, np.ndarray] | None = None,
+    gains: np.ndarray | None = None,
+) -> dict[str, int]:
+    """Set GLARE and VEILED in the flags of reflectance; return pixels by sign, and how many were seen.
+
+    `other` are values and flags of the same pixels of the same camera under its default setup. Pixels are
+    judged one by one: rows give what the whole layer gives, for the same `gains` of the setups.
+    """
+    from levkas.core.cube import Flag
+    from levkas.quality.image_quality.glare import find_glare, flag_glare
+
+    seen = int(np.count_nonzero(((cube.flags & Flag.OUTSIDE) == 0).all(-1)))
+    if cube.quantity != "reflectance":
+        return {"seen": seen}
+    glare = find_glare(cube.values, cube.flags, cube.sigma, other=other, gains=gains)
+    flag_glare(cube.flags, glare)
+    return {"seen": seen, **glare.counts()}
+
+
+def add_counts(total: dict[str, int], more: Mapping[str, int]) -> None:
+    """Add the counts of some rows to those of the rows before."""
+    for name, count in more.items():
+        total[name] = total.get(name, 0) + count
+
+
+def count_flags(flags: np.ndarray) -> np.ndarray:
+    """Return how often each of the 256 codes occurs."""
+    counts = np.zeros(256, np.int64)
+    for row in flags:  # bincount turns what it counts into 64-bit numbers
+        counts += np.bincount(row.reshape(-1), minlength=256)
+    return counts
+
+
+def describe_flags(counts: np.ndarray) -> dict[str, float]:
+    """Return the share of pixels and bands under each flag, by its name, from `count_flags`."""
+    codes = np.arange(256)
+    total = max(int(counts.sum()), 1)
+    return {
+        flag.name.lower(): float(counts[(codes & flag.value) != 0].sum() / total)
+        for flag in Flag
+        if flag.name
+    }
+
+
+@dataclass(frozen=True)
+class DefaultLayer:
+    """A published layer on the same grid, read some rows at a time.
+
+    Parameters
+    ----------
+    values, flags : TiffPages
+    """
+
+    values: TiffPages
+    flags: TiffPages
+
+    @classmethod
+    def open(cls, values: Path, flags: Path, shape: tuple[int, int, int]) -> DefaultLayer | None:
+        """Open a layer's files; None where there is none of that (height, width, bands)."""
+        from levkas.database.tiff_pages import open_pages
+
+        if not (values.is_file() and flags.is_file()):
+            return None
+        layer = cls(open_pages(values), open_pages(flags))
+        return layer if layer.values.shape == layer.flags.shape == shape else None
+
+    def rows(self, start: int = 0, stop: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return values and flags of some rows, (rows, width, bands)."""
+        return self.values.read(start, stop), self.flags.read(start, stop)
+
+
+def ranges_of(
+    values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None, bands: Sequence[Band]
+) -> list[dict[str, Any]]:
+    """Return range, noise and signal-to-noise of every band of a layer."""
+    from levkas.quality.image_quality.dynamic_range import scene_ranges
+
+    found = scene_ranges(values, flags, sigma, [band.label for band in bands])
+    return [{name: as_number(value) for name, value in one._asdict().items()} for one in found]
+
+
+def as_number(value: Any) -> Any:
+    """Return what JSON has a word for; of floats five digits."""
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if isfinite(value) else None
+    return value
+
+
+MOST_BANDS = 24
+"""Bands of a camera whose focus is measured, evenly over all; neighbours are alike."""
+LOST = Flag.GLARE | Flag.SATURATED | Flag.OUTSIDE
+
+
+def focus_of(native: Native) -> list[dict[str, Any]]:
+    """Return the blur of the sharpest edges, band by band, before anything is resampled."""
+    return [
+        one
+        for cube in native.cubes.values()
+        for one in _focus_of(cube.values, cube.flags, cube.labels, step_of(len(cube.bands)))
+    ]
+
+
+def step_of(bands: int) -> int:
+    """Return of how many bands one is measured."""
+    return max(1, -(-bands // MOST_BANDS))
+
+
+class Middle:
+    """The middle of a scan, of the bands whose focus is measured, taken from its lines as they pass.
+
+    Parameters
+    ----------
+    shape : (lines, samples, bands)
+    bands : sequence of Band
+    """
+
+    def __init__(self, shape: tuple[int, int, int], bands: Sequence[Band]) -> None:
+        from levkas.quality.image_quality.sharpness import middle_of
+
+        self._rows, self._columns = middle_of(shape[:2])
+        self._step = step_of(len(bands))
+        self._labels = [band.label for band in bands][:: self._step]
+        size = (self._rows.stop - self._rows.start, self._columns.stop - self._columns.start)
+        self._values = np.empty((*size, len(self._labels)), np.float32)
+        self._flags = np.empty(self._values.shape, np.uint8)
+        self._line = 0
+
+    def add(self, cube: Cube) -> None:
+        """Take the next lines."""
+        first, self._line = self._line, self._line + len(cube.values)
+        low, high = max(first, self._rows.start), min(self._line, self._rows.stop)
+        if low >= high:
+            return
+        part = np.s_[low - first : high - first, self._columns, :: self._step]
+        here = slice(low - self._rows.start, high - self._rows.start)
+        self._values[here], self._flags[here] = cube.values[part], cube.flags[part]
+
+    def focus(self) -> list[dict[str, Any]]:
+        """Return what `focus_of` gives of the whole scan."""
+        return _focus_of(self._values, self._flags, self._labels, 1)
+
+
+def _focus_of(
+    values: np.ndarray, flags: np.ndarray, labels: Sequence[str], step: int
+) -> list[dict[str, Any]]:
+    from levkas.quality.image_quality.sharpness import band_sharpness
+
+    found = band_sharpness(values, labels, step=step, left_out=(flags & LOST) != 0)
+    return [
+        {"band": one.band, "blur_px": as_number(one.blur_px), "edges": one.edges} for one in found
+    ]

@@ -1,0 +1,261 @@
+"""The files of a database that speak of all its layers: catalogue, indices, imprint, manifest."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas.building.build_records import BuildRecords, Key, key_of
+from levkas.building.fingerprints import digest
+from levkas.building.progress import Step
+from levkas.building.removal import CATALOGUE
+from levkas.building.sources import code_version
+from levkas.campaign.campaign import Campaign
+from levkas.campaign.discovery.captures import Capture
+from levkas.core.ownership import IMPRINT, MARK
+from levkas.database.layout import Places
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from levkas.campaign.campaign import Campaign
+    from levkas.database.catalogue import Entry
+
+_OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
+
+
+def write_catalogue_of(
+    campaign: Campaign,
+    places: Places,
+    ledger: BuildRecords,
+    captures: list[Capture],
+    names: list[str],
+    *,
+    whole: bool = True,
+) -> Step:
+    """Catalogue, indices and manifest, where a layer came, changed or went; else nothing.
+
+    Where not the `whole` campaign is built, other objects keep their rows; so does what a campaign no
+    longer has where it is kept. A build that runs beside this one ends before or
+    after: the last to end has seen all.
+    """
+    from levkas.building.claiming import in_turn
+    from levkas.database.manifest import NAME as MANIFEST
+    from levkas.database.manifest import write_manifest
+
+    key = CATALOGUE
+    with in_turn(places.kept):
+        entries = _entries(places, ledger, captures, names, whole=whole)
+        products = ledger.hashes_of_products()
+        imprint = imprint_of(campaign, entries)
+        spectra = spectra_of(campaign, imprint["setups"])
+        others = by_others(places, ledger)
+        prints = _prints(entries, products, imprint, spectra, others)
+        why = ledger.why_stale(key, prints)
+        if not why:
+            return Step(key, "fresh", warnings=foreign_files(others))
+        ledger.forget(key)
+        made = _published(places, entries, names, imprint, spectra)
+        manifest = places.output / MANIFEST
+        listed = [path.relative_to(places.output).as_posix() for path in (*made, manifest)]
+        ledger.put_away_left(key, listed)
+        write_manifest(places.output, products)
+        ledger.keep(key, prints, [*made, manifest])
+    return Step(key, "done", why, warnings=foreign_files(others))
+
+
+def prints_of_catalogue(
+    campaign: Campaign,
+    places: Places,
+    ledger: BuildRecords,
+    captures: list[Capture],
+    names: list[str],
+) -> dict[str, Any]:
+    """Return what the files that speak of all layers hang on."""
+    entries = _entries(places, ledger, captures, names, whole=True)
+    imprint = imprint_of(campaign, entries)
+    spectra = spectra_of(campaign, imprint["setups"])
+    products = ledger.hashes_of_products()
+    return _prints(entries, products, imprint, spectra, by_others(places, ledger))
+
+
+def by_others(places: Places, ledger: BuildRecords) -> dict[str, str]:
+    """Return name → SHA-256 of the files in the database that there is no record of having made.
+
+    Catalogue, indices and what else is written from all layers is ours by its name.
+    """
+    from levkas.database.catalogue import NAME as TABLE
+    from levkas.database.manifest import NAME as MANIFEST
+    from levkas.database.manifest import is_partial, list_files
+
+    ours = {name for key in (*ledger.recorded(), CATALOGUE) for name in ledger.made_by(key)}
+    ours |= {TABLE, IMPRINT, MANIFEST}
+    there = [n for n in list_files(places.output) if n not in ours and not is_partial(n)]
+    there = [n for n in there if not _OF_ALL_LAYERS.fullmatch(n)]
+    return {n: ledger.hashes(places.output / n) for n in there if (places.output / n).is_file()}
+
+
+def foreign_files(others: dict[str, str]) -> tuple[str, ...]:
+    """Return the warning of files in the database that Levkas did not make; none where there are none."""
+    if not others:
+        return ()
+    first, more = next(iter(others)), len(others) - 1
+    named = f"{first} and {more} more" if more else first
+    them = "them" if more else "it"
+    return (
+        f"{named} in the database: Levkas has no record of having made {them}; the manifest lists "
+        f"{them}, and a publication would hold {them}. Take out what is private, then build again",
+    )
+
+
+def _prints(
+    entries: list[Entry],
+    products: dict[str, str],
+    imprint: dict[str, Any],
+    spectra: dict[str, str],
+    others: dict[str, str],
+) -> dict[str, Any]:
+    return {
+        "code": code_version("catalogue"),
+        "layers": digest({"rows": [e.to_row() for e in entries], "files": products}),
+        "campaign": digest({"imprint": imprint, "mark": MARK}),
+        "spectra": digest(spectra),
+        "files by others": digest(others),
+    }
+
+
+def _entries(
+    places: Places, ledger: BuildRecords, captures: list[Capture], names: list[str], *, whole: bool
+) -> list[Entry]:
+    """One row a layer that stands in the database."""
+    from levkas.database.catalogue import DatabaseRefused, entry_of, read_catalogue
+
+    built = {(c.object, c.camera, c.setup) for c in captures}
+    try:
+        stood = list(read_catalogue(places.output))
+    except DatabaseRefused:
+        stood = []
+    entries = [
+        e
+        for e in stood
+        if (not whole and e.object not in names)
+        or (
+            ledger.keep_removed
+            and (e.object, e.camera, e.setup) not in built
+            and ledger.told(Key(e.object, e.camera, e.setup, "resample"))
+        )
+    ]
+    for capture in captures:
+        if row := ledger.told(key_of(capture, "resample")).get("entry"):
+            entries.append(entry_of(row))
+    return sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
+
+
+def _published(
+    places: Places,
+    entries: list[Entry],
+    names: list[str],
+    imprint: dict[str, Any],
+    spectra: dict[str, str],
+) -> list[Path]:
+    """Write the files that speak of all layers; those that would say the same are left alone."""
+    from levkas.campaign.schema.toml import to_toml
+    from levkas.core.files import write_changed
+    from levkas.database.catalogue import write_catalogue
+    from levkas.database.store import write_index
+
+    made = [write_catalogue(places.output, entries), places.output / IMPRINT]
+    write_changed(made[-1], (MARK + to_toml(imprint)).encode())
+    for setup, table in spectra.items():
+        made.append(places.output / "setups" / setup / "spd.csv")
+        write_changed(made[-1], table.encode())
+    for name in sorted({*names, *(entry.object for entry in entries)}):
+        store = places.store(name)
+        if store.is_dir() and any(path.is_dir() for path in store.iterdir()):
+            made.append(write_index(store))
+    return made
+
+
+DEFAULT = "default"
+SPARE = "main"
+"""Name of the default lighting where another one is called ``default``."""
+
+
+def imprint_of(campaign: Campaign, entries: Iterable[Entry]) -> dict[str, Any]:
+    """Return what database.toml says, of what is in the database.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    entries : iterable of Entry
+        Rows of the catalogue.
+    """
+    entries = list(entries)
+    described = campaign.campaign
+    cameras = {e.camera for e in entries}
+    return {
+        "title": described.title,
+        "creator": described.creator,
+        "date": described.date,
+        "licence": described.licence,
+        "reference": described.reference.model_dump(exclude_none=True),
+        "setup": default_setup(campaign),
+        "publication": campaign.publication.model_dump(exclude_none=True),
+        "cameras": {
+            name: _camera(keys.model_dump(exclude_none=True))
+            for name, keys in campaign.cameras.items()
+            if name in cameras
+        },
+        "setups": {
+            name: {"title": keys.title, "description": keys.description, "cameras": here}
+            for name, keys in setups_of(campaign).items()
+            if (here := _under(campaign, entries, name))
+        },
+    }
+
+
+def default_setup(campaign: Campaign) -> str:
+    """Return the name under which the default lighting is described."""
+    named = campaign.setups.get(DEFAULT)
+    return campaign.campaign.setup or (SPARE if named and named.cameras else DEFAULT)
+
+
+def setups_of(campaign: Campaign) -> dict[str, Any]:
+    """Return the tables of all lightings by name, the default one first."""
+    from levkas.campaign.schema.tables import Setup
+
+    first = default_setup(campaign)
+    return {first: campaign.setups.get(first, Setup()), **campaign.setups}
+
+
+def spectra_of(campaign: Campaign, setups: Iterable[str]) -> dict[str, str]:
+    """Return the spectrum of each lighting that declares one, as setups/SETUP/spd.csv has it.
+
+    Only numbers that were read are written again, nm and relative power: whatever else a file
+    holds stays where it is.
+
+    Raises
+    ------
+    SpectrumRefused
+        Where the file is no table of two columns.
+    """
+    from levkas.building.spectra import read_table
+
+    declared = {name: keys.spectrum for name, keys in setups_of(campaign).items()}
+    tables = {n: read_table(campaign.root / path) for n in setups if (path := declared[n])}
+    return {
+        name: "wavelength,power\n" + "".join(f"{w:.9g},{v:.9g}\n" for w, v in table)
+        for name, table in tables.items()
+    }
+
+
+def _camera(keys: dict[str, Any]) -> dict[str, Any]:
+    told = ("kind", "bits", "black", "saturation", "scan", "denoise", "demosaic")
+    return {key: keys[key] for key in told if key in keys}
+
+
+def _under(campaign: Campaign, entries: list[Entry], name: str) -> list[str]:
+    """Cameras that have layers under a lighting."""
+    setup = "" if name == default_setup(campaign) else name
+    return sorted({e.camera for e in entries if e.setup == setup})

@@ -1,0 +1,537 @@
+"""Charts of a campaign or in a cube: developed, found, measured."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from glob import escape
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from levkas.core.cube import Band, Cube
+from levkas.core.problems import Problem, Refused
+from levkas.database.containment import check_inside
+from levkas.quality.targets.charts import Chart, ChartRefused, Reference, chart_of, reference_of
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure, sight
+
+if TYPE_CHECKING:
+    from levkas.building.native_cubes import Native
+    from levkas.building.template_cache import TemplateCache
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
+    from levkas.database.catalogue import Entry
+    from levkas.database.layout import Places
+
+UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
+"""Refusals that say no more than that a layer, which need not be one, is no chart."""
+
+# --- charts of a campaign, or in files ------------------------------------------------------------
+
+
+def measure_charts(
+    subject: str | Path,
+    *,
+    kind: str = "ColorChecker24",
+    cameras: Sequence[str] = (),
+    corners: np.ndarray | None = None,
+    reference: str | Path | None = None,
+    objects: Sequence[str] = (),
+) -> ChartReport:
+    """Measure the charts of a campaign or of a published database, or one in a calibrated cube.
+
+    Parameters
+    ----------
+    subject : path
+        A campaign (every chart that it declares, by every camera that saw it); a published database
+        (the charts that it keeps, or objects that are charts); or a cube: a TIFF or ENVI file of
+        reflectance.
+    kind : str
+        Of the chart in a cube; a campaign says it in `targets.charts`.
+    cameras : sequence of str
+        Only these cameras of a campaign or database.
+    corners : (4, 2), optional
+        Centres of the corner patches, native px, clockwise from the first patch.
+    reference : path, optional
+        CSV of the chart's spectra; default the published average.
+    objects : sequence of str
+        Objects of a database that are charts.
+
+    Raises
+    ------
+    Refused
+        Where the campaign, the cube or the reference cannot be read. What is wrong with single
+        charts is in the report.
+    """
+    path = Path(subject)
+    report = ChartReport()
+    if path.is_file() and path.name != "campaign.toml":
+        files = [Subject(path.name, chart_of(kind), {"": path}, True)]
+        return _measure_cubes(files, report, corners, reference)
+    if is_database(path):
+        layers = subjects_of(path, kind, cameras=cameras, objects=objects)
+        found = _measure_cubes(layers, report, corners, reference)
+        if not found.measures and not found.problems:
+            found.problems.append(
+                Problem(
+                    "E_CHART_MISSING",
+                    f"no layer of the database shows a {chart_of(kind).name}",
+                    str(path),
+                    fix="Name the object that is one with --object, or give --corners.",
+                )
+            )
+        return found
+    for capture, chart, made in _of_campaign(path, cameras, report):
+        spectra = _reference(chart, reference)
+        name = f"{capture.object}/{capture.layer}"
+        try:
+            measured = measure_capture(name, made, chart, spectra, corners=corners)
+            report.measures.append(measured)
+        except Refused as refused:
+            report.problems.extend(problems_of(name, capture, refused))
+    return report
+
+
+def _measure_cubes(
+    subjects: Iterable[Subject],
+    report: ChartReport,
+    corners: np.ndarray | None,
+    reference: str | Path | None,
+) -> ChartReport:
+    """Measure charts in calibrated cubes; a layer that need not hold one is passed over without."""
+    for subject in subjects:
+        spectra = _reference(subject.chart, reference)
+        seen: list[Sighting] = []
+        notes: tuple[str, ...] = ()
+        try:
+            for sensor, path in subject.files.items():
+                cube, notes = read_cube_file(path)
+                near = seen[0].located.corners if seen else None
+                seen.append(sight(sensor, cube, subject.chart, spectra, corners=corners, near=near))
+            made = measure(subject.name, subject.chart, seen, spectra, notes=notes)
+            report.measures.append(made)
+        except Refused as refused:
+            if not subject.certain and all(p.code in UNSEEN for p in refused.problems):
+                continue
+            file = str(next(iter(subject.files.values())))
+            report.problems.extend(replace(p, file=p.file or file) for p in refused.problems)
+    return report
+
+
+def problems_of(name: str, capture: Capture, refused: Refused) -> list[Problem]:
+    """Return what is wrong with a chart, with whose it is and where its frames stand."""
+    frame = capture.sensors[0].object[0].path
+    return [
+        replace(p, message=f"{name}: {p.message}", file=p.file or str(frame.parent))
+        for p in refused.problems
+    ]
+
+
+def _of_campaign(
+    path: Path, cameras: Sequence[str], report: ChartReport
+) -> Iterator[tuple[Capture, Chart, Developed]]:
+    """Develop every chart of a campaign; what cannot be is told in the report."""
+    from levkas.building.build_records import Hashes
+    from levkas.building.template_cache import TemplateCache
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.find_captures import find_charts
+    from levkas.database.layout import Places
+
+    campaign = load_campaign(path)
+    kinds = {name: chart_of(kind) for name, kind in campaign.targets.charts.items()}
+    if not kinds:
+        raise ChartRefused(
+            Problem(
+                "E_CHART_MISSING",
+                "the campaign declares no chart",
+                str(campaign.path),
+                "targets.charts",
+                fix='Write charts = { macbeth = "ColorChecker24" } for frames of {target} macbeth.',
+            )
+        )
+    if unknown := [name for name in cameras if name not in campaign.cameras]:
+        raise ChartRefused(
+            Problem(
+                "E_VALUE",
+                "there is no such camera",
+                str(campaign.path),
+                "--camera",
+                ", ".join(unknown),
+                ", ".join(campaign.cameras),
+            )
+        )
+    kept = Places(campaign.output).kept
+    shelf = TemplateCache(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
+    captures, refusals = find_charts(campaign)
+    report.problems.extend(p for r in refusals.values() for p in r.problems)
+    for capture in captures:
+        if not cameras or capture.camera in cameras:
+            try:
+                yield capture, kinds[capture.object], develop_chart(capture, campaign, shelf)
+            except Refused as refused:
+                report.problems.extend(
+                    problems_of(f"{capture.object}/{capture.layer}", capture, refused)
+                )
+
+
+def _reference(chart: Chart, path: str | Path | None) -> Reference | None:
+    from levkas.quality.targets.charts import parse_reference
+    from levkas.readers.text import read_text
+
+    if path is None:
+        return reference_of(chart)
+    text = read_text(Path(path), "a CSV of the chart's spectra")
+    return parse_reference(text, chart, file=str(path))
+
+
+# --- developing -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Developed:
+    """A chart's cubes, sensor by sensor, with two independent halves of the shots where there are."""
+
+    cubes: dict[str, Cube]
+    shots: dict[str, tuple[np.ndarray, np.ndarray]]
+    mosaics: frozenset[str]
+    captured: str = ""
+    steps: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """What a step from code to code is of the values of each band."""
+    count: int = 1
+    """Shots that the values are the mean of, in the band of fewest."""
+
+
+def develop_chart(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Developed:
+    """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
+    from levkas.building.calibrate import develop
+
+    mosaics = frozenset(s.name for s in capture.sensors if s.pattern is not None)
+    parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
+    if parts is None:
+        whole = develop(capture, campaign, shelf)
+        most = min(_shots_of(capture))
+        steps = _steps_of(whole)
+        return Developed(dict(whole.cubes), {}, mosaics, whole.captured or "", steps, most)
+    first, second = (develop(part, campaign, shelf) for part in parts)
+    cubes, shots = {}, {}
+    for name, a in first.cubes.items():
+        b = second.cubes[name]
+        sigma = joined_sigma(a.sigma, b.sigma)
+        cubes[name] = Cube((a.values + b.values) / 2, a.flags | b.flags, sigma, a.bands, a.quantity)
+        shots[name] = (a.values, b.values)
+    count = 2 * min(_shots_of(parts[0]))
+    return Developed(cubes, shots, mosaics, first.captured or "", _steps_of(first), count)
+
+
+def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
+    found = {name: told.get("rounding", {}) for name, told in made.learnt.items()}
+    return {
+        name: tuple(float(found[name].get(band.label, 0.0)) for band in cube.bands)
+        for name, cube in made.cubes.items()
+    }
+
+
+def _shots_of(capture: Capture) -> list[int]:
+    """Return how many shots there are of each band and exposure."""
+    groups = Counter(
+        (sensor.name, frame.band, frame.exposure_s, frame.page)
+        for sensor in capture.sensors
+        for frame in sensor.object
+    )
+    return list(groups.values())
+
+
+def _halves(capture: Capture) -> tuple[Capture, Capture] | None:
+    """Two captures of half the shots each; an odd one is left out. None where a band has one shot."""
+    halves: tuple[list[SensorFrames], list[SensorFrames]] = ([], [])
+    for sensor in capture.sensors:
+        groups: dict[Any, list[FrameRef]] = {}
+        for frame in sensor.object:
+            groups.setdefault((frame.band, frame.exposure_s, frame.page), []).append(frame)
+        if any(len(group) < 2 for group in groups.values()):
+            return None
+        for side, half in enumerate(halves):
+            chosen = [f for g in groups.values() for f in g[side : len(g) // 2 * 2 : 2]]
+            half.append(replace(sensor, object=tuple(chosen)))
+    first, second = (replace(capture, sensors=tuple(half)) for half in halves)
+    return first, second
+
+
+# --- measuring ------------------------------------------------------------------------------------
+
+
+def measure_capture(
+    name: str,
+    made: Developed,
+    chart: Chart,
+    reference: Reference | None,
+    *,
+    corners: np.ndarray | None = None,
+    uniformity: float | None = None,
+) -> ChartMeasure:
+    """Find the chart in every sensor's cube, and measure it."""
+    seen: list[Sighting] = []
+    for sensor, cube in made.cubes.items():
+        first = seen[0].located.corners if seen else None
+        shots = made.shots.get(sensor)
+        more = {"shots": shots, "steps": made.steps.get(sensor), "count": made.count}
+        seen.append(sight(sensor, cube, chart, reference, corners=corners, near=first, **more))  # type: ignore[arg-type]
+    return measure(name, chart, seen, reference, mosaics=made.mosaics, uniformity=uniformity)
+
+
+@dataclass(frozen=True)
+class ChartReport:
+    """All charts of a run: what was measured, and what was refused."""
+
+    measures: list[ChartMeasure] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether a chart was measured, and none refused."""
+        return bool(self.measures) and not self.problems
+
+    @property
+    def text(self) -> str:
+        """What a person wants to know."""
+        return "\n".join(line for m in self.measures for line in _lines(m))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields of `chart --json`."""
+        return {"charts": [m.to_dict() for m in self.measures]}
+
+    def page(self, title: str) -> str:
+        """Return a report page as HTML."""
+        from levkas import __version__
+        from levkas.pages.camera import CameraReport, render_camera
+        from levkas.pages.charts import describe_chart
+
+        return render_camera(
+            CameraReport(
+                title=title,
+                subtitle="Charts: signal, noise and colour",
+                charts=[describe_chart(m) for m in self.measures],
+                problems=[{"code": p.code, "text": str(p)} for p in self.problems],
+                footer=f"Levkas {__version__}. Places are in native pixels.",
+            )
+        )
+
+
+def _lines(measure: ChartMeasure) -> list[str]:
+    greys = list(measure.chart.greys)
+    white, black = (measure.snr_db[g] for g in (greys[0], greys[-1]))
+    agreement = min(s.located.agreement for s in measure.sightings)
+    lines = [
+        f"{measure.name}: {measure.chart.name} found, rank correlation {agreement:.3f}",
+        f"  SNR of the white patch {_span(white)}, of the black one {_span(black)} (dB of Eq. 1)",
+    ]
+    blurred = [
+        b.label for b, p in zip(measure.bands, measure.preblurs, strict=True) if p and p.found
+    ]
+    if blurred:
+        lines.append(
+            f"  noise of neighbours is alike in {', '.join(blurred)} (a camera that blurs, or demosaicing): SNR corrected"
+        )
+    lines += [
+        f"  {row.name}: {row.value:.2f} {row.unit} (FADGI {row.fadgi}, ISO 19264-1 {row.iso}; indicators only)"
+        for row in measure.rows
+    ]
+    return lines + [f"  note: {note}" for note in measure.notes]
+
+
+def _span(values: np.ndarray) -> str:
+    good = values[np.isfinite(values)]
+    return f"{good.min():.1f} to {good.max():.1f}" if good.size else "not known"
+
+
+NOTE = "one cube: the noise is the spread in each patch, its texture included"
+
+
+class Subject(NamedTuple):
+    """Where a chart may be: a name for people, the chart, cubes sensor by sensor, whether it must be there."""
+
+    name: str
+    chart: Chart
+    files: dict[str, Path]
+    certain: bool
+
+
+def is_database(path: Path) -> bool:
+    """Whether a folder is a published database, not a campaign."""
+    return (path / "catalogue.csv").is_file() and not (path / "campaign.toml").is_file()
+
+
+def subjects_of(
+    database: Path, kind: str, *, cameras: Sequence[str] = (), objects: Sequence[str] = ()
+) -> Iterator[Subject]:
+    """Yield the charts that a database keeps in charts/, and the layers of objects that are asked for.
+
+    Parameters
+    ----------
+    database : path
+    kind : str
+        Chart that is looked for in layers; charts/ says its own.
+    cameras : sequence of str
+        Only these.
+    objects : sequence of str
+        Their layers are looked at; where charts/ is empty and none is named, those of all.
+
+    Raises
+    ------
+    ChartRefused
+        E_VALUE where there is no such camera or object.
+    DatabaseRefused
+        Where the catalogue cannot be read.
+    """
+    from levkas.database.catalogue import read_catalogue
+
+    entries = read_catalogue(database)
+    kept = list(_kept(database))
+    known = {e.camera for e in entries} | {camera for camera, _ in kept}
+    _check(database, "--camera", cameras, known)
+    _check(database, "--object", objects, {e.object for e in entries})
+    for camera, subject in kept:
+        if not objects and (not cameras or camera in cameras):
+            yield subject
+    if kept and not objects:
+        return
+    for entry in entries:
+        if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
+            continue
+        layer = "_".join(part for part in (entry.object, entry.camera, entry.setup) if part)
+        file = database / "objects" / entry.object / f"{layer}.tif"
+        check_inside(database, file, file.with_name(f"{layer}.flags.tif"))
+        yield Subject(_name(entry), chart_of(kind), {"": file}, bool(objects))
+
+
+def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
+    """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
+    from levkas.readers.text import read_json
+
+    for record in sorted(database.glob("charts/*/*.json")):
+        check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))
+        told = read_json(record)
+        files = {
+            path.stem[len(record.stem) :].lstrip("_"): path
+            for path in sorted(record.parent.glob(f"{record.stem}*.tif"))
+            if "." not in path.stem
+        }
+        if isinstance(told, dict) and "chart" in told and files:
+            camera = record.stem[len(record.parent.name) + 1 :]
+            name = f"{record.parent.name}/{camera}"
+            yield camera, Subject(name, chart_of(str(told["chart"])), files, True)
+
+
+def _name(entry: Entry) -> str:
+    setup = f"@{entry.setup}" if entry.setup else ""
+    return f"{entry.object}/{entry.camera}{setup}"
+
+
+def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) -> None:
+    if unknown := [name for name in wanted if name not in known]:
+        raise ChartRefused(
+            Problem(
+                "E_VALUE",
+                "the database has no such camera"
+                if "camera" in option
+                else "there is no such object",
+                str(database),
+                option,
+                ", ".join(unknown),
+                ", ".join(sorted(known)),
+            )
+        )
+
+
+def read_cube_file(path: Path) -> tuple[Cube, tuple[str, ...]]:
+    """Read a calibrated cube from a TIFF of this package, or an ENVI file; flags where they stand beside it."""
+    if path.suffix.lower() in (".tif", ".tiff"):
+        values, bands = _read_tiff(path)
+    else:
+        from levkas.readers.frames import read_facts, read_frame
+
+        values, bands = read_frame(path), _named(read_facts(path).wavelengths)
+    values = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], np.float32)
+    if len(bands) != values.shape[2]:
+        bands = _named([np.nan] * values.shape[2])
+    beside = path.with_name(path.stem + ".flags.tif")
+    flags = np.zeros(values.shape, np.uint8)
+    if beside.is_file():
+        from levkas.database.spectral_tiff import open_pages
+
+        pages = open_pages(beside)
+        if pages.shape != values.shape:
+            raise ChartRefused(
+                Problem(
+                    "E_SIZE",
+                    "the flags are not of the cube's size",
+                    str(beside),
+                    found=" x ".join(map(str, pages.shape)),
+                    expected=" x ".join(map(str, values.shape)),
+                    fix="Put the flags there that belong to the cube, or take them away.",
+                )
+            )
+        flags = pages.read()
+    return Cube(values, flags, None, bands, "reflectance"), (NOTE,)
+
+
+def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
+    from levkas.database.reader import describe_pages
+    from levkas.database.spectral_tiff import open_pages
+    from levkas.readers.facts import check_expansion, check_memory
+
+    pages = open_pages(path)
+    samples, itemsize = prod(pages.shape), pages.dtype.itemsize
+    check_expansion(path, samples, itemsize, path.stat().st_size)
+    check_memory(path, samples, itemsize)
+    bands = describe_pages(pages).bands
+    if any(not b.wavelength >= 200 for b in bands) and all(b.label.endswith(" nm") for b in bands):
+        bands = _named([np.nan] * len(bands))  # 0, 1, 2 …: numbers of channels
+    return pages.read(), bands
+
+
+def _named(wavelengths: Any) -> tuple[Band, ...]:
+    known = [float(w) for w in (wavelengths if wavelengths is not None else [])]
+    return tuple(
+        Band(f"{w:g} nm" if np.isfinite(w) else f"channel {i + 1}", w) for i, w in enumerate(known)
+    )
+
+
+def write_chart(
+    places: Places, campaign: Campaign, capture: Capture, made: Developed, measure: ChartMeasure
+) -> list[Path]:
+    """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
+    from levkas.building.spectra import broad_centroids
+    from levkas.core.files import write_json
+    from levkas.database.credits import Credits
+    from levkas.database.layers import Layer, write_tiffs
+
+    chart, described = capture.object, campaign.campaign
+    folder = places.output / "charts" / chart
+    credits = Credits(
+        title=f"{measure.chart.name}, {capture.layer}",
+        creator=described.creator,
+        date=made.captured or described.date or "",
+        rights=described.licence,
+    )
+    centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    layer = Layer(chart, capture.camera, capture.setup, credits=credits, centroids=centroids)
+    written = []
+    for sensor, cube in made.cubes.items():
+        stem = "_".join(part for part in (layer.stem, sensor) if part)
+        written += write_tiffs(folder / stem, layer, cube)
+    record = folder / f"{layer.stem}.json"
+    write_json(record, {"chart": measure.chart.name, **measure.to_dict()})
+    return [*written, record]
+
+
+def joined_sigma(one: np.ndarray | None, other: np.ndarray | None) -> np.ndarray | None:
+    """Return sigma of the mean of two halves; None where it is not known of both."""
+    if one is None or other is None:
+        return None
+    return np.sqrt(one.astype(np.float64) ** 2 + other.astype(np.float64) ** 2).astype(
+        np.float32
+    ) / np.float32(2)

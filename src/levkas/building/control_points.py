@@ -1,0 +1,153 @@
+"""Control points that campaign.toml names: read for one capture, as check points or as seeds."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.core.problems import Problem
+from levkas.registration.manual_points import ManualPoints
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.registration.control_points import ControlPoints
+
+
+def points_file(campaign: Campaign, capture: Capture) -> Path | None:
+    """Return the file of points of a capture; None where none is named, or its object has none.
+
+    A name with {object}, {camera} or {setup} is looked for; one without is there: campaign.toml was
+    refused otherwise.
+    """
+    own, common = campaign.cameras[capture.camera].registration, campaign.registration
+    name = own.points or common.points
+    if name is None:
+        return None
+    for key in ("object", "camera", "setup"):
+        name = name.replace("{" + key + "}", getattr(capture, key))
+    path = campaign.root / name
+    return path if path.is_file() else None
+
+
+def use_of(campaign: Campaign, camera: str) -> str:
+    """Return what the points of a camera are for: ``"check"`` (default) or ``"seeds"``."""
+    return campaign.cameras[camera].registration.use or campaign.registration.use or "check"
+
+
+def placed_in(capture: Capture, band: str, channel: str) -> tuple[str, str]:
+    """Return (sensor, band) that a table of points speaks of.
+
+    Parameters
+    ----------
+    band : str
+        As the table names it; empty for the capture's first sensor.
+    channel : str
+        The capture's reference channel: what a camera's name without a band means, where the first
+        sensor has it; else the sensor's middle band.
+    """
+    sensor = next((s for s in capture.sensors if band in [b.label for b in s.bands]), None)
+    if band and sensor is not None:
+        return sensor.name, band
+    first = capture.sensors[0]
+    labels = [b.label for b in first.bands]
+    return first.name, channel if channel in labels else labels[len(labels) // 2]
+
+
+def declared_points(
+    campaign: Campaign, capture: Capture, channel: str = ""
+) -> dict[str, ManualPoints]:
+    """Return the points of a capture by sensor, as a registration takes them; `channel` as of `placed_in`.
+
+    Raises
+    ------
+    PointsRefused
+        Where the file cannot be read, or names a band that the camera does not have.
+    """
+    path = points_file(campaign, capture)
+    if path is None:
+        return {}
+    labels = {b.label: sensor.name for sensor in capture.sensors for b in sensor.bands}
+    found: dict[str, ManualPoints] = {}
+    for band, points in _of_capture(campaign, capture, path).items():
+        if band and band not in labels:
+            from levkas.registration.control_points import PointsRefused
+
+            raise PointsRefused(
+                Problem(
+                    "E_BAND_MISSING",
+                    f"points of a band that {capture.layer} does not have",
+                    file=str(path),
+                    found=band,
+                    expected=", ".join(labels)[:200],
+                )
+            )
+        sensor, placed = placed_in(capture, band, channel)
+        pairs = placed_pairs(_given(points, use_of(campaign, capture.camera)), placed)
+        found[sensor] = joined(found[sensor], pairs) if sensor in found else pairs
+    return found
+
+
+def told_points(campaign: Campaign, capture: Capture) -> dict[str, str]:
+    """Return what a registration's fingerprint says of the points."""
+    from levkas.core.digests import hash_file
+
+    path = points_file(campaign, capture)
+    if path is None:
+        return {}
+    name = (
+        path.relative_to(campaign.root).as_posix()
+        if path.is_relative_to(campaign.root)
+        else path.name
+    )
+    return {
+        f"points {name}": hash_file(path)[:16],
+        "registration.use": use_of(campaign, capture.camera),
+    }
+
+
+def placed_pairs(pairs: ManualPoints, band: str) -> ManualPoints:
+    """Return pairs whose check points were placed in one band."""
+    return replace(pairs, placed=(band,) * len(pairs.checks))
+
+
+def joined(one: ManualPoints, other: ManualPoints) -> ManualPoints:
+    """Return the pairs of both, whose check points all say in which band they were placed."""
+    kinds = [f.name for f in fields(ManualPoints) if f.name != "placed"]
+    pairs = {kind: np.concatenate([getattr(one, kind), getattr(other, kind)]) for kind in kinds}
+    return ManualPoints(**pairs, placed=one.placed + other.placed)
+
+
+def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, ControlPoints]:
+    from levkas.registration.control_points import PointsRefused
+    from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
+    from levkas.registration.control_points.reading import read_points
+
+    if is_table_of_frames(path):
+        rows = read_table_of_frames(path)
+        own = (capture.object, capture.layer)
+        return {band: points for (*frame, band), points in rows.items() if tuple(frame) == own}
+    name = campaign.registration.points or ""
+    if not campaign.cameras[capture.camera].registration.points and "{camera}" not in name:
+        raise PointsRefused(
+            Problem(
+                "E_VALUE",
+                "one file of points cannot be that of every camera",
+                file=str(path),
+                field="registration.points",
+                found=name,
+                expected="a name with {camera}, or a CSV with the columns object and camera",
+                fix=f"Name it in [cameras.{capture.camera}.registration].",
+            )
+        )
+    return {"": read_points(path)}
+
+
+def _given(points: ControlPoints, use: str) -> ManualPoints:
+    pairs = np.hstack([points.reference, points.target])
+    checks = points.enabled & (points.check | (use == "check"))
+    return ManualPoints(added=pairs[points.enabled & ~checks], checks=pairs[checks])

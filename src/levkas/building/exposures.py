@@ -1,0 +1,373 @@
+"""Exposures of one sensor: an object's shots as one, its white, and the noise that both tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.building.capture_statistics import note_noise
+from levkas.calibration.darks import SAME_TIME
+from levkas.calibration.defects import find_defects
+from levkas.calibration.exposures import best_exposure, merge_exposures
+from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
+from levkas.calibration.invalid_values import describe_gaps, gaps_of
+from levkas.calibration.linearity import check_linearity, require_reciprocity
+from levkas.calibration.motion import find_moved
+from levkas.calibration.noise_fit import fit_noise, fit_noise_single, level_of
+from levkas.calibration.patterns import channel_table
+from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
+from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.whites import reflectance_table
+from levkas.campaign.discovery.captures import CaptureRefused
+from levkas.core.cube import Cube, Flag
+from levkas.core.problems import Problem
+from levkas.core.rounding import round_root, round_values
+from levkas.quality.image_quality.glare import mark_glare
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from levkas.calibration.exposures import Merged
+    from levkas.calibration.noise_fit import NoiseModel
+    from levkas.campaign.discovery.captures import FrameRef
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """An object's frames as one; merged exposures are above dark, and say what moved."""
+
+    shot: Template
+    moved: np.ndarray | None = None
+
+
+def average_shots(bench: SensorContext, frames: Sequence[FrameRef]) -> list[Template]:
+    """Average the object's shots, exposure by exposure."""
+    times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
+    if len(times) > 1 and bench.camera.exposures == "one":
+        raise CaptureRefused(
+            Problem(
+                "E_EXPOSURES",
+                f"{bench.camera.name}: shots of several exposures",
+                str(frames[0].path.parent),
+                f"cameras.{bench.camera.name}.exposures",
+                ", ".join(f"{t:g} s" for t in times if t),
+                "one exposure",
+                'Write exposures = "best" (the longest unsaturated) or "merge".',
+            )
+        )
+    return [bench.average([f for f in frames if exposure_of(f) == t]) for t in times]
+
+
+def expose(
+    bench: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
+) -> Exposed:
+    """The object's frames as one: averaged, the best exposure, or all merged above dark."""
+
+    if len(shots) == 1:
+        return Exposed(shots[0])
+    if bench.camera.exposures == "merge":
+        merged = _merge(bench, shots, darks, noise)
+        return Exposed(merged.template, moved=merged.moved)
+    return Exposed(best_exposure(shots))
+
+
+def _merge(
+    bench: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
+) -> Merged:
+    """An exposure series in counts a second above dark."""
+
+    if bench.saturation is None:
+        raise CalibrationRefused(
+            Problem(
+                "E_VALUE",
+                f"{bench.camera.name}: exposures cannot be merged without a saturation level",
+                field=f"cameras.{bench.camera.name}.saturation",
+                fix="Declare `bits` or `saturation`.",
+            )
+        )
+    pattern = bench.sensor.pattern
+    more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
+    return merge_exposures(
+        shots, darks, saturation=bench.saturation, black=bench.black, noise=noise, **more
+    )
+
+
+def white_of(
+    bench: SensorContext,
+    frames: Sequence[FrameRef],
+    darks: list[Template],
+    *,
+    noise: NoiseModel | None = None,
+    merged: bool = False,
+) -> Template | None:
+    """The white of one exposure, the best one; or several of them merged, above dark."""
+
+    if not frames:
+        return None
+    whites = bench.templates(frames)
+    if len(whites) == 1:
+        return whites[0]
+    return _merge(bench, whites, darks, noise).template if merged else best_exposure(whites)
+
+
+def check_scaling(
+    bench: SensorContext,
+    exposed: Exposed,
+    white: Template | None,
+    series: Sequence[list[Template]],
+    darks: list[Template],
+) -> str:
+    """Look whether counts may be scaled from the white's time to the object's, and say if that is not known.
+
+    `series` are exposures of one scene each: the object's, the white's. A merge has been checked already.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_EXPOSURES where a series shows that counts do not scale, with exposure and level.
+    """
+
+    taken, other = exposed.shot.exposure_s, white.exposure_s if white else None
+    if exposed.shot.above_dark or not taken or not other or abs(taken / other - 1) <= SAME_TIME:
+        return ""
+    pattern = bench.sensor.pattern
+    more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
+    hidden = bool(darks) and all(np.mean(dark.black) > 0.5 for dark in darks)
+    for shots in series:
+        if len(shots) < 2 or bench.saturation is None:
+            continue
+        found = check_linearity(
+            shots, darks, saturation=bench.saturation, black=bench.black, fit_offset=hidden, **more
+        )
+        if found.points:
+            require_reciprocity(found)
+            return ""
+    return doubt_scaling(bench, taken, other)
+
+
+def noise_of(
+    bench: SensorContext,
+    shots: list[Template],
+    whites: list[Template | None],
+    darks: list[Template],
+) -> NoiseModel | None:
+    """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
+
+    dark = darks[0] if darks else None
+    stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
+    black = bench.black or 0.0
+    fitted = None
+    if stacks:
+        stacks += [d for d in darks if d.count > 1]
+        under = [_dark_of(t, darks) for t in stacks] if darks else None
+        fitted = fit_noise(stacks, under, black=black, step=bench.step)
+    unread = fitted is not None and not any(d.count > 1 for d in darks)
+    if (fitted is None or unread) and len(shots) == len(whites):  # of a line scan there is no shot
+        under = [_dark_of(t, darks) for t in shots] if darks else None
+        more: dict[str, Any] = {"pattern": bench.sensor.pattern, "step": bench.step}
+        single = fit_noise_single(shots, whites, under, black=black, **more)
+        if fitted is None:
+            fitted = single
+        elif single is not None and fitted.read_variance <= fitted.step**2 / 12:
+            fitted = replace(fitted, read_variance=single.read_variance)
+    note_noise(bench.told, fitted, dark, black, bench.saturation)
+    return fitted
+
+
+def _dark_of(stack: Template, darks: Sequence[Template]) -> Template:
+    """Return the dark nearest in time, a dark itself where it is one of them."""
+    if any(stack is dark for dark in darks):
+        return stack
+    time = stack.exposure_s
+    timed = [
+        (abs(np.log(d.exposure_s / time)), i) for i, d in enumerate(darks) if time and d.exposure_s
+    ]
+    return darks[min(timed)[1] if timed else 0]
+
+
+def require_same_size(
+    bench: SensorContext,
+    shape: tuple[int, ...],
+    darks: Sequence[Template],
+    whites: Sequence[Template],
+) -> None:
+    """Refuse templates of another size than the object, and frames that are smaller than their pattern.
+
+    Raises CalibrationRefused, ``E_SIZE``, before anything is made of them. The templates of a push-broom
+    camera are one line.
+    """
+    lines = shape[0]
+    if bench.camera.kind == "cube" and bench.camera.scan != "mirror":
+        lines = 1
+    pattern = bench.sensor.pattern
+    if pattern is not None and (shape[0] < len(pattern) or shape[1] < len(pattern[0])):
+        found, expected = (f"{w} x {h}" for h, w in (shape[:2], (len(pattern), len(pattern[0]))))
+        small = Problem(
+            "E_SIZE",
+            "the frame is smaller than its pattern",
+            field="pattern",
+            found=found,
+            expected=f"at least {expected}",
+        )
+        raise CalibrationRefused(placed(small, bench.sensor.object))
+    problems = [
+        placed(
+            Problem(
+                "E_SIZE",
+                f"{name} and object are of different sizes",
+                found=str(template.mean.shape),
+                expected=str(shape),
+                fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+            ),
+            frames,
+        )
+        for name, found, frames in (
+            ("dark", darks, bench.sensor.dark),
+            ("white", whites, bench.sensor.white),
+        )
+        for template in found
+        if template.mean.shape != (lines, *shape[1:])
+    ]
+    if problems:
+        raise CalibrationRefused(*problems)
+
+
+def flatten(
+    bench: SensorContext,
+    shot: Template,
+    dark: list[Template],
+    white: Template | None,
+    *,
+    moved: np.ndarray | None = None,
+    **more: Any,
+) -> Calibrated:
+    """Flat-field with the files named in every refusal; `moved` is what exposures told already."""
+    try:
+        flat = flat_field(shot, dark or None, white, black=bench.black, **more)
+    except CalibrationRefused as refused:
+        frames = bench.sensor.white or bench.sensor.object
+        raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+    if bench.camera.kind != "cube" and not shot.above_dark:
+        found = _rounding(bench, shot, dark, white, **more)
+        bench.told.setdefault("rounding", {}).update(found)
+    if moved is None:
+        moved = _moved(bench, shot, dark, more.get("noise"))
+    flat = _with_movement(bench, flat, moved)
+    lost = gaps_of(shot, *dark, white)
+    if lost is None:
+        return flat
+    labels: list[str] = list(more.get("labels") or ())
+    lost = np.broadcast_to(lost, flat.values.shape)
+    note = describe_gaps(lost, labels[0] if len(labels) == 1 else bench.camera.name)
+    values, variance = flat.values, flat.variance
+    if bench.unmended:  # not replaced from its neighbours: the value is gone
+        values = np.where(lost, np.float32(np.nan), values)
+        variance = None if variance is None else np.where(lost, np.float32(np.nan), variance)
+    flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
+    notes = (*flat.notes, note)
+    return replace(flat, values=values, variance=variance, flags=flags, notes=notes)
+
+
+def _rounding(
+    bench: SensorContext,
+    shot: Template,
+    dark: list[Template],
+    white: Template | None,
+    *,
+    labels: Sequence[str],
+    white_reflectance: Any = 1.0,
+    pattern: Any = None,
+    **_: Any,
+) -> dict[str, float]:
+    """Return what a step from code to code is of the values of each band, where the light is middling."""
+
+    if white is None:
+        return dict.fromkeys(labels, bench.step)
+    pair = pair_darks(shot, dark or None, white, bench.black)
+    lit, ratio = white.mean - pair[1].mean, pair[2]
+    table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
+    scale = (
+        np.broadcast_to(reflectance_table(white_reflectance, shot, pattern), table.shape) * ratio
+    )
+    found = {}
+    for i, label in enumerate(labels):
+        y, x = (int(n) for n in np.argwhere(table == i)[0])
+        level = level_of(lit[y :: table.shape[0], x :: table.shape[1]])
+        found[label] = float(f"{bench.step * scale[y, x] / max(level, 1e-9):.4g}")
+    return found
+
+
+def _moved(
+    bench: SensorContext, shot: Template, dark: list[Template], noise: NoiseModel | None
+) -> np.ndarray | None:
+    """Return what moved between the object's shots; None where that cannot be told."""
+
+    if shot.count < 2 or noise is None or noise.source != "temporal":
+        return None
+    rows = bench.sensor.pattern or ((None,),)
+    # One number for the dark: a hot sensel's current counts as light, as it does for its noise.
+    level = float(np.median(dark[0].mean)) if dark else bench.black or 0.0
+    return find_moved(shot, noise, level, period=(len(rows), len(rows[0])))
+
+
+def _with_movement(bench: SensorContext, flat: Calibrated, moved: np.ndarray | None) -> Calibrated:
+    """Flag what moved, and say how much of it did."""
+    if moved is None or not moved.any():
+        return flat
+    share = float(np.mean(moved))
+    note = f"{bench.camera.name}: {100 * share:.2g} % of the pixels moved between shots, flagged"
+    flags = np.where(moved, flat.flags | np.uint8(Flag.MOVED), flat.flags)
+    return replace(flat, flags=flags, notes=(*flat.notes, note))
+
+
+def cube_of(
+    bench: SensorContext,
+    values: np.ndarray,
+    flags: np.ndarray,
+    variance: np.ndarray | None,
+    quantity: str,
+    *,
+    exact: bool = False,
+) -> Cube:
+    """Return values, flags and sigma of one sensor; what could not be said is 0 and flagged.
+
+    Values that are `exact` are still to be rounded.
+    """
+    sigma = None
+    if variance is not None:
+        sigma = round_root(variance, out=variance if variance.dtype == np.float32 else None)
+    if not exact:
+        values = round_values(values, out=values if values.dtype == np.float32 else None)
+    lost = ~np.isfinite(values)
+    if lost.any():
+        values = np.where(lost, np.float32(0), values)
+        flags = np.where(lost, flags | (Flag.DEFECT | Flag.OUTSIDE), flags).astype(np.uint8)
+    return Cube(values, flags, sigma, bench.sensor.bands, quantity)
+
+
+def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> np.ndarray | None:
+    """Hot sensels of the longest dark and dead ones of the white."""
+
+    if not darks and white is None:
+        return None
+    return find_defects(darks[-1] if darks else None, white, pattern)
+
+
+def mark_glare_in(cube: Cube, *, squared: bool = False) -> Cube:
+    """Return reflectance with GLARE in its flags, each value judged by itself.
+
+    With `squared` its sigma is the square of it.
+    """
+    if cube.quantity == "reflectance":
+        mark_glare(cube.values, cube.flags, cube.sigma, squared=squared)
+    return cube
+
+
+def line_noise(
+    bench: SensorContext, darks: Sequence[Template], white: Template | None
+) -> NoiseModel | None:
+    """Noise of a push-broom camera: its white is one line, seen many times."""
+    return noise_of(bench, [], [white] if white else [], list(darks))

@@ -1,0 +1,224 @@
+"""The graph of a campaign: tasks, what each of them reads, and their order; made without reading a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from levkas.building.build_records import CATALOGUE, Key
+from levkas.campaign.campaign import Campaign
+from levkas.campaign.discovery.captures import Capture
+
+NEIGHBOURS = 6
+"""Captures on either side that one is adjusted with; more know no more of a lens, and all pairs are compared."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One stage of one capture, or the page of an object or a camera, or the catalogue.
+
+    Parameters
+    ----------
+    key : Key
+    needs : tuple of Key
+        Tasks whose products it reads: it is refused, or left out, where one of them is refused.
+    uses : tuple of Key
+        Tasks whose products it reads where they are not refused.
+    capture, reference : Capture, optional
+        What it is done with, and what that is registered to; None for pages and the catalogue.
+    """
+
+    key: Key
+    needs: tuple[Key, ...] = ()
+    uses: tuple[Key, ...] = ()
+    capture: Capture | None = None
+    reference: Capture | None = None
+
+    @property
+    def leads(self) -> bool:
+        """Whether it is of the capture that the others of its object are registered to."""
+        return self.capture is self.reference
+
+    @property
+    def mates(self) -> tuple[Key, ...]:
+        """Measurements of other captures that this one is adjusted with."""
+        return tuple(key for key in self.uses if key.stage == "measure")
+
+
+Graph = Mapping[Key, Task]
+"""Tasks by their keys, each behind what it reads."""
+
+
+def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
+    """Return the tasks of a campaign in the order in which a build does them.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    captures : sequence of Capture
+        Of all objects, each object's reference first; those without a reference are left out.
+    """
+    tasks: dict[Key, Task] = {}
+    for mine in by_object(captures).values():
+        if not has_reference(campaign, mine):
+            continue
+        here = [
+            task
+            for capture in _in_order(mine)
+            for task in _tasks_of(campaign, capture, mine, captures)
+        ]
+        tasks |= {task.key: task for task in here}
+        report = Key(mine[0].object, stage="report")
+        layers = tuple(task.key for task in here if task.key.stage == "resample")
+        tasks[report] = Task(report, uses=layers)
+    for camera in calibrated_cameras(campaign, captures):
+        learnt = [keys_of(campaign, c)["calibrate"] for c in captures if c.camera == camera]
+        key = page_key(camera)
+        tasks[key] = Task(key, uses=tuple(k for k in learnt if k in tasks))
+    pages = tuple(key for key in tasks if key.stage in ("report", "camera"))
+    tasks[CATALOGUE] = Task(CATALOGUE, uses=pages)
+    # What captures that are adjusted together saw comes first, object by object.
+    first = [key for key in tasks if key.stage == "measure"]
+    return {task.key: task for task in ordered(tasks, [*first, *tasks])}
+
+
+def ordered(tasks: Graph, wanted: Iterable[Key]) -> Iterator[Task]:
+    """Yield tasks and all that they read, each once and behind what it reads."""
+    done: set[Key] = set()
+
+    def visit(key: Key) -> Iterator[Task]:
+        if key in done or key not in tasks:
+            return
+        done.add(key)
+        task = tasks[key]
+        for before in (*task.needs, *task.uses):
+            yield from visit(before)
+        yield task
+
+    for key in wanted:
+        yield from visit(key)
+
+
+def keys_of(campaign: Campaign, capture: Capture) -> dict[str, Key]:
+    """Return the keys of a capture's stages in their order, with `measure` where it is adjusted."""
+    joint = ("measure",) if campaign.is_joint(capture.camera) else ()
+    stages = ("calibrate", *joint, "register", "resample")
+    return {s: Key(capture.object, capture.camera, capture.setup, s) for s in stages}
+
+
+def page_key(camera: str) -> Key:
+    """Return the key of the task that writes a camera's page."""
+    return Key("", camera, stage="camera")
+
+
+def by_object(captures: Iterable[Capture]) -> dict[str, list[Capture]]:
+    """Return captures by the name of their object, in their order."""
+    found: dict[str, list[Capture]] = {}
+    for capture in captures:
+        found.setdefault(capture.object, []).append(capture)
+    return found
+
+
+def has_reference(campaign: Campaign, captures: Sequence[Capture]) -> bool:
+    """Tell whether the captures of an object begin with the reference camera's own."""
+    return bool(captures) and is_reference(campaign, captures[0])
+
+
+def is_reference(campaign: Campaign, capture: Capture) -> bool:
+    """Tell whether the other captures of its object are registered to this one."""
+    return capture.camera == campaign.reference.camera and not capture.setup
+
+
+def calibrated_cameras(campaign: Campaign, captures: Sequence[Capture]) -> list[str]:
+    """Return the cameras that have a page; plain images, where nothing is calibrated, have none."""
+    seen = {c.camera for c in captures if campaign.cameras[c.camera].kind != "image"}
+    return [name for name in campaign.cameras if name in seen]
+
+
+def default_of(capture: Capture, captures: Iterable[Capture]) -> Capture | None:
+    """Return the same camera's capture of the object under its default setup; None for that itself."""
+    if not capture.setup:
+        return None
+    alike = (c for c in captures if c.object == capture.object and c.camera == capture.camera)
+    return next((c for c in alike if not c.setup), None)
+
+
+def mates_of(campaign: Campaign, capture: Capture, captures: Sequence[Capture]) -> list[Capture]:
+    """Return the other captures that one is adjusted with, by the same camera, in the order of their names.
+
+    The reference camera's own under its default setup are the frames of all others: they are adjusted
+    with one another only, and other setups of that camera with other setups. Of many captures these are
+    the nearest in that order, so that one more changes few of the others.
+    """
+    leads = is_reference(campaign, capture)
+    alike = [c for c in captures if c.camera == capture.camera]
+    ring = sorted((c for c in alike if is_reference(campaign, c) == leads), key=_name)
+    place = [_name(other) for other in ring].index(_name(capture))
+    if len(ring) > 2 * NEIGHBOURS + 1:
+        steps = range(place - NEIGHBOURS, place + NEIGHBOURS + 1)
+        ring = sorted((ring[step % len(ring)] for step in steps), key=_name)
+    return [other for other in ring if _name(other) != _name(capture)]
+
+
+def draw(graph: Graph, states: Mapping[Key, str]) -> str:
+    """Return a graph as a Mermaid flow chart: a box a task with its state, an arrow to each that reads it.
+
+    Parameters
+    ----------
+    states : mapping of Key to str
+        ``fresh``, ``stale``, ``refused``; a task without one is drawn as ``refused``.
+    """
+    drawn = [*graph.values()]
+    numbers = {task.key: f"t{n}" for n, task in enumerate(drawn)}
+    lines = ["flowchart LR"]
+    for name in dict.fromkeys(task.key.object for task in drawn):
+        lines += [f'  subgraph "{name}"'] if name else []
+        for task in drawn:
+            if task.key.object == name:
+                state = states.get(task.key, "refused")
+                what = f"{task.key.layer} {task.key.stage}".strip()
+                lines.append(f'    {numbers[task.key]}["{what}"]:::{state}')
+        lines += ["  end"] if name else []
+    for task in drawn:
+        for arrow, keys in (("-->", task.needs), ("-.->", task.uses)):
+            lines += [
+                f"  {numbers[key]} {arrow} {numbers[task.key]}" for key in keys if key in numbers
+            ]
+    lines += ["  classDef fresh fill:#dfd", "  classDef stale fill:#ffd"]
+    return "\n".join([*lines, "  classDef refused fill:#fdd", ""])
+
+
+def _tasks_of(
+    campaign: Campaign, capture: Capture, mine: Sequence[Capture], captures: Sequence[Capture]
+) -> Iterator[Task]:
+    """Yield the tasks of one capture."""
+    keys, lead = keys_of(campaign, capture), keys_of(campaign, mine[0])
+    own = capture is mine[0]
+    frame = () if own else (lead["calibrate"], lead["register"])
+    of = (capture, mine[0])
+    yield Task(keys["calibrate"], (), (), *of)
+    if "measure" in keys:
+        mates = mates_of(campaign, capture, captures)
+        seen = tuple(keys_of(campaign, c)["measure"] for c in mates)
+        yield Task(keys["measure"], (*frame, keys["calibrate"]), (), *of)
+        yield Task(keys["register"], (keys["measure"], *frame), seen, *of)
+    else:
+        yield Task(keys["register"], (keys["calibrate"], *frame), (), *of)
+    drawn = (keys["calibrate"], keys["register"], *frame, *(() if own else (lead["resample"],)))
+    default = default_of(capture, mine)
+    compared = (
+        () if default is None or default is mine[0] else (keys_of(campaign, default)["resample"],)
+    )
+    yield Task(keys["resample"], drawn, compared, *of)
+
+
+def _in_order(mine: Sequence[Capture]) -> list[Capture]:
+    """The reference, then the others, most bands first: little is left to write at the end.
+
+    The default lighting comes first: layers of others are compared with it.
+    """
+    return [mine[0], *sorted(mine[1:], key=lambda c: (bool(c.setup), -len(c.bands)))]
+
+
+def _name(capture: Capture) -> tuple[str, str]:
+    return capture.object, capture.layer

@@ -1,0 +1,361 @@
+"""One capture registered to the reference band, and the record of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas import __version__
+from levkas.building.build_records import Written
+from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
+from levkas.core.problems import Problem, Refused
+from levkas.geometry.transforms import Affine, Composed
+from levkas.pages.figures import draw_basis, draw_trace
+from levkas.registration import Registration, RegistrationRefused, register
+from levkas.registration.joint import SensorObservations
+from levkas.registration.manual_points import ManualPoints
+from levkas.registration.record import COLUMNS, Matches
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from levkas.building.native_cubes import Native
+    from levkas.building.reference import ReferenceFrame
+    from levkas.building.scans import Scan
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
+    from levkas.geometry.grid import Grid
+    from levkas.registration import BandImage
+    from levkas.registration.manual_points import ManualPoints
+    from levkas.registration.record import Matches
+
+_COLUMNS = tuple(column.name for column in fields(Matches))
+_WORDS = ("state", "reason")
+
+
+def measure(
+    capture: Capture, native: Native | Scan, frame: ReferenceFrame, campaign: Campaign
+) -> Measured:
+    """Register a capture by itself; `frame` takes the registration of the reference camera's own."""
+    leads = capture is frame.capture
+    own = None if leads else frame.registration()
+    channel = frame.channel(capture)
+    options = dict(campaign.registration_of(capture.camera))
+    method = options.get("method", "levkas")
+    given, by_hand = corrections_of(campaign, capture, channel)
+    options |= by_hand
+    grid, sampling, region = frame.layout()
+    if method == "levkas":
+        options["ready"] = partial(frame.prepared, region, own=leads)
+    found, refused = None, None
+    try:
+        found = register_capture(native, frame.images, frame.band, own, region, options, given)
+    except RegistrationRefused as error:
+        refused = error
+    if leads and found is not None:
+        frame.registered(found)
+    frame.rest()
+    record = _heading(capture, frame, grid, sampling, channel) | {"method": method}
+    record |= _refusal(refused) if found is None else _results(found, native)
+    problems = verdict_problems(record, capture, refused)
+    if found is None:
+        return Measured(record, problems=problems, figures=draw_figures(record))
+    figures = draw_trace(found.matches, found.trace) if found.trace is not None else []
+    return Measured(
+        record,
+        {"": found.matches, **found.others},
+        () if problems else found.observations,
+        problems,
+        [[figure.svg, figure.caption] for figure in figures] or draw_figures(record),
+    )
+
+
+def write_measured(measured: Measured, path: Path, before: Callable[[], object]) -> Written:
+    """Keep a capture's own registration beside the database; `before` as of `core.files.together`."""
+    make_folder(path.parent)
+    with together(before):
+        write_bytes(path, measured.to_bytes())
+    return Written([], {"figures": measured.figures}, aside=(path,))
+
+
+def publish_registration(
+    measured: Measured, capture: Capture, places: Places, before: Callable[[], object]
+) -> Written:
+    """Write the record and the matches of a registration; `before` as of `core.files.together`."""
+    with together(before):
+        files = write_registration(places, capture, measured.record, measured.matches)
+    notes = {"refused": [p.to_dict() for p in measured.problems], "figures": measured.figures}
+    verdict = measured.record["verdict"]
+    warnings: tuple[str, ...] = ()
+    if verdict["decision"] == "warn" and not measured.problems:
+        warnings = (f"{capture.object}/{capture.layer}: {' '.join(verdict['reasons'])}",)
+    return Written(files, notes, warnings=warnings, problems=measured.problems)
+
+
+def draw_figures(record: dict[str, Any]) -> list[list[str]]:
+    """Return the figures, SVG and caption each, of what a map rests on; none where the record does not say."""
+    figures = draw_basis(record["trace"], record["reference"]["size"])
+    return [[figure.svg, figure.caption] for figure in figures]
+
+
+def verdict_problems(
+    record: dict[str, Any], capture: Capture, refused: Refused | None
+) -> tuple[Problem, ...]:
+    """Return the problems of a registration that is refused; none for one that is accepted."""
+    if refused is not None:
+        return tuple(refused.problems)
+    verdict = record["verdict"]
+    if verdict["decision"] != "refuse":
+        return ()
+    reasons = " ".join(verdict["reasons"])
+    return (
+        Problem(
+            "E_VERDICT",
+            f"{capture.object}/{capture.layer}: the registration cannot be believed: {reasons}",
+            field=f"cameras.{capture.camera}.registration",
+            fix=verdict["next_step"] or None,
+        ),
+    )
+
+
+def register_capture(
+    native: Native | Scan,
+    reference: Sequence[BandImage],
+    reference_band: str,
+    own: Registration | None,
+    region: tuple[float, float, float, float] | None,
+    options: dict[str, Any],
+    given: Mapping[str, ManualPoints] | None = None,
+) -> Registration:
+    """Register every band of a capture; `own` is the reference camera's registration, None for itself.
+
+    `given` are pairs by hand, by sensor, in native pixels.
+
+    Raises RegistrationRefused where there is no answer at all.
+    """
+    if own is None:
+        return register(
+            reference, reference, reference_band=reference_band, region=region, given=given,
+            **options,
+        )  # fmt: skip
+    given = {sensor: pairs.reduced(native.factor) for sensor, pairs in (given or {}).items()}
+    if options.get("method", "levkas") == "levkas":
+        options = {
+            **options,
+            "reference_transforms": own.transforms,
+            "reference_sigma": own.sigma,
+        }
+    aligns = {s: a for s, a in native.aligns.items() if a != "measure"}
+    if aligns and options.get("method") == "mirhashemi2019":
+        options = {**options, "align": {s: Affine(np.array(a, float)) for s, a in aligns.items()}}
+    found = register(
+        reference, native.images(), reference_band=reference_band, region=region, given=given,
+        **options,
+    )  # fmt: skip
+    return found if native.factor == 1 else _enlarged(found, native.factor)
+
+
+def corrections_of(
+    campaign: Campaign, capture: Capture, channel: str = ""
+) -> tuple[dict[str, ManualPoints], dict[str, float]]:
+    """Return the pairs by hand of a capture, by sensor, and `reject` and `stop` where set by hand.
+
+    Pairs come from edits.toml and from the file of points that campaign.toml names; `channel` is the
+    capture's reference channel.
+    """
+    given, options = {}, {}
+    for band, edits in campaign.edits.of_layer(capture.object, capture.layer).items():
+        sensor, placed = placed_in(capture, band, channel)
+        given[sensor] = placed_pairs(ManualPoints(**edits.pairs()), placed)
+        for key in ("reject", "stop"):
+            if getattr(edits, key) is not None:
+                options[key] = getattr(edits, key)
+    for sensor, pairs in declared_points(campaign, capture, channel).items():
+        given[sensor] = pairs if sensor not in given else joined(given[sensor], pairs)
+    return given, options
+
+
+def _enlarged(found: Registration, factor: int) -> Registration:
+    """Turn a registration of reduced pictures into one of native pixels."""
+    middle = (factor - 1) / 2
+    grow = Affine(np.array([[factor, 0, middle], [0, factor, middle]], float))
+    return replace(
+        found,
+        transforms={label: Composed(one, grow) for label, one in found.transforms.items()},
+        matches=replace(found.matches, target=grow(found.matches.target)),
+        others={s: replace(m, target=grow(m.target)) for s, m in found.others.items()},
+        errors=_with_enlarged_checks(found.errors, grow),
+        trace=None,
+        observations=tuple(one.enlarged(grow) for one in found.observations),
+    )
+
+
+def _with_enlarged_checks(errors: dict[str, Any], grow: Affine) -> dict[str, Any]:
+    if "check_points" not in errors:
+        return errors
+    points = [
+        one | {"target": grow(np.array([one["target"]]))[0].tolist()}
+        for one in errors["check_points"]
+    ]
+    return errors | {"check_points": points}
+
+
+def _heading(
+    capture: Capture, frame: ReferenceFrame, grid: Grid, px_per_mm: float | None, channel: str
+) -> dict[str, Any]:
+    """Return the part of registration/CAMERA.json that says what was registered to what."""
+    return {
+        "levkas": __version__,
+        "object": capture.object,
+        "camera": capture.camera,
+        "setup": capture.setup,
+        "method": "",
+        "reference": frame.description(),
+        "target": {"camera": capture.camera, "setup": capture.setup, "band": channel},
+        "grid": {
+            "size": list(grid.size),
+            "transform": grid.transform.to_dict(),
+            "px_per_mm": px_per_mm,
+        },
+    }
+
+
+def _refusal(refused: RegistrationRefused | None) -> dict[str, Any]:
+    """Return the part of the record of a registration that came to no answer."""
+    problems = refused.problems if refused else ()
+    return {
+        "verdict": {
+            "decision": "refuse",
+            "reasons": [str(p.message) for p in problems],
+            "next_step": next((p.fix for p in problems if p.fix), ""),
+            "numbers": {},
+        },
+        "model": {"kind": "none"},
+        "bands": {},
+        "errors": {},
+        "trace": refused.trace.to_dict() if refused and refused.trace else {},
+    }
+
+
+def _results(registration: Registration, native: Native | Scan) -> dict[str, Any]:
+    """Return the part of the record that holds maps, verdict and evidence."""
+    record = registration.to_dict()
+    bands = {
+        label: {"size": native.size_of(label), "transform": transform.to_dict()}
+        for label, transform in registration.transforms.items()
+    }
+    for label, sigma in registration.sigma.items():
+        bands[label]["sigma"] = sigma.to_dict()
+    keep = ("method", "verdict", "model", "errors", "trace")
+    return {**{k: record[k] for k in keep}, "bands": bands}
+
+
+def table_of(matches: Matches) -> str:
+    """Return CAMERA.matches.csv, or that of another sensor than the first."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(matches.rows())
+    return text.getvalue()
+
+
+def write_registration(
+    places: Places, capture: Capture, record: dict[str, Any], matches: Mapping[str, Matches]
+) -> list[Path]:
+    """Write a registration's record and its tables of matches, and take older tables away.
+
+    `matches` are by sensor, the first one's under "". Raises WriteRefused.
+    """
+    name, layer = capture.object, capture.layer
+    path = places.registration(name, layer)
+    make_folder(path.parent)
+    write_json(path, record)
+    tables = {places.matches(name, layer, sensor): pairs for sensor, pairs in matches.items()}
+    for place, pairs in tables.items():
+        write_text(place, table_of(pairs))
+    names = [places.matches(name, layer, sensor.name) for sensor in capture.sensors]
+    for place in sorted({places.matches(name, layer), *names} - tables.keys()):
+        if place.is_file():
+            remove(place)
+    return [path, *tables]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A capture registered by itself.
+
+    Parameters
+    ----------
+    record : dict
+        Of registration/CAMERA.json.
+    matches : dict of sensor to Matches
+        As tables are written of them: the first sensor's under "".
+    observations : tuple of SensorObservations
+        Empty where it was refused.
+    problems : tuple of Problem
+        Why it was refused.
+    figures : list of [SVG, caption]
+        What the map rests on, for the report; not kept in its file.
+    """
+
+    record: dict[str, Any]
+    matches: dict[str, Matches] = field(default_factory=dict)
+    observations: tuple[SensorObservations, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    figures: list[list[str]] = field(default_factory=list)
+
+    def to_bytes(self) -> bytes:
+        """Return all of it as one file of arrays."""
+        arrays: dict[str, np.ndarray] = {}
+        for k, pairs in enumerate(self.matches.values()):
+            for column in _COLUMNS:
+                values = getattr(pairs, column)
+                arrays[f"matches {k} {column}"] = (
+                    values.astype(str) if column in _WORDS else np.asarray(values)
+                )
+        for k, one in enumerate(self.observations):
+            arrays |= {f"sensor {k} {n}": a for n, a in one.to_arrays().items()}
+        told = {
+            "record": self.record,
+            "sensors": list(self.matches),
+            "observations": len(self.observations),
+            "problems": [problem.to_dict() for problem in self.problems],
+        }
+        arrays["told"] = np.array(json.dumps(told))
+        packed = io.BytesIO()
+        np.savez_compressed(packed, allow_pickle=False, **arrays)
+        return packed.getvalue()
+
+    @classmethod
+    def read(cls, path: Path) -> Measured:
+        """Read what `to_bytes` gave; raises OSError, KeyError or ValueError on anything else."""
+        with np.load(path, allow_pickle=False) as packed:
+            arrays = dict(packed)
+        told = json.loads(str(arrays["told"]))
+        matches = {
+            sensor: _matches(_under(arrays, f"matches {k} "))
+            for k, sensor in enumerate(told["sensors"])
+        }
+        observations = tuple(
+            SensorObservations.from_arrays(_under(arrays, f"sensor {k} "))
+            for k in range(told["observations"])
+        )
+        problems = tuple(Problem(**problem) for problem in told["problems"])
+        return cls(told["record"], matches, observations, problems)
+
+
+def _under(arrays: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    return {k.removeprefix(name): a for k, a in arrays.items() if k.startswith(name)}
+
+
+def _matches(columns: Mapping[str, np.ndarray]) -> Matches:
+    return Matches(*(columns[c].astype(object) if c in _WORDS else columns[c] for c in _COLUMNS))

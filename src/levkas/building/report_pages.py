@@ -1,0 +1,261 @@
+"""The report page of an object from the records of its layers."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas import __version__
+from levkas.building import provenance
+from levkas.building.build_records import Key, key_of
+from levkas.building.fingerprints import written
+from levkas.campaign.schema.toml import to_toml
+from levkas.core.files import make_folder, together, write_json, write_text
+from levkas.database.registrations import read_registration
+from levkas.pages.page import (
+    CloseUpRow,
+    CloseUps,
+    Figure,
+    LayerReport,
+    ObjectReport,
+    describe_flags,
+    describe_model,
+    embed_png,
+    render_page,
+)
+from levkas.pages.radiometry import RadiometryRow, describe_layer
+from levkas.quality.targets.places import choose_places
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from levkas.building.build_records import BuildRecords
+    from levkas.building.progress import Step
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
+
+
+def write_report(
+    campaign: Campaign,
+    places: Places,
+    records: BuildRecords,
+    captures: list[Capture],
+    steps: list[Step],
+) -> list[Path]:
+    """Write the page of an object, its museum facts and its provenance; return the files.
+
+    Raises
+    ------
+    WriteRefused
+    """
+    name = captures[0].object
+    folder = places.folder(name)
+    page, facts, made_of = (folder / n for n in ("report.html", "object.toml", provenance.NAME))
+    described = campaign.objects.get(name)
+    make_folder(folder)
+    with together(partial(records.forget, Key(name, stage="report"))):
+        write_text(page, report_of(campaign, places, records, name, captures, steps))
+        write_text(facts, to_toml({"name": name, **(described.model_dump() if described else {})}))
+        write_json(made_of, provenance.provenance_of(campaign, records, name, captures))
+    return [page, facts, made_of]
+
+
+def report_of(
+    campaign: Campaign,
+    places: Places,
+    ledger: BuildRecords,
+    name: str,
+    captures: list[Capture],
+    steps: list[Step],
+) -> str:
+    """Return the HTML of an object's report."""
+    layers = [layer for c in captures if (layer := _layer(campaign, places, ledger, c)) is not None]
+    facts = campaign.objects.get(name)
+    told = (
+        [facts.creator, facts.date or "", facts.medium, facts.owner, facts.inventory]
+        if facts
+        else []
+    )
+    told += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
+    told += [campaign.campaign.licence]
+    problems = [
+        {"code": p.code, "text": written(campaign, p)}
+        for step in steps
+        if step.state in ("refused", "failed")
+        for p in step.problems
+    ]
+    reference = campaign.reference
+    sampling = _sampling(places, captures)
+    return render_page(
+        "report.html",
+        page=ObjectReport(
+            title=(facts.title if facts else "") or name,
+            facts=[text for text in dict.fromkeys(told) if text],
+            reference=f"{reference.camera}:{reference.band or 'middle band'}",
+            layers=layers,
+            problems=problems,
+            mm_per_px=sampling,
+            footer=f"Levkas {__version__}. Object {name}; every figure is in pixels of the reference band unless it says otherwise.",
+            views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
+            radiometry=radiometry_rows(ledger, captures),
+            setups=close_ups(places, captures),
+        ),
+    )
+
+
+def _layer(
+    campaign: Campaign, places: Places, ledger: BuildRecords, capture: Capture
+) -> LayerReport | None:
+    path = places.registration(capture.object, capture.layer)
+    calibrated = ledger.told(key_of(capture, "calibrate"))
+    if not path.is_file() or not calibrated:
+        return None
+    record: dict[str, Any] = read_registration(path)
+    registered, resampled = (
+        ledger.told(key_of(capture, "register")),
+        ledger.told(key_of(capture, "resample")),
+    )
+    verdict, errors = record["verdict"], record.get("errors", {})
+    preview = places.layer(capture.object, capture.camera, capture.setup, kind=".png")
+    shown = preview.is_file() and verdict["decision"] != "refuse"
+    is_reference = capture.camera == campaign.reference.camera and not capture.setup
+    ssim, ssim_map = resampled.get("ssim"), resampled.get("ssim_map", "")
+    return LayerReport(
+        name=capture.layer,
+        bands=[band.label for band in capture.bands],
+        quantity=str(calibrated.get("quantity", "")),
+        decision="reference"
+        if is_reference and verdict["decision"] == "accept"
+        else verdict["decision"],
+        method=record["method"],
+        model=describe_model(record.get("model", {})),
+        reasons=verdict["reasons"],
+        next_step=verdict["next_step"],
+        warnings=calibrated.get("warnings", []),
+        error=_error(errors),
+        checks=_checks(errors),
+        ssim="–" if ssim is None else f"{ssim:.3f}",
+        flags=describe_flags(resampled.get("flags", {})),
+        preview=preview.name if shown else "",
+        description=str(resampled.get("description", "")) or f"{len(capture.bands)} bands",
+        figures=[Figure(svg, caption) for svg, caption in registered.get("figures", [])],
+        ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
+        columns=("shift at the centre, px", "x", "y"),
+        rows=_band_rows(record),
+    )
+
+
+def _error(errors: dict[str, Any]) -> str:
+    """Error on what was not fitted, the worst sensor's, and over how much of the object that was checked."""
+    sensors = list((errors.get("sensors") or {}).values())
+    found = [errors.get(key) for key in ("held_out_px", "held_out_mean", "held_out")]
+    found += [sensor.get("held_out_px") for sensor in sensors]
+    numbers = [value for value in found if isinstance(value, int | float)]
+    checked = [s["checked"] for s in sensors if isinstance(s.get("checked"), int | float)]
+    over = f" over {100 * min(checked):.0f} %" if checked else ""
+    return f"{max(numbers):.3f}{over}" if numbers else "–"
+
+
+def _checks(errors: dict[str, Any]) -> str:
+    """Say how far a person's check points are off; empty where there are none."""
+    found = errors.get("check_points") or []
+    numbers = [one["error"] for one in found if one["error"] is not None]
+    if not numbers:
+        return ""
+    mean, most = sum(numbers) / len(numbers), max(numbers)
+    return (
+        f"{len(found)} check points, set by hand and not fitted, are {mean:.2f} reference px off in the "
+        f"mean and {most:.2f} px at most."
+    )
+
+
+def _band_rows(record: dict[str, Any]) -> list[list[str]]:
+    """Where the middle of the reference lies in each band, against the camera's reference channel."""
+    import numpy as np
+
+    from levkas.geometry.transforms import from_dict
+
+    bands = record.get("bands", {})
+    channel = record.get("target", {}).get("band")
+    if channel not in bands:
+        return []
+    size = np.array(record["reference"]["size"], float)
+    middle = (size[None] - 1) / 2
+    base = from_dict(bands[channel]["transform"])
+    rows = []
+    for label, band in bands.items():
+        where = from_dict(band["transform"])(middle)
+        apart = base.inverse(where) - middle
+        rows.append(
+            [label, f"{np.linalg.norm(apart):.3f}", f"{apart[0, 0]:+.3f}", f"{apart[0, 1]:+.3f}"]
+        )
+    return rows
+
+
+def _sampling(places: Places, captures: list[Capture]) -> str:
+    path = places.registration(captures[0].object, captures[0].layer)
+    if not path.is_file():
+        return ""
+    record = read_registration(path)
+    px_per_mm = record["grid"].get("px_per_mm")
+    if not px_per_mm:
+        return ""
+    import numpy as np
+
+    from levkas.geometry.transforms import from_dict
+
+    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
+    return f"{1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5):.3f}"
+
+
+def radiometry_rows(ledger: BuildRecords, captures: Sequence[Capture]) -> list[RadiometryRow]:
+    """Return the rows of the layers that were built."""
+    rows = []
+    for capture in captures:
+        row = describe_layer(
+            capture.layer,
+            ledger.told(key_of(capture, "calibrate")),
+            ledger.told(key_of(capture, "resample")),
+        )
+        if row is not None:
+            rows.append(row)
+    return rows
+
+
+def close_ups(places: Places, captures: Sequence[Capture]) -> list[CloseUps]:
+    """Return close-ups of every camera that has several setups, as the paper's Figure 4."""
+    groups = []
+    for camera in dict.fromkeys(c.camera for c in captures):
+        mine = [c for c in captures if c.camera == camera]
+        paths = [places.layer(c.object, c.camera, c.setup, kind=".png") for c in mine]
+        shown = [(c, _read(path)) for c, path in zip(mine, paths, strict=True) if path.is_file()]
+        if len(shown) < 2 or len({picture.shape for _, picture in shown}) > 1:
+            continue
+        side, corners = choose_places([picture for _, picture in shown])
+        rows = tuple(
+            CloseUpRow(
+                c.setup or "default setup",
+                tuple(_cut(picture, x, y, side) for x, y in corners),
+            )
+            for c, picture in shown
+        )
+        names = tuple(f"({x + side // 2}, {y + side // 2})" for x, y in corners)
+        groups.append(CloseUps(camera, names, rows))
+    return groups
+
+
+def _read(path: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB"))
+
+
+def _cut(picture: np.ndarray, x: int, y: int, side: int) -> str:
+    from levkas.database.preview import encode_png
+
+    return embed_png(encode_png(np.ascontiguousarray(picture[y : y + side, x : x + side])))

@@ -1,0 +1,84 @@
+"""Templates that several objects share: averaged once, kept beside the database."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from levkas.building.build_records import Hashes
+from levkas.building.sources import code_version
+from levkas.calibration.templates import Template
+from levkas.campaign.discovery.captures import FrameRef
+from levkas.core.files import make_folder, replacing
+
+
+class TemplateCache:
+    """Templates by the content of their frames.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they are kept.
+    hashes : Hashes
+        Of the frames.
+    shared : bool
+        Whether more than one object will ask; a template for one is not worth its disk space.
+    """
+
+    def __init__(self, folder: Path, hashes: Hashes, *, shared: bool) -> None:
+        self.folder, self.hashes, self.shared = folder, hashes, shared
+
+    def template(
+        self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object
+    ) -> Template:
+        """Return the template of some frames, from the shelf or by `average`.
+
+        A file that was damaged on the disk fails its checksum and is averaged anew.
+        """
+        if not self.shared:
+            return average()
+        digest = hashlib.sha256(
+            repr((sorted(parameters.items()), code_version("template"))).encode()
+        )
+        for frame in frames:
+            content = [*self.hashes.of_frame(frame.path).values()]
+            digest.update(f"{content}:{frame.page}:{frame.exposure_s};".encode())
+        path = self.folder / f"{digest.hexdigest()[:24]}.npz"
+        try:
+            return _read(path)
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            made = average()
+        make_folder(self.folder)
+        _write(path, made)
+        return made
+
+
+def _read(path: Path) -> Template:
+    with np.load(path, allow_pickle=False) as stored:
+        variance = stored["variance"]
+        exposure = float(stored["exposure_s"])
+        return Template(
+            mean=stored["mean"],
+            variance=variance if variance.size else None,
+            count=int(stored["count"]),
+            saturated=stored["saturated"],
+            black=stored["black"],
+            exposure_s=None if np.isnan(exposure) else exposure,
+        )
+
+
+def _write(path: Path, template: Template) -> None:
+    with replacing(path) as handle:
+        np.savez(
+            handle,
+            mean=template.mean,
+            variance=np.zeros(0, np.float32) if template.variance is None else template.variance,
+            count=template.count,
+            saturated=template.saturated,
+            black=template.black,
+            exposure_s=np.nan if template.exposure_s is None else template.exposure_s,
+        )

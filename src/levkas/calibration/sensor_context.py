@@ -1,0 +1,392 @@
+"""What holds for every frame of one sensor: how it is read, averaged, checked and doubted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from levkas.calibration.code_spacing import find_step
+from levkas.calibration.darks import SAME_TIME
+from levkas.calibration.invalid_values import close_gaps
+from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.core.problems import Problem
+from levkas.readers.frames import Facts, read_facts, read_frame
+
+if TYPE_CHECKING:
+    from levkas.campaign.campaign import Camera, Campaign
+    from levkas.campaign.discovery.captures import FrameRef, SensorFrames
+
+GLIMPSE_LINES = 64
+
+
+class Averages(Protocol):
+    """Templates that are kept from one average to the next, as `building.template_cache` does."""
+
+    def template(
+        self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object
+    ) -> Template:
+        """Return the template of some frames, as it is kept or by `average`."""
+
+
+@dataclass(frozen=True)
+class SensorContext:
+    """What holds for every frame of one sensor."""
+
+    campaign: Campaign
+    camera: Camera
+    sensor: SensorFrames
+    facts: Facts
+    cache: Averages | None
+    told: dict[str, Any] = field(default_factory=dict)
+    """What is learnt of sensor and light on the way, for the reports."""
+
+    @property
+    def saturation(self) -> float | None:
+        """Code at which a sensel is full: declared, the file's own, or the full scale of `bits`."""
+        declared = self.camera.saturation or self.facts.saturation
+        if declared:
+            return float(declared)
+        bits = self.camera.bits or (
+            self.facts.bits if np.dtype(self.facts.dtype).kind == "u" else None
+        )
+        return float(2**bits - 1) if bits else None
+
+    @property
+    def unmended(self) -> bool:
+        """Whether defects are left out instead of replaced from their neighbours."""
+        return self.camera.kind == "cube"
+
+    @property
+    def black(self) -> float | None:
+        """Declared, else the file's own black level, counts; None where nobody says."""
+        return self.camera.black if self.camera.black is not None else self.facts.black
+
+    @cached_property
+    def step(self) -> float:
+        """Counts from one code of the files to the next: 16 where 12 bits stand at the upper end of 16."""
+        few = 1 if self.facts.kind == "raw" else 2
+        frames = [*spread(self.sensor.object, few), *spread(self.sensor.white, few)]
+        return find_step(thin_rows(_glimpse(frame)) for frame in frames)
+
+    def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
+        """Average shots of one exposure; templates are kept for the other objects."""
+        exposure = exposure_of(frames[0])
+
+        def make() -> Template:
+            try:
+                return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
+            except CalibrationRefused as refused:
+                raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
+
+        if not kept or self.cache is None:
+            return self.whole(make(), frames)
+        made = self.cache.template(
+            frames, make, saturation=self.saturation, exposure=exposure, bits=self.camera.bits
+        )
+        return self.whole(made, frames)
+
+    def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
+        """Read frame by frame, codes checked against the bits that are declared."""
+        for frame in frames:
+            yield self.checked(read_frame(frame.path, page=frame.page), frame)
+
+    def checked(self, values: np.ndarray, frame: FrameRef) -> np.ndarray:
+        """Return a frame's values; raises CalibrationRefused where `bits` does not hold."""
+        if self.camera.bits is not None:
+            full = self.camera.saturation or self.facts.saturation
+            check_codes(values, frame.path, self.camera.name, self.camera.bits, full)
+        return values
+
+    def whole(self, template: Template, frames: Sequence[FrameRef]) -> Template:
+        """Return a template whose every value is a number, what was none marked as lost."""
+        try:
+            return close_gaps(template)
+        except CalibrationRefused as refused:
+            raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+
+    def templates(self, frames: Sequence[FrameRef]) -> list[Template]:
+        """Average frames exposure by exposure, shortest first."""
+        times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
+        return [self.average([f for f in frames if exposure_of(f) == t], kept=True) for t in times]
+
+
+def exposure_of(frame: FrameRef) -> float | None:
+    """Exposure from the file's name or the manifest, else from its EXIF or header, s; None of a list by bands."""
+    times = times_of(frame)
+    return None if isinstance(times, tuple) else times
+
+
+def read_cube(frame: FrameRef) -> np.ndarray:
+    """Read (lines, samples, bands): ENVI, or a TIFF whose pages are the bands."""
+    pages = read_facts(frame.path).pages
+    if pages > 1:
+        planes = [read_frame(frame.path, page=page) for page in range(pages)]
+        return np.ascontiguousarray(np.stack(planes, axis=-1))
+    values = read_frame(frame.path)
+    return values if values.ndim == 3 else values[..., None]
+
+
+def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
+    """Name the folder of the frames where the kernels, which know no files, could not."""
+    names = ", ".join(f.path.name for f in frames[:3]) + (" …" if len(frames) > 3 else "")
+    return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
+
+
+def doubts_of(bench: SensorContext) -> list[str]:
+    """What a person should know before believing the values."""
+    camera = bench.camera
+    doubts = _doubt_bits(bench)
+    targets = bench.campaign.targets
+    if camera.kind == "image":
+        return doubts
+    if not bench.sensor.white:
+        doubts.append("no white reference is declared: the cube stays in counts")
+    elif targets.white and not isinstance(targets.white.reflectance, str):
+        given = targets.white.reflectance
+        doubts.append(
+            f"the white board is taken for {1.0 if given is None else given:g} at every wavelength; "
+            "a CSV of its spectrum in targets.white.reflectance is better"
+        )
+    return doubts
+
+
+def _doubt_bits(bench: SensorContext) -> list[str]:
+    """Whether a few frames, whites above all, look like 8 bits where more are declared."""
+    bits, full = bench.camera.bits, bench.saturation
+    if bits is None or bits <= 8 or full is None or bench.facts.kind == "raw":
+        return []
+    frames = [*spread(bench.sensor.object, 3), *spread(bench.sensor.white, 3)]
+    return [f"{bench.camera.name}: {d}" for d in doubt_codes(map(_glimpse, frames), bits, full)]
+
+
+def _glimpse(frame: FrameRef) -> np.ndarray:
+    """Read a frame; of a line scan some lines in its middle."""
+    if read_facts(frame.path).kind != "envi":
+        return read_frame(frame.path, page=frame.page)
+    from levkas.readers.envi import open_envi
+
+    scan = open_envi(frame.path)
+    middle, half = scan.facts.shape[0] // 2, GLIMPSE_LINES // 2
+    return scan.read_lines(max(0, middle - half), min(scan.facts.shape[0], middle + half + 1))
+
+
+SAMPLE = 1 << 20
+LEAST_LEVELS = 16
+"""Fewer different codes say nothing of their spacing: a dark frame has three."""
+EVEN = 0.9
+"""Of the spacing that 8 bits have when they are stretched; rounding makes some steps shorter."""
+
+
+class CodesRefused(CalibrationRefused):
+    """Frames whose codes do not have the bits that are declared."""
+
+
+def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: float | None) -> None:
+    """Refuse a frame that cannot have, or does not keep to, the bits that are declared.
+
+    Parameters
+    ----------
+    values : ndarray
+    path : Path
+    camera : str
+    bits : int
+        Declared.
+    full : float, optional
+        Declared saturation: 4095 · 16 where 12 bits stand at the upper end of 16.
+
+    Raises
+    ------
+    CodesRefused
+        ``E_BITS`` for 8-bit frames where more are said, and for codes beyond both full scales.
+    """
+    if values.dtype.kind not in "ui":
+        return
+    stored = 8 * values.dtype.itemsize
+    if stored < bits and stored == 8:
+        raise CodesRefused(
+            Problem(
+                "E_BITS",
+                f"{camera}: the frame has 8 bits where {bits} are said",
+                str(path),
+                f"cameras.{camera}.bits",
+                f"{values.dtype} codes up to {int(values.max(initial=0))}",
+                f"codes of {bits} bits, up to {2**bits - 1}",
+                "Export the frames again in 16 bits; write `bits = 8` only if the camera has no more.",
+            )
+        )
+    most = max(2**bits - 1, full or 0)
+    if (top := int(values.max(initial=0))) > most:
+        raise CodesRefused(
+            Problem(
+                "E_BITS",
+                f"{camera}: codes are larger than {bits} bits can hold",
+                str(path),
+                f"cameras.{camera}.bits",
+                f"{top}",
+                f"at most {most:g}",
+                f"Write `bits = {top.bit_length()}`; where {bits} bits stand at the upper end of a "
+                f"code, write `saturation` as they are stored.",
+            )
+        )
+
+
+def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[str]:
+    """Return what speaks against `bits`, looking at some bright frames of one sensor.
+
+    Examples
+    --------
+    >>> stretched = np.round(np.arange(256) * 4095 / 255).astype(np.uint16)
+    >>> doubt_codes([stretched.reshape(16, 16)], 12, 4095)
+    ['only 256 codes, 16 or more apart: 8 bits stretched to 12, so that tones between them are lost']
+    """
+    codes = [np.unique(thin_rows(values)) for values in frames if values.dtype.kind in "ui"]
+    seen = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)
+    if bits <= 8 or seen.size < LEAST_LEVELS:
+        return []
+    if seen[-1] <= 255:
+        return [
+            f"no code is above {int(seen[-1])} where {bits} bits are said: frames of 8 bits, or hardly any light"
+        ]
+    gap = int(np.diff(seen.astype(np.int64)).min())
+    if seen.size <= 256 and gap >= EVEN * full / 255:
+        return [
+            f"only {seen.size} codes, {gap} or more apart: 8 bits stretched to {bits}, so that tones "
+            "between them are lost"
+        ]
+    return []
+
+
+def spread(items: Sequence, count: int) -> list:
+    """Return up to `count` items spread over a sequence, none twice.
+
+    >>> spread("abcdefg", 3)
+    ['a', 'd', 'g']
+    """
+    last = len(items) - 1
+    places = {round(i * last / max(count - 1, 1)) for i in range(count)} if items else set()
+    return [items[place] for place in sorted(places)]
+
+
+def thin_rows(values: np.ndarray) -> np.ndarray:
+    """Whole rows of a frame, about `SAMPLE` values."""
+    step = max(1, values.size // SAMPLE)
+    return values[:: min(step, max(values.shape[0] // 8, 1))]
+
+
+Times = float | tuple[float, ...] | None
+"""Of a frame, s: one, one a band where a header lists several, or not known."""
+NAMED = 3
+"""Frames that a message names."""
+
+
+def times_of(frame: FrameRef) -> Times:
+    """Return the exposure that the name or the manifest states, else EXIF or the header of the file."""
+    if frame.exposure_s is not None:
+        return frame.exposure_s
+    facts = read_facts(frame.path)
+    return facts.band_times_s or facts.exposure_s
+
+
+def require_exposures(bench: SensorContext) -> None:
+    """Refuse a sensor some of whose frames state their exposure, and others do not.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_EXPOSURES; also where no frame states it in a known unit, and the numbers without one differ.
+    """
+    sensor = bench.sensor
+    frames = list(dict.fromkeys((*sensor.object, *sensor.white, *sensor.dark)))
+    stated = [frame for frame in frames if times_of(frame) is not None]
+    silent = [frame for frame in frames if times_of(frame) is None]
+    if not silent:
+        return
+    said = {
+        frame: facts.exposure_unclear
+        for frame in silent
+        if (facts := read_facts(frame.path)).exposure_unclear
+    }
+    if not stated and len({said.get(frame) for frame in silent}) == 1:
+        return
+    unclear = [f"{frame.path.name}: {text}" for frame, text in said.items()][:NAMED]
+    found = [f"{frame.path.name}: {_shown(times_of(frame))}" for frame in stated[:NAMED]]
+    found += unclear or [f"{frame.path.name}: nothing" for frame in silent[:NAMED]]
+    what = (
+        "the unit of the exposure is not known"
+        if unclear
+        else f"only {len(stated)} of {len(frames)} frames state their exposure"
+    )
+    raise CalibrationRefused(
+        Problem(
+            "E_EXPOSURES",
+            f"{bench.camera.name}: {what}",
+            str(silent[0].path),
+            "exposure",
+            "; ".join(found),
+            "the exposure of every frame of object, white and dark, or of none",
+            "Put {exposure} with its unit into the names and `files`, or list the files in a `manifest` with exposure_s.",
+        )
+    )
+
+
+def by_exposure(frames: Sequence[FrameRef]) -> list[tuple[Times, list[FrameRef]]]:
+    """Group frames of equal exposure, shortest first."""
+    groups: dict[Times, list[FrameRef]] = {}
+    for frame in frames:
+        groups.setdefault(times_of(frame), []).append(frame)
+    return sorted(groups.items(), key=lambda item: _listed(item[0]))
+
+
+def timed(template: Template, times: Times) -> Template:
+    """Return a template with its exposure."""
+    if isinstance(times, tuple):
+        return replace(template, exposure_s=None, band_times_s=times)
+    return replace(template, exposure_s=times)
+
+
+def times_in(template: Template) -> Times:
+    """Return the exposure of a template."""
+    return template.band_times_s or template.exposure_s
+
+
+def templates_by_exposure(
+    frames: Sequence[FrameRef], make: Callable[[list[FrameRef]], Template]
+) -> list[Template]:
+    """Average frames exposure by exposure, shortest first."""
+    return [timed(make(group), times) for times, group in by_exposure(frames)]
+
+
+def doubt_scaling(bench: SensorContext, taken: Times, other: Times) -> str:
+    """Say that counts are scaled from the white's time to the object's without a series that shows that they scale."""
+    object_times, white_times = _listed(taken), _listed(other)
+    if not object_times or not white_times:
+        return ""
+    wide = max(len(object_times), len(white_times))
+    pairs = zip(_spread(object_times, wide), _spread(white_times, wide), strict=True)
+    if all(abs(mine / its - 1) <= SAME_TIME for mine, its in pairs):
+        return ""
+    return (
+        f"{bench.camera.name}: the white was exposed for {_shown(other)}, the object for {_shown(taken)}: whether "
+        "counts scale is not known without an exposure series of one of them"
+    )
+
+
+def _spread(times: tuple[float, ...], bands: int) -> tuple[float, ...]:
+    return times * bands if len(times) == 1 else times
+
+
+def _listed(times: Times) -> tuple[float, ...]:
+    if times is None:
+        return ()
+    return times if isinstance(times, tuple) else (times,)
+
+
+def _shown(times: Times) -> str:
+    if isinstance(times, tuple):
+        return f"{min(times):g} to {max(times):g} s, band by band"
+    return f"{times:g} s" if times is not None else "nothing"

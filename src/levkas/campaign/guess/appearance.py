@@ -1,0 +1,222 @@
+"""Infer darks and whites, mosaics and the colour of objects from a few decoded frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from levkas.campaign.guess.groups import CameraGroup
+from levkas.campaign.guess.names import NamedFile
+from levkas.campaign.guess.pixels import (
+    CLIPPED,
+    MOST_SAMPLED,
+    GuessedMosaic,
+    Samples,
+    Statistics,
+    find_mosaic,
+    name_mosaic,
+    spread,
+)
+
+DARK_SHARE = 0.08
+"""A dark's 99th percentile is below this share of the brightest level that any target reaches."""
+EVEN, SMOOTH = 0.6, 0.04
+"""A white's illumination may fall off by this share; from sensel to sensel it hardly differs."""
+MOST_TARGETS = 200
+"""Targets of a camera, spread over all, of which a frame is decoded; more would take minutes."""
+STRUCTURED = 3.0
+"""The others must have this many times a white's texture."""
+MOST_BANDS = 64
+"""Bands of a tunable filter, spread over its range, whose frames are decoded to see the mosaic behind it."""
+WARM_NM, COLD_NM = 620.0, 460.0
+NEAR_NM = 25.0
+
+
+# --- darks and whites -------------------------------------------------------------------------
+
+
+def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
+    """Give targets of a camera the roles that their frames show, where no name has any.
+
+    Parameters
+    ----------
+    group : CameraGroup
+        Its frames are replaced.
+    samples : Samples
+
+    Returns
+    -------
+    reasons : list of str
+        Of each guess.
+    """
+    frames = group.of_role("object")
+    plain = all(f.file.channels == 1 or f.facts.kind == "envi" for f in frames)
+    by_target = group.by_target(frames)
+    if group.of_role("dark", "white") or not plain or len(by_target) < 2:
+        return []
+    found: dict[str, Statistics] = {}
+    for target in spread(list(by_target), MOST_TARGETS):
+        mine, first = by_target[target], frames[0]
+        like = [
+            f
+            for f in mine
+            if f.sensor == first.sensor and f.number("wavelength") == first.number("wavelength")
+        ]
+        if statistics := samples.of_some(like or mine, 1):
+            found[target] = statistics[0]
+    roles, reasons = _roles_of(found)
+    group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
+    if len(by_target) > MOST_TARGETS:
+        reasons.append(
+            f"whether darks or whites are among {len(by_target) - MOST_TARGETS} of {len(by_target)} targets "
+            "whose names do not say so: their frames were not looked at"
+        )
+    return reasons
+
+
+def _roles_of(found: Mapping[str, Statistics]) -> tuple[dict[str, str], list[str]]:
+    """Return the darks and whites among targets by their statistics, and the reasons."""
+    brightest = max((s.high for s in found.values()), default=0.0)
+    darks = {t: s for t, s in found.items() if s.high < DARK_SHARE * brightest}
+    reasons = [
+        f"{t} is taken for a dark: 99 % of it are below {s.high:.4g} counts"
+        for t, s in darks.items()
+    ]
+    rest = {t: s for t, s in found.items() if t not in darks}
+    whites = []
+    for target, s in rest.items():
+        others = [o.texture for t, o in rest.items() if t != target]
+        even = s.unevenness < EVEN and s.texture < SMOOTH and s.mean > 0.3 * brightest
+        if even and others and max(others) > STRUCTURED * max(s.texture, 1e-6):
+            whites.append(target)
+            reasons.append(f"{target} is taken for a white: bright ({s.mean:.4g} counts) and even")
+    if len(darks) + len(whites) == len(found):
+        return {}, []  # nothing would be left to be an object
+    return dict.fromkeys(darks, "dark") | dict.fromkeys(whites, "white"), reasons
+
+
+# --- mosaics ----------------------------------------------------------------------------------
+
+
+def _bright_and_dark(
+    frames: Sequence[NamedFile], samples: Samples
+) -> tuple[Statistics | None, float]:
+    """Return a bright frame, a white or else an object, and the level without light."""
+    dark = samples.of_some([f for f in frames if f.role == "dark"], 1)
+    for role in ("white", "object"):
+        found = samples.of_some([f for f in frames if f.role == role], 3)
+        usable = [s for s in found if s.high < 0.98 * s.top or s.top_count < CLIPPED] or found
+        if usable:
+            return max(usable, key=lambda s: s.mean), dark[0].mean if dark else 0.0
+    return None, 0.0
+
+
+def tile_side(frames: Sequence[NamedFile], samples: Samples) -> int:
+    """Return the side of the mosaic's tile; 0 where no mosaic is seen."""
+    bright, dark = _bright_and_dark(frames, samples)
+    return find_mosaic(bright.phases, dark=dark) if bright is not None else 0
+
+
+def mosaic_of(
+    frames: Sequence[NamedFile], samples: Samples, warmth: Mapping[str, float]
+) -> GuessedMosaic | None:
+    """Return the mosaic that frames of one sensor show, its channels named; None for none."""
+    bright, dark = _bright_and_dark(frames, samples)
+    if bright is None or not (side := find_mosaic(bright.phases, dark=dark)):
+        return None
+    shown: dict[str, np.ndarray] = {}
+    if any(f.role == "white" for f in frames):
+        for frame in (f for f in frames if f.role == "object"):
+            if frame.target not in shown and len(shown) < MOST_SAMPLED:
+                statistics = samples.of(frame.file)
+                shown |= {frame.target: statistics.phases[side]} if statistics else {}
+    return name_mosaic(side, bright.phases[side], dark=dark, shown=shown, warmth=warmth)
+
+
+def mosaic_behind_filters(group: CameraGroup, samples: Samples) -> GuessedMosaic | None:
+    """Return the mosaic behind narrow filters, whose phases differ in other ways in every band; None for none."""
+    by_band = _by_wavelength(group.of_role("white") or group.of_role("object"))
+    narrow: dict[float, Statistics] = {}
+    for wavelength in spread(list(by_band), MOST_BANDS):
+        found = samples.of_some(by_band[wavelength], MOST_SAMPLED)
+        usable = [s for s in found if s.high < 0.98 * s.top] or found
+        if usable:
+            narrow[wavelength] = max(usable, key=lambda s: s.mean)
+    _, dark = _bright_and_dark(group.frames, samples)
+    sides = Counter(find_mosaic(s.phases, dark=dark) for s in narrow.values())
+    side, times = sides.most_common(1)[0] if sides else (0, 0)
+    if not side or (times < 2 and len(narrow) > 1):
+        return None
+    brightest = max(narrow.values(), key=lambda s: s.mean)
+    phases = {nm: s.phases[side] for nm, s in narrow.items()}
+    return name_mosaic(side, brightest.phases[side], dark=dark, narrow=phases)
+
+
+def _by_wavelength(frames: Sequence[NamedFile]) -> dict[float, list[NamedFile]]:
+    bands: dict[float, list[NamedFile]] = {}
+    for frame in frames:
+        if (number := frame.number("wavelength")) is not None:
+            bands.setdefault(float(number), []).append(frame)
+    return bands
+
+
+# --- colour of objects ------------------------------------------------------------------------
+
+
+def find_warmth(groups: Sequence[CameraGroup], samples: Samples) -> dict[str, float]:
+    """Return the warmth of every object that a camera with known wavelengths saw.
+
+    Returns
+    -------
+    warmth : dict
+        Object → logarithm of its mean reflectance at 620 nm over that at 460 nm.
+    """
+    warmth: dict[str, float] = {}
+    for group in groups:
+        by_target = group.by_target()
+        roles = {f.target: f.role for f in group.frames}
+        templates = {t for t, role in roles.items() if role in ("dark", "white")}
+        decoded = {*templates, *spread(list(by_target), MOST_TARGETS)}
+        levels = {
+            target: found
+            for target, frames in by_target.items()
+            if target in decoded and (found := _two_levels(frames, samples)) is not None
+        }
+        whites = [v for t, v in levels.items() if roles[t] == "white"]
+        darks = [v for t, v in levels.items() if roles[t] == "dark"]
+        if not whites:
+            continue
+        dark = darks[0] if darks else np.zeros(2)
+        for target, level in levels.items():
+            share = (level - dark) / np.maximum(whites[0] - dark, 1e-9)
+            if roles[target] == "object" and share.min() > 0:
+                warmth.setdefault(target, float(np.log(share[0] / share[1])))
+    return warmth
+
+
+def _two_levels(frames: Sequence[NamedFile], samples: Samples) -> np.ndarray | None:
+    """Return the mean levels of a target near 620 and near 460 nm, (2,); None where it has no such bands."""
+    facts = frames[0].facts
+    by_band = _by_wavelength(frames)
+    cube = facts.kind == "envi" and bool(facts.wavelengths)
+    centres = list(facts.wavelengths or ()) if cube else sorted(by_band)
+    places = [_nearest(centres, nm) for nm in (WARM_NM, COLD_NM)]
+    if cube:
+        spectrum = samples.spectrum_of(frames[0].file)
+        if spectrum is None or None in places:
+            return None
+        return np.array([spectrum[int(p)] for p in places if p is not None])
+    levels = []
+    for place in places:
+        found = samples.of(by_band[centres[place]][0].file) if place is not None else None
+        if found is None:
+            return None
+        levels.append(found.mean)
+    return np.array(levels)
+
+
+def _nearest(centres: Sequence[float], nm: float) -> int | None:
+    place = min(range(len(centres)), key=lambda i: abs(centres[i] - nm), default=None)
+    return place if place is not None and abs(centres[place] - nm) <= NEAR_NM else None

@@ -1,0 +1,458 @@
+"""Describe one camera: kind, mosaic, bits and bands, each with the reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import isnan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, tile_side
+from levkas.campaign.guess.file_patterns import FilePatterns, find_patterns
+from levkas.campaign.guess.groups import CameraGroup, safe_name
+from levkas.campaign.guess.names import NamedFile
+from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
+from levkas.readers.spectra import parse_spectra
+
+READ_BYTES, ROWS = 20_000, 8
+"""Of a table that is looked at."""
+WAVELENGTHS_NM = (200.0, 3000.0)
+BRIGHT = 0.5
+"""Share of a scale that must be reached to believe it is the scale."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """One value of campaign.toml, and the reason for it."""
+
+    value: Any
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class SensorGuess:
+    """One sensor of a camera: its name at ``{sensor}``, and its mosaic and channels where it has one."""
+
+    name: str
+    keys: dict[str, Guess] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CameraGuess:
+    """One camera.
+
+    Parameters
+    ----------
+    name : str
+    about : tuple of str
+        Comments above its table.
+    keys : dict
+        In the order of the file: kind, files, …
+    sensors : tuple of SensorGuess
+    hints : tuple of str
+        Keys that may be wanted, as comments.
+    unknown : tuple of str
+        What the files leave open.
+    centres : tuple of float
+        Wavelengths of its bands, nm, from names or headers.
+    targets : dict
+        Target → role.
+    setups : dict
+        Name → files.
+    """
+
+    name: str
+    keys: dict[str, Guess]
+    about: tuple[str, ...] = ()
+    sensors: tuple[SensorGuess, ...] = ()
+    hints: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+    centres: tuple[float, ...] = ()
+    targets: dict[str, str] = field(default_factory=dict)
+    setups: dict[str, Guess] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """As in campaign.toml."""
+        return str(self.keys["kind"].value)
+
+
+@dataclass
+class CameraNotes:
+    """Comments, hints and open questions gathered while a camera is described."""
+
+    about: list[str] = field(default_factory=list)
+    hints: list[str] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)
+    sensors: list[SensorGuess] = field(default_factory=list)
+
+
+def describe_camera(
+    group: CameraGroup, samples: Samples, warmth: Mapping[str, float]
+) -> CameraGuess:
+    """Describe one camera.
+
+    Parameters
+    ----------
+    group : CameraGroup
+    samples : Samples
+        Decodes a few of its frames.
+    warmth : mapping, optional
+        As `levkas.campaign.guess.pixels.find_warmth` gives it.
+    """
+    files, notes = find_patterns(group.frames), CameraNotes(about=list(group.notes))
+    keys = {"kind": _kind(group, files, samples)}
+    kind = str(keys["kind"].value)
+    texts = files.of_kind(kind)
+    keys["files"] = Guess(texts[0] if len(texts) == 1 else texts, "; ".join(files.reasons))
+    if kind == "sensors":
+        _describe_sensors(group, files, samples, notes, warmth)
+    elif kind in ("mosaic", "bands"):
+        keys |= _mosaic_keys(group, kind, samples, notes, warmth)
+    if kind == "bands":
+        keys |= _band_keys(group, files)
+    if kind == "cube" and group.frames[0].facts.kind != "envi":
+        keys["scan"] = Guess(
+            "mirror", "darks and whites are frames; take it out for a push-broom scan"
+        )
+    elif kind == "cube" and len({f.facts.shape[0] for f in group.frames}) == 1:
+        notes.hints.append(
+            'scan = "mirror"  # if darks and whites are whole frames, not lines of the scan'
+        )
+    if kind != "image":
+        keys |= _scale_keys(group, samples, notes)
+        keys |= _exposure_keys(group, files)
+        _check_exposures(group, notes)
+        _check_templates(group, samples, notes)
+    _check_shots(group, files, kind, samples, notes)
+    return CameraGuess(
+        name=group.name,
+        keys=keys,
+        about=tuple(notes.about),
+        sensors=tuple(notes.sensors),
+        hints=tuple(notes.hints),
+        unknown=tuple(f"{group.name}: {text}" for text in notes.unknown),
+        centres=_centres(group, files),
+        targets={f.target: f.role for f in group.frames},
+        setups={safe_name(name): _setup(frames, kind) for name, frames in group.setups.items()},
+    )
+
+
+def _setup(frames: Sequence[NamedFile], kind: str) -> Guess:
+    patterns = find_patterns(frames).of_kind(kind)
+    why = "the same camera in a folder of its own: another lighting"
+    return Guess(patterns[0] if len(patterns) == 1 else patterns, why)
+
+
+# --- kind -------------------------------------------------------------------------------------
+
+
+def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
+    """What kind of camera it is, from names first, then headers, then numbers."""
+    first = group.objects[0]
+    facts, channels, templates = first.facts, first.file.channels, group.of_role("dark", "white")
+    if files.sensors:
+        return Guess("sensors", f"{len(files.sensors)} sensors: {', '.join(files.sensors)}")
+    if files.wavelengths or files.bands:
+        what = "a wavelength" if files.wavelengths else "a band"
+        return Guess("bands", f"one file a band: the names say {what}")
+    if facts.kind == "envi":
+        return Guess("cube", f"ENVI, {facts.shape[2]} bands")
+    if facts.kind == "raw" or facts.pattern:
+        return Guess("mosaic", f"camera raw, {facts.pattern}" if facts.pattern else "camera raw")
+    if facts.pages > 1 and channels == 1:
+        return Guess("bands", f"{facts.pages} pages a file: a band each")
+    if channels == 3:
+        return Guess("image", "3 channels a pixel: a finished picture, nothing to calibrate")
+    if channels > 3:
+        return Guess("cube", f"{channels} channels a pixel")
+    if side := tile_side(group.frames, samples):
+        return Guess("mosaic", f"levels repeat every {side} sensels")
+    if templates:
+        return Guess("bands", "one channel, and darks or whites to calibrate it with")
+    return Guess("image", "one channel, no darks and whites: nothing to calibrate")
+
+
+# --- mosaics ----------------------------------------------------------------------------------
+
+
+def _mosaic_keys(
+    group: CameraGroup, kind: str, samples: Samples, notes: CameraNotes, warmth: Mapping[str, float]
+) -> dict[str, Guess]:
+    facts = group.frames[0].facts
+    if facts.pattern:
+        if facts.kind == "raw":
+            return {}
+        return {"pattern": Guess(facts.pattern, "from the header")} if kind == "mosaic" else {}
+    if kind == "bands":
+        mosaic = mosaic_behind_filters(group, samples)
+    else:
+        mosaic = mosaic_of(group.frames, samples, warmth)
+    if mosaic is None:
+        return {}
+    if mosaic.unknown:
+        notes.unknown.append(mosaic.unknown)
+    return {"pattern": Guess(mosaic.letters or mosaic.rows, mosaic.why)}
+
+
+def _describe_sensors(
+    group: CameraGroup,
+    files: FilePatterns,
+    samples: Samples,
+    notes: CameraNotes,
+    warmth: Mapping[str, float],
+) -> None:
+    """Mosaic and channel names of each sensor."""
+    for number, (name, frames) in enumerate(files.sensors.items(), 1):
+        facts, keys = frames[0].facts, {}
+        declared = facts.pattern or facts.wavelengths
+        mosaic = None if declared else mosaic_of(frames, samples, warmth)
+        if facts.pattern or mosaic:
+            why = mosaic.why if mosaic else "from the header"
+            keys["pattern"] = Guess(
+                facts.pattern or (mosaic and (mosaic.letters or mosaic.rows)), why
+            )
+            rows = mosaic.rows if mosaic else (tuple(str(facts.pattern)),)
+            channels = list(dict.fromkeys(c for row in rows for c in row))
+            channels = list("RGB") if set(channels) == set("RGB") else channels
+            keys["bands"] = Guess(
+                tuple(f"{c}{number}" for c in channels), "names that differ by sensor"
+            )
+            if mosaic and mosaic.unknown:
+                notes.unknown.append(f"{name}: {mosaic.unknown}")
+        elif facts.band_names or facts.wavelengths:
+            bands = facts.band_names or tuple(f"{w:g} nm" for w in facts.wavelengths or ())
+            centres = ", ".join(f"{w:g} nm" for w in facts.wavelengths or ())
+            keys["bands"] = Guess(tuple(bands), f"from the header{': ' * bool(centres)}{centres}")
+        else:
+            keys["bands"] = Guess(
+                (name,), "no mosaic seen: one channel, and what it sees is not said"
+            )
+            notes.unknown.append(f"what {name} sees; `bands` bears the sensor's name")
+        notes.sensors.append(SensorGuess(name, keys))
+
+
+def _centres(group: CameraGroup, files: FilePatterns) -> tuple[float, ...]:
+    """Wavelengths of a camera's bands, in their order."""
+    if files.wavelengths:
+        return files.wavelengths
+    centres = [f.facts.wavelengths or () for f in group.objects]
+    if files.sensors:
+        centres = [frames[0].facts.wavelengths or () for frames in files.sensors.values()]
+        return tuple(w for waves in centres for w in waves)
+    return tuple(centres[0])
+
+
+# --- bands, bits, exposures -------------------------------------------------------------------
+
+
+def _band_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
+    if files.wavelengths:
+        return {"wavelengths": Guess(_steps(files.wavelengths), f"{len(files.wavelengths)} bands")}
+    if files.bands:
+        return {
+            "bands": Guess(files.bands, "as the names have them; their wavelengths are not said")
+        }
+    facts = group.frames[0].facts
+    if facts.pages == 1:
+        return {"bands": Guess((group.name,), "one channel, named after the camera")}
+    return {}
+
+
+def _steps(wavelengths: Sequence[float]) -> object:
+    steps = {round(b - a, 6) for a, b in pairwise(wavelengths)}
+    if len(steps) == 1 and len(wavelengths) > 2:
+        return {"start": wavelengths[0], "stop": wavelengths[-1], "step": steps.pop()}
+    return tuple(wavelengths)
+
+
+def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dict[str, Guess]:
+    """Bits of a code, where fewer are used than stored."""
+    facts = group.frames[0].facts
+    if facts.dtype != "uint16" or facts.kind == "raw" or facts.saturation:
+        return {}
+    found = [
+        statistics
+        for role in ("white", "object", "chart")
+        for statistics in samples.of_some(group.of_role(role), MOST_SAMPLED)
+    ]
+    if not found:
+        return {}
+    top, step = max(s.top for s in found), int(np.gcd.reduce([s.step for s in found]))
+    count = sum(s.top_count for s in found if s.top == top)
+    bits = bits_of(top, step)
+    if step > 1:
+        if top < BRIGHT * 65536:
+            notes.hints.append(
+                f"saturation = {65536 - step}  # codes are multiples of {step}; highest seen {top}"
+            )
+            return {}
+        why = f"{bits} bits at the upper end of 16: every code is a multiple of {step}"
+        return {"saturation": Guess(65536 - step, why)}
+    if bits == 16:
+        return {}
+    if count >= CLIPPED and top >= (1 << bits) - 1 - (1 << bits) // 50:
+        return {"bits": Guess(bits, f"{count} samples of those looked at stop at {top}")}
+    if bits >= 12 and top > BRIGHT * (1 << bits):
+        return {"bits": Guess(bits, f"highest code of the frames looked at: {top}")}
+    notes.hints.append(f"bits = {max(bits, 12)}  # highest code of the frames looked at: {top}")
+    notes.unknown.append(f"the bits of a code: 16 are stored, the highest seen is {top}")
+    return {}
+
+
+def _exposure_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
+    times: dict[tuple[str, str | None, str], set[object]] = {}
+    sensors = files.sensor_of()
+    for frame in group.of_role("object"):
+        exposure = frame.number("exposure") or frame.facts.exposure_s
+        key = (frame.target, frame.number("wavelength"), sensors.get(frame.path, ""))
+        times.setdefault(key, set()).add(exposure)
+    most = max((len(t - {None}) for t in times.values()), default=0)
+    if most < 2:
+        return {}
+    return {"exposures": Guess("best", f'up to {most} of one band; or "merge" them by their noise')}
+
+
+# --- checks -----------------------------------------------------------------------------------
+
+
+def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
+    """Say what names and headers state of exposures, and doubt them where only some frames do."""
+    stated: dict[str, set[float]] = {}
+    silent: dict[str, set[str | None]] = {}
+    for role in ("dark", "white", "object"):
+        for frame in group.of_role(role):
+            if times := frame.exposures_s:
+                stated.setdefault(role, set()).update(times)
+            elif not frame.file.borrowed:
+                silent.setdefault(role, set()).add(frame.facts.exposure_unclear)
+    if stated:
+        spans = {role: sorted({min(times), max(times)}) for role, times in stated.items()}
+        levels = [f"{role} {' to '.join(f'{t:g}' for t in span)} s" for role, span in spans.items()]
+        notes.about.append(f"Exposures: {', '.join(levels)}.")
+    unclear = {text for texts in silent.values() for text in texts}
+    if stated and silent:
+        notes.unknown.append(
+            f"the exposure of {' and '.join(silent)} frames: others state theirs, and a build wants it of all "
+            "or of none; give them in a `manifest`"
+        )
+    elif len(unclear) > 1:
+        shown = ", ".join(sorted(f"{text!r}" for text in unclear if text)[:3])
+        notes.unknown.append(
+            f"the exposures, whose unit the headers leave open ({shown}); give them in a `manifest`"
+        )
+
+
+def _check_templates(group: CameraGroup, samples: Samples, notes: CameraNotes) -> None:
+    """Say what darks and whites look like, and doubt those that do not look it."""
+    means: dict[str, float] = {}
+    for role in ("dark", "white", "object"):
+        found = samples.of_some(group.of_role(role), 3)
+        means[role] = float(np.mean([s.mean for s in found])) if found else float("nan")
+    levels = [f"{role} {_level(means[role])}" for role in means if not isnan(means[role])]
+    if len(levels) > 1:
+        notes.about.append(f"Mean levels: {', '.join(levels)} counts.")
+    dark, white, shown = means["dark"], means["white"], means["object"]
+    if dark > max(white, shown):
+        notes.unknown.append(
+            "whether darks and whites are swapped: the darks are brighter than all else"
+        )
+        return
+    if dark > 0.5 * min(v for v in (white, shown, np.inf) if not isnan(v)):
+        notes.unknown.append(f"whether the darks are dark: their mean is {dark:.4g} counts")
+    if white < shown:
+        notes.unknown.append(
+            f"whether the white is one: its mean is {white:.4g}, the object's {shown:.4g} counts"
+        )
+
+
+def _level(counts: float) -> str:
+    return f"{counts:.0f}" if counts >= 10 else f"{counts:.2g}"
+
+
+def _check_shots(
+    group: CameraGroup, files: FilePatterns, kind: str, samples: Samples, notes: CameraNotes
+) -> None:
+    """Doubt files of one target that do not show the same: strips, details, or other objects."""
+    if not files.shots or kind == "cube":
+        return
+    by_target: dict[tuple[str, str], list[NamedFile]] = {}
+    sensors = files.sensor_of()
+    for frame in group.of_role("object"):
+        key = (frame.target, sensors.get(frame.path, ""))
+        by_target.setdefault(key, []).append(frame)
+    for (target, _), frames in by_target.items():
+        if len(frames) > 1 and not frames[0].number("wavelength"):
+            same = samples.same_scene(frames[0].file, frames[-1].file)
+            if same is False:
+                notes.unknown.append(
+                    f"whether the {len(frames)} files of {target} are shots to average: they differ"
+                )
+                return
+
+
+# --- tables beside the captures ---------------------------------------------------------------
+
+
+def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
+    """Return the table of a white board's reflectance: over wavelength, shares of one."""
+    for table in tables:
+        if re.search(r"white|reflect", Path(table).stem, re.IGNORECASE):
+            _, rows = _read(root / table)
+            if len(rows) and rows.shape[1] == 2 and ((rows[:, 1] > 0) & (rows[:, 1] <= 1.5)).all():
+                return table
+    return None
+
+
+def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> CameraGuess:
+    """Give a camera the table that bears its name, and its channels the names in it where they fit."""
+    if camera.kind not in ("mosaic", "sensors", "image"):
+        return camera
+    for table in tables:
+        if camera.name.casefold() not in Path(table).stem.casefold():
+            continue
+        names, rows = _read(root / table)
+        if not len(rows) or len(names) < 2:
+            continue
+        keys = {**camera.keys, "sensitivity": Guess(table, "the table that bears its name")}
+        sensors = _renamed(camera.sensors, names[1:])
+        return replace(camera, keys=keys, sensors=sensors, unknown=_still(camera, sensors))
+    return camera
+
+
+def _renamed(sensors: tuple[SensorGuess, ...], names: Sequence[str]) -> tuple[SensorGuess, ...]:
+    """Name the channels of sensors in the order of a table's columns, where there are as many."""
+    counts = [len(s.keys["bands"].value) for s in sensors if "bands" in s.keys]
+    if not sensors or len(counts) != len(sensors) or sum(counts) != len(set(names)):
+        return sensors
+    at, renamed = 0, []
+    for sensor, count in zip(sensors, counts, strict=True):
+        bands = Guess(tuple(names[at : at + count]), "from the table of sensitivities")
+        renamed.append(replace(sensor, keys={**sensor.keys, "bands": bands}))
+        at += count
+    return tuple(renamed)
+
+
+def _still(camera: CameraGuess, sensors: tuple[SensorGuess, ...]) -> tuple[str, ...]:
+    """Return what remains unknown with a table of sensitivities."""
+    renamed = sensors != camera.sensors
+    return tuple(text for text in camera.unknown if not (renamed and "sees;" in text))
+
+
+def _read(path: Path) -> tuple[list[str], np.ndarray]:
+    """Return the header and the first rows of a table over wavelength; no rows where it is none."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as handle:
+            lines = handle.read(READ_BYTES).splitlines()[: ROWS + 1]
+        table, head = parse_spectra("\n".join(lines))
+    except (OSError, ValueError):
+        return [], np.empty((0, 0))
+    low, high = WAVELENGTHS_NM
+    fits = len(head) > 1 and table.shape[1:] == (len(head),) and np.isfinite(table).all()
+    fits = fits and bool(((table[:, 0] > low) & (table[:, 0] < high)).all())
+    return head, table if fits else table[:0]

@@ -1,0 +1,114 @@
+"""Commands that make and check a database: look, build, status, validate."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from levkas.cli.output import (
+    CampaignPath,
+    DatabasePath,
+    Json,
+    draw_steps,
+    finish,
+    print_report,
+    refusing,
+)
+
+VERIFY = "Read every file anew, whatever its size, times and inode say."
+
+
+@refusing("look")
+def look(
+    folder: Annotated[Path, typer.Argument(help="Folder of raw frames.")],
+    write: Annotated[
+        bool,
+        typer.Option("--write", help="Write campaign.toml into the folder, unless there is one."),
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Guess a commented campaign.toml from a folder of captures; show it before anything is written."""
+    from levkas.campaign.guess import look as look_at
+    from levkas.campaign.guess import write_campaign
+
+    proposal = look_at(folder)
+    if not as_json:
+        typer.echo(proposal.text, nl=False)
+    written = str(write_campaign(proposal)) if write else None
+    print_report("look", as_json, True, [], written=written, **proposal.to_report())
+    if not as_json:
+        more = f"Written: {written}" if written else "Nothing was written; --write does."
+        typer.echo(f"{more} {len(proposal.unknown)} things are unknown.", err=True)
+
+
+@refusing("build")
+def build(
+    campaign: CampaignPath,
+    output: DatabasePath = None,
+    objects: Annotated[
+        list[str] | None, typer.Option("--object", help="Build only this object; may be repeated.")
+    ] = None,
+    keep_removed: Annotated[
+        bool,
+        typer.Option(
+            "--keep-removed",
+            help="Leave in the database what the campaign no longer has, instead of moving it to OUTPUT.removed.",
+        ),
+    ] = False,
+    verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    as_json: Json = False,
+) -> None:
+    """Build the database of a campaign from its raw frames."""
+    from levkas.building import build as build_campaign
+    from levkas.building import summarise
+
+    steps = build_campaign(
+        campaign, output=output, objects=objects, keep_removed=keep_removed, verify=verify
+    )
+    report = summarise(draw_steps(steps, as_json))
+    finish("build", report, as_json)
+
+
+@refusing("status")
+def status(
+    campaign: CampaignPath,
+    output: DatabasePath = None,
+    verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    graph: Annotated[
+        bool,
+        typer.Option("--graph", help="Draw the stages and what each reads, as a Mermaid chart."),
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Say what of a database is stale, and why."""
+    from levkas.building import status as status_of
+
+    report = status_of(campaign, output=output, verify=verify)
+    if graph and not as_json:
+        typer.echo(report.graph, nl=False)
+        return
+    finish("status", report, as_json)
+
+
+@refusing("validate")
+def validate(
+    database: Annotated[
+        Path, typer.Argument(help="Database folder, or one of the same kind by others.")
+    ],
+    threads: Annotated[
+        int | None,
+        typer.Option(help="Files hashed at a time; else as many as threads may work.", min=1),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Find every damage of a database and name the file."""
+    from levkas.database.validate import validate as validate_database
+
+    quiet = as_json or not sys.stderr.isatty()
+    report = validate_database(
+        database, threads=threads, draw=lambda steps: draw_steps(steps, quiet)
+    )
+    finish("validate", report, as_json)

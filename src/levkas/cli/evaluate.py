@@ -1,0 +1,186 @@
+"""Commands about positions: evaluate, map, points convert."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from levkas.cli.output import (
+    Json,
+    Overwrite,
+    draw_steps,
+    print_report,
+    refusing,
+)
+
+
+@refusing("evaluate")
+def evaluate(
+    database: Annotated[
+        Path, typer.Argument(help="Database folder, or the campaign it was built from.")
+    ],
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="Folder `truth` of a simulated campaign; found beside a campaign."),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="Check points: CSV with object, camera, band, reference_x, reference_y, x, y, or a file of BigWarp, QGIS, Hugin, napari …"
+        ),
+    ] = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(help="OBJECT/CAMERA[@SETUP][:BAND] that a file of another program is of."),
+    ] = None,
+    maps: Annotated[
+        Path | None, typer.Option(help="Folder for SSIM maps as PNG, one a layer.")
+    ] = None,
+    loops: Annotated[
+        bool, typer.Option(help="Also register every two cameras to each other, and close loops.")
+    ] = False,
+    compared: Annotated[
+        bool,
+        typer.Option("--compare", help="Register every layer anew by several methods, in a table."),
+    ] = False,
+    methods: Annotated[
+        list[str] | None,
+        typer.Option("--method", help="Of --compare: only this method; may be repeated."),
+    ] = None,
+    objects: Annotated[
+        list[str] | None,
+        typer.Option("--object", help="Of --compare: only this object; may be repeated."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Of --compare: folder for page, JSON and SSIM maps."),
+    ] = None,
+    time_limit_s: Annotated[
+        float | None,
+        typer.Option("--time-limit", help="Of --compare: seconds for one method and layer.", min=1),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Report the error of every band where truth or check points are, and SSIM.
+
+    --compare sets Levkas beside the paper's method, the paper's opponents and today's peers.
+    """
+    from levkas.quality.evaluation.layer_report import assess, locate
+
+    if compared:
+        from levkas.quality.comparison import compare
+
+        table = compare(
+            database, methods=methods or (), truth=truth, output=output, time_limit_s=time_limit_s,
+            points=points, frame=frame, objects=objects or (), overwrite=overwrite,
+            draw=lambda rows: draw_steps(rows, as_json),
+        )  # fmt: skip
+        if output is not None:
+            from levkas.pages.comparison import write_page
+
+            write_page(table, output, overwrite=overwrite)
+        print_report("evaluate", as_json, True, list(table.problems), **table.to_dict())
+        if not as_json:
+            typer.echo(table.text)
+        return
+
+    report = assess(
+        database, truth=truth, points=points, frame=frame, maps=maps, overwrite=overwrite
+    )
+    more, text = {}, report.text
+    if loops:
+        from levkas.quality.evaluation.loop_closure import close_database, tell
+
+        more["loops"] = close_database(locate(database)[0])
+        text = f"{text}\n\n{tell(more['loops'])}"
+    print_report("evaluate", as_json, True, report.problems, results=report.results, **more)
+    if not as_json:
+        typer.echo(text)
+
+
+@refusing("map")
+def map_points(
+    database: Annotated[Path, typer.Argument(help="Database folder.")],
+    name: Annotated[str, typer.Argument(metavar="OBJECT", help="Object in the database.")],
+    points: Annotated[
+        Path | None, typer.Argument(help="CSV with header x,y; standard input without it.")
+    ] = None,
+    source: Annotated[
+        str, typer.Option("--from", help="Frame: grid, CAMERA, CAMERA@SETUP:BAND …")
+    ] = "grid",
+    target: Annotated[str, typer.Option("--to", help="Frame the points are wanted in.")] = "grid",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Map points between any two pixel frames of an object."""
+    from levkas.core.ownership import require_free
+    from levkas.geometry.pixel_frames import map_table
+    from levkas.readers.text import read_stream, read_text
+
+    if output is not None:
+        require_free(output, overwrite=overwrite)
+    wanted = "a CSV in UTF-8 with the header x,y"
+    text = (
+        read_text(points, wanted)
+        if points
+        else read_stream(sys.stdin.buffer, "standard input", wanted)
+    )
+    file = str(points) if points else None
+    mapped = map_table(database, name, text, source=source, target=target, file=file)
+    if output is None:
+        typer.echo(mapped, nl=False)
+        return
+    from levkas.core.files import write_text
+
+    write_text(output, mapped)
+
+
+@refusing("points convert")
+def convert(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="IN", help="File; that of the reference where there are two."),
+    ],
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
+    to: Annotated[
+        str,
+        typer.Option(help="levkas, bigwarp, qgis, hugin, elastix, napari, butterfly or cpselect."),
+    ] = "levkas",
+    target: Annotated[
+        Path | None, typer.Option(help="File of the target, where IN is of the reference alone.")
+    ] = None,
+    dialect: Annotated[
+        str | None, typer.Option("--from", help="Dialect of IN; told from its content without.")
+    ] = None,
+    reference_size: Annotated[
+        str | None, typer.Option(help="width,height of the reference picture.")
+    ] = None,
+    target_size: Annotated[
+        str | None, typer.Option(help="width,height of the target picture.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Read control points of one program and write them as another's, pixel origins and all."""
+    from levkas.registration.control_points import losses, parse_size, read_points, write_points
+
+    points = read_points(
+        source,
+        target,
+        dialect=dialect,
+        reference_size=parse_size(reference_size),
+        target_size=parse_size(target_size),
+    )
+    paths = write_points(points, output, to, overwrite=overwrite)
+    lost = losses(points, to)
+    print_report(
+        "points convert", as_json, True, [],
+        points=len(points), written=[str(p) for p in paths], losses=lost,
+    )  # fmt: skip
+    if not as_json:
+        said = "".join(f"; {loss}" for loss in lost)
+        typer.echo(f"{len(points)} points: {', '.join(str(p) for p in paths)}{said}")

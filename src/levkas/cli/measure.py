@@ -1,0 +1,106 @@
+"""Commands that measure cameras and charts: chart, radiometry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from levkas.cli.output import (
+    Json,
+    Overwrite,
+    finish,
+    print_report,
+    refusing,
+)
+
+
+@refusing("chart")
+def chart(
+    subject: Annotated[
+        Path,
+        typer.Argument(help="A campaign that declares charts, a database, or a calibrated cube."),
+    ],
+    kind: Annotated[
+        str, typer.Option(help="Of the chart in a cube: ColorChecker24 or ColorCheckerSG.")
+    ] = "ColorChecker24",
+    cameras: Annotated[
+        list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
+    ] = None,
+    objects: Annotated[
+        list[str] | None,
+        typer.Option("--object", help="Object of a database that is a chart; may be repeated."),
+    ] = None,
+    corners: Annotated[
+        str | None,
+        typer.Option(
+            help="Centres of the corner patches, x,y,x,y,x,y,x,y, clockwise from the first patch."
+        ),
+    ] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="CSV of the chart's spectra: wavelength, a column a patch.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Report page to write, HTML.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find colour charts and measure signal-to-noise, blur, colour, tone and white balance."""
+    from levkas.building.charts import measure_charts
+    from levkas.core.ownership import require_free
+    from levkas.quality.targets.charts import parse_corners
+
+    if output is not None:
+        require_free(output, overwrite=overwrite)
+    report = measure_charts(
+        subject,
+        kind=kind,
+        cameras=cameras or (),
+        corners=parse_corners(corners) if corners else None,
+        reference=reference,
+        objects=objects or (),
+    )
+    if output is not None:
+        from levkas.core.files import write_text
+
+        write_text(output, report.page(subject.name))
+    finish("chart", report, as_json)
+
+
+@refusing("radiometry")
+def radiometry(
+    path: Annotated[
+        Path,
+        typer.Argument(help="Campaign (folder or campaign.toml), a frame, or a folder of frames."),
+    ],
+    cameras: Annotated[
+        list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="HTML page to write, for a campaign.")
+    ] = None,
+    overwrite: Overwrite = False,
+    seed: Annotated[int, typer.Option(help="Seed of the intervals' bootstrap.", min=0)] = 1,
+    as_json: Json = False,
+) -> None:
+    """Say what the cameras are: bits, codes, gain, noise, PRNU, full well, linearity, steady light.
+
+    Nothing is written but the page that --output asks for.
+    """
+    from levkas.core.ownership import require_free
+    from levkas.quality.emva1288 import examine_with_seed
+
+    if output is not None:
+        require_free(output, overwrite=overwrite)
+    found = examine_with_seed(path, cameras=cameras, seed=seed)
+    written = None
+    if output is not None:
+        from levkas.pages.emva1288 import write_page
+
+        written = str(write_page(found, output))
+    if not as_json:
+        typer.echo(found.text)
+    print_report("radiometry", as_json, found.ok, found.problems, page=written, **found.to_dict())
+    raise typer.Exit(0 if found.ok else 1)

@@ -1,0 +1,69 @@
+"""Partial files and folders that killed runs left behind, removed."""
+
+from __future__ import annotations
+
+import glob
+import os
+from pathlib import Path
+
+from levkas.core.disk import refusing
+from levkas.core.files import LONGEST_NAME, OURS, discard
+
+try:
+    import fcntl
+except ImportError:  # Windows has no advisory locks of this kind: nothing is swept there
+    fcntl = None  # type: ignore[assignment]
+
+
+def sweep(folder: str | Path) -> list[Path]:
+    """Take away what killed runs of Levkas left under partial names, in `folder` and below.
+
+    A partial file that a living process still writes is locked by it and stays. `folder` must be
+    one that Levkas made.
+
+    Returns
+    -------
+    removed : list of Path
+    """
+    removed: list[Path] = []
+    for place, folders, names in os.walk(folder):
+        partial = [n for n in (*folders, *names) if OURS.fullmatch(n)]
+        folders[:] = sorted(set(folders) - set(partial))
+        for name in sorted(partial):
+            path = Path(place, name)
+            if _abandoned(path):
+                with refusing(path, None):
+                    discard(path)
+                removed.append(path)
+    return removed
+
+
+def sweep_beside(path: str | Path) -> list[Path]:
+    """Take away what killed runs left of one file or folder, beside it; as `sweep` does."""
+    path = Path(path)
+    removed = []
+    start = glob.escape(path.name[:LONGEST_NAME])
+    for left in sorted(path.parent.glob(f"{start}.levkas.partial-*")):
+        if OURS.fullmatch(left.name) and _abandoned(left):
+            with refusing(left, None):
+                discard(left)
+            removed.append(left)
+    return removed
+
+
+def _abandoned(path: Path) -> bool:
+    if fcntl is None:
+        return False
+    try:
+        descriptor = os.open(
+            path, os.O_RDONLY | os.O_NONBLOCK
+        )  # a pipe of that name keeps none waiting
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return True

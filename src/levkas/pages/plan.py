@@ -1,0 +1,294 @@
+"""The plan as one HTML page, for a conservator and a lighting technician; it prints on A4."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.colour.illuminants import illuminant
+from levkas.core.files import write_text
+from levkas.pages.page import render_page
+from levkas.pages.plan_plots import (
+    draw_bench,
+    draw_evenness,
+    draw_filter,
+    draw_glare,
+    draw_snr,
+    draw_spectra,
+    draw_trade_off,
+)
+from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS
+from levkas.planning.exposure_plan import plan_dose, plan_exposure
+from levkas.planning.framing import plan_framing
+from levkas.planning.light import compare_lightings, plan_light
+from levkas.planning.optimisation import judge_of, optimise, trade_off
+from levkas.planning.spectra import GRID, colour_temperature, unevenness
+from levkas.planning.tables import PlanRefused
+
+if TYPE_CHECKING:
+    from levkas.planning.light import LightPlan
+    from levkas.planning.optimisation import Optimum
+    from levkas.planning.setup import StudioLamp, StudioSetup
+
+
+def write_report(
+    path: str | Path, setup: StudioSetup, name: str | None = None, *, seed: int = 1
+) -> Path:
+    """Write the report of one lighting, beside all others of the setup file.
+
+    Parameters
+    ----------
+    path : path
+        HTML file.
+    setup : StudioSetup
+    name : str, optional
+        Of the lighting; the first without one.
+    seed : int
+        Of the search's random starts.
+
+    Raises
+    ------
+    PlanRefused
+        Where there is no such lighting.
+    """
+    page = report_facts(setup, name, rng=np.random.default_rng(seed))
+    write_text(path, render_page("plan.html", page=page))
+    return Path(path)
+
+
+def report_facts(
+    setup: StudioSetup, name: str | None, *, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Return everything on the page: words, numbers and drawings."""
+    plan = plan_light(setup, name)
+    others = compare_lightings(setup)
+    judge = judge_of(setup, plan.lighting)
+    best = optimise(judge, rng=rng)
+    curve = trade_off(judge, best.best)
+    current = plan.lighting.lamps[0].angle_deg
+    thing = setup.object
+    facts: dict[str, Any] = {
+        "title": setup.bench.title or setup.path.stem,
+        "object": thing.title or "The object",
+        "facts": _object_facts(setup),
+        "name": plan.lighting.name,
+        "subtitle": plan.lighting.title,
+        "short": _in_short(setup, plan),
+        "lamps": [_lamp_row(lamp) for lamp in plan.lighting.lamps],
+        "bench": draw_bench(setup, plan),
+        "fields": _fields(plan),
+        "evenness": draw_evenness(plan),
+        "glare": draw_glare(plan),
+        "levers": plan.levers,
+        "compared": [_compared(p) for p in others],
+        "trade": draw_trade_off(curve, best.best.angle_deg, current),
+        "best": best,
+        "best_words": _best_words(best),
+        "criteria": [
+            (MEANINGS[k], f"{v:.2f}", f"{TOLERANCES[k]:g}", f"{WEIGHTS[k]:g}")
+            for k, v in best.criteria.items()
+            if v or k not in ("varnish", "gold")
+        ],
+        "framing": plan_framing(setup),
+        "spectra": _spectra(plan),
+        "spectra_words": _spectra_words(plan),
+    }
+    return {**facts, **_light_facts(setup, plan)}
+
+
+def _light_facts(setup: StudioSetup, plan: LightPlan) -> dict[str, Any]:
+    """Exposure, filter and dose, or the reason why there are none."""
+    if not setup.cameras:
+        return {"exposures": [], "dose": None, "no_light": ""}
+    try:
+        exposures = plan_exposure(setup, plan.lighting.name)
+        dose = plan_dose(setup, plan.lighting.name, exposures=exposures)
+    except PlanRefused as refused:
+        return {"exposures": [], "dose": None, "no_light": str(refused)}
+    facts = {"exposures": exposures, "dose": dose, "snr": draw_snr(exposures), "no_light": ""}
+    shared = [e for e in exposures if setup.cameras[e.camera].keys.exposure == "one"]
+    uneven = max(shared, key=lambda e: e.evenness, default=None)
+    if uneven is not None and len(uneven.channels) > 1:
+        from levkas.planning.filter_design import regulating_filter
+
+        found = regulating_filter(setup, uneven.camera, plan.lighting.name)
+        facts["filter"] = draw_filter(found, uneven.camera)
+        facts["filter_words"] = (
+            f"For {uneven.camera} the weakest channel gets {100 * found.before.min():.0f} % of the "
+            f"fullest one's light. The filter below brings all to "
+            f"{100 * found.after.min():.0f} % or more, at {found.time_factor:.1f} times the exposure."
+        )
+    return facts
+
+
+def _object_facts(setup: StudioSetup) -> list[str]:
+    thing = setup.object
+    told = [f"{thing.size_mm[0]:.0f} x {thing.size_mm[1]:.0f} mm"]
+    if thing.bend:
+        other = "height" if thing.bend.straight == "width" else "width"
+        told.append(f"bent along its {other}, radius {thing.bend.radius_mm / 1000:g} m")
+    if thing.recess_mm:
+        told.append(f"middle {thing.recess_mm:g} mm lower")
+    told += [n for n, there in (("varnished", thing.varnish), ("gilded", thing.gold)) if there]
+    return told
+
+
+def _in_short(setup: StudioSetup, plan: LightPlan) -> list[tuple[str, str]]:
+    """Return what a hurried reader takes away: (ok, warn or refuse; sentence)."""
+    thing = setup.object
+    told = [
+        (
+            _mark(plan.drop, 0.10, 0.25),
+            f"Evenness: the light falls by {100 * plan.drop:.0f} % from the brightest to the darkest place "
+            f"of the object. The flat field repairs it, at the cost of some noise where it is dark.",
+        )
+    ]
+    if thing.varnish:
+        veil = plan.varnish / thing.darkest
+        told.append(
+            (
+                _mark(veil, 0.10, 0.25),
+                f"Varnish: a veil of {100 * plan.varnish:.2g} % of white, which is {100 * veil:.0f} % of the "
+                f"darkest paint.",
+            )
+        )
+    if thing.gold:
+        told.append(
+            (
+                _mark(plan.gold, 0.35, 0.7),
+                f"Gold reads up to {100 * plan.gold:.0f} % of white and varies {plan.gold_spread:.1f}-fold "
+                f"over the panel.",
+            )
+        )
+    if thing.relief_slope:
+        flat = plan.texture < 0.01
+        words = (
+            "is flattened" if flat else "is exaggerated" if plan.hidden > 0.05 else "stays visible"
+        )
+        told.append(
+            (
+                "warn" if flat or plan.hidden > 0.05 else "ok",
+                f"Relief {words}: contrast {100 * plan.texture:.1f} % on matte paint, "
+                f"{100 * plan.hidden:.1f} % of it turned away from a lamp.",
+            )
+        )
+    missing = [f.camera for f in plan_framing(setup) if not f.covers]
+    if missing:
+        told.append(
+            ("refuse", f"{', '.join(missing)} cannot show the whole object from where they stand.")
+        )
+    return told
+
+
+def _mark(value: float, good: float, bad: float) -> str:
+    return "ok" if value <= good * 1.005 else "warn" if value <= bad else "refuse"
+
+
+def _lamp_row(lamp: StudioLamp) -> dict[str, str]:
+    target = lamp.place - lamp.axis * lamp.place[2] / min(lamp.axis[2], -1e-6)
+    x, y, z = lamp.place / 10
+    return {
+        "name": lamp.name,
+        "angle": f"{lamp.angle_deg:.0f}°",
+        "distance": f"{lamp.distance_mm / 10:.0f} cm",
+        "place": f"{_side(x, 'right', 'left')}, {_side(y, 'below', 'above')}, {z:.0f} cm out",
+        "aim": _aimed(target / 10),
+        "filters": ", ".join(lamp.filters) or "none",
+        "polariser": lamp.polariser or "–",
+    }
+
+
+def _side(value: float, more: str, less: str) -> str:
+    if abs(value) < 0.5:
+        return "level" if more == "below" else "in the middle"
+    return f"{abs(value):.0f} cm {more if value > 0 else less}"
+
+
+def _aimed(target: np.ndarray) -> str:
+    if np.hypot(target[0], target[1]) < 0.5:
+        return "the middle"
+    return f"{_side(target[0], 'right', 'left')}, {_side(target[1], 'below', 'above')}"
+
+
+def _fields(plan: LightPlan) -> list[str]:
+    told = []
+    for name, field in plan.fields.items():
+        words = f"Along the {name}, the panel would mirror what stands within {field.mirror[1]:.0f}° of its normal"
+        wider = field.facets[1] > field.mirror[1] + 0.5
+        words += (
+            f"; varnish and leaf facets widen this to {field.facets[1]:.0f}°." if wider else "."
+        )
+        if field.walls is not None:
+            words += (
+                f" The walls of the recess mirror what stands at {field.walls[0]:.0f}–"
+                f"{min(field.walls[1], 90):.0f}°: expect a thin bright line there."
+            )
+        if np.isfinite(field.margin):
+            words += (
+                f" The nearest lamp stays {field.margin:.0f}° outside."
+                if field.margin >= 0
+                else f" A lamp stands {-field.margin:.0f}° inside it."
+            )
+        told.append(words)
+    return told
+
+
+def _compared(plan: LightPlan) -> dict[str, str]:
+    return {
+        "name": plan.lighting.name,
+        "title": plan.lighting.title,
+        "lux": f"{plan.mean:.0f}" if plan.absolute else "–",
+        "drop": f"{100 * plan.drop:.0f} %",
+        "varnish": f"{100 * plan.varnish:.2g} %" if plan.varnish else "–",
+        "gold": f"{100 * plan.gold:.2g} %" if plan.gold else "–",
+        "spread": f"{plan.gold_spread:.1f}" if plan.gold else "–",
+        "texture": f"{100 * plan.texture_seen:.1f} %",
+    }
+
+
+def _best_words(best: Optimum) -> str:
+    found = best.best
+    where = (
+        "along the width"
+        if found.azimuth_deg < 20
+        else "along the height"
+        if found.azimuth_deg > 70
+        else f"turned by {found.azimuth_deg:.0f}° from the width"
+    )
+    aim = (
+        "aimed at the far edge"
+        if found.aim > 0.9
+        else f"aimed {100 * found.aim:.0f} % of the way to the far edge"
+        if found.aim > 0.05
+        else "aimed at the middle"
+    )
+    balance = (
+        "of equal power" if found.balance < 0.51 else f"at {100 * found.balance:.0f} to "
+        f"{100 - 100 * found.balance:.0f} % of the power"
+    )  # fmt: skip
+    agree = sum(abs(end.angle_deg - found.angle_deg) < 2 for _, end, _ in best.starts)
+    return (
+        f"Two lamps {where} at {found.angle_deg:.0f}° from the normal and {found.distance_mm / 10:.0f} cm, "
+        f"{aim}, {balance}. {agree} of {len(best.starts)} searches from random starts ended there."
+    )
+
+
+def _spectra(plan: LightPlan) -> str:
+    lamp = plan.lighting.lamps[0]
+    curves = {"the lamp with its filters": lamp.spectrum}
+    for name in ("D50", "D65", "A"):
+        found = illuminant(name)
+        assert found is not None
+        curves[f"CIE {name}"] = np.interp(GRID, *found)
+    return draw_spectra(GRID, curves, "spectrum of the light beside CIE illuminants")
+
+
+def _spectra_words(plan: LightPlan) -> str:
+    lamp = plan.lighting.lamps[0]
+    kelvin, duv = colour_temperature(lamp.spectrum)
+    return (
+        f"The light has {kelvin:,.0f} K (Duv {duv:+.4f}); between 400 and 720 nm its strongest wavelength "
+        f"has {unevenness(lamp.spectrum):.1f} times the power of its weakest."
+    )

@@ -1,0 +1,390 @@
+"""Exposure of every camera and channel under a lighting: times, electrons, SNR, the channel that limits.
+
+A pixel gathers e = t·p²·τ / (4·N²·(1+m)²) · ∫ E(λ)·Rw·QE(λ)·λ/(hc) dλ photo-electrons from a white
+board, with the irradiance E, the lens's transmittance τ and f-number N.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.calibration.noise_model import Sensor, snr_db
+from levkas.planning.framing import magnification
+from levkas.planning.irradiance import illuminate
+from levkas.planning.loading import load_setup
+from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate, steps
+from levkas.planning.tables import PlanRefused, wrong
+
+if TYPE_CHECKING:
+    from levkas.planning.setup import Lighting, StudioCamera, StudioSetup
+
+PLANCK_TIMES_LIGHT = 1.98644586e-25
+"""h·c, J·m."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel's exposure of a white board.
+
+    `snr` is the linear mean over spread after flat-fielding, `snr_raw` before it in the dB of Eq. (1).
+    """
+
+    name: str
+    wavelength: float
+    sensor: str
+    time_s: float
+    electrons: float
+    share_of_full: float
+    snr: float
+    snr_db: float
+    snr_raw_db: float
+    too_long: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class CameraExposure:
+    """The channels of one camera under one lighting."""
+
+    camera: str
+    setup: str
+    channels: tuple[Channel, ...]
+    limiting: str
+    evenness: float
+    total_s: float
+    rates: np.ndarray
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        return {
+            "camera": self.camera,
+            "setup": self.setup,
+            "channels": [dict(c.__dict__) for c in self.channels],
+            "limiting": self.limiting,
+            "evenness": self.evenness,
+            "total_s": self.total_s,
+            "notes": list(self.notes),
+        }
+
+
+def plan_exposure(setup: StudioSetup | str | Path, name: str | None = None) -> list[CameraExposure]:
+    """Return the exposure of every camera under one lighting of a setup file.
+
+    Parameters
+    ----------
+    setup : Setup or path
+    name : str, optional
+        Of the lighting; the first without one.
+
+    Raises
+    ------
+    PlanRefused
+        Where the light's strength is not known: no lamp's `power_w`, no `illuminance_lx`.
+    """
+    if not hasattr(setup, "bench"):
+        setup = load_setup(setup)  # type: ignore[arg-type]
+    lighting = setup.lighting(name)  # type: ignore[union-attr]
+    spectrum = irradiance_spectrum(setup, lighting)  # type: ignore[arg-type]
+    return [
+        expose_camera(setup, camera, lighting, spectrum)  # type: ignore[arg-type]
+        for camera in setup.cameras.values()  # type: ignore[union-attr]
+    ]
+
+
+def irradiance_spectrum(setup: StudioSetup, lighting: Lighting) -> np.ndarray:
+    """Return the spectral irradiance at the object's middle, W/m²/nm at `spectra.GRID`.
+
+    Raises
+    ------
+    PlanRefused
+        Where nothing says how strong the light is.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    parts = [float(illuminate([lamp], np.zeros(3), up)) for lamp in lighting.lamps]
+    if lighting.illuminance_lx is None and not all(x.measured for x in lighting.lamps):
+        raise PlanRefused(
+            wrong(
+                str(setup.path), f"setups.{lighting.name}.illuminance_lx",
+                "nothing says how strong the light is", "no power_w, no illuminance_lx",
+                "one of them", "Measure at the object's middle with a lux meter, or give power_w.",
+                "E_NO_POWER",
+            )
+        )  # fmt: skip
+    total = sum(parts)
+    scale = 1.0 if lighting.illuminance_lx is None else lighting.illuminance_lx / total
+    mixed = [lux * lamp.spectrum for lux, lamp in zip(parts, lighting.lamps, strict=True)]
+    return scale * np.sum(mixed, axis=0) / LUMENS_PER_WATT
+
+
+def electron_rates(
+    setup: StudioSetup,
+    camera: StudioCamera,
+    lighting: Lighting,
+    spectrum: np.ndarray,
+    quantum: Any = None,
+) -> np.ndarray:
+    """Return photo-electrons a second and pixel of a white board, (channels,).
+
+    Parameters
+    ----------
+    spectrum : ndarray, (n,)
+        Spectral irradiance, W/m²/nm.
+    quantum : ndarray, (channels, n), optional
+        Quantum efficiencies instead of the camera's.
+    """
+    keys, sheets = camera.keys, setup.bench.sheets
+    m = magnification(keys.focal_mm, camera.distance_mm)
+    stop = keys.lens_transmittance / (4 * (keys.f_number * (1 + m)) ** 2)
+    if lighting.camera_polariser and not keys.has_polariser:
+        stop *= sheets.transmittance
+    area = (keys.pitch_um * 1e-6) ** 2
+    photons = spectrum * (GRID * 1e-9) / PLANCK_TIMES_LIGHT * steps()
+    quantum = camera.quantum if quantum is None else quantum
+    return setup.bench.target.white * area * stop * (quantum @ photons)
+
+
+def expose_camera(
+    setup: StudioSetup, camera: StudioCamera, lighting: Lighting, spectrum: np.ndarray
+) -> CameraExposure:
+    """Return the exposure of one camera: the brightest channel of each sensor at the aimed share."""
+    keys, target = camera.keys, setup.bench.target
+    rates = electron_rates(setup, camera, lighting, spectrum)
+    wanted = target.share_of_full * keys.full_well_e
+    times = np.full(len(rates), 0.0)
+    sensors = _sensors(camera)
+    for members in sensors.values():
+        index = np.array(members)
+        free = keys.exposure == "per band"
+        best = wanted / np.maximum(rates[index] if free else rates[index].max(), 1e-12)
+        times[index] = np.minimum(best, keys.longest_s) if keys.time_s is None else keys.time_s
+    owner = {i: name for name, members in sensors.items() for i in members}
+    channels = tuple(
+        _channel(camera, i, owner[i], float(times[i]), float(rates[i])) for i in range(len(rates))
+    )
+    snrs = [c.snr for c in channels]
+    weakest = channels[int(np.argmin(snrs))]
+    per_sensor = [times[np.array(m)] for m in sensors.values()]
+    free = keys.exposure == "per band"
+    total = float(sum(t.sum() for t in per_sensor) if free else max(t.max() for t in per_sensor))
+    notes = tuple(_notes(setup, camera, lighting, channels, weakest))
+    return CameraExposure(
+        camera.name, lighting.name, channels, weakest.name, max(snrs) / max(min(snrs), 1e-9), total,
+        rates, notes,
+    )  # fmt: skip
+
+
+def _sensors(camera: StudioCamera) -> dict[str, list[int]]:
+    """Channels that share an exposure time, by sensor."""
+    if not camera.keys.sensors:
+        return {"": list(range(len(camera.labels)))}
+    return {
+        f"sensor {i + 1}": [camera.labels.index(label) for label in labels]
+        for i, labels in enumerate(camera.keys.sensors)
+    }
+
+
+def _channel(camera: StudioCamera, i: int, sensor: str, time_s: float, rate: float) -> Channel:
+    keys = camera.keys
+    electrons = rate * time_s
+    dark = keys.dark_e_per_s * time_s
+    raw = Sensor(dark, keys.read_e, keys.prnu, full_well=keys.full_well_e)
+    flat = Sensor(dark, keys.read_e, 0.0, 0.0, full_well=keys.full_well_e)
+    held = min(electrons, keys.full_well_e)
+    decibel = float(snr_db(held, flat))
+    return Channel(
+        camera.labels[i], float(camera.wavelengths[i]), sensor, time_s, electrons,
+        electrons / keys.full_well_e, float(10 ** (decibel / 10)), decibel,
+        float(snr_db(held, raw)), keys.time_s is None and time_s >= keys.longest_s,
+    )  # fmt: skip
+
+
+def _notes(
+    setup: StudioSetup,
+    camera: StudioCamera,
+    lighting: Lighting,
+    channels: tuple[Channel, ...],
+    weakest: Channel,
+) -> list[str]:
+    """Say what limits, saturates or beats, and what is only assumed."""
+    told = []
+    if camera.keys.sensitivity is None:
+        seen = (
+            "in every band" if camera.keys.wavelengths else "from 400 to 720 nm, one grey channel"
+        )
+        told.append(
+            f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are taken to count {seen}."
+        )
+    target = setup.bench.target
+    full = [c for c in channels if c.share_of_full >= 1]
+    if full:
+        told.append(
+            f"{', '.join(c.name for c in full)} would saturate: a white board fills "
+            f"{100 * max(c.share_of_full for c in full):.0f} % of the well."
+        )
+    ratio = max(c.share_of_full for c in channels) / max(weakest.share_of_full, 1e-12)
+    if ratio > 1.5:
+        told.append(
+            f"{weakest.name} limits: it gets {ratio:.1f} times less light than the fullest channel, "
+            f"SNR {weakest.snr:.0f} ({weakest.snr_db:.1f} dB) on white."
+        )
+    if weakest.snr < target.least_snr:
+        told.append(
+            f"SNR {weakest.snr:.0f} is below the {target.least_snr:g} that is asked: average "
+            f"{int(np.ceil((target.least_snr / weakest.snr) ** 2))} frames, or give more light there."
+        )
+    long = [c.name for c in channels if c.too_long]
+    if long:
+        told.append(f"{', '.join(long)} would need more than {camera.keys.longest_s:g} s.")
+    if camera.keys.has_polariser and any(lamp.polariser for lamp in lighting.lamps):
+        told.append(
+            "This camera is an analyser itself: record its axis and turn the lamps' sheets to it; a "
+            "third sheet before it would only darken."
+        )
+    shortest = min(c.time_s for c in channels)
+    for lamp in lighting.lamps:
+        beat = flicker_bound(lamp.modulation, lamp.flicker_hz, shortest)
+        if beat > target.flicker:
+            even = max(1, round(shortest * lamp.flicker_hz)) / lamp.flicker_hz
+            told.append(
+                f"Flicker of {lamp.name} may change a frame of {1000 * shortest:.3g} ms by up to "
+                f"{100 * beat:.2g} %: take {1000 * even:.4g} ms, whole periods of "
+                f"{lamp.flicker_hz:g} Hz, and it is gone."
+            )
+            break
+    return told
+
+
+def flicker_bound(modulation: float, frequency_hz: float, time_s: float) -> float:
+    """Return the largest relative change of an exposure by flicker: m/(π·f·t), at most m.
+
+    Parameters
+    ----------
+    modulation : float
+        (max − min) / (max + min) of the light.
+    frequency_hz : float
+        Of the light: twice the mains.
+    time_s : float
+
+    Examples
+    --------
+    >>> round(flicker_bound(0.05, 100.0, 0.3), 6), flicker_bound(0.05, 100.0, 1e-4)
+    (0.000531, 0.05)
+    """
+    return float(min(modulation, modulation / (np.pi * frequency_hz * max(time_s, 1e-12))))
+
+
+def illuminance_from_exposure(
+    share_of_full: float, f_number: float, time_s: float, iso: float, white: float = 0.95
+) -> float:
+    """Return the illuminance that a camera's exposure of a white board means, lx.
+
+    E = π·L/ρ with L = H·N²/(0.65·t) and H = share·78/S, of ISO 12232.
+
+    Examples
+    --------
+    The paper's colour camera, f/8, 1 s, ISO 100, white at 85 %:
+
+    >>> round(illuminance_from_exposure(0.85, 8.0, 1.0, 100.0))
+    216
+    """
+    luminance = share_of_full * 78 / iso * f_number**2 / (0.65 * time_s)
+    return float(np.pi * luminance / white)
+
+
+CLASSES: dict[str, tuple[float, float]] = {
+    "high": (50.0, 15_000.0),
+    "medium": (50.0, 150_000.0),
+    "low": (200.0, 600_000.0),
+    "none": (float("inf"), float("inf")),
+}
+"""Illuminance lx and lux-hours a year of CIE 157:2004."""
+MOST_UV = 75.0
+"""µW/lm."""
+ABSORBED, FILM = 0.8, 10.0
+"""Share of light that a dark panel takes up, and W/m²/K that still air carries off."""
+
+
+@dataclass(frozen=True)
+class Dose:
+    """What one object gets in one session; shares are of a year's limit of its class."""
+
+    setup: str
+    illuminance_lx: float
+    hours: float
+    lux_hours: float
+    sensitivity: str
+    limit_lx: float
+    limit_lux_hours: float
+    share_of_year: float
+    uv_uw_per_lm: float
+    heat_w_per_m2: float
+    warming_k: float
+    sentences: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        return {**self.__dict__, "sentences": list(self.sentences)}
+
+
+def plan_dose(
+    setup: StudioSetup, name: str | None = None, *, exposures: list[CameraExposure] | None = None
+) -> Dose:
+    """Return what the object of a setup file gets under one lighting, all cameras together.
+
+    Raises
+    ------
+    PlanRefused
+        Where there is no such lighting, or its strength is not known.
+    """
+    lighting, session = setup.lighting(name), setup.bench.session
+    spectrum = irradiance_spectrum(setup, lighting)
+    exposures = plan_exposure(setup, name) if exposures is None else exposures
+    lux = LUMENS_PER_WATT * integrate(spectrum * eye())
+    capture = sum(e.total_s + session.pause_s for e in exposures) * session.shots / 3600
+    hours = session.hours or capture + (session.warm_up_min + session.focus_min) / 60
+    most_lx, most_dose = CLASSES[setup.object.sensitivity]
+    uv = 1e6 * integrate(spectrum * (GRID < 400)) / lux
+    heat = integrate(spectrum)
+    warming = ABSORBED * heat / FILM
+    dose = Dose(
+        lighting.name, lux, hours, lux * hours, setup.object.sensitivity, most_lx, most_dose,
+        lux * hours / most_dose, uv, heat, warming, (),
+    )  # fmt: skip
+    return Dose(**{**dose.__dict__, "sentences": tuple(_say(dose))})
+
+
+def _say(dose: Dose) -> list[str]:
+    told = [
+        f"{dose.illuminance_lx:.0f} lx for {dose.hours:.1f} h are {dose.lux_hours:,.0f} lx·h"
+        + (
+            f": {100 * dose.share_of_year:.2g} % of what an object of {dose.sensitivity} responsivity "
+            f"may get in a year ({dose.limit_lux_hours:,.0f} lx·h)."
+            if np.isfinite(dose.limit_lux_hours)
+            else "; the object is not sensitive to light."
+        )
+    ]
+    if dose.illuminance_lx > dose.limit_lx:
+        told.append(
+            f"While the lamps burn the object is lit {dose.illuminance_lx / dose.limit_lx:.1f} times as "
+            f"brightly as on display ({dose.limit_lx:.0f} lx): switch them off between captures."
+        )
+    uv = "within" if dose.uv_uw_per_lm <= MOST_UV else "above"
+    told.append(f"Ultraviolet is {dose.uv_uw_per_lm:.0f} µW/lm, {uv} the usual {MOST_UV:.0f}.")
+    told.append(
+        f"The light brings {dose.heat_w_per_m2:.1f} W/m²: a dark panel in still air would settle at most "
+        f"{dose.warming_k:.1f} K above the room."
+    )
+    return told
+
+
+def annual_share(lux: float, hours: float, sensitivity: str) -> float:
+    """Return the share of a year's lux-hours of a class.
+
+    >>> round(annual_share(216.0, 2.0, "high"), 4)
+    0.0288
+    """
+    return lux * hours / CLASSES[sensitivity][1]

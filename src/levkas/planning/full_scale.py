@@ -1,0 +1,108 @@
+"""The code at which a sensel is full: as given, as the file declares it, or as its campaign does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+from levkas.readers.frames import Facts, read_frame
+
+if TYPE_CHECKING:
+    from levkas.campaign.campaign import Camera
+
+
+@dataclass(frozen=True)
+class FullScale:
+    """Counts at which a sensel is full, where that is known from, and black where a campaign has it."""
+
+    counts: float
+    source: str
+    bits: int | None = None
+    black: float | None = None
+
+
+def find_full_scale(
+    files: Sequence[Path],
+    facts: Facts,
+    *,
+    bits: int | None = None,
+    saturation: float | None = None,
+) -> FullScale | None:
+    """Return the full scale of some frames of one camera; None where nothing tells it.
+
+    Parameters
+    ----------
+    files : sequence of Path
+    facts : Facts
+        Of the first.
+    bits : int, optional
+        Of the converter, as given; `saturation` goes before it.
+    saturation : float, optional
+        Counts, as given.
+
+    Notes
+    -----
+    In this order: given, `saturation` of the campaign that the first frame belongs to, white level of the file,
+    `bits` of the campaign, bits of a sample where they are the converter's: fewer than are stored, 8 of 8, or 16
+    of 16 that are all in use. How bright the brightest pixel is does not tell it: a camera of 12 bits fills a
+    quarter of its range with codes of 10.
+    """
+    if saturation:
+        return FullScale(float(saturation), "as given")
+    if bits:
+        return FullScale(2.0**bits - 1, f"{bits} bits as given", bits)
+    camera, campaign = _declared(files[0])
+    black = camera.black if camera else None
+    if camera is not None and camera.saturation:
+        return FullScale(float(camera.saturation), f"saturation in {campaign}", None, black)
+    if facts.saturation:
+        return FullScale(float(facts.saturation), "white level in the file", None, black)
+    if camera is not None and camera.bits:
+        source = f"{camera.bits} bits in {campaign}"
+        return FullScale(2.0**camera.bits - 1, source, camera.bits, black)
+    stored = 8 * np.dtype(facts.dtype).itemsize
+    if np.dtype(facts.dtype).kind != "u" or not facts.bits:
+        return None
+    if facts.bits < stored or stored == 8:
+        return FullScale(2.0**facts.bits - 1, f"{facts.bits} bits in the file", facts.bits, black)
+    if stored == 16 and any(int(read_frame(f).max(initial=0)) >= 1 << 15 for f in files):
+        return FullScale(65535.0, "16 bits in the file, all in use", 16, black)
+    return None
+
+
+def not_known(file: Path, facts: Facts) -> Problem:
+    """Return the problem of a full scale that nothing tells."""
+    return Problem(
+        "E_BITS",
+        "nothing tells the full scale of the camera",
+        str(file),
+        "white level",
+        f"{facts.dtype} without a white level, not all bits in use",
+        "the bits of the camera's converter, or the code at which it saturates",
+        "Give --bits 12 (10, 14, ...) or --saturation 4095, or `bits` of the camera in campaign.toml.",
+    )
+
+
+def _declared(file: Path) -> tuple[Camera | None, Path | None]:
+    """Return the camera of the campaign above a file that has it among its frames, and campaign.toml."""
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.file_index import scan_folders
+
+    file = file.resolve()
+    above = next((p for p in file.parents if (p / "campaign.toml").is_file()), None)
+    if above is None:
+        return None, None
+    try:
+        campaign = load_campaign(above)
+        frames = scan_folders(campaign).frames
+    except Refused:
+        return None, None
+    for (camera, _), found in frames.items():
+        if any(f.path.resolve() == file for f in found):
+            return campaign.cameras[camera], campaign.path
+    return None, None

@@ -1,0 +1,365 @@
+"""One object for the viewer: its layers' tiles, spectra and lattices, and the record its page reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.campaign.schema.toml import read_toml
+from levkas.core.cube import Band
+from levkas.core.flags import describe_marks
+from levkas.core.problems import Refused
+from levkas.database.registrations import read_registration
+from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
+from levkas.database.store import layer_name
+from levkas.database.tiff_pages import open_pages
+from levkas.geometry.pixel_frames import Frame
+from levkas.pages.page import DECISIONS
+from levkas.publish.viewer.lattice import write_lattices
+from levkas.publish.viewer.pages import address, worst
+from levkas.publish.viewer.pictures import Source, pictures_of
+from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
+from levkas.publish.viewer.spectra import write_spectra
+from levkas.readers.text import parse_bounded, read_text
+
+if TYPE_CHECKING:
+    from levkas.publish.viewer.pyramid import Write
+
+THUMBNAIL_PX = {"card": 400, "layer": 96}
+FACTS = {
+    **{"creator": "Maker", "date": "Date", "medium": "Medium", "size_mm": "Size"},
+    **{"owner": "Owner", "inventory": "Inventory", "rights": "Rights"},
+}
+"""Keys of object.toml, and what a page calls them."""
+KINDS = {".tif": "spectral TIFF", ".flags.tif": "flags", ".sigma.tif": "sigma", ".png": "preview"}
+UP = ("..", "..", "..")
+
+
+@dataclass
+class Item:
+    """An object of the database, and what pages will say of it."""
+
+    database: Path
+    name: str
+    layers: list[tuple[str, str]]
+    reference: str = ""
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the object's files."""
+        return self.database / "objects" / self.name
+
+    @property
+    def title(self) -> str:
+        """Title, else the name."""
+        return str(self.facts.get("title") or self.name)
+
+    @property
+    def subtitle(self) -> str:
+        """Maker, date and medium in a line."""
+        return ", ".join(
+            str(self.facts[k]) for k in ("creator", "date", "medium") if _told(self, k)
+        )
+
+    def registration(self, layer: str) -> dict[str, Any]:
+        """Return a layer's registration record, {} where it has none."""
+        path = self.folder / "registration" / f"{layer}.json"
+        try:
+            return read_registration(path)
+        except Refused:
+            return {}
+
+    def tiff(self, camera: str, setup: str) -> Path:
+        """Path of a layer's TIFF."""
+        stem = "_".join(part for part in (self.name, camera, setup) if part)
+        return self.folder / f"{stem}.tif"
+
+
+def _told(item: Item, key: str) -> bool:
+    return bool(item.facts.get(key))
+
+
+def find_items(database: Path) -> list[Item]:
+    """Return the objects of a database in order, each with its layers, the reference's first."""
+    from levkas.database.catalogue import NAME, read_catalogue
+    from levkas.geometry.pixel_frames import parse_frame
+
+    found: dict[str, list[tuple[str, str]]] = {}
+    if (database / NAME).is_file():
+        for entry in read_catalogue(database):
+            found.setdefault(entry.object, []).append((entry.camera, entry.setup))
+    items = []
+    for folder in sorted(p for p in (database / "objects").iterdir() if p.is_dir()):
+        layers = found.get(folder.name, [])
+        for record in sorted((folder / "registration").glob("*.json")):
+            frame = parse_frame(record.stem)
+            if (frame.camera, frame.setup) not in layers:
+                layers.append((frame.camera, frame.setup))
+        item = Item(database, folder.name, layers, facts=_read_facts(folder / "object.toml"))
+        records = [item.registration(layer_name(*layer)) for layer in layers]
+        named = (r.get("reference", {}).get("camera", "") for r in records if r)
+        item.reference = next((camera for camera in named if camera), "")
+        item.layers = sorted(layers, key=lambda layer: (layer != (item.reference, ""), layer))
+        items.append(item)
+    return items
+
+
+def write_object(write: Write, item: Item) -> Iterator[dict[str, Any]]:
+    """Write all that the page of one object shows, yielding a layer's record after each layer."""
+    home = f"viewer/objects/{item.name}"
+    for number, (camera, setup) in enumerate(item.layers):
+        name = layer_name(camera, setup)
+        record = item.registration(name)
+        decision = str(record.get("verdict", {}).get("decision", "accept"))
+        layer = {
+            **{"id": str(number), "name": name, "camera": camera, "setup": setup},
+            **{"decision": decision, "verdict": _say(item, camera, setup, decision)},
+            "reasons": [str(r) for r in record.get("verdict", {}).get("reasons", [])],
+            "next_step": str(record.get("verdict", {}).get("next_step", "")),
+            **{"quantity": "", "rendering": "", "bands": [], "pictures": []},
+            **{"thumbnail": "", "spectra": None, "lattice": None, "downloads": []},
+            "reference_band": 0,
+        }
+        if item.tiff(camera, setup).is_file():
+            layer |= _write_layer(write, item, home, str(number), (camera, setup), record)
+        yield layer
+
+
+def card_of(item: Item, layers: list[dict[str, Any]], thumbnail: Any) -> dict[str, Any]:
+    """Return what the contact sheet shows of an object; `thumbnail` is (name, width, height) or None."""
+    decision = worst([layer["decision"] for layer in layers])
+    refused = sum(layer["decision"] == "refuse" for layer in layers)
+    words = f"{refused} of {len(layers)} refused" if refused else DECISIONS[decision]
+    bands = sum(len(layer["bands"]) for layer in layers)
+    count = len(layers)
+    source, width, height = thumbnail or ("", 0, 0)
+    return {
+        **{"title": item.title, "subtitle": item.subtitle, "decision": decision, "verdict": words},
+        "href": address("viewer", "objects", item.name, "index.html"),
+        "layers": f"{count} layer{'' if count == 1 else 's'}, {bands} bands",
+        "cameras": sorted({layer["camera"] for layer in layers}),
+        **{"thumbnail": source, "width": width, "height": height},
+    }
+
+
+def write_thumbnail(write: Write, item: Item) -> tuple[str, int, int] | None:
+    """Write the contact sheet's picture: of the first layer that has colour, else of the first."""
+    tiffs = [t for layer in item.layers if (t := item.tiff(*layer)).is_file()]
+    renders = ((open_pages(tiff).read_render(), tiff) for tiff in tiffs)
+    image = next((render for render, _ in renders if render is not None), None)
+    if image is None:
+        return None
+    small = fit_within(image, THUMBNAIL_PX["card"])
+    write(f"viewer/objects/{item.name}/thumbnail.jpg", encode_jpeg(small, quality=82))
+    height, width = small.shape[:2]
+    return address("viewer", "objects", item.name, "thumbnail.jpg"), width, height
+
+
+def object_record(
+    item: Item, layers: list[dict[str, Any]], links: dict[str, Any]
+) -> dict[str, Any]:
+    """Return what an object's page reads: plain JSON."""
+    shown = next((p for layer in layers for p in layer["pictures"]), None)
+    records = [item.registration(layer["name"]) for layer in layers]
+    sampling = next((r["grid"].get("px_per_mm") for r in records if r.get("grid")), None)
+    report = item.folder / "report.html"
+    width, height = (shown["width"], shown["height"]) if shown else (0, 0)
+    return {
+        "object": {
+            **{"name": item.name, "title": item.title, "subtitle": item.subtitle},
+            "facts": _say_facts(item, width, height, sampling),
+        },
+        "grid": {
+            **{"width": width, "height": height},
+            "px_per_mm": sampling if sampling and math.isfinite(sampling) else None,
+        },
+        "reference": item.reference,
+        "flags": describe_marks(),
+        "layers": layers,
+        "downloads": [
+            {
+                "label": path.name,
+                "href": address(*UP, "objects", item.name, path.name),
+                "bytes": path.stat().st_size,
+            }
+            for path in sorted(item.folder.glob("object.toml"))
+        ],
+        "links": {
+            "sheet": "../../../index.html",
+            "report": address(*UP, "objects", item.name, report.name) if report.is_file() else "",
+            **links,
+        },
+    }
+
+
+# --- one layer ----------------------------------------------------------------------------------
+
+
+def _write_layer(
+    write: Write,
+    item: Item,
+    home: str,
+    number: str,
+    layer: tuple[str, str],
+    record: dict[str, Any],
+) -> dict[str, Any]:
+    tiff = item.tiff(*layer)
+    told, bands, centroids = _describe(tiff)
+    if not np.isfinite(centroids).any():
+        centroids = _centroids(item.database / "cameras" / layer[0] / "sensitivity.csv", bands)
+    reference = item.tiff(item.reference, "") if item.reference else tiff
+    source = Source(
+        *(item.database, item.name, tiff, bands, str(told.get("quantity", "")), record),
+        rendering=str(told.get("rendering", "")),
+        reference=reference if reference.is_file() else None,
+    )
+    pictures, thumbnail = [], ""
+    for picture in pictures_of(source):
+        folder = f"layers/{number}/{picture.key}"
+        if not thumbnail:
+            thumbnail = f"layers/{number}/thumbnail.jpg"
+            small = fit_within(picture.image, THUMBNAIL_PX["layer"])
+            write(f"{home}/{thumbnail}", encode_jpeg(small, quality=82))
+        pyramid = write_pyramid(write, f"{home}/{folder}", picture.image, palette=picture.palette)
+        pictures.append(
+            {
+                **{"key": picture.key, "label": picture.label, "kind": picture.kind},
+                "note": picture.note,
+                "legend": picture.legend.to_dict() if picture.legend else None,
+                **{"folder": folder, **pyramid},
+            }
+        )
+    key = f"{number}/spectra"
+    *_, spectra = write_spectra(write, f"{home}/layers/{number}/spectra", tiff, key=key)
+    script = f"layers/{number}/native.js"
+    lattice = write_lattices(
+        *(write, f"{home}/{script}", item.database, item.name, Frame(*layer)),
+        [band.label for band in bands],
+        key=f"{number}/native",
+    )
+    return {
+        "quantity": source.quantity,
+        "rendering": source.rendering,
+        "bands": [
+            {
+                "label": band.label,
+                "wavelength": _known(band.wavelength),
+                "centroid": _known(centroid),
+                "fwhm": _known(band.fwhm),
+            }
+            for band, centroid in zip(bands, centroids, strict=True)
+        ],
+        "pictures": pictures,
+        "thumbnail": thumbnail,
+        "spectra": {**spectra, "folder": f"layers/{number}/spectra"},
+        "lattice": {**lattice, "file": script} if lattice else None,
+        "reference_band": _reference_band(record, bands),
+        "downloads": _downloads(item, tiff),
+    }
+
+
+def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]]:
+    """What a TIFF says of itself: facts, bands, and where broad channels have their centroids."""
+    pages = open_pages(tiff)
+    text = next((t for t in pages.tags(METADATA) if t), "")
+    try:
+        told = dict(parse_bounded(decode_text(str(text))))
+    except (ValueError, TypeError):
+        told = {}
+    count = len(pages)
+    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
+    centres = np.atleast_1d(np.asarray(centres if centres is not None else [], float)).tolist()
+    labels, known, widths = (
+        values if isinstance(values := told.get(key), list) and len(values) == count else None
+        for key in ("bands", "wavelength", "fwhm")
+    )
+    numbered = centres == list(range(count)) or len(centres) != count
+    known = known or ([None] * count if numbered else centres)
+    labels = labels or [f"{v:g} nm" if v is not None else str(i) for i, v in enumerate(known)]
+    bands = tuple(
+        Band(str(label), math.nan if w is None else float(w), math.nan if f is None else float(f))
+        for label, w, f in zip(labels, known, widths or [None] * count, strict=True)
+    )
+    return told, bands, [math.nan] * count if numbered else centres
+
+
+def _centroids(path: Path, bands: tuple[Band, ...]) -> list[float]:
+    """Centroids of broad channels by their camera's published sensitivities; NaN where not known."""
+    unknown = [math.nan] * len(bands)
+    try:
+        head_line, *lines = read_text(path, "a CSV of sensitivities").splitlines()
+        head = [cell.strip() for cell in head_line.split(",")]
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except (Refused, ValueError):
+        return unknown
+    columns = {label: table[:, i] for i, label in enumerate(head) if i and i < table.shape[1]}
+    found = [columns.get(band.label) for band in bands]
+    return [
+        float((c * table[:, 0]).sum() / c.sum()) if c is not None and c.sum() > 0 else math.nan
+        for c in found
+    ]
+
+
+def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:
+    """Number of the camera's reference channel, whose native pixel a page tells; else the middle one."""
+    label = record.get("target", {}).get("band")
+    labels = [band.label for band in bands]
+    return labels.index(label) if label in labels else len(labels) // 2
+
+
+def _downloads(item: Item, tiff: Path) -> list[dict[str, Any]]:
+    files = [(tiff.with_name(tiff.stem + suffix), words) for suffix, words in KINDS.items()]
+    return [
+        {
+            "label": f"{path.name}, {words}",
+            "href": address(*UP, "objects", item.name, path.name),
+            "bytes": path.stat().st_size,
+        }
+        for path, words in files
+        if path.is_file()
+    ]
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _say(item: Item, camera: str, setup: str, decision: str) -> str:
+    if camera == item.reference and not setup and decision == "accept":
+        return "reference"
+    return DECISIONS.get(decision, decision)
+
+
+def _say_facts(item: Item, width: int, height: int, sampling: float | None) -> list[list[str]]:
+    facts = [
+        [words, _say_size(item.facts[key]) if key == "size_mm" else str(item.facts[key])]
+        for key, words in FACTS.items()
+        if _told(item, key)
+    ]
+    if width:
+        facts.append(["Grid", f"{width} × {height} px"])
+    if sampling and math.isfinite(sampling):
+        facts.append(["Sampling", f"{sampling:.3g} px/mm"])
+    if item.reference:
+        facts.append(["Reference camera", item.reference])
+    return facts
+
+
+def _say_size(size: Any) -> str:
+    try:
+        return " × ".join(f"{float(side):g}" for side in size) + " mm"
+    except (TypeError, ValueError):
+        return str(size)
+
+
+def _read_facts(path: Path) -> dict[str, Any]:
+    try:
+        return read_toml(path)
+    except Refused:
+        return {}

@@ -1,0 +1,340 @@
+"""The pictures that the viewer has of one layer: its render, other lights, single bands, maps."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.colour.srgb import encode_srgb, find_rendering
+from levkas.core.cube import Band
+from levkas.core.flags import MARKS
+from levkas.database.tiff_pages import open_pages
+from levkas.geometry.pixel_frames import Frame, Records
+from levkas.publish.viewer.relighting import ILLUMINANTS, relighting_matrix
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from levkas.database.tiff_pages import TiffPages
+
+MOST_BANDS = 64
+"""Single bands shown of one layer; of more, so many at even distances."""
+WHITE_PERCENTILE = 99.5
+INFRARED_NM, RED_NM, GREEN_NM = (780, 1000, 900), (600, 700, 650), (500, 590, 550)
+"""Least, most and wanted wavelength of false-colour infrared's three channels."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayerPicture:
+    """One picture of a layer.
+
+    Parameters
+    ----------
+    key : str
+        Name within the layer, safe in paths and addresses.
+    label, note : str
+        What it is called, and what its colours mean.
+    kind : str
+        ``"colour"``, ``"light"``, ``"band"`` or ``"map"``.
+    image : ndarray, (height, width) or (height, width, 3), uint8
+    palette, legend : optional
+        Of a map.
+    """
+
+    key: str
+    label: str
+    kind: str
+    image: np.ndarray
+    note: str = ""
+    palette: np.ndarray | None = None
+    legend: Legend | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a layer's files are, and what is known of it."""
+
+    database: Path
+    object: str
+    tiff: Path
+    bands: tuple[Band, ...]
+    quantity: str
+    record: dict[str, Any]
+    rendering: str = ""
+    reference: Path | None = None
+
+    @property
+    def flags(self) -> Path:
+        """The flags beside the TIFF."""
+        return self.tiff.with_name(self.tiff.stem + ".flags.tif")
+
+    @property
+    def sigma(self) -> Path:
+        """Sigma beside the TIFF; it may not be there."""
+        return self.tiff.with_name(self.tiff.stem + ".sigma.tif")
+
+
+def pictures_of(source: Source) -> Iterator[LayerPicture]:
+    """Yield every picture of a layer, one in memory at a time: render first, then lights, bands, maps."""
+    pages = open_pages(source.tiff)
+    render = pages.read_render()
+    if render is not None:
+        yield LayerPicture("colour", "Colour", "colour", render, source.rendering)
+    chosen = infrared_bands(source.bands)
+    if chosen:
+        labels = " / ".join(source.bands[i].label for i in chosen)
+        image = np.stack([shown_band(pages.read_page(i))[0] for i in chosen], -1)
+        note = f"{labels} as red, green and blue"
+        yield LayerPicture("infrared", "False-colour infrared", "colour", image, note)
+    yield from _lights(source, pages)
+    yield from _bands(source, pages)
+    yield from _maps(source, (pages.shape[1], pages.shape[0]))
+
+
+def infrared_bands(bands: tuple[Band, ...]) -> list[int] | None:
+    """Choose infrared, red and green; None where one of them is missing.
+
+    >>> infrared_bands(tuple(Band(f"{w} nm", w) for w in range(400, 701, 100)))
+    >>> infrared_bands(tuple(Band(f"{w} nm", w) for w in range(400, 1001, 50)))
+    [10, 5, 3]
+    >>> infrared_bands((Band("R1"), Band("G1"), Band("B1"), Band("IR")))
+    [3, 0, 1]
+    """
+    chosen = []
+    for low, high, wanted in (INFRARED_NM, RED_NM, GREEN_NM):
+        inside = [i for i, band in enumerate(bands) if low <= band.wavelength <= high]
+        if not inside:
+            return _infrared_channels([band.label for band in bands])
+        chosen.append(min(inside, key=lambda i: (abs(bands[i].wavelength - wanted), i)))
+    return chosen
+
+
+def _infrared_channels(labels: list[str]) -> list[int] | None:
+    starts = ("IR", "R", "G")
+    found = [next((i for i, t in enumerate(labels) if t.startswith(s)), None) for s in starts]
+    return None if None in found else [i for i in found if i is not None]
+
+
+def shown_band(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return one band for the eye, uint8, and the value that is shown as white.
+
+    Black is 0; white the 99.5 % point of a regular sample, so that dark bands can be read too.
+    """
+    step = max(1, int((values.size / 1_000_000) ** 0.5))
+    sample = values[::step, ::step]
+    finite = sample[np.isfinite(sample)]
+    white = float(np.percentile(finite, WHITE_PERCENTILE)) if finite.size else 1.0
+    white = float(f"{white:.2g}") if white > 0 else 1.0
+    return encode_srgb(values / np.float32(white)), white
+
+
+def _lights(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
+    """Yield the layer under other illuminants, where its bands are narrow and show true colour."""
+    wavelengths = [band.wavelength for band in source.bands]
+    if source.quantity != "reflectance" or not np.all(np.isfinite(wavelengths)):
+        return
+    if len(wavelengths) < 3 or not find_rendering(source.bands).colour:
+        return
+    for name, words in ILLUMINANTS.items():
+        matrix = relighting_matrix(wavelengths, name)
+        image = np.empty((*pages.shape[:2], 3), np.uint8)
+        for rows in blocks_of(pages):
+            some = pages.read(rows.start, rows.stop)
+            linear = np.stack([np.einsum("yxb,b->yx", some, gain) for gain in matrix.T.copy()], -1)
+            image[rows] = encode_srgb(linear)
+        note = "as seen by an eye that is used to this light: white stays white"
+        yield LayerPicture(f"light-{name.lower()}", words, "light", image, note)
+
+
+def _bands(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
+    count = len(source.bands)
+    wanted = min(count, MOST_BANDS)
+    for number in sorted({round(i * (count - 1) / max(1, wanted - 1)) for i in range(wanted)}):
+        image, white = shown_band(pages.read_page(number))
+        label = source.bands[number].label
+        note = f"black is 0, white is {source.quantity or 'value'} {white:g}"
+        yield LayerPicture(f"band-{number}", label, "band", image, note)
+
+
+def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
+    if source.flags.is_file():
+        image, palette, legend = flag_map(source.flags)
+        note = "the gravest flag of any band"
+        yield LayerPicture("flags", "Flags", "map", image, note, palette, legend)
+    if source.sigma.is_file():
+        image, legend = sigma_map(source.sigma)
+        note = f"one standard deviation of the random part, mean of the bands, {source.quantity}"
+        yield LayerPicture("sigma", "Sigma", "map", image, note, legend=legend)
+    if source.reference is not None and source.reference != source.tiff:
+        found = similarity_map(source.tiff, source.reference)
+        if found:
+            note = "SSIM against the reference camera; gold and glare differ between cameras"
+            yield LayerPicture("ssim", "Similarity (SSIM)", "map", found[0], note, legend=found[1])
+    predicted = registration_map(source.database, source.object, source.record, size)
+    if predicted:
+        note = "error of the registration as its own evidence predicts it"
+        yield LayerPicture(
+            "error", "Registration error", "map", predicted[0], note, legend=predicted[1]
+        )
+
+
+SCALE = ((20, 17, 15), (60, 32, 64), (122, 46, 76), (181, 83, 51), (217, 154, 60), (250, 236, 190))
+"""Colours of a scalar map from least to most; lightness rises evenly."""
+UNKNOWN = (70, 72, 76)
+CLEAR = (24, 22, 19)
+PERCENTILES = (1.0, 99.0)
+BLOCK_BYTES = 64_000_000
+"""Read at once: so many rows of all bands, and at least one."""
+MOST_BYTES_SSIM = 2_000_000_000
+MOST_PLACES = 2_000_000
+"""Where a predicted error is computed; between them it is repeated."""
+
+
+@dataclass(frozen=True)
+class Legend:
+    """What the colours of a map say: named ones, or a scale from `least` to `most`."""
+
+    entries: tuple[tuple[str, tuple[int, int, int]], ...] = ()
+    least: str = ""
+    most: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a page needs."""
+        colours = self.entries or tuple(("", colour) for colour in SCALE)
+        return {
+            "entries": [
+                {"name": name, "colour": "#{:02x}{:02x}{:02x}".format(*rgb)}
+                for name, rgb in colours
+            ],
+            "least": self.least,
+            "most": self.most,
+        }
+
+
+def flag_map(path: Path) -> tuple[np.ndarray, np.ndarray, Legend]:
+    """Return the gravest flag of every pixel as a number, the numbers' colours, and the legend.
+
+    Parameters
+    ----------
+    path : Path
+        A layer's flags.
+
+    Returns
+    -------
+    image : ndarray, (height, width), uint8
+        0 where no band has a flag; the last colour only where all bands are outside.
+    palette : ndarray, (n, 3), uint8
+    legend : Legend
+        Only of what occurs.
+    """
+    pages = open_pages(path)
+    height, width, _ = pages.shape
+    image = np.zeros((height, width), np.uint8)
+    for rows in blocks_of(pages):
+        either = np.bitwise_or.reduce(pages.read(rows.start, rows.stop), axis=2)
+        for number, flag in enumerate(MARKS, start=1):
+            image[rows][(either & flag.value) != 0] = number
+    palette = np.array([CLEAR, *(mark.colour for mark in MARKS.values())], np.uint8)
+    there = np.unique(image)
+    names = [("no flag", CLEAR), *((mark.meaning, mark.colour) for mark in MARKS.values())]
+    return image, palette, Legend(tuple(names[number] for number in there))
+
+
+def sigma_map(path: Path) -> tuple[np.ndarray, Legend]:
+    """Return the mean sigma over the bands as a picture, and its legend; NaN is grey."""
+    pages = open_pages(path)
+    mean = np.empty(pages.shape[:2], np.float32)
+    for rows in blocks_of(pages):
+        some = pages.read(rows.start, rows.stop)
+        known = np.isfinite(some)
+        total = np.where(known, some, 0).sum(2, dtype=np.float64)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean[rows] = total / known.sum(2)
+    finite = mean[np.isfinite(mean)]
+    low, high = np.percentile(finite, PERCENTILES) if finite.size else (0.0, 1.0)
+    return colour_scale(mean, low, high), Legend(least=f"{low:.2g}", most=f"{high:.2g}")
+
+
+def registration_map(
+    database: Path, item: str, record: dict[str, Any], size: tuple[int, int]
+) -> tuple[np.ndarray, Legend] | None:
+    """Return the predicted error of a registration over the grid, px of the reference.
+
+    The worst band's, as its record has it in a few nodes, linear between them. None where the
+    record has none.
+    """
+    bands = record.get("bands", {}).values() if record else ()
+    tables = (band["sigma"] for band in bands if isinstance(band, dict) and band.get("sigma"))
+    known = list({json.dumps(table, sort_keys=True): table for table in tables}.values())
+    if not known:
+        return None
+    width, height = size
+    step = math.ceil(math.sqrt(width * height / MOST_PLACES))
+    x, y = np.meshgrid(np.arange(0.0, width, step), np.arange(0.0, height, step))
+    grid = Records(database, item).pixels(Frame())
+    places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
+    worst = np.max([_between(table, places) for table in known], axis=0).reshape(x.shape)
+    most = float(np.nanmax(worst, initial=0.0, where=np.isfinite(worst)))
+    picture = colour_scale(worst, 0.0, most).repeat(step, 0).repeat(step, 1)
+    return picture[:height, :width], Legend(least="0", most=f"{most:.2g} px of the reference")
+
+
+def similarity_map(tiff: Path, reference: Path) -> tuple[np.ndarray, Legend] | None:
+    """Return the SSIM of a layer against the reference camera's, or None where it says nothing."""
+    from levkas.database.grey import read_grey
+    from levkas.quality.evaluation.similarity import structural_similarity
+
+    sizes = [int(np.prod(open_pages(path).shape)) * 4 for path in (tiff, reference)]
+    if max(sizes) > MOST_BYTES_SSIM:
+        return None
+    (target, seen), (other, there) = read_grey(tiff), read_grey(reference)
+    if target.shape != other.shape:
+        return None
+    score, full = structural_similarity(other, target, seen & there)
+    if np.isnan(score):
+        return None
+    return colour_scale(full, 0.0, 1.0), Legend(least="0", most="1, alike")
+
+
+def blocks_of(pages: TiffPages) -> Iterator[slice]:
+    """Yield slices of rows that together are the whole, each of about `BLOCK_BYTES`."""
+    height, width, bands = pages.shape
+    step = max(1, BLOCK_BYTES // (width * bands * pages.dtype.itemsize))
+    return (slice(start, min(height, start + step)) for start in range(0, height, step))
+
+
+def colour_scale(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return numbers as colours of `SCALE`, uint8 (…, 3); NaN is `UNKNOWN`.
+
+    >>> colour_scale(np.array([0.0, 1.0, np.nan]), 0, 1).tolist()
+    [[20, 17, 15], [250, 236, 190], [70, 72, 76]]
+    """
+    span = high - low if high > low else 1.0
+    known = np.isfinite(values)
+    place = np.clip(np.where(known, (values - low) / span, 0), 0, 1)
+    table = np.array(SCALE, float)
+    colours = np.stack(
+        [np.interp(place, np.linspace(0, 1, len(table)), column) for column in table.T], -1
+    )
+    return np.where(known[..., None], np.round(colours), UNKNOWN).astype(np.uint8)
+
+
+def _between(table: dict[str, Sequence[Any]], places: np.ndarray) -> np.ndarray:
+    """Interpolate a table of nodes linearly; beyond the nodes, what the nearest say."""
+    xs, ys = (np.asarray(table[axis], float) for axis in "xy")
+    values = np.array(table["sigma_px"], float)
+    column, row = (_fraction(nodes, places[:, i]) for i, nodes in enumerate((xs, ys)))
+    c, r = (np.minimum(part.astype(int), n - 2) for part, n in ((column, len(xs)), (row, len(ys))))
+    u, v = column - c, row - r
+    top = values[r, c] * (1 - u) + values[r, c + 1] * u
+    return top * (1 - v) + (values[r + 1, c] * (1 - u) + values[r + 1, c + 1] * u) * v
+
+
+def _fraction(nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
+    return np.interp(places, nodes, np.arange(len(nodes), dtype=float))

@@ -1,0 +1,376 @@
+"""Bands as registration sees them: single images, averages, contrast stretches, the object's outline.
+
+Dense registration compares square roots of the bands (noise becomes even, [Anscombe1948]_) with small
+holes inpainted; key points are looked for in averages over bands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from levkas.core.threads import each
+from levkas.geometry.transforms import Affine
+
+STRETCH_PERCENT = (0.5, 99.5)
+#: Share of the bands that must be valid where their mean is.
+LEAST_BANDS_SHARE = 0.5
+#: Sampled values of which the range of an image is estimated.
+SAMPLED_PX = 100_000
+#: Added before the square root, in units of the 99th percentile: noise about zero stays finite.
+TOE = 0.02
+#: Side, px, of the smallest square of invalid pixels that is not inpainted.
+LARGE_HOLE = 7
+#: Foreground: erosion of the outline, px; share of the rim that is background; share of the frame.
+MARGIN_PX, LEAST_RIM, LEAST_OBJECT = 4, 0.6, 0.1
+#: Tolerance of the outline's polygon, a share of the longer side.
+OUTLINE_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class BandImage:
+    """One band as registration sees it.
+
+    Parameters
+    ----------
+    label : str
+    wavelength : float, nm
+        NaN where the channel is broad.
+    values : ndarray, (h, w), float32
+        Native px of the band's sensor.
+    valid : ndarray, (h, w), bool
+        False where the value must not be relied on.
+    sensor : str
+        Name of the sensor; bands of one sensor share its native px.
+    """
+
+    label: str
+    wavelength: float
+    values: np.ndarray
+    valid: np.ndarray
+    sensor: str = ""
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.values.shape != self.valid.shape:
+            raise ValueError(
+                f"band {self.label!r} has values {self.values.shape} and valid {self.valid.shape}; "
+                "both must be (height, width)"
+            )
+
+    @classmethod
+    def of(cls, label: str, values: np.ndarray, wavelength: float = nan) -> BandImage:
+        """Return a band of which every finite value is valid."""
+        values = np.asarray(values, np.float32)
+        return cls(label, wavelength, values, np.isfinite(values))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.values.shape[1], self.values.shape[0]
+
+
+def grey(images: Sequence[BandImage]) -> tuple[np.ndarray, np.ndarray]:
+    """Average the bands of one sensor: the paper's grey picture of a camera.
+
+    Parameters
+    ----------
+    images : sequence of BandImage
+        All of one size.
+
+    Returns
+    -------
+    values : ndarray, (h, w), float32
+        Mean over the bands that are valid at the pixel, each brought to the level of all bands; 0
+        where none is.
+    valid : ndarray, (h, w), bool
+        At least half of the bands are valid there.
+
+    Raises
+    ------
+    ValueError
+        With no band, or bands of different sizes.
+
+    Examples
+    --------
+    >>> a, b = BandImage.of("a", np.ones((2, 2))), BandImage.of("b", np.full((2, 2), 3.0))
+    >>> float(grey([a, b])[0][0, 0])
+    2.0
+    """
+    sizes = {image.size for image in images}
+    if len(sizes) != 1:
+        raise ValueError(f"a grey picture needs bands of one size, got {sorted(sizes)}")
+    total = np.zeros(images[0].values.shape, np.float64)
+    count = np.zeros(images[0].values.shape, np.float32)
+    levels = np.zeros(images[0].values.shape, np.float64)
+    for image in images:
+        good = image.valid & np.isfinite(image.values)
+        values = np.where(good, image.values, np.float32(0))
+        total += values
+        count += good
+        # A band that is missing at a pixel must not leave a step there: it counts as its mean.
+        level = float(values.sum(dtype=np.float64)) / max(int(good.sum()), 1)
+        levels += np.where(good, 0.0, level)
+    valid = count >= LEAST_BANDS_SHARE * len(images)
+    mean = np.where(count > 0, (total + levels) / len(images), 0.0)
+    return mean.astype(np.float32), valid
+
+
+def area_average(
+    values: np.ndarray, valid: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray, Affine]:
+    """Reduce an image to `scale` times its size by area averages over what is valid.
+
+    Parameters
+    ----------
+    values, valid : ndarray, (h, w), float32 and bool
+    scale : float
+        0 < scale <= 1; the size is rounded to whole pixels.
+
+    Returns
+    -------
+    values, valid : ndarray
+        Reduced; a pixel is valid where at least half of its area is.
+    back : Affine
+        Reduced px → px of `values`, with the exact ratio of the two sizes on each axis.
+
+    Raises
+    ------
+    ValueError
+        Where `scale` is not within (0, 1].
+    """
+    import cv2
+
+    if not 0 < scale <= 1:
+        raise ValueError(f"scale must be in (0, 1], got {scale}")
+    h, w = values.shape
+    new_w, new_h = max(1, round(w * scale)), max(1, round(h * scale))
+    if (new_w, new_h) == (w, h):
+        return values, valid, Affine.identity()
+    weight = valid.astype(np.float32)
+    filled = np.where(valid, values, np.float32(0)).astype(np.float32)
+    total = cv2.resize(filled, (new_w, new_h), interpolation=cv2.INTER_AREA)
+    share = cv2.resize(weight, (new_w, new_h), interpolation=cv2.INTER_AREA)
+    mean = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
+    return mean, share >= 0.5, Affine.scaling(w / new_w, h / new_h)
+
+
+def stretch(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Stretch the 0.5–99.5 percentile range of what is valid to 0–255.
+
+    Parameters
+    ----------
+    values, valid : ndarray, (h, w), float and bool
+
+    Returns
+    -------
+    picture : ndarray, (h, w), uint8
+        Mid-grey where `valid` is false, and everywhere where nothing varies.
+
+    Examples
+    --------
+    >>> picture = stretch(np.array([[0.0, 1.0]]), np.array([[True, True]]))
+    >>> int(picture[0, 0]), int(picture[0, 1])
+    (0, 255)
+    """
+    picture = np.full(values.shape, 127, np.uint8)
+    good = valid & np.isfinite(values)
+    if not good.any():
+        return picture
+    low, high = np.percentile(values[good], STRETCH_PERCENT)
+    if not high > low:
+        return picture
+    levels = (values[good].astype(np.float64) - low) * (255.0 / (high - low))
+    picture[good] = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    return picture
+
+
+def sqrt_images(bands: Sequence[BandImage]) -> dict[str, np.ndarray]:
+    """Return label → square root of the image, NaN where invalid."""
+    return dict(zip([band.label for band in bands], each(_sqrt_image, bands), strict=True))
+
+
+def _sqrt_image(band: BandImage) -> np.ndarray:
+    return sqrt_transform(_inpaint(np.where(band.valid, band.values, np.float32(np.nan))))
+
+
+def sqrt_transform(image: np.ndarray) -> np.ndarray:
+    """Return square roots of an image in units of its 99th percentile; shot noise becomes even.
+
+    Counts below zero are the noise of the dark; an image that is negative for good is shifted.
+    """
+    image = np.ascontiguousarray(image, np.float32)
+    known = _some(image, SAMPLED_PX)
+    if not len(known):
+        return image
+    low, high = np.percentile(known, (2, 99))
+    low = min(float(low), 0.0)
+    scale = 1.0 / max(float(high) - low, 1e-12)
+    return np.asarray(_roots(image, np.float32(low), np.float32(scale)))
+
+
+@njit(nogil=True, cache=True)
+def _some(image, most):  # type: ignore[no-untyped-def]
+    """Return every n-th finite value, at least `most` of them where there are as many."""
+    count = 0
+    for value in image.flat:
+        count += np.isfinite(value)
+    every = max(count // most, 1)
+    picked = np.empty((count + every - 1) // every, np.float32)
+    place = 0
+    for value in image.flat:
+        if np.isfinite(value):
+            if place % every == 0:
+                picked[place // every] = value
+            place += 1
+    return picked
+
+
+@njit(nogil=True, cache=True)
+def _roots(image, low, scale):  # type: ignore[no-untyped-def]
+    out = np.empty(image.shape, np.float32)
+    toe, least = np.float32(TOE), np.float32(-0.5 * TOE)
+    flat, into = image.reshape(-1), out.reshape(-1)
+    for i in range(len(flat)):
+        scaled = (flat[i] - low) * scale
+        into[i] = np.sqrt((least if scaled < least else scaled) + toe)
+    return out
+
+
+def _inpaint(image: np.ndarray) -> np.ndarray:
+    """Fill holes that are too small to hide a place: sparks of gold, single defects.
+
+    A window counts only where all of it is valid, so that a few scattered pixels would blind
+    whole regions. What contains a block of `LARGE_HOLE` px stays NaN.
+    """
+    import cv2
+
+    hole = np.isnan(image)
+    if not hole.any() or hole.all():
+        return image
+    side = LARGE_HOLE
+    kernel = np.ones((side, side), np.uint8)
+    framed = np.pad(hole.view(np.uint8), side, constant_values=1)
+    opened = np.asarray(cv2.morphologyEx(framed, cv2.MORPH_OPEN, kernel))
+    small = np.flatnonzero(hole & (opened[side:-side, side:-side] == 0))
+    reach = 3 * LARGE_HOLE // 2
+    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (LARGE_HOLE / 2)) ** 2)
+    mended = image.copy()
+    mended.reshape(-1)[small] = _means_around(image, small, taps)
+    return mended
+
+
+@njit(nogil=True, cache=True)
+def _means_around(image, places, taps):  # type: ignore[no-untyped-def]
+    """Weighted mean of what is valid about each place, counted row by row; NaN where nothing is."""
+    height, width = image.shape
+    reach = len(taps) // 2
+    out = np.empty(len(places), np.float32)
+    for n in range(len(places)):
+        total, weight = 0.0, 0.0
+        row, column = places[n] // width, places[n] % width
+        for y in range(max(row - reach, 0), min(row + reach + 1, height)):
+            for x in range(max(column - reach, 0), min(column + reach + 1, width)):
+                if np.isfinite(image[y, x]):
+                    tap = taps[y - row + reach] * taps[x - column + reach]
+                    total += tap * image[y, x]
+                    weight += tap
+        out[n] = total / weight if weight > 0.0 else np.nan
+    return out
+
+
+def segment_foreground(image: np.ndarray, *, margin: int = MARGIN_PX) -> np.ndarray:
+    """Return where the object is, (h, w) bool, `margin` px inside its outline.
+
+    The background is what is as even as the frame's rim and connected to it. Where the rim is not
+    even, or nothing is left, everything is object.
+
+    Parameters
+    ----------
+    image : ndarray, (h, w)
+        NaN where invalid.
+
+    Examples
+    --------
+    >>> picture = np.zeros((60, 80))
+    >>> picture[10:50, 10:70] = 1
+    >>> found = segment_foreground(picture)
+    >>> bool(found[30, 40]), bool(found[10, 10]), bool(segment_foreground(np.ones((60, 80))).all())
+    (True, False, True)
+    """
+    from scipy import ndimage
+
+    everything = np.ones(image.shape, bool)
+    known = np.isfinite(image)
+    if not known.any():
+        return everything
+    smooth = ndimage.gaussian_filter(np.where(known, image, np.median(image[known])), 1.5)
+    rim = everything.copy()
+    width = max(3, min(image.shape) // 100)
+    rim[width:-width, width:-width] = False
+    level = np.median(smooth[rim])
+    spread = 1.4826 * np.median(np.abs(smooth[rim] - level))
+    low, high = np.percentile(smooth, (1, 99))
+    if not high > low:
+        return everything
+    even = np.abs(smooth - level) < max(5 * spread, 0.04 * (high - low))
+    patches, _ = ndimage.label(even)
+    touching = np.unique(patches[rim & even])
+    ground = np.isin(patches, touching[touching > 0])
+    if (ground & rim).sum() < LEAST_RIM * rim.sum():
+        return everything
+    bodies, count = ndimage.label(ndimage.binary_opening(~ground, iterations=2))
+    if not count:
+        return everything
+    body = ndimage.binary_fill_holes(bodies == 1 + np.bincount(bodies.ravel())[1:].argmax())
+    if body.mean() < LEAST_OBJECT:
+        return everything
+    return ndimage.binary_erosion(body, iterations=margin) if margin else body
+
+
+def describe_mask(body: np.ndarray, region: Sequence[float] | None) -> dict[str, Any]:
+    """Return what of the reference is compared, JSON-ready.
+
+    Parameters
+    ----------
+    body : ndarray of bool, (h, w)
+        Of `segment_foreground`.
+    region : (x, y, width, height), reference px, optional
+        As it was asked for.
+
+    Returns
+    -------
+    mask : dict
+        ``automatic``: whether an object was told from its background; ``share`` of the frame that it takes;
+        ``outline``: its corners, (n, 2) reference px, empty where nothing was told apart; ``region``.
+
+    Examples
+    --------
+    >>> body = np.zeros((60, 80), bool)
+    >>> body[10:50, 10:70] = True
+    >>> describe_mask(body, None)["outline"]
+    [[10, 10], [10, 49], [69, 49], [69, 10]]
+    """
+    import cv2
+
+    found: dict[str, Any] = {"automatic": False, "share": 1.0, "outline": []}
+    found["region"] = None if region is None else [float(v) for v in region]
+    if body.all():
+        return found
+    outlines, _ = cv2.findContours(
+        body.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    )
+    if not outlines:
+        return found | {"automatic": True, "share": 0.0}
+    corners = cv2.approxPolyDP(
+        max(outlines, key=cv2.contourArea), OUTLINE_SHARE * max(body.shape), True
+    )
+    return found | {
+        "automatic": True,
+        "share": round(float(body.mean()), 4),
+        "outline": corners.reshape(-1, 2).tolist(),
+    }

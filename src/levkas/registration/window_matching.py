@@ -1,0 +1,435 @@
+"""Window matching: windows of one picture searched in another around where a map puts them.
+
+Every window of the reference is searched near its place under the map by normalised cross-correlation
+([Lewis1995]_). The height of the peak says whether it was found, its place how far the map is off. Which
+height is chance is measured on the same pair, with windows searched where they cannot be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.registration.bands import area_average
+from levkas.registration.models import solve_2x2
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
+
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """Constants of the search; lengths in px of the pictures as they are compared.
+
+    Parameters
+    ----------
+    long_side : int
+        Of the pictures that are compared; larger ones are reduced.
+    window, reach, apart : int
+        Side of a window; how far it is searched; how far another peak has to lie.
+    stride : (int, int)
+        Least and largest distance of windows.
+    windows : int
+        About so many are searched.
+    lattice : int
+        The map is evaluated at every such px and interpolated between.
+    farthest : float
+        Shifts, as a share of the frame, up to which whole pictures are compared.
+    band : (float, float)
+        Scales between which detail is compared.
+    least_cover : float
+        Share of a window that has to be valid.
+    chance_percent : float
+        Percentile of peaks of windows that cannot match above which a window is found.
+    least_near : int
+        Confirmed windows that have to be near a place: one may be found by chance.
+    reach_cells : float
+        A window of the dense registration is three cells wide, and a frame's rim may be short of one.
+    """
+
+    long_side: int = 800
+    window: int = 40
+    reach: int = 12
+    apart: int = 4
+    stride: tuple[int, int] = (8, 24)
+    windows: int = 150
+    lattice: int = 8
+    farthest: float = 0.4
+    band: tuple[float, float] = (1.0, 5.0)
+    least_cover: float = 0.9
+    chance_percent: float = 99.0
+    least_near: int = 2
+    reach_cells: float = 2.0
+
+
+SETTINGS = WindowSettings()
+
+
+@dataclass(frozen=True)
+class WindowSearch:
+    """Windows searched under a map; one row a window inside the overlap that has structure.
+
+    Parameters
+    ----------
+    centres : ndarray, (n, 2), reference px
+    shift : ndarray, (n, 2), reference px
+        From where the map puts the window to where it is found.
+    peak : ndarray, (n,), 0..1
+        Correlation there, whatever its sign.
+    chance : float
+        The peak that 1 % of windows reach where they cannot match.
+    rival : float, 0..
+        Correlation of the whole pictures at the best place that is not here, relative to here;
+        near 1 where the picture repeats itself.
+    step : float, reference px per working px
+    """
+
+    centres: np.ndarray
+    shift: np.ndarray
+    peak: np.ndarray
+    chance: float
+    rival: float
+    step: float
+
+    @property
+    def found(self) -> np.ndarray:
+        """Mask of the windows that are found, beyond chance, (n,) bool."""
+        return np.asarray(self.peak > self.chance)
+
+
+@dataclass(frozen=True)
+class CheckWindows:
+    """Windows of one sensor, searched freely around where its map puts them; one row a window.
+
+    Parameters
+    ----------
+    centres : ndarray, (n, 2), reference px
+    shift : ndarray, (n, 2), reference px
+        From where the map puts the window to where it is seen.
+    found : ndarray of bool, (n,)
+        Whether it is recognised beyond chance.
+    tolerance : float, reference px
+        A window that is found within twice that of its place confirms the map.
+    side : float, reference px
+        Of a window; places up to so far from confirmed ones are checked.
+    predicted : ndarray, (m, 2), reference px, optional
+        Windows of the dense registration that are predicted beyond chance, as most around them are. They
+        are smaller and closer, and show more exactly where detail ends.
+    cell : float, reference px
+        How far apart those are.
+    box : (x, y, width, height), reference px, optional
+        Where the object lies: places beside it are as far as the nearest of its own.
+
+    Examples
+    --------
+    >>> checks = CheckWindows(np.array([[0.0, 0], [8, 0]]), np.zeros((2, 2)), np.ones(2, bool), 1.0, 10.0)
+    >>> checks.beyond(np.array([[4.0, 0], [30, 0]])).tolist()
+    [0.0, 20.0]
+    """
+
+    centres: np.ndarray
+    shift: np.ndarray
+    found: np.ndarray
+    tolerance: float
+    side: float
+    predicted: np.ndarray | None = None
+    cell: float = 0.0
+    box: tuple[float, ...] | None = None
+
+    @property
+    def confirmed(self) -> np.ndarray:
+        """Mask of the windows that are found where the map puts them, (n,) bool."""
+        return np.asarray(self.found & (np.hypot(*self.shift.T) <= 2 * self.tolerance))
+
+    def beyond(self, points: np.ndarray) -> np.ndarray:
+        """Return how far beyond what is checked `points`, (n, 2), lie: (n,) reference px, 0 within.
+
+        Infinite where fewer than `least_near` windows confirm anything.
+        """
+        from scipy.spatial import cKDTree
+
+        places = self.centres[self.confirmed]
+        if len(places) < SETTINGS.least_near:
+            return np.full(len(points), np.inf)
+        if self.box is not None:
+            low = np.array(self.box[:2])
+            points = np.clip(points, low, low + np.array(self.box[2:]) - 1)
+        far = np.asarray(cKDTree(places).query(points, k=SETTINGS.least_near)[0])[:, -1] - self.side
+        if self.predicted is not None and len(self.predicted):
+            near = np.asarray(cKDTree(self.predicted).query(points)[0])
+            far = np.maximum(far, near - SETTINGS.reach_cells * self.cell)
+        return np.asarray(np.maximum(far, 0.0))
+
+    def through(self, before: Transform, after: Transform) -> CheckWindows:
+        """Return the same windows under another map: each lies in the target where it was found.
+
+        `before` is the map under which they were searched, `after` the other one.
+        """
+        miss = before(self.centres + self.shift) - after(self.centres)
+        shift = solve_2x2(after.jacobian(self.centres), miss)
+        known = np.isfinite(shift).all(1)
+        return replace(self, shift=np.where(known[:, None], shift, 1e6), found=self.found & known)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record, a list a column."""
+        return {
+            "x": np.round(self.centres[:, 0], 1).tolist(),
+            "y": np.round(self.centres[:, 1], 1).tolist(),
+            "shift_x": np.round(self.shift[:, 0], 3).tolist(),
+            "shift_y": np.round(self.shift[:, 1], 3).tolist(),
+            "found": self.found.tolist(),
+            "tolerance": self.tolerance,
+            "side": self.side,
+            "predicted": [] if self.predicted is None else np.round(self.predicted, 1).tolist(),
+            "cell": self.cell,
+            "box": None if self.box is None else list(self.box),
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> CheckWindows:
+        """Read what `to_dict` wrote."""
+        columns = {key: np.array(record[key], float) for key in ("x", "y", "shift_x", "shift_y")}
+        return cls(
+            np.stack([columns["x"], columns["y"]], 1),
+            np.stack([columns["shift_x"], columns["shift_y"]], 1),
+            np.array(record["found"], bool),
+            float(record["tolerance"]),
+            float(record["side"]),
+            np.array(record["predicted"], float).reshape(-1, 2),
+            float(record["cell"]),
+            None if record["box"] is None else tuple(record["box"]),
+        )
+
+
+def search_windows(
+    reference: tuple[np.ndarray, np.ndarray],
+    target: tuple[np.ndarray, np.ndarray],
+    transform: Transform,
+    *,
+    region: tuple[float, ...] | None = None,
+) -> WindowSearch:
+    """Search windows of the reference in the target near where `transform` puts them.
+
+    Parameters
+    ----------
+    reference, target : (values, valid), each (h, w), float32 and bool
+        Grey pictures in reference px and in px of the target.
+    transform : Transform
+        Reference px → target px.
+    region : (x, y, width, height), reference px, optional
+        Where to look.
+    """
+    values, valid = reference
+    if region is not None:
+        valid = valid & _inside(valid.shape, region)
+    enlargement = _sampling(transform, values.shape)
+    step = max(1.0, max(values.shape) / SETTINGS.long_side, 1.0 / max(enlargement, 0.2))
+    ours, ours_valid, back = area_average(values, valid, 1.0 / step)
+    finer = min(1.0, 1.0 / (step * enlargement)) if enlargement > 0 else 1.0
+    theirs, theirs_valid, theirs_back = area_average(*target, max(finer, 0.02))
+    warped, seen = _warp(theirs, theirs_valid, ours.shape, back, transform, theirs_back)
+    a, b = _band_pass(ours, ours_valid), _band_pass(warped, seen)
+    places = _places(ours_valid & seen, a, b)
+    peak, shift = _search(a, b, places)
+    chance = _chance(a, b, places)
+    # Where some pigments invert, detail cancels itself out, its strength does not.
+    rival = min(_rival(a, b), _rival(_strength(a), _strength(b)))
+    centres = back(places + (SETTINGS.window - 1) / 2)
+    scale = float(back.matrix[0, 0])
+    return WindowSearch(centres, shift * scale, peak, chance, rival, scale)
+
+
+def _inside(shape: tuple[int, ...], region: tuple[float, ...]) -> np.ndarray:
+    x, y, w, h = region
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    return np.asarray((columns >= x - 0.5) & (columns < x + w) & (rows >= y - 0.5) & (rows < y + h))
+
+
+def _sampling(transform: Transform, shape: tuple[int, ...]) -> float:
+    """Return target px per reference px, the median over the frame."""
+    h, w = shape
+    x, y = np.meshgrid(np.linspace(0.1, 0.9, 7) * w, np.linspace(0.1, 0.9, 7) * h)
+    change = transform.jacobian(np.stack([x.ravel(), y.ravel()], 1))
+    known = np.isfinite(change).all((1, 2))
+    return float(np.sqrt(np.median(np.abs(np.linalg.det(change[known]))))) if known.any() else 0.0
+
+
+def _warp(
+    values: np.ndarray,
+    valid: np.ndarray,
+    shape: tuple[int, ...],
+    back: Transform,
+    transform: Transform,
+    theirs_back: Transform,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pull the target on to the working grid; the map is interpolated between every 8th px."""
+    import cv2
+
+    h, w = shape
+    x = np.arange(0, w + SETTINGS.lattice, SETTINGS.lattice, dtype=float)
+    y = np.arange(0, h + SETTINGS.lattice, SETTINGS.lattice, dtype=float)
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    lattice = theirs_back.inverse(transform(back(grid))).reshape(len(y), len(x), 2)
+    rows, columns = np.meshgrid(
+        np.arange(h, dtype=np.float32), np.arange(w, dtype=np.float32), indexing="ij"
+    )
+    maps = [
+        cv2.remap(
+            np.ascontiguousarray(lattice[..., k], np.float32),
+            columns / SETTINGS.lattice, rows / SETTINGS.lattice, cv2.INTER_LINEAR,
+        )
+        for k in (0, 1)
+    ]  # fmt: skip
+    known = np.isfinite(maps[0]) & np.isfinite(maps[1])
+    maps = [np.where(known, m, np.float32(-10)) for m in maps]
+    filled = np.where(valid, values, 0).astype(np.float32)
+    weight: np.ndarray = valid.astype(np.float32)
+    warped: np.ndarray = cv2.remap(filled, maps[0], maps[1], cv2.INTER_LINEAR, borderValue=0)
+    weight = cv2.remap(weight, maps[0], maps[1], cv2.INTER_LINEAR, borderValue=0)
+    return np.asarray(warped), known & (np.asarray(weight) > 0.99)
+
+
+def _band_pass(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Keep detail between two scales, 0 where invalid, at equal contrast everywhere."""
+    import cv2
+
+    weight = valid.astype(np.float32)
+    filled = np.where(valid, values, 0).astype(np.float32)
+
+    def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
+        total = cv2.GaussianBlur(image * weight, (0, 0), sigma)
+        share = cv2.GaussianBlur(weight, (0, 0), sigma)
+        return np.divide(total, share, out=np.zeros_like(total), where=share > 1e-3)
+
+    detail = smooth(filled, SETTINGS.band[0]) - smooth(filled, SETTINGS.band[1])
+    power = smooth(np.square(detail), 2 * SETTINGS.band[1])
+    floor = 1e-3 * float(np.median(power[valid])) if valid.any() else 0.0
+    return np.where(valid, detail / np.sqrt(power + floor + 1e-20), 0).astype(np.float32)
+
+
+def _places(valid: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return top left corners, (n, 2) of x, y, of windows with enough valid px and structure."""
+    import cv2
+
+    h, w = valid.shape
+    stride = int(np.clip(np.sqrt(valid.sum() / SETTINGS.windows), *SETTINGS.stride))
+    x = np.arange(0, w - SETTINGS.window + 1, stride)
+    y = np.arange(0, h - SETTINGS.window + 1, stride)
+    if not len(x) or not len(y):
+        return np.empty((0, 2), int)
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    counts = cv2.integral(valid.astype(np.uint8))
+    total = _box(counts, grid)
+    good = total >= SETTINGS.least_cover * SETTINGS.window**2
+    for image in (a, b):
+        energy = _box(cv2.integral(np.square(image)), grid)
+        good &= energy > 0.05 * SETTINGS.window**2
+    return grid[good]
+
+
+def _box(integral: np.ndarray, places: np.ndarray) -> np.ndarray:
+    x, y = places.T
+    far_x, far_y = x + SETTINGS.window, y + SETTINGS.window
+    return np.asarray(
+        integral[far_y, far_x] - integral[y, far_x] - integral[far_y, x] + integral[y, x]
+    )
+
+
+def _correlations(a: np.ndarray, b: np.ndarray, at: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Return |correlation| of the window of `a` at `at` with `b` around `near`."""
+    import cv2
+
+    h, w = b.shape
+    (x, y), (u, v) = at, near
+    left, top = max(u - SETTINGS.reach, 0), max(v - SETTINGS.reach, 0)
+    right, bottom = (
+        min(u + SETTINGS.reach + SETTINGS.window, w),
+        min(v + SETTINGS.reach + SETTINGS.window, h),
+    )
+    scores = cv2.matchTemplate(
+        b[top:bottom, left:right],
+        a[y : y + SETTINGS.window, x : x + SETTINGS.window],
+        cv2.TM_CCOEFF_NORMED,
+    )
+    full = np.zeros((2 * SETTINGS.reach + 1, 2 * SETTINGS.reach + 1), np.float32)
+    dy, dx = top - (v - SETTINGS.reach), left - (u - SETTINGS.reach)
+    full[dy : dy + scores.shape[0], dx : dx + scores.shape[1]] = np.abs(scores)
+    full[~np.isfinite(full) | (full > 1.0001)] = 0
+    return full
+
+
+def _search(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (peak, shift) of every window."""
+    n = len(places)
+    peak, shift = np.zeros(n), np.zeros((n, 2))
+    offsets = np.arange(-SETTINGS.reach, SETTINGS.reach + 1)
+    for i, place in enumerate(places):
+        scores = _correlations(a, b, place, place)
+        row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+        peak[i] = scores[row, column]
+        shift[i] = (
+            offsets[column] + _vertex(scores[row], int(column)),
+            offsets[row] + _vertex(scores[:, column], int(row)),
+        )
+    return peak, shift
+
+
+def _vertex(line: np.ndarray, k: int) -> float:
+    """Return the fraction by which a parabola through three samples moves the peak at `k`."""
+    if not 0 < k < len(line) - 1:
+        return 0.0
+    before, here, after = (float(v) for v in line[k - 1 : k + 2])
+    bend = before - 2 * here + after
+    return 0.5 * (before - after) / bend if bend < 0 else 0.0
+
+
+def _chance(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
+    """Return the peak that 1 % of windows reach where they cannot match."""
+    if len(places) < 2:
+        return 1.0
+    peaks = []
+    n = len(places)
+    for i in range(n):
+        for part in (3, 2):
+            other = places[(i + n // part + i % 7) % n]
+            if np.abs(other - places[i]).max() > SETTINGS.window + SETTINGS.reach:
+                peaks.append(float(_correlations(a, b, places[i], other).max()))
+    return float(np.percentile(peaks, SETTINGS.chance_percent)) if len(peaks) >= 8 else 1.0
+
+
+def _strength(detail: np.ndarray) -> np.ndarray:
+    """Return how strong detail is, whatever its sign, about its mean; 0 where invalid."""
+    import cv2
+
+    known = detail != 0
+    strength = cv2.GaussianBlur(np.abs(detail), (0, 0), SETTINGS.band[0])
+    mean = float(strength[known].mean()) if known.any() else 0.0
+    return np.where(known, strength - mean, 0).astype(np.float32)
+
+
+def _rival(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the largest |correlation| at a shift of more than `SETTINGS.apart`, relative to none."""
+    from scipy import fft
+
+    reach = [round(SETTINGS.farthest * n) for n in a.shape]
+    shape = [fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape, reach, strict=True)]
+
+    def against(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        product = np.conj(fft.rfft2(u, shape)) * fft.rfft2(v, shape)
+        return np.asarray(fft.irfft2(product, shape))
+
+    shared = against(np.square(a), (b != 0).astype(np.float32))
+    shared *= against((a != 0).astype(np.float32), np.square(b))
+    # Strips of overlap at the far shifts say nothing: they must hold a quarter of the energy.
+    enough = shared > 0.25**2 * max(float(shared[0, 0]), 1e-9)
+    scores = np.abs(against(a, b))
+    scores = np.where(enough, scores / np.sqrt(np.where(enough, shared, 1)), 0)
+    dy, dx = (np.minimum(np.arange(n), n - np.arange(n)) for n in shape)
+    distance = np.hypot(dy[:, None], dx[None, :])
+    within = (dy[:, None] <= reach[0]) & (dx[None, :] <= reach[1])
+    here = float(scores[distance <= SETTINGS.apart].max())
+    away = float(scores[(distance > 2 * SETTINGS.apart) & within].max(initial=0.0))
+    return away / here if here > 0 else np.inf

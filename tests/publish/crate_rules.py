@@ -1,0 +1,227 @@
+"""The rules of RO-Crate 1.1, checked without a network: structure, root, references, files.
+
+Those that its specification calls MUST, and the one that we add: every file is described, itself or
+by a folder that is described as a whole. `ask_validator` asks roc-validator, where that is installed
+and can fetch its contexts.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from levkas.core.problems import Problem
+from levkas.readers.text import parse_json
+
+NAME = "ro-crate-metadata.json"
+PROFILE = "https://w3id.org/ro/crate/"
+DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?)?)?)?")
+NO_URI = re.compile(r"""[\s<>"{}|\\^`]""")
+REQUIRED = ("name", "description", "datePublished", "license")
+SECONDS = 120
+
+Entity = dict[str, Any]
+
+
+def check_crate(folder: str | Path) -> list[Problem]:
+    """Check ro-crate-metadata.json of a folder against the rules and against the folder.
+
+    Returns
+    -------
+    problems : list of Problem
+        Empty where all rules are kept.
+    """
+    path = Path(folder) / NAME
+    try:
+        document = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        return [_wrong(path, "", f"it cannot be read: {error}")]
+    graph = document.get("@graph") if isinstance(document, dict) else None
+    if not isinstance(graph, list) or not all(isinstance(e, dict) for e in graph):
+        return [_wrong(path, "@graph", "it is no list of entities")]
+    problems = [*_check_context(path, document), *_check_entities(path, graph)]
+    if problems:
+        return problems
+    entities = {entity["@id"]: entity for entity in graph}
+    return [
+        *_check_descriptor(path, entities),
+        *_check_root(path, entities),
+        *_check_references(path, entities),
+        *_check_files(path, entities),
+    ]
+
+
+def _check_context(path: Path, document: dict[str, Any]) -> Iterator[Problem]:
+    context = document.get("@context")
+    parts = context if isinstance(context, list) else [context]
+    if not any(isinstance(p, str) and p.startswith(PROFILE) for p in parts):
+        yield _wrong(path, "@context", "it does not name RO-Crate's context")
+
+
+def _check_entities(path: Path, graph: list[Entity]) -> Iterator[Problem]:
+    seen: set[str] = set()
+    for place, entity in enumerate(graph):
+        identifier = entity.get("@id")
+        if not isinstance(identifier, str) or not identifier:
+            yield _wrong(path, f"@graph[{place}]", "an entity has no @id")
+            continue
+        if identifier in seen:
+            yield _wrong(path, identifier, "two entities have one @id")
+        seen.add(identifier)
+        if NO_URI.search(identifier):
+            yield _wrong(path, identifier, "its @id is no URI: encode what is not allowed in one")
+        if not entity.get("@type"):
+            yield _wrong(path, identifier, "the entity has no @type")
+        if "WebSite" in _types(entity) and not entity.get("name"):
+            yield _wrong(path, f"{identifier} name", "the web site lacks it")
+        for key, value in entity.items():
+            for part in value if isinstance(value, list) else [value]:
+                if isinstance(part, dict) and set(part) != {"@id"} and "@value" not in part:
+                    yield _wrong(path, f"{identifier} {key}", "an entity stands inside another one")
+
+
+def _check_descriptor(path: Path, entities: dict[str, Entity]) -> Iterator[Problem]:
+    descriptor = entities.get(NAME)
+    if descriptor is None or "CreativeWork" not in _types(descriptor):
+        yield _wrong(path, NAME, "the document does not describe itself as a CreativeWork")
+        return
+    if descriptor.get("about") != {"@id": "./"} or "./" not in entities:
+        yield _wrong(path, f"{NAME} about", "it is not about ./")
+    conforms = _references(descriptor.get("conformsTo"))
+    plain = [v for v in _listed(descriptor.get("conformsTo")) if isinstance(v, str)]
+    if plain or not any(identifier.startswith(f"{PROFILE}1.") for identifier in conforms):
+        yield _wrong(path, f"{NAME} conformsTo", "it does not say which RO-Crate it is")
+
+
+def _check_root(path: Path, entities: dict[str, Entity]) -> Iterator[Problem]:
+    root = entities.get("./", {})
+    if "Dataset" not in _types(root):
+        yield _wrong(path, "./", "the root is no Dataset")
+    for key in REQUIRED:
+        if not root.get(key):
+            yield _wrong(path, f"./ {key}", "the root lacks it")
+    for publisher in _references(root.get("publisher")):
+        if not {"Organization", "Person"} & _types(entities.get(publisher, {})):
+            yield _wrong(path, "./ publisher", "it is no Organization or Person", publisher)
+    for part in _references(root.get("hasPart")):
+        if part in entities and not {"File", "Dataset"} & _types(entities[part]):
+            yield _wrong(path, "./ hasPart", "it is no File and no Dataset", part)
+    for entity in entities.values():
+        for picture in _references(entity.get("thumbnail")):
+            if picture in entities and "File" not in _types(entities[picture]):
+                yield _wrong(path, f"{entity['@id']} thumbnail", "it is no File", picture)
+    date = root.get("datePublished")
+    if date and not (isinstance(date, str) and DATE.fullmatch(date)):
+        yield _wrong(path, "./ datePublished", "it is no date as ISO 8601", date)
+
+
+def _check_references(path: Path, entities: dict[str, Entity]) -> Iterator[Problem]:
+    """What an entity refers to is there; all data hang below the root."""
+    for identifier, entity in entities.items():
+        for key, value in entity.items():
+            for target in _references(value) if not key.startswith("@") else ():
+                if target not in entities and not re.match(r"[a-z][a-z0-9+.-]*:", target):
+                    yield _wrong(path, f"{identifier} {key}", "it refers to nothing", target)
+    reached, waiting = {"./"}, ["./"]
+    while waiting:
+        for part in _references(entities.get(waiting.pop(), {}).get("hasPart")):
+            if part not in reached:
+                reached.add(part)
+                waiting.append(part)
+    for identifier, entity in entities.items():
+        if identifier not in reached and _is_data(identifier, entity):
+            yield _wrong(path, identifier, "no hasPart leads to it from the root")
+
+
+def _check_files(path: Path, entities: dict[str, Entity]) -> Iterator[Problem]:
+    """Files and folders that are described stand there; those that stand there are described."""
+    from levkas.database.manifest import list_files
+
+    root, folders, files = path.parent, [], {NAME, "manifest-sha256.txt"}
+    for identifier, entity in entities.items():
+        if not _is_data(identifier, entity) or identifier == "./":
+            continue
+        name = unquote(identifier)
+        if "File" in _types(entity):
+            files.add(name)
+            if not (root / name).is_file():
+                yield _wrong(path, identifier, "there is no such file")
+            elif (size := str((root / name).stat().st_size)) != entity.get("contentSize", size):
+                yield _wrong(path, identifier, "the file has another size", size)
+            continue
+        if not identifier.endswith("/"):
+            yield _wrong(path, identifier, "the id of a folder does not end with /")
+        if not (root / name).is_dir():
+            yield _wrong(path, identifier, "there is no such folder")
+        if "hasPart" not in entity:
+            folders.append(name)
+    for name in list_files(root):
+        if name not in files and not name.startswith(tuple(folders)):
+            yield _wrong(path, name, "the file is not described")
+
+
+def _is_data(identifier: str, entity: Entity) -> bool:
+    local = not re.match(r"[a-z][a-z0-9+.-]*:", identifier) and not identifier.startswith("#")
+    return local and bool({"File", "Dataset"} & _types(entity))
+
+
+def _types(entity: Entity) -> set[str]:
+    kind = entity.get("@type", ())
+    return {kind} if isinstance(kind, str) else set(kind)
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _references(value: Any) -> list[str]:
+    parts = _listed(value)
+    return [str(p["@id"]) for p in parts if isinstance(p, dict) and set(p) == {"@id"}]
+
+
+def _wrong(path: Path, field: str, why: str, found: Any = None) -> Problem:
+    return Problem(
+        "E_CRATE",
+        f"{NAME} breaks a rule of RO-Crate: {why}",
+        file=str(path),
+        field=field or None,
+        found=found,
+        fix="Publish again; where it was edited by hand, mend the field.",
+    )
+
+
+# --- another opinion ------------------------------------------------------------------------------
+
+
+def ask_validator(folder: str | Path) -> tuple[bool | None, str]:
+    """Ask roc-validator, in a process of its own.
+
+    Returns
+    -------
+    valid : bool or None
+        None where it could not say.
+    text : str
+        Its words, or why it could not say: not installed, or its contexts cannot be fetched.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("rocrate_validator") is None:
+        return None, "roc-validator is not installed; the rules were checked by Levkas alone"
+    run = "from rocrate_validator.cli import cli; cli()"
+    command = [sys.executable, "-c", run, "-y", "validate", "--no-paging"]
+    command += ["--profile-identifier", "ro-crate-1.1", str(folder)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return None, f"roc-validator did not answer: {error}"
+    said = done.stdout + done.stderr
+    if done.returncode != 0 and re.search(
+        r"Connection|resolve|timed out|Max retries|URLError|offline", said
+    ):
+        return None, "roc-validator cannot fetch its contexts here: it needs a network"
+    return done.returncode == 0, said.strip()[-2000:]

@@ -1,0 +1,145 @@
+import numpy as np
+import pytest
+
+from levkas.geometry.depth_step import LedgeShift
+from levkas.geometry.transforms import Affine, Composed, Lens, from_dict
+from levkas.registration.depth_step import (
+    average_over_windows,
+    find_depth_step,
+    find_depth_steps,
+    fit_with_depth_step,
+)
+from levkas.registration.model_selection import SelectionTerms, select_model
+from levkas.registration.models import Observations, fit_polynomial, fit_projective
+
+CELL, NOISE = 16.0, 0.03
+VIEW = Affine(np.array([[1.2, 0.01, 8.0], [-0.02, 1.21, 5.0]]))
+
+
+def sunk(turned=0.01, shift=((0.1, -0.05), (0.3, 0.0), (0.0, 0.25))):
+    """A centre that is lowered between 150 and 850, 120 and 640 px, behind a slope of 24 px."""
+    c, s = np.cos(turned), np.sin(turned)
+    normals = np.array([[c, s], [-c, -s], [-s, c], [s, -c]])
+    middle, half = np.array([500.0, 380]), np.array([350.0, 350, 260, 260])
+    lines = np.column_stack([normals, half - normals @ middle])
+    return LedgeShift(lines, 24.0, middle, 500.0, np.array(shift))
+
+
+def windows(truth, seed=0):
+    """What windows of three cells see: the mean of where their pixels lie."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(24, 1000, CELL), np.arange(24, 760, CELL))
+    points = np.stack([x, y], -1).reshape(-1, 2)
+    spots = (np.arange(-23, 24, 2.0), 1 - np.abs(np.arange(-23, 24, 2.0)) / 24)
+    around = np.stack(np.meshgrid(spots[0], spots[0]), -1).reshape(-1, 2)
+    weights = np.outer(spots[1], spots[1]).ravel() / np.outer(spots[1], spots[1]).sum()
+    target = sum(w * truth(points + a) for a, w in zip(around, weights, strict=True))
+    target = target + NOISE * rng.standard_normal(points.shape)
+    jacobian = VIEW.jacobian(points)
+    information = np.broadcast_to(np.eye(2) / NOISE**2, (len(points), 2, 2))
+    return Observations(points, target, jacobian, information)
+
+
+def test_a_ledge_is_found_where_it_was_planted_and_its_displacement_with_it():
+    truth = Composed(sunk(), VIEW)
+    seen = windows(truth)
+    ledge = find_depth_step(seen, CELL)
+    assert ledge is not None
+    middles = ledge.edges[:4] + ledge.edges[4] / 2 * np.array([1, -1, 1, -1])
+    middles += np.repeat(ledge.centre, 2)
+    assert np.abs(middles - [162, 838, 132, 628]).max() < 4  # a quarter of a cell
+    turned = ledge.edges[5]
+    assert abs(turned - 0.01) < 0.01
+    fitted = fit_with_depth_step(seen, ledge, lambda o: fit_polynomial(o, 2))
+    inside = np.stack(np.meshgrid(np.linspace(190, 810, 20), np.linspace(160, 600, 20)), -1)
+    points = inside.reshape(-1, 2)
+    error = np.linalg.norm(fitted(points) - truth(points), axis=1)
+    assert error.max() < 0.03  # as far as one window errs
+
+
+def test_the_ladder_takes_a_ledge_where_there_is_one_and_is_nearer_to_the_truth_for_it():
+    truth = Composed(sunk(), VIEW)
+    seen = windows(truth, 1)
+    with_it, without = (
+        select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)),
+        select_model(seen, SelectionTerms(192)),
+    )
+    assert with_it.name.endswith("+ledge") and "ledge" not in without.name
+    rng = np.random.default_rng(2)
+    points = rng.uniform([20, 20], [980, 740], (2000, 2))
+    errors = [
+        np.linalg.norm(r.transform(points) - truth(points), axis=1) for r in (with_it, without)
+    ]
+    assert errors[0].mean() < 0.5 * errors[1].mean()
+
+
+def test_there_is_no_ledge_in_an_even_panel():
+    seen = windows(VIEW, 3)
+    assert find_depth_step(seen, CELL) is None
+    assert "ledge" not in select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True)).name
+
+
+def test_a_ledge_goes_there_and_back_and_its_slopes_are_those_of_differences():
+    ledge = sunk()
+    points = np.random.default_rng(4).uniform([120, 90], [880, 670], (400, 2))
+    assert np.allclose(ledge.inverse(ledge(points)), points, atol=1e-6)
+    assert np.array_equal(from_dict(ledge.to_dict())(points), ledge(points))
+    across, down = np.array([1e-4, 0]), np.array([0, 1e-4])
+    slopes = [(ledge(points + d) - ledge(points - d)) / 2e-4 for d in (across, down)]
+    assert ledge.jacobian(points) == pytest.approx(np.stack(slopes, 2), abs=1e-6)
+
+
+def test_a_ledge_displaces_along_either_axis_evenly_and_growing_along_it():
+    truth = Composed(sunk(shift=((0.6, 0.1), (0.07, 0.0), (0.0, -0.09))), VIEW)
+    seen = windows(truth, 5)
+    ledge = find_depth_step(seen, CELL)
+    fitted = fit_with_depth_step(seen, ledge, lambda o: fit_projective(o, lens=False)).steps[0]
+    inside = np.stack(np.meshgrid(np.linspace(200, 800, 9), np.linspace(170, 590, 9)), -1)
+    points = inside.reshape(-1, 2)
+    assert fitted.shift[2, 0] == fitted.shift[1, 1] == 0.0
+    assert np.abs(fitted(points) - truth.steps[0](points)).max() < 0.02
+
+
+def test_what_is_seen_through_a_map_with_a_ledge_finds_the_same_ledge_again():
+    truth = Composed(sunk(shift=((0.6, 0.1), (0.05, 0.0), (0.0, 0.05))), VIEW)
+    seen = windows(truth, 6)
+    first = select_model(seen, SelectionTerms(192, cell=CELL, depth_step=True))
+    # What windows see through that map: the mean of what it leaves, added to the mean of itself.
+    through = average_over_windows(first.transform, seen.points, CELL)
+    points = windows(truth, 7)
+    left = points.target - windows(first.transform, 8).target  # both noises
+    again = Observations(seen.points, through + left, seen.jacobian, seen.information / 2)
+    second = select_model(again, SelectionTerms(192, cell=CELL, depth_step=True))
+    assert second.name.endswith("+ledge")
+    dense = np.random.default_rng(9).uniform([20, 20], [980, 740], (2000, 2))
+    errors = [
+        np.linalg.norm(r.transform(dense) - truth(dense), axis=1).mean() for r in (first, second)
+    ]
+    assert errors[1] < 1.5 * errors[0] + 0.002
+    # Were the map asked at the middle of a window, its step would be taken for sharper than it is seen.
+    wrong = Observations(
+        seen.points, first.transform(seen.points) + left, seen.jacobian, seen.information / 2
+    )
+    third = select_model(wrong, SelectionTerms(192, cell=CELL, depth_step=True))
+    assert np.linalg.norm(third.transform(dense) - truth(dense), axis=1).mean() > errors[1]
+
+
+def test_a_window_inside_sees_a_map_where_it_is_and_one_on_the_slope_its_mean():
+    ledge = sunk(0.0, ((1.0, 0.0), (0.0, 0.0), (0.0, 0.0)))
+    places = np.array([[500.0, 380], [162, 380], [60, 380]])
+    assert average_over_windows(ledge, places, CELL)[:, 0] - places[:, 0] == pytest.approx(
+        [1, 0.5, 0], abs=1e-9
+    )
+    assert average_over_windows(VIEW, places, CELL) == pytest.approx(VIEW(places))
+
+
+def test_a_ledge_is_found_beside_a_strong_lens_and_only_there_beside_a_quintic():
+    lens = Lens(np.array([500.0, 380]), 500.0, (0.01, 0.004), (0.0, 0.0))
+    seen = windows(Composed(sunk(shift=((0.15, -0.1), (0, 0), (0, 0))), lens, VIEW), 10)
+    found = find_depth_steps(seen, CELL)
+    middles = [f.edges[:4] + f.edges[4] / 2 * np.array([1, -1, 1, -1]) for f in found]
+    off = [
+        np.abs(m + np.repeat(f.centre, 2) - [162, 838, 132, 628]).max()
+        for m, f in zip(middles, found, strict=True)
+    ]
+    assert len(found) == 2 and off[0] > 20 and off[1] < 4

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from levkas.registration.local_shifts import WindowShifts
+from levkas.registration.window_fusion import total_information
+
+CELL, SIGMA = 16.0, 0.05
+
+
+def seen(shift, sigma=SIGMA, said=SIGMA, columns=40, rows=30, seed=0):
+    """Windows of one band that see `shift`, (n, 2) → (n, 2), with noise, and say that it is `said`."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    centres = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * CELL
+    noisy = shift(centres) + sigma * rng.standard_normal(centres.shape)
+    information = np.broadcast_to(np.eye(2) / said**2, (len(centres), 2, 2))
+    n = len(centres)
+    return [WindowShifts(centres, noisy, information, np.full(n, 0.9), np.zeros((n, 1, 1)))]
+
+
+def still(points):
+    return np.zeros_like(points)
+
+
+def test_knowledge_is_that_of_the_noise_whatever_windows_say_of_it():
+    expected = 1200 * 2 / SIGMA**2
+    assert total_information(seen(still)) == pytest.approx(expected, rel=0.1)
+    assert total_information(seen(still, said=0.2 * SIGMA)) == pytest.approx(expected, rel=0.1)
+
+
+def test_neither_a_lens_nor_a_ledge_is_taken_for_noise():
+    def bent(points):
+        away = (points - (320, 240)) / 320
+        lens = 0.5 * away * (away**2).sum(1, keepdims=True)
+        sunk = ((points > 100) & (points < (540, 380))).all(1)
+        return lens + sunk[:, None] * np.array([0.8, -0.3])
+
+    # One triple in four lies across the ledge; the scatter about any polynomial would be tenfold.
+    assert 0.5 < total_information(seen(bent)) / total_information(seen(still)) < 1.0
+
+
+def test_a_picture_of_few_windows_does_not_tell():
+    assert total_information(seen(still, columns=6, rows=5)) is None
