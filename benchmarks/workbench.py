@@ -28,14 +28,14 @@ from levkas.workbench.correlation import find_partner
 from levkas.workbench.frame import RegistrationView, SensorView
 from levkas.workbench.library import Library
 from levkas.workbench.pictures import ShownPicture, encode, warped_tile
-from levkas.workbench.session import CorrectionSession, FoundPartner
+from levkas.workbench.session import CorrectionSession, RecordedPairs
 
 SIZE = (1392, 1040)
 REPEATS = 15
 ON_SCREEN = 25
 
 
-def plant(n: int, wrong: int) -> FoundPartner:
+def plant(n: int, wrong: int) -> RecordedPairs:
     """Return `n` pairs of a bent map, `wrong` of them 2 to 90 px off."""
     rng = np.random.default_rng(1)
     target = rng.uniform(0, SIZE, (n, 2))
@@ -44,7 +44,7 @@ def plant(n: int, wrong: int) -> FoundPartner:
     reference += rng.normal(0, 0.2, (n, 2))
     angle, reach = rng.uniform(0, 2 * np.pi, wrong), rng.uniform(2, 90, wrong)
     reference[:wrong] += np.stack([np.cos(angle), np.sin(angle)], 1) * reach[:, None]
-    return FoundPartner(Matches.of(reference, target), SIZE, SIZE)
+    return RecordedPairs(Matches.of(reference, target), SIZE, SIZE)
 
 
 def timed(work, repeats: int = REPEATS) -> float:
@@ -111,7 +111,7 @@ def tiles() -> list[tuple[str, float]]:
 class Planted(Library):
     """One camera whose pairs were planted."""
 
-    def __init__(self, found: FoundPartner, path: Path) -> None:
+    def __init__(self, found: RecordedPairs, path: Path) -> None:
         super().__init__(path)
         view, main = (
             SensorView(

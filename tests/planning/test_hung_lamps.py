@@ -90,12 +90,14 @@ def test_what_is_printed_can_be_put_into_the_setup_file(captured, rewritten):
 
 def test_a_camera_tells_which_part_of_the_board_a_region_shows(bench, captured):
     from levkas.planning import plan_framing
-    from levkas.planning.lamp_positions import fit_white
+    from levkas.planning.lamp_positions import CapturedWhite, fit_white
 
     field = next(f.field_mm for f in plan_framing(bench) if f.camera == "d80")
     shifts = np.zeros((2, 7))
     white = captured("white.tif", shifts, size=field, shape=(261, 390))
-    left = fit_white(bench, [white], camera="d80", region=(0, 0, 130, 261), black=300)
+    left = fit_white(
+        bench, CapturedWhite([white], camera="d80", region=(0, 0, 130, 261), black=300)
+    )
     assert left.size_mm == pytest.approx((field[0] / 3, field[1]))
     # Seen as a board of its own in the middle, the left third would need other lamps.
     for lamp, plan in zip(left.fitted.lighting.lamps, bench.lighting().lamps, strict=True):

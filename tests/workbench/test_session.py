@@ -9,7 +9,7 @@ from levkas.campaign.edits import FrameEdits
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, from_bytes, to_bytes
 from levkas.workbench.operations import OPERATIONS, OperationRefused
-from levkas.workbench.session import CorrectionSession, FoundPartner
+from levkas.workbench.session import CorrectionSession, RecordedPairs
 
 SIZE = (1000, 800)
 
@@ -26,7 +26,7 @@ def plant(n=300, wrong=0, off=4.0, seed=0, stop=6.0):
     reference = truth(target) + rng.normal(0, 0.1, (n, 2))
     angle = rng.uniform(0, 2 * np.pi, wrong)
     reference[:wrong] += off * np.stack([np.cos(angle), np.sin(angle)], 1)
-    return FoundPartner(Matches.of(reference, target), SIZE, SIZE, None, stop)
+    return RecordedPairs(Matches.of(reference, target), SIZE, SIZE, None, stop)
 
 
 def pair_of(session, row):
@@ -90,7 +90,7 @@ def test_a_moved_pair_is_where_it_was_put_and_undo_brings_it_back():
 
 
 def test_four_added_pairs_make_a_map_where_there_was_none():
-    nothing = FoundPartner(Matches.of(np.zeros((0, 2)), np.zeros((0, 2))), SIZE, SIZE)
+    nothing = RecordedPairs(Matches.of(np.zeros((0, 2)), np.zeros((0, 2))), SIZE, SIZE)
     session = CorrectionSession(nothing)
     assert "at least 3" in describe(session)["refusal"]
     matrix = np.array([[0.6, -0.8], [0.8, 0.6]])

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from levkas.building.spectra import reference_channel
+from levkas.campaign.methods import method_of
 from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
 from levkas.geometry.grid import Grid, GridRefused
@@ -93,8 +94,8 @@ class ReferenceFrame:
             self._prepared.release()
 
     def _release(self) -> None:
-        methods = {self.campaign.registration_of(c.camera).get("method") for c in self.captures}
-        if self._prepared is not None and methods <= {None, "levkas"}:
+        keys = [self.campaign.registration_of(capture.camera) for capture in self.captures]
+        if self._prepared is not None and all(method_of(one).prepared for one in keys):
             self._prepared.freeze(self.registration().transforms)
             self.images = [self._prepared.anchor]
 

@@ -1,4 +1,4 @@
-"""What all commands share: options, progress, reports for people and programs, refusals."""
+"""Options, progress, reports and refusals shared by all commands."""
 
 from __future__ import annotations
 

@@ -179,21 +179,10 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """How the lamps really hang, from a white that was captured under them."""
-    from levkas.planning.lamp_positions import fit_white, hung_text
+    from levkas.planning.lamp_positions import CapturedWhite, fit_white, hung_text
 
-    found = fit_white(
-        setup,
-        whites,
-        name,
-        darks=dark or (),
-        camera=camera,
-        lamp=lamp,
-        region=_four(region),
-        black=black,
-        saturation=saturation,
-        bits=bits,
-        bent=bent,
-    )
+    white = CapturedWhite(whites, dark or (), black, saturation, bits, _four(region), camera)
+    found = fit_white(setup, white, name, lamp=lamp, bent=bent)
     print_report("plan fit", as_json, True, [], **found.to_dict())
     if not as_json:
         typer.echo(hung_text(found))

@@ -1,4 +1,4 @@
-"""The disk: how much room it has, and its failures as refusals that say what to do."""
+"""Free space, and disk failures turned into refusals that say what to do."""
 
 from __future__ import annotations
 

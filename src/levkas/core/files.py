@@ -1,4 +1,4 @@
-"""All writing of the package: nothing stands under a final name before it is whole and on the disk.
+"""Atomic writing of files and folders: a final name is taken only by what is whole and synced.
 
 A file is written under a temporary name in its own folder, synced, renamed, and the folder synced.
 A folder is built aside under `name.partial-…`, synced once as a whole, and renamed. What belongs

@@ -1,4 +1,4 @@
-"""The one table of flags: what each is called, what it means, its colour, whether the value is usable.
+"""Names, meanings, colours and usability of all pixel flags, in one table.
 
 Whatever shows flags to people takes them from here: the viewer's maps and readout, README.md of a
 publication. A flag that is not in the table is not to be trusted.

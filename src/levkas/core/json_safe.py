@@ -1,4 +1,4 @@
-"""Records as JSON text: the same text for the same record, and no number that JSON has no word for."""
+"""JSON text that is the same for the same record; NaN and infinities become null."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Locks between threads, processes and machines: a file that exists only while it is held."""
+"""Locks between threads, processes and machines by a file that exists only while it is held."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Levkas made: only that is ever replaced or taken away, and only what bears its mark is taken for it.
+"""Marks of files that Levkas wrote: only these are ever replaced or removed.
 
 A database bears `MARK` in the first line of its database.toml, which a build writes before anything
 else; a finished one also in its manifest, as a publication does; a bag in its bag-info.txt. Of files

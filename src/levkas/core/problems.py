@@ -1,4 +1,4 @@
-"""What was refused and why, in one shape for messages, `--json` and reports."""
+"""Problems (code, file, field, found, expected, fix) and the exception that carries them."""
 
 from __future__ import annotations
 

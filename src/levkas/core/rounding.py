@@ -1,4 +1,4 @@
-"""How many digits are kept: 16 significant bits of a value, 12 of its sigma.
+"""Rounding to the digits kept: 16 significant bits of a value, 12 of its sigma.
 
 A value's step is at most 1/65536 of it, a hundredth of the noise of the best single shot; what
 lies below is noise that no codec makes smaller. Sums of a thousand pixels do not see it either.

@@ -1,4 +1,4 @@
-"""Partial files and folders that killed runs left behind, removed."""
+"""Removal of partial files and folders that killed runs left behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work shared by threads that stay: rows of one picture, or bands side by side.
+"""Thread pools shared by the whole process: rows of one picture, or bands side by side.
 
 Threads of our own around kernels without the interpreter's lock: numba's parallel loops take four times
 as long to compile, and the first run on a fresh machine is one that people wait for.

@@ -1,4 +1,4 @@
-"""catalogue.csv: one row a layer of the database, in order, so that two builds write the same."""
+"""catalogue.csv: one row a layer, sorted, the same bytes for the same database."""
 
 from __future__ import annotations
 

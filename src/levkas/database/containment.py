@@ -1,4 +1,4 @@
-"""What leads out of a database: names of objects and cameras with paths in them, links, pipes."""
+"""Checks that names, links and pipes of a database do not lead out of its folder."""
 
 from __future__ import annotations
 

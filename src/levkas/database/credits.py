@@ -1,4 +1,4 @@
-"""Who made and owns what a file shows: the facts that image files carry in their own tags."""
+"""Creator, owner and rights written into the tags of image files."""
 
 from __future__ import annotations
 

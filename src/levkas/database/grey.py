@@ -1,4 +1,4 @@
-"""Grey pictures of layers: the mean of all bands, and where every band saw."""
+"""Grey pictures of layers: the mean of all bands where every band has a value."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

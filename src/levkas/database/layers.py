@@ -1,4 +1,4 @@
-"""One layer's files in one call: spectral TIFF, flags, sigma, preview and Zarr."""
+"""Writing the files of one layer together: spectral TIFF, flags, sigma, preview, Zarr."""
 
 from __future__ import annotations
 

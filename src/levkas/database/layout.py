@@ -1,4 +1,4 @@
-"""Where the files of a database stand; names as the contract has them."""
+"""Paths and names of the files of a database."""
 
 from __future__ import annotations
 

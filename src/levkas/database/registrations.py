@@ -1,4 +1,4 @@
-"""Registration records of a database, checked before any part of them is used."""
+"""Registration records of a database, validated before use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""splits.csv: which objects to learn from, to choose with and to test on, the same for everyone.
+"""splits.csv: training, validation and test objects, assigned by the hash of their names.
 
 An object's split follows from its name alone, so that it stays where it is when others are added.
 """

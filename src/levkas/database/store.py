@@ -1,4 +1,4 @@
-"""Zarr v3 stores, one an object: a group a layer, which xarray opens with its bands labelled.
+"""Zarr v3 stores, one an object, one group a layer, opened by xarray with labelled bands.
 
 A group holds ``values``, ``flags`` and, where the noise is known, ``sigma``, all (y, x, band), and
 the coordinates ``band``, ``wavelength`` and ``fwhm``. Every chunk carries a checksum.

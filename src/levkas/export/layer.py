@@ -1,4 +1,4 @@
-"""One layer of a database as the formats take it: its planes, its bands, and what is known of it."""
+"""One layer as the formats take it: planes, bands, sampling."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""QGIS and all that reads by GDAL: one TIFF image with a sample a band, labelled, and a world file in mm."""
+"""QGIS and other readers by GDAL: one TIFF with a sample a band, labels, and a world file in mm."""
 
 from __future__ import annotations
 

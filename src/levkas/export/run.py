@@ -1,4 +1,4 @@
-"""An export: every layer that was chosen, in one format, into one folder."""
+"""Export of chosen layers in one format into one folder."""
 
 from __future__ import annotations
 

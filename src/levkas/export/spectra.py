@@ -1,4 +1,4 @@
-"""Spectra as CSV, for tables and statistics: a row a pixel, a column a band."""
+"""Spectra as CSV: a row a pixel, a column a band."""
 
 from __future__ import annotations
 

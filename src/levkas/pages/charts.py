@@ -1,4 +1,4 @@
-"""The part of a report that a chart fills: where it was sampled, Figure 15 of the paper, colours."""
+"""The report section of a colour chart: sampled areas, SNR (Figure 15 of the paper), colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of one registration: what its map rests on, and the course of the paper's removal (Figures 9, 10)."""
+"""Figures of one registration: its windows and checks, or the paper's removal of outliers (Figures 9, 10)."""
 
 from __future__ import annotations
 

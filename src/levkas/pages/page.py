@@ -1,4 +1,4 @@
-"""The report page of one object: what was registered to what, how well, and what to do next."""
+"""The report page of one object, and the templates of all pages."""
 
 from __future__ import annotations
 

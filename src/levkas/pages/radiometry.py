@@ -1,4 +1,4 @@
-"""What reports say of noise, range, glare, focus and light, from the records of a build."""
+"""The report section on noise, dynamic range, glare, focus and light."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a setup says against itself: lamps and cameras where they cannot be, light that is not known."""
+"""Consistency checks of a setup: impossible places, unknown light, values hardly meant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a camera would see under every setup, as a contact sheet with close-ups (Figure 4)."""
+"""Contact sheet of a camera's view under every setup, rendered with close-ups (Figure 4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a pair of lamps is judged by, for many arrangements at once.
+"""Criteria of a pair of lamps, evaluated for many arrangements at once.
 
 Arrays are (arrangements, lamps, tilts, points); maps of one arrangement by `irradiance` and `glare`
 agree with them, which a test holds.

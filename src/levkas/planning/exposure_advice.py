@@ -1,4 +1,4 @@
-"""Exposure advice from frames: a white, or the object, taken once, tells which time to set."""
+"""Exposure advice from captured frames of a white or of the object."""
 
 from __future__ import annotations
 

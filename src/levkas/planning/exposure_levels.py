@@ -1,4 +1,4 @@
-"""How long to expose: to the right, on the white, as far as chance allows; photons, not ISO.
+"""Exposure to the right: the brightest mean level at which clipping stays improbable.
 
 The mean of an even white may stand at f of saturation when its brightest pixel must not clip with more
 than a given chance: f = 1/[(1 + z·√(1/(f·FW) + PRNU²))·(1 + U/2)·(1 + drift)].  With the sensor of

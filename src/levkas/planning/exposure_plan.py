@@ -1,4 +1,4 @@
-"""Exposure of every camera and channel under a lighting: times, electrons, SNR, the channel that limits.
+"""Planned exposure of every camera and channel: times, electrons, SNR, limiting channel, light dose.
 
 A pixel gathers e = t·p²·τ / (4·N²·(1+m)²) · ∫ E(λ)·Rw·QE(λ)·λ/(hc) dλ photo-electrons from a white
 board, with the irradiance E, the lens's transmittance τ and f-number N.

@@ -1,4 +1,4 @@
-"""The filter that evens a camera's channels out: a linear program.
+"""Design of a filter that evens a camera's channels out, as a linear program.
 
 A filter only takes light away, so that of the exposure *time* is part of the program: with u = t·T(λ)
 the electrons of a channel are linear in u, and so are the limits 0 ≤ T ≤ 1 (0 ≤ u ≤ t) and s of the

@@ -1,4 +1,4 @@
-"""The code at which a sensel is full: as given, as the file declares it, or as its campaign does."""
+"""Full scale of a sensor: as given, as the file declares it, or as its campaign does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fit the model of the lamps to a measured white frame: where they really stand, and how they aim."""
+"""Least-squares fit of the lamps' model to a measured white frame: places and aims."""
 
 from __future__ import annotations
 

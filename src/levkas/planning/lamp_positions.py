@@ -1,4 +1,4 @@
-"""Lamps as they hang: the plan of a lighting fitted to a white as it was captured."""
+"""Positions of the lamps as they hang, from a captured white."""
 
 from __future__ import annotations
 
@@ -97,43 +97,55 @@ def light_at_middle(lamps: Sequence[StudioLamp]) -> list[float]:
     return [round(g / max(given), 3) for g in given]
 
 
+@dataclass(frozen=True)
+class CapturedWhite:
+    """White frames of one camera under a lighting, and what is known of them.
+
+    Parameters
+    ----------
+    frames : sequence of path
+        Frames, or folders of them; averaged.
+    darks : sequence of path
+        Frames or folders; without them `black` is subtracted.
+    black, saturation : float, optional
+        Counts; default the file's own.
+    bits : int, optional
+        Of the converter; default as file or campaign declare.
+    region : (x, y, width, height), optional
+        Native pixels that show the board; the whole frame without it.
+    camera : str, optional
+        Whose planned field the frames show; without it the region shows just the object's size.
+    """
+
+    frames: Sequence[str | Path]
+    darks: Sequence[str | Path] = ()
+    black: float | None = None
+    saturation: float | None = None
+    bits: int | None = None
+    region: Box | None = None
+    camera: str | None = None
+
+
 def fit_white(
     setup: str | Path | StudioSetup,
-    whites: Sequence[str | Path],
+    white: CapturedWhite,
     name: str | None = None,
     *,
-    darks: Sequence[str | Path] = (),
-    camera: str | None = None,
     lamp: int | None = None,
-    region: Box | None = None,
-    black: float | None = None,
-    saturation: float | None = None,
-    bits: int | None = None,
     bent: bool = False,
 ) -> HungLamps:
     """Fit the lamps of a lighting to captured whites.
 
     Parameters
     ----------
-    setup : path or Setup
-    whites : sequence of path
-        Frames of one camera, or folders of them; averaged.
+    setup : path or StudioSetup
+    white : CapturedWhite
     name : str, optional
         Of the lighting that was hung; the first without one.
-    darks : sequence of path
-        Frames or folders; without them `black` is subtracted.
-    camera : str, optional
-        Whose planned field the frame shows; without it the region shows just the object's size.
     lamp : int, optional
-        The only one of the lighting's lamps that shone, from 1: its place is then told far better.
-    region : (x, y, width, height), optional
-        Native pixels that show the board; the whole frame without it.
-    black, saturation : float, optional
-        Counts; default as the file or its campaign declare them, black else 0.
-    bits : int, optional
-        Of the converter; default as `levkas.planning.full_scale.find_full_scale` finds the full scale.
+        The only one of the lighting's lamps that shone, from 1: its place is then found far better.
     bent : bool
-        Whether the board is bent as the object is.
+        The board is bent as the object is.
 
     Raises
     ------
@@ -144,11 +156,13 @@ def fit_white(
     """
     setup = setup if isinstance(setup, StudioSetup) else load_setup(setup)
     lighting = _shining(setup, setup.lighting(name), lamp)
-    files = files_of(whites)
-    stack, floor = average_whites(files, files_of(darks), black, saturation, bits)
-    box = check_region(region, stack.mean.shape, str(files[0]))
+    files = files_of(white.frames)
+    stack, floor = average_whites(
+        files, files_of(white.darks), white.black, white.saturation, white.bits
+    )
+    box = check_region(white.region, stack.mean.shape, str(files[0]))
     light = thin_white(stack, floor, box, str(files[0]))
-    size, centre, doubts = _shown(setup, camera, stack.mean.shape, box)
+    size, centre, doubts = _shown(setup, white.camera, stack.mean.shape, box)
     thing = setup.object.model_copy(update={"size_mm": size})
     fitted = fit_lamps(light, lighting, thing, bent=bent, centre_mm=centre)
     notes = (*doubts, *_notes(lighting, fitted))

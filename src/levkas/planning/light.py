@@ -1,4 +1,4 @@
-"""What a lighting does to an object: evenness, glare, relief, the bright field, and its levers."""
+"""Evenness, glare, relief and bright field of a lighting, and its sensitivity to changes."""
 
 from __future__ import annotations
 

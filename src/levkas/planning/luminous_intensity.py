@@ -1,4 +1,4 @@
-"""How a lamp's intensity falls off its axis: a cosine lobe by its half-width, or a measured table."""
+"""Luminous intensity distribution of a lamp: a cosine lobe by its half-width, or a measured table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Light that facets of varnish and gold throw to the camera, as a fraction of a white board's.
+"""Microfacet reflection (GGX) of varnish and gold, as a fraction of a white board's light.
 
 Microfacets of [walter2007]_: ρ = π·D·F·G/(4·cosᵢ·cosₒ), with D either GGX (Trowbridge–Reitz), the
 default, or Beckmann. The two agree near the mirror direction and differ a thousandfold far from it,

@@ -1,4 +1,4 @@
-"""The best place for a pair of lamps: a compass search from random starts, and what a change would cost.
+"""Optimization of a pair of lamps: a compass search from random starts, and trade-off curves.
 
 Cost = Σ weight · (value / tolerance)²: a criterion at its tolerance costs its weight, one at half of it
 a quarter. Tolerances and weights are `criteria.TOLERANCES` and `criteria.WEIGHTS`, fixed for every

@@ -1,4 +1,4 @@
-"""A setup that was read from its TOML file: the object, and lamps and cameras in their places."""
+"""A studio setup as values: the object, and lamps and cameras in their places."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Light of a lamp from its parts: a spectrum, filters before it, and what cameras and eyes make of it."""
+"""Spectra of lamps and filters, and what cameras and eyes integrate of them."""
 
 from __future__ import annotations
 

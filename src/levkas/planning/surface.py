@@ -1,4 +1,4 @@
-"""The object's surface as a plan needs it: points and normals of a bent panel with a sunken middle."""
+"""Sampled surface of a bent panel with a recessed middle: points, normals, texture contrast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of a setup file: an object, spectra, lamps, cameras, and where lamps stand in each setup.
+"""The schema of a setup file: object, spectra, lamps, cameras and their places.
 
 Millimetres, degrees, nanometres, seconds. x to the right and y downwards as the camera sees the
 object, z from the object towards the camera, origin at the object's middle.

@@ -1,4 +1,4 @@
-"""Plans as records for programs and as lines for people."""
+"""Plans as records for programs and as text for people."""
 
 from __future__ import annotations
 

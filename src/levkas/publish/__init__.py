@@ -1,4 +1,4 @@
-"""A database made ready to be handed on: described, in two sizes, as tiles, as a bag."""
+"""Publications: a database described, in two sizes, as tiles, as a bag."""
 
 from __future__ import annotations
 

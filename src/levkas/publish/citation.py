@@ -1,4 +1,4 @@
-"""CITATION.cff of a data set (Citation File Format 1.2.0), and the citation as a line of text."""
+"""Citations: CITATION.cff, DataCite metadata, and one line of text."""
 
 from __future__ import annotations
 

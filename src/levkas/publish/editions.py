@@ -1,4 +1,4 @@
-"""The medium edition: the whole database at no more than the paper's 640 x 480 pixels.
+"""Editions of a publication: full size, and a medium one of at most 640 x 480 pixels.
 
 Every layer is resampled as the build resamples: the kernel is widened to the coarser grid, so that
 nothing aliases, sigma and flags go with the values, and the registration records lead to the new

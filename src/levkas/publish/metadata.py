@@ -1,4 +1,4 @@
-"""What is said of a database as a whole: database.toml, which the build writes, read and completed."""
+"""Bibliographic metadata of a database: database.toml, read and completed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the files came about, for the crate: one action a step, with its program, parameters and inputs."""
+"""Provenance for the RO-Crate: one action a step, with program, parameters and inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One publication while it is being made: from which database, whereto, with what."""
+"""A publication in the making: source, target folder, editions, description."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A publication from beginning to end: made aside, read again and compared, then given its name."""
+"""Publishing from beginning to end: built aside, read back and compared, renamed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""colour/: the CIELAB gamut of a database in the three views of the paper's Figure 12.
+"""CIELAB gamut of a database in the three views of the paper's Figure 12.
 
 Of the reference camera's layers, where its bands are narrow and cover what the eye sees.
 """

@@ -1,4 +1,4 @@
-"""Pictures cut into tiles for IIIF viewers: Image API 3.0 at level 0, plain files that any server gives."""
+"""Image tiles for IIIF viewers (Image API 3.0, level 0)."""
 
 from __future__ import annotations
 

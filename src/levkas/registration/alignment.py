@@ -154,7 +154,7 @@ def _measure(first: list[BandImage], other: list[BandImage], model: str) -> Affi
 
 
 def _rigid(source: np.ndarray, target: np.ndarray) -> Affine:
-    """Return the rotation and shift of `source` to `target` by least squares (Kabsch 1976)."""
+    """Return the rotation and shift of `source` to `target` by least squares ([kabsch1976]_)."""
     a, b = source - source.mean(0), target - target.mean(0)
     u, _, vt = np.linalg.svd(a.T @ b)
     turn = (u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T

@@ -1,4 +1,4 @@
-"""The bands of one camera against its base map: low-order fields, smooth in wavelength.
+"""Lateral chromatic aberration: the bands of one camera against its base map.
 
 A lens magnifies every wavelength a little differently, a filter wheel shifts every band by its
 own wedge. Each band gets the same few displacement fields, shift and magnification freely, others at

@@ -1,4 +1,4 @@
-"""The kernel under `outliers`: a least-squares fit that is updated when its worst pair leaves.
+"""Downdating: a least-squares fit that is updated when its worst pair leaves; the kernel of `outliers`.
 
 With orthonormal rows q of the design, G = Σ q qᵀ over the pairs that are kept, z = G⁻¹ q_j and
 h = q_j·z of the pair j that leaves,

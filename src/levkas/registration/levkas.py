@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +28,9 @@ from levkas.registration.reference_bands import register_own_bands
 from levkas.registration.verdict import ONLY, judge_windows
 
 if TYPE_CHECKING:
+    from levkas.campaign.methods import LevkasOptions
     from levkas.registration.bands import BandImage
-    from levkas.registration.manual_points import ManualPoints
+    from levkas.registration.request import Request
 
 #: Bands of the reference that predict others, and means of parts of its spectrum that are searched for key points.
 MOST_PREDICTING, MOST_GREYS = 12, 4
@@ -96,40 +97,8 @@ class PreparedReference:
         self.anchor = replace(self.anchor, values=values, valid=valid)
 
 
-def register_levkas(
-    reference: Sequence[BandImage],
-    target: Sequence[BandImage],
-    *,
-    reference_band: str,
-    region: Sequence[float] | None = None,
-    reference_transforms: Mapping[str, Transform] | None = None,
-    reference_sigma: Mapping[str, Sigma] | None = None,
-    ready: Callable[[], PreparedReference] | None = None,
-    given: Mapping[str, ManualPoints] | None = None,
-    **_ignored: Any,
-) -> Registration:
-    """Register every band of `target` to the reference band.
-
-    Parameters
-    ----------
-    reference, target : sequence of BandImage
-        Of either camera; the same sequence for the reference camera's own bands.
-    reference_band : str
-        Label of the band of `reference` that defines reference px.
-    region : (x, y, width, height), reference px, optional
-        Where the object lies; nothing outside is used.
-    reference_transforms : mapping of label to Transform, optional
-        Of the reference camera's own bands, from its own registration: saves measuring them again.
-    reference_sigma : mapping of label to Sigma, optional
-        Uncertainty of those.
-    ready : callable, optional
-        Returns the reference made ready: saves preparing it for every camera.
-    given : mapping of sensor name to ManualPoints, optional
-        Pairs by hand; four of them start a sensor that key points do not.
-
-    Returns
-    -------
-    registration : Registration
+def register_levkas(request: Request, _options: LevkasOptions) -> Registration:
+    """Register every band of the target to the reference band; deterministic, without options.
 
     Raises
     ------
@@ -137,25 +106,30 @@ def register_levkas(
         Where no initial transform is found (``E_MATCHES``), or too little of the frames can be compared
         (``E_WINDOWS``).
     """
-    base = ready() if ready else PreparedReference(reference, reference_band, region)
-    own, anchor = target is reference, base.anchor
-    first = None
-    if reference_transforms is None or own:
+    base = (
+        request.prepared()
+        if request.prepared
+        else PreparedReference(request.reference, request.reference_band, request.region)
+    )
+    own, anchor, target = request.is_own, base.anchor, request.target
+    transforms, sigma = request.reference_transforms, request.reference_sigma
+    sensors = []
+    if transforms is None or own:
         bands = base.own_bands if own else base.predicting()
         images = {band.label: base.object_in(band) for band in bands}
         first = register_own_bands(bands, images, anchor)
-        reference_transforms, reference_sigma = first.transforms, first.sigma
-    sensors = [first] if own and first is not None else []
+        transforms, sigma = first.transforms, first.sigma
+        sensors = [first] if own else []
     names = dict.fromkeys(i.sensor for i in target if not own or i.sensor != anchor.sensor)
     if names:
-        stack = base.stack(reference_transforms)
+        stack = base.stack(transforms)
         pictures = base.images if own else sqrt_images(target)
         for name in names:
             bands = [image for image in target if image.sensor == name]
             theirs = CameraFeatures(_Greys([pictures[band.label] for band in bands]))
-            by_hand = (given or {}).get(name)
+            by_hand = request.given.get(name)
             sensors.append(
-                register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, reference_sigma)
+                register_sensor(bands, pictures, stack, base.keys, theirs, by_hand, sigma)
             )
     return _assemble(sensors, [image.label for image in target], base.mask)
 

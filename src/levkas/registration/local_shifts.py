@@ -1,4 +1,4 @@
-"""Dense refinement: a linear prediction plus a shift, window by window, from sums over cells.
+"""Local shifts: Lucas-Kanade ([baker2004]_) with linear appearance variation ([hager1998]_), window by window.
 
 In a window the warped target band is T(x) = b + r·x + Σ g_k R_k(x) + e·∇P(x), with predictors R_k
 (images of the reference in its own frame), P = Σ g_k R_k, and e the shift that is looked for.

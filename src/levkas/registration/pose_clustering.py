@@ -1,4 +1,6 @@
-"""Which of many doubtful matches agree on one similarity: pairs of them propose, all of them vote.
+"""Pose clustering: which of many doubtful matches agree on one similarity ([stockman1987]_).
+
+Pairs of matches propose similarities, and all matches vote.
 
 A key point knows its size and its direction. Two matches determine a similarity, and most pairs of
 wrong ones contradict the sizes and directions of their own key points; so do most wrong matches that

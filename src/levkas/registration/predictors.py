@@ -1,4 +1,4 @@
-"""What the reference would look like in any band: its registered bands, condensed.
+"""Predictors: principal components of the reference's bands, from which any band is predicted.
 
 A painting has few pigments in any one place, so that a handful of images span what every band
 shows there. A target band is predicted as their linear combination, with gains of its own in each

@@ -1,4 +1,4 @@
-"""Seeing images in one frame: warped through a smoothing spline, averaged, freed of slow parts."""
+"""Resampling for the comparison of windows: a smoothing B-spline, block means, a high-pass filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Capturing: a camera looks at a painting, a white board or into the dark, and hands frames over."""
+"""Capture of a painting, a white board or the dark by a simulated camera."""
 
 from __future__ import annotations
 

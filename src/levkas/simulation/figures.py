@@ -1,4 +1,4 @@
-"""Saints: head, hands, garments with folds and hatching, drawn on a canvas in millimetres."""
+"""Painted saints: head, hands, garments with folds, on a canvas in millimetres."""
 
 from __future__ import annotations
 

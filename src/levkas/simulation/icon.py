@@ -1,4 +1,4 @@
-"""An icon, painted anew from a seed: gilded field, saints, inscriptions, border, and its age."""
+"""A simulated icon from a seed: gilded ground, saints, inscriptions, border, ageing."""
 
 from __future__ import annotations
 

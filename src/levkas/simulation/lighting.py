@@ -1,4 +1,4 @@
-"""Lamps on a painting: shading of the relief, and glare of varnish and gold.
+"""Simulated lamps: shading of the relief, glare of varnish and gold.
 
 A reflectance factor is the light that a camera gets over what it would get from a flat white
 diffuser in the panel's plane. Paint gives its reflectance times the shading; varnish and gold leaf

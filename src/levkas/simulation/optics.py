@@ -1,4 +1,4 @@
-"""Cameras as exact maps between the panel and pixels: pinhole, lens, scan, colour of the lens.
+"""Exact maps between panel and pixels: pinhole, lens distortion, scan, lateral colour.
 
 The chain of a band: panel (s, t) → camera frame → ideal pixel → lens → *base* pixel → chromatic
 magnification and shift → misalignment of the sensor → native pixel. All sensors and bands of a

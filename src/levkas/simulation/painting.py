@@ -1,4 +1,4 @@
-"""A painted surface: how much of which paint lies where, what lies below, and how rough it is."""
+"""A painted surface: amounts of paints, ground, roughness, relief."""
 
 from __future__ import annotations
 

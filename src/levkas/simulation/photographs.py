@@ -1,4 +1,4 @@
-"""A photograph as a painting: each colour becomes a mixture of paints that matches it."""
+"""Paintings made from photographs, and charts: colours matched by mixtures of paints."""
 
 from __future__ import annotations
 

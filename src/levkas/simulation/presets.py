@@ -1,4 +1,4 @@
-"""Presets: how large, how rich and how hard a simulated campaign is."""
+"""Presets of simulated campaigns: size, content, difficulty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays between the panel and base pixels: the compiled arithmetic of `panel` and `optics`.
+"""Compiled ray geometry between the panel and base pixels.
 
 One file, because numba's cache of a kernel does not notice a change in another file that it calls.
 `shape` is `Panel.vector()`, `c` is `View.vector()`; lengths are millimetres.

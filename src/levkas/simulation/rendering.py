@@ -1,4 +1,4 @@
-"""Images as sensels see them: the scene integrated over each footprint, blurred by the optics.
+"""Rendering: the scene integrated over each sensel's footprint and blurred by the optics.
 
 A sensel's value is the integral over the panel of texture times (box of one pixel ∗ Gaussian of the
 optics), taken by quadrature on sub-pixels through the exact map. Pixel centres are integers: the

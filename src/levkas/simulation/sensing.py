@@ -1,4 +1,4 @@
-"""Sensors: from the light on each sensel to the counts in a file, Eq. (2) of [mirhashemi2019]_.
+"""Sensor model: light on each sensel to counts in a file, Eq. (2) of [mirhashemi2019]_.
 
 Every random number is a hash of (key of the frame, index of the sensel): the same bytes come out
 whatever the number of threads, and any frame can be made without those before it.

@@ -1,4 +1,4 @@
-"""Strokes, areas and grain: vector shapes in millimetres brought on to a raster of any fineness."""
+"""Vector strokes, areas and grain in millimetres, rasterized at any resolution."""
 
 from __future__ import annotations
 

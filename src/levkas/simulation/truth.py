@@ -1,4 +1,4 @@
-"""The exact truth of a simulated campaign: where any point lies in any band of any camera."""
+"""Exact truth of a simulated campaign: the position of any point in any band of any camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a screen is told of a session after each change: columns of one length, a sum, the trace.
+"""Answers to the screen after each change: columns, statistics, the trace.
 
 Thousands of pairs are told with every edit, so that columns may travel as they stand in memory: little-endian
 numbers behind a JSON text that says where each begins, words by their number.

@@ -1,4 +1,4 @@
-"""Where a place of the reference lies in the other picture, by comparing what is around it."""
+"""Search for the corresponding point in the other picture by normalized cross-correlation."""
 
 from __future__ import annotations
 

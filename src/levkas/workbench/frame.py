@@ -1,4 +1,4 @@
-"""One sensor of a camera of an object, opened: its pictures, its maps, and what can be asked of a place."""
+"""The registration of one sensor opened for the screen: pictures, maps, tiles, partners."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from levkas.workbench.session import look
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, SensorFrames
     from levkas.registration.record import Matches
-    from levkas.workbench.session import CorrectionSession, SessionView
+    from levkas.workbench.session import CorrectionResult, CorrectionSession
 
 SIDES = ("reference", "target")
 FEW = 12
@@ -57,7 +57,7 @@ class RegistrationView:
     read: Callable[[Capture, str], ShownPicture]
     read_flags: Callable[[Capture, str], np.ndarray]
     lock: threading.RLock = field(default_factory=threading.RLock)
-    trial: SessionView | None = None
+    trial: CorrectionResult | None = None
     """What the map would be if a pair lay elsewhere."""
     trials: int = 0
     builds: int = 0

@@ -1,4 +1,4 @@
-"""What of a campaign can be looked at and corrected: every camera of every object, opened by an id."""
+"""All registrations of a campaign that the screen can open, by id."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
+from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 from levkas.readers.text import read_json
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
 from levkas.workbench.pictures import ShownPicture, read_picture
-from levkas.workbench.session import CorrectionSession, FoundPartner
+from levkas.workbench.session import CorrectionSession, RecordedPairs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,9 +68,9 @@ class Library:
         return {view.key: view for capture in captures for view in self._views_of(capture)}
 
     def _views_of(self, capture: Capture) -> list[SensorView]:
-        # The paper's method fits one map for all sensors of a camera: pairs of the first one alone.
-        method = self.campaign.registration_of(capture.camera).get("method", "levkas")
-        sensors = capture.sensors if method == "levkas" else capture.sensors[:1]
+        # A method that fits one map for all sensors of a camera has pairs of the first one alone.
+        method = method_of(self.campaign.registration_of(capture.camera))
+        sensors = capture.sensors if method.per_sensor else capture.sensors[:1]
         views = [SensorView(capture, sensor) for sensor in sensors]
         if capture.camera != self.campaign.reference.camera or capture.setup:
             return views
@@ -185,7 +186,7 @@ class Library:
         ours = record["reference"]
         shape = self._shape(self._page(capture, band)[0])
         keys = self.campaign.registration_of(capture.camera)
-        found = FoundPartner.of(
+        found = RecordedPairs.of(
             self._matches(view),
             size=(int(ours["size"][0]), int(ours["size"][1])),
             target_size=(shape[1], shape[0]),

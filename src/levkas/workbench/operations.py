@@ -1,4 +1,4 @@
-"""What a person does to a pair, each a function from corrections to corrections."""
+"""Operations on pairs, each a function from corrections to corrections."""
 
 from __future__ import annotations
 

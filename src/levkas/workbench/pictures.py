@@ -1,4 +1,4 @@
-"""Grey pictures for a screen: eight bits, reduced by halves, cut into tiles when they are asked for.
+"""Grey pictures for the screen: eight bits, a pyramid of halves, tiles on demand.
 
 A picture of 100 million pixels takes 133 MB; it is read some rows at a time.
 """

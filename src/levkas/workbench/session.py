@@ -1,4 +1,4 @@
-"""One camera of one object under correction: its pairs, what the last edit made of them, undo.
+"""A session of corrections on one registration: pairs, refit, undo.
 
 A session holds what the method found and the corrections so far; every state is one value, so that
 undo has no end and nothing is ever taken back by hand.
@@ -32,7 +32,7 @@ CUT = "farther than `reject` at the start"
 
 
 @dataclass(frozen=True)
-class FoundPartner:
+class RecordedPairs:
     """What stands before any correction.
 
     Parameters
@@ -52,7 +52,7 @@ class FoundPartner:
     stop: float = 1.0
 
     @classmethod
-    def of(cls, matches: Matches, **more: Any) -> FoundPartner:
+    def of(cls, matches: Matches, **more: Any) -> RecordedPairs:
         """Take what a build recorded, and leave out what came from a person."""
         own = (matches.reason == HandMark.ADDED) | (matches.state == MatchState.CHECK)
         names = Matches.__dataclass_fields__
@@ -60,7 +60,7 @@ class FoundPartner:
 
 
 @dataclass(frozen=True)
-class SessionView:
+class CorrectionResult:
     """What corrections make of the pairs.
 
     Parameters
@@ -94,13 +94,13 @@ class CorrectionSession:
         there then. Where it raises, nothing was changed.
     """
 
-    found: FoundPartner
+    found: RecordedPairs
     edits: FrameEdits = field(default_factory=FrameEdits)
     save: Callable[[FrameEdits, FrameEdits], FrameEdits] | None = None
     version: int = 0
     _undone: list[FrameEdits] = field(default_factory=list)
     _done: list[FrameEdits] = field(default_factory=list)
-    _view: SessionView | None = None
+    _view: CorrectionResult | None = None
     _drawn: tuple[int, np.ndarray] | None = None
 
     @property
@@ -116,7 +116,7 @@ class CorrectionSession:
         return self.version
 
     @property
-    def view(self) -> SessionView:
+    def view(self) -> CorrectionResult:
         """What the corrections make of the pairs, computed once a change."""
         if self._view is None:
             self._view = look(self.found, self.edits)
@@ -187,7 +187,7 @@ class CorrectionSession:
         """Do again what was undone last."""
         self._step(self._undone, self._done)
 
-    def refresh(self, found: FoundPartner) -> None:
+    def refresh(self, found: RecordedPairs) -> None:
         """Go on from what a new build found; corrections and undo stay."""
         self.found, self._view = found, None
         self.version += 1
@@ -240,7 +240,7 @@ class CorrectionSession:
         return written
 
 
-def look(found: FoundPartner, edits: FrameEdits) -> SessionView:
+def look(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
     """Replay the removal of outliers on what was found and corrected."""
     given = ManualPoints(**edits.pairs())
     marked = given.mark(found.matches.reference, found.matches.target)
@@ -253,11 +253,11 @@ def look(found: FoundPartner, edits: FrameEdits) -> SessionView:
     else:
         forward = Inverse(fitted.model)
         matches = _described(marked, fitted, edits.stop or found.stop)
-    return SessionView(_with_checks(matches, given.checks, forward), fitted, forward, refusal)
+    return CorrectionResult(_with_checks(matches, given.checks, forward), fitted, forward, refusal)
 
 
 def _fit(
-    found: FoundPartner, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
+    found: RecordedPairs, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
 ) -> tuple[Cleaned | None, str]:
     if (~marked.dropped).sum() < LEAST_FITTED:
         return None, f"{int((~marked.dropped).sum())} pairs: a map needs at least {LEAST_FITTED}"
@@ -278,7 +278,7 @@ def _fit(
     return cleaned, ""
 
 
-def _stiff(found: FoundPartner, marked: MarkedMatches) -> Transform:
+def _stiff(found: RecordedPairs, marked: MarkedMatches) -> Transform:
     """Scale alone, shifted on to the pairs that there are."""
     back = scale_only(found.size, found.target_size)
     use = ~marked.dropped
@@ -324,7 +324,7 @@ def _over(size: tuple[int, int]) -> np.ndarray:
     return np.stack(np.meshgrid(along, down), -1).reshape(-1, 2)
 
 
-def _place(pair: Sequence[float], found: FoundPartner) -> Pair:
+def _place(pair: Sequence[float], found: RecordedPairs) -> Pair:
     """Check that a pair can be: four finite numbers, not far outside either picture."""
     values = np.asarray(pair, float).reshape(-1)
     if values.shape != (4,) or not np.isfinite(values).all():

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from levkas.campaign.schema.tables import Creator, PublicationKeys
 from levkas.campaign.schema.toml import to_toml
-from levkas.campaign.schema.values import _doi, _orcid
 
 KEYS = st.text(min_size=1, max_size=8)
 PLAIN = (
@@ -29,13 +29,15 @@ def test_what_is_empty_is_left_out():
 
 
 def test_an_orcid_with_a_wrong_check_digit_is_refused():
-    assert _orcid("https://orcid.org/0000-0002-1825-0097") == "0000-0002-1825-0097"
-    assert _orcid("0000-0002-1694-233x") == "0000-0002-1694-233X"
+    for text in ("https://orcid.org/0000-0002-1825-0097", "0000-0002-1694-233x"):
+        creator = Creator(name="A", orcid=text)
+        assert creator.orcid == text[-19:].upper()
     with pytest.raises(ValueError, match="check digit"):
-        _orcid("0000-0002-1825-0098")
+        Creator(name="A", orcid="0000-0002-1825-0098")
 
 
 def test_a_doi_is_taken_without_its_resolver():
-    assert _doi("https://doi.org/10.5281/zenodo.1") == "10.5281/zenodo.1"
+    keys = PublicationKeys(doi="https://doi.org/10.5281/zenodo.1")
+    assert keys.doi == "10.5281/zenodo.1"
     with pytest.raises(ValueError, match="DOI"):
-        _doi("zenodo.1")
+        PublicationKeys(doi="zenodo.1")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -20,6 +19,9 @@ if TYPE_CHECKING:
     from levkas.campaign.schema.tables import SensorKeys
     from levkas.readers.frames import Facts
 
+Key = float | str
+SAME_DECIMALS = 6
+"""Decimals of nm to which two wavelengths are one, as files and campaign.toml write them."""
 NEAREST_NM = 0.5
 """Declared wavelengths may differ from a header's by this, or by half a step where that is more."""
 
@@ -27,7 +29,7 @@ NEAREST_NM = 0.5
 def bands_of_mosaic(
     camera: Camera, pattern: Rows | None, names: Sequence[str] | None, facts: Facts | None
 ) -> tuple[Rows, tuple[Band, ...]]:
-    """Channels of a mosaic, and its pattern with their names in place of letters.
+    """Return the channels of a mosaic, and its pattern with their names in place of letters.
 
     Names are those of red, green, blue in this order where the pattern has these letters, else of
     the channels in the order in which the pattern first shows them.
@@ -66,7 +68,7 @@ def bands_of_mosaic(
 def bands_in_file(
     camera: Camera, sensor: SensorKeys | None, facts: Facts, *, pages: bool = False
 ) -> tuple[Band, ...]:
-    """Bands of a file that holds them all: a cube, a photograph, a sensor without a mosaic.
+    """Return the bands of a file that holds them all: a cube, a photograph, a sensor without a mosaic.
 
     Declared names and wavelengths go before the header's; counts must agree.
 
@@ -189,11 +191,6 @@ def count_problem(
     )
 
 
-Key = float | str
-SAME_NM = 1e-6
-"""Between wavelengths that are one, as files and campaign.toml write them."""
-
-
 def band_key(frame: FrameRef) -> Key | None:
     """Return the key of a frame's band: its wavelength, else its name, else None."""
     return frame.wavelength if frame.wavelength is not None else frame.band
@@ -303,8 +300,8 @@ def _checked(
     """Return the keys in their order, or refuse."""
     alike = {k for k in others if isinstance(k, float) == isinstance(keys[0], float)}
     expected = list(declared) if declared else sorted({*keys, *alike}, key=_order)
-    near = _Near(keys)
-    match = {k: near.same(k) for k in expected}
+    known = {_rounded(k): k for k in keys}
+    match = {k: known.get(_rounded(k)) for k in expected}
     missing = [k for k in expected if match[k] is None]
     taken = set(match.values())
     surplus = [k for k in keys if k not in taken]
@@ -328,20 +325,8 @@ def _checked(
     )
 
 
-class _Near:
-    """Keys among which one is looked up, wavelengths within 1e-6 nm; thousands of bands are."""
-
-    def __init__(self, keys: Sequence[Key]) -> None:
-        self._labels = {k for k in keys if not isinstance(k, float)}
-        self._wavelengths = sorted(k for k in keys if isinstance(k, float))
-
-    def same(self, key: Key) -> Key | None:
-        """Return the key that is alike, None without one."""
-        if not isinstance(key, float):
-            return key if key in self._labels else None
-        place = bisect_left(self._wavelengths, key - SAME_NM)
-        found = self._wavelengths[place : place + 1]
-        return found[0] if found and found[0] < key + SAME_NM else None
+def _rounded(key: Key) -> Key:
+    return round(key, SAME_DECIMALS) if isinstance(key, float) else key
 
 
 def _listed(keys: Sequence[Key]) -> str:

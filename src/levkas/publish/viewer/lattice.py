@@ -1,4 +1,4 @@
-"""From a published pixel to the native pixels of every band: coarse lattices that a page interpolates.
+"""Coarse lattices of native pixel positions, which a page interpolates.
 
 A map is sampled every few pixels of the grid and interpolated by cubic (Catmull-Rom) splines. The
 lattice is made finer until that differs from the map itself by no more than `WANTED_PX` between nodes.

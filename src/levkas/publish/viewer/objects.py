@@ -1,4 +1,4 @@
-"""One object for the viewer: its layers' tiles, spectra and lattices, and the record its page reads."""
+"""The record, tiles, spectra and lattices of one object in the viewer."""
 
 from __future__ import annotations
 

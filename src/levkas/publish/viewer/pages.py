@@ -1,4 +1,4 @@
-"""The two kinds of pages: the contact sheet of a database, and the page of one object.
+"""Pages of the viewer: the contact sheet of a database, and one page an object.
 
 All text from outside is escaped by the templates; records for scripts are JSON in which nothing can
 end the element it stands in. A policy in the page itself forbids inline scripts and other hosts.

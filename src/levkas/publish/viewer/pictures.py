@@ -1,4 +1,4 @@
-"""The pictures that the viewer has of one layer: its render, other lights, single bands, maps."""
+"""Pictures of one layer in the viewer: its render, other illuminants, single bands, maps."""
 
 from __future__ import annotations
 

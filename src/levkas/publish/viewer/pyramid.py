@@ -1,4 +1,4 @@
-"""Pictures as pyramids of tiles: static files that a page can show at any size, also from file://.
+"""Tile pyramids of pictures as static files, readable from file://.
 
 Level n of a picture halves level n + 1; the highest is the picture itself, the lowest fits one tile.
 A tile is ``LEVEL/COLUMN_ROW.jpg`` or ``.png``, and overlaps its neighbours by one pixel.

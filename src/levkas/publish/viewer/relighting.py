@@ -1,4 +1,4 @@
-"""Colour under another light: spectra to sRGB as an eye adapted to that light sees them.
+"""Spectra to sRGB under another illuminant, with chromatic adaptation.
 
 With S the light's spectrum, XYZ = Σ S x̄ R / Σ S ȳ; its white is then brought to that of D65 by the
 Bradford transform, so that a perfect diffuser stays white and only what the light does to the

@@ -1,4 +1,4 @@
-"""The viewer of a published folder: a contact sheet, a page an object, and what they show."""
+"""The viewer of a published folder, written object by object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spectra as script files, one a tile of pixels: what a page can read from file://, bit for bit.
+"""Spectra as script files, one a tile of pixels, readable from file:// bit for bit.
 
 A tile's payload is the bytes of its float32 values (and sigma), split into byte planes and
 differenced along x so that they compress, then zlib and base64. Nothing is rounded: the page shows

@@ -128,10 +128,13 @@ def _given(
     """What the method is given; made before the clock runs, and compiled code has been loaded."""
     if COMPARED[name].module:
         return pair_of(ours, theirs, band, region)
-    options: dict[str, Any] = {"reference_band": band, "method": name, "region": region}
-    if name == "levkas":
-        maps = {k: from_dict(b["transform"]) for k, b in own["bands"].items()}
-        options["reference_transforms"] = maps
+    maps = {k: from_dict(b["transform"]) for k, b in own["bands"].items()}
+    options: dict[str, Any] = {
+        "reference_band": band,
+        "method": name,
+        "region": region,
+        "reference_transforms": maps,
+    }
     _load(name)
     return ours, theirs, options
 

@@ -1,4 +1,4 @@
-"""The application behind its guard, and the server that runs it until it is interrupted."""
+"""The ASGI application of the workbench, and the server that runs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands before every route: host, origin, token, content type; http and websocket alike.
+"""Guard of every route: host, origin, token, content type, body size.
 
 A server on 127.0.0.1 is no secret: any page that is open in a browser can ask it. So the host has
 to be its own (a page that rebinds its name to 127.0.0.1 sends its own name), requests of other

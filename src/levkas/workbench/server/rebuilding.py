@@ -1,4 +1,4 @@
-"""Registering again from the screen: one build at a time, in a thread, told step by step."""
+"""Rebuilding from the screen: one build at a time, in a thread."""
 
 from __future__ import annotations
 

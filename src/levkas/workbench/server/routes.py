@@ -1,4 +1,4 @@
-"""The routes: read, one library call, shape the answer. Ids come in, never paths."""
+"""Routes of the workbench: each reads, calls the library once and shapes the answer."""
 
 from __future__ import annotations
 
