@@ -230,7 +230,7 @@ class BuildRecords:
         root = str(self.output)
         return {name: sha for name, sha in known.items() if _is_file(f"{root}{os.sep}{name}")}
 
-    def told(self, key: Key) -> dict[str, Any]:
+    def notes(self, key: Key) -> dict[str, Any]:
         """Return what a finished stage noted for later ones."""
         return dict(self._record(key).get("notes", {}))
 

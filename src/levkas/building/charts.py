@@ -164,13 +164,13 @@ def _of_campaign(
             )
         )
     kept = Places(campaign.output).kept
-    shelf = TemplateCache(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
+    templates = TemplateCache(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
     captures, refusals = find_charts(campaign)
     report.problems.extend(p for r in refusals.values() for p in r.problems)
     for capture in captures:
         if not cameras or capture.camera in cameras:
             try:
-                yield capture, kinds[capture.object], develop_chart(capture, campaign, shelf)
+                yield capture, kinds[capture.object], develop_chart(capture, campaign, templates)
             except Refused as refused:
                 report.problems.extend(
                     problems_of(f"{capture.object}/{capture.layer}", capture, refused)
@@ -204,18 +204,18 @@ class Developed:
     """Shots that the values are the mean of, in the band of fewest."""
 
 
-def develop_chart(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Developed:
+def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
     """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
     from levkas.building.calibrate import develop
 
     mosaics = frozenset(s.name for s in capture.sensors if s.pattern is not None)
     parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
     if parts is None:
-        whole = develop(capture, campaign, shelf)
+        whole = develop(capture, campaign, templates)
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
         return Developed(dict(whole.cubes), {}, mosaics, whole.captured or "", steps, most)
-    first, second = (develop(part, campaign, shelf) for part in parts)
+    first, second = (develop(part, campaign, templates) for part in parts)
     cubes, shots = {}, {}
     for name, a in first.cubes.items():
         b = second.cubes[name]
