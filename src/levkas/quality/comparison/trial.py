@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Refused
-from levkas.geometry.transforms import Composed, from_dict
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Composed
 from levkas.quality.comparison.methods import COMPARED
 from levkas.quality.comparison.pairs import AnyMap, NoAnswer, pair_of, spread
 from levkas.quality.evaluation.native_layers import NativeLayer, read_native_layer

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.database.registrations import read_registrations
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 from levkas.registration import RegistrationRefused, register
 
 if TYPE_CHECKING:
