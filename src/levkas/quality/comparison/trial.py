@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.geometry.transforms import Composed, from_dict
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Composed
 from levkas.quality.comparison.answer import NoAnswer
 from levkas.quality.comparison.captures import Capture, read_capture
 from levkas.quality.comparison.fields import AnyMap

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.database.registrations import read_registrations
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 
 if TYPE_CHECKING:
     from levkas.quality.evaluation.loops import View

@@ -18,7 +18,8 @@ from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
 from levkas.database.registrations import RecordRefused, read_registration
-from levkas.geometry.transforms import Affine, Inverse, Transform, from_dict
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.readers.facts import check_memory
 
 GRID = "grid"
