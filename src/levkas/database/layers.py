@@ -16,9 +16,8 @@ from levkas.core.files import remove, together
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.database.catalogue import Entry
 from levkas.database.credits import Credits
-from levkas.database.planes import planes_of
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import write_spectral_tiff
+from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
 from levkas.database.store import layer_name, write_layer_store
 
 if TYPE_CHECKING:

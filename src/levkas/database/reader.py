@@ -22,7 +22,7 @@ from levkas.database.tiff_pages import TiffPages, open_pages
 from levkas.readers.text import parse_bounded
 
 if TYPE_CHECKING:
-    from levkas.geometry.pixel_frames import FrameMap
+    from levkas.database.pixel_frames import FrameMap
 
 KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 
@@ -128,7 +128,7 @@ class Object(Mapping[Any, "LayerArray"]):
             One standard deviation of either axis, reference px: nine of ten positions lie within
             2.146 of them. None where the method of registration does not know.
         """
-        from levkas.geometry.pixel_frames import find_position_sigma
+        from levkas.database.pixel_frames import find_position_sigma
 
         values = find_position_sigma(self.path, self.name, camera, setup, band)
         if values is None:
@@ -137,8 +137,8 @@ class Object(Mapping[Any, "LayerArray"]):
         return xarray.DataArray(values, dims=("y", "x"), name="position_sigma", attrs=facts)
 
     def transform(self, source: str, target: str) -> FrameMap:
-        """Return the map between two frames of pixels, as `levkas.geometry.pixel_frames.find_map` does."""
-        from levkas.geometry.pixel_frames import find_map
+        """Return the map between two frames of pixels, as `levkas.database.pixel_frames.find_map` does."""
+        from levkas.database.pixel_frames import find_map
 
         return find_map(self.path, self.name, source, target)
 
@@ -204,7 +204,7 @@ class LayerArray(xarray.DataArray):
 
     def transform(self, source: str, target: str) -> FrameMap:
         """Return the map between two frames of pixels of the object, for whole images."""
-        from levkas.geometry.pixel_frames import find_map
+        from levkas.database.pixel_frames import find_map
 
         return find_map(self._beside.path, self._beside.object, source, target)
 

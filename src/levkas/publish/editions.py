@@ -212,7 +212,8 @@ def credits_of(path: Path) -> Credits:
 
 def _write_records(publication: Publication, root: Path, name: str, size: tuple[int, int]) -> None:
     """Registration records whose grid is the smaller one; the matches are of native pixels and stay."""
-    from levkas.geometry.transforms import Affine, from_dict
+    from levkas.geometry import from_dict
+    from levkas.geometry.transforms import Affine
 
     for path in sorted((publication.source / f"objects/{name}/registration").glob("*")):
         place = path.relative_to(publication.source).as_posix()

@@ -12,7 +12,7 @@ import numpy as np
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
 from levkas.database.registrations import read_registrations
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import (
     BandError,
     Truth,
