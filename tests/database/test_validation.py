@@ -261,7 +261,7 @@ def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkey
             asked.append(count)
             super().__init__(count)
 
-    monkeypatch.setattr(validate, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr("levkas.database.validate.ThreadPoolExecutor", Pool)
     monkeypatch.setenv("LEVKAS_THREADS", "5")
     assert validate(database).ok and validate(database, threads=1).ok
     assert asked == [5, 1]
