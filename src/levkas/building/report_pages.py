@@ -32,7 +32,7 @@ from levkas.pages.page import (
     render_page,
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
-from levkas.quality.targets.places import choose_places
+from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 
 if TYPE_CHECKING:
