@@ -41,7 +41,6 @@ from levkas.calibration.defects import replace_defects
 from levkas.calibration.denoising import denoise, describe_removed
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.invalid_values import describe_gaps
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.pushbroom import average_lines, join_strips
@@ -60,7 +59,7 @@ from levkas.calibration.sensor_context import (
     times_in,
     times_of,
 )
-from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.templates import CalibrationRefused, Template, average, describe_gaps
 from levkas.calibration.whites import thinning
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space

@@ -15,7 +15,14 @@ import numpy as np
 from levkas.core.cube import Band, Cube
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
-from levkas.quality.targets.charts import Chart, ChartRefused, Reference, chart_of, reference_of
+from levkas.database.layout import LayerId
+from levkas.quality.targets.charts import (
+    Chart,
+    ChartReference,
+    ChartRefused,
+    chart_of,
+    reference_of,
+)
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure, sight
 
 if TYPE_CHECKING:
@@ -177,7 +184,7 @@ def _of_campaign(
                 )
 
 
-def _reference(chart: Chart, path: str | Path | None) -> Reference | None:
+def _reference(chart: Chart, path: str | Path | None) -> ChartReference | None:
     from levkas.quality.targets.charts import parse_reference
     from levkas.readers.text import read_text
 
@@ -267,7 +274,7 @@ def measure_capture(
     name: str,
     made: Developed,
     chart: Chart,
-    reference: Reference | None,
+    reference: ChartReference | None,
     *,
     corners: np.ndarray | None = None,
     uniformity: float | None = None,
@@ -401,7 +408,7 @@ def subjects_of(
     for entry in entries:
         if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
             continue
-        layer = "_".join(part for part in (entry.object, entry.camera, entry.setup) if part)
+        layer = LayerId(entry.object, entry.camera, entry.setup).stem
         file = database / "objects" / entry.object / f"{layer}.tif"
         check_inside(database, file, file.with_name(f"{layer}.flags.tif"))
         yield Subject(_name(entry), chart_of(kind), {"": file}, bool(objects))

@@ -13,13 +13,12 @@ from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.defects import find_defects
 from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
-from levkas.calibration.invalid_values import describe_gaps, gaps_of
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise, fit_noise_single, level_of
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.whites import reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag

@@ -14,8 +14,9 @@ from levkas.building.spectra import reference_channel
 from levkas.campaign.methods import method_of
 from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
+from levkas.geometry import from_dict
 from levkas.geometry.grid import Grid, GridRefused
-from levkas.geometry.transforms import Transform, from_dict
+from levkas.geometry.transforms import Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.record import Sigma
 

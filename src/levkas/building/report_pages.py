@@ -32,7 +32,7 @@ from levkas.pages.page import (
     render_page,
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
-from levkas.quality.targets.places import choose_places
+from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ def _band_rows(record: dict[str, Any]) -> list[list[str]]:
     """Where the middle of the reference lies in each band, against the camera's reference channel."""
     import numpy as np
 
-    from levkas.geometry.transforms import from_dict
+    from levkas.geometry import from_dict
 
     bands = record.get("bands", {})
     channel = record.get("target", {}).get("band")
@@ -222,7 +222,7 @@ def _sampling(places: Places, captures: list[Capture]) -> str:
         return ""
     import numpy as np
 
-    from levkas.geometry.transforms import from_dict
+    from levkas.geometry import from_dict
 
     step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
     return f"{1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5):.3f}"

@@ -16,8 +16,6 @@ import numba
 import numpy as np
 from numba import types
 
-from levkas.calibration.numba_types import readonly
-
 FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
 Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 MOST = 300_000  # of these that are looked at
@@ -102,7 +100,9 @@ def interpolation_variance(
 @numba.njit(
     [
         types.void(
-            *(readonly(types.float32), readonly(types.int64), readonly(types.float64, 3)),
+            types.Array(types.float32, 2, "C", readonly=True),
+            types.Array(types.int64, 2, "C", readonly=True),
+            types.Array(types.float64, 3, "C", readonly=True),
             types.float32[:, :, ::1],
         )
     ],

@@ -1,6 +1,6 @@
 """Kernel of `lines`: raw lines of a push-broom camera to values, flags and sigma in one passage.
 
-The numbers are those of `flatfield_kernel`, to the last bits of sums that stand in another order.
+The numbers are those of `flatfield`, to the last bits of sums that stand in another order.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from levkas.calibration.flatfield_kernel import of_mean
+from levkas.calibration.flatfield import of_mean
 from levkas.core.cube import Flag
 
 SATURATED, BLACK, DEFECT, OUTSIDE = (

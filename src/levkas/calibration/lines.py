@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.flatfield import Side, exact_side, model_of, pair_darks
-from levkas.calibration.invalid_values import gaps_of
-from levkas.calibration.layout import as_marks
-from levkas.calibration.templates import Template
+from levkas.calibration.templates import Template, as_marks, gaps_of
 from levkas.calibration.whites import check_white, reflectance_table
 from levkas.core.cube import Flag
 from levkas.core.rounding import SIGMA_DROP, VALUE_DROP

@@ -12,8 +12,7 @@ import numpy as np
 
 from levkas.calibration.code_spacing import find_step
 from levkas.calibration.darks import SAME_TIME
-from levkas.calibration.invalid_values import close_gaps
-from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
-from levkas.colour.icc import srgb_profile
+from levkas.colour.srgb import srgb_profile
 from levkas.core.files import replacing
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem

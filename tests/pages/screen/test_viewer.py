@@ -9,8 +9,8 @@ from PIL import Image
 
 from levkas.core.cube import Flag
 from levkas.core.flags import MARKS
+from levkas.database.pixel_frames import find_map
 from levkas.database.tiff_pages import open_pages
-from levkas.geometry.pixel_frames import find_map
 from levkas.publish.viewer.pictures import shown_band
 
 from .database import CAMERAS

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.core.files import write_json
-from levkas.geometry.pixel_frames import (
+from levkas.database.pixel_frames import (
     Frame,
     MappingRefused,
     find_map,

@@ -19,7 +19,7 @@ class ComparisonRefused(Refused):
 
 
 @dataclass(frozen=True)
-class Capture:
+class NativeLayer:
     """One camera under one setup, native pixels.
 
     Parameters
@@ -48,7 +48,7 @@ class Capture:
         ]
 
 
-def read_capture(database: Path, name: str, camera: str, setup: str) -> Capture:
+def read_native_layer(database: Path, name: str, camera: str, setup: str) -> NativeLayer:
     """Read the native files of a layer.
 
     Raises
@@ -88,4 +88,4 @@ def read_capture(database: Path, name: str, camera: str, setup: str) -> Capture:
                 fix="Build the campaign again; a scan that is streamed cannot be compared.",
             )
         )
-    return Capture(sensors)
+    return NativeLayer(sensors)

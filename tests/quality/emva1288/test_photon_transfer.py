@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from levkas.calibration.blocks import Blocks, block_statistics
-from levkas.calibration.clipping import fit_clipped_dark, is_clipped
 from levkas.calibration.code_spacing import count_codes, find_levels
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.templates import CalibrationRefused, average
-from levkas.quality.emva1288.drift import Light, measure_drift
-from levkas.quality.emva1288.photon_transfer import Dark, measure_sensor
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
+from levkas.quality.emva1288.darks import Dark, fit_clipped_dark, is_clipped
+from levkas.quality.emva1288.drift import CellMeans, measure_drift
+from levkas.quality.emva1288.photon_transfer import measure_sensor
 from levkas.simulation.sensing import expose, fixed_pattern, key
 
 SIZE = (320, 448)
@@ -41,7 +41,7 @@ class Camera:
             yield squeeze(frame) if self.curved else frame
 
     def stack(self, share, count=4):
-        light, full = Light(), self.sensor.saturation
+        light, full = CellMeans(), self.sensor.saturation
         made = average(light.watch(self.shots(share, count)), saturation=full, exposure_s=share)
         drift = measure_drift(light.cells, self.sensor.black)
         return block_statistics(made, drift=drift, dark=self.sensor.black)[""]

@@ -12,7 +12,7 @@ import numpy as np
 from levkas.colour.srgb import observer_under_d65, visible_coverage, xyz_weights
 
 if TYPE_CHECKING:
-    from levkas.quality.targets.charts import Chart, Reference
+    from levkas.quality.targets.charts import Chart, ChartReference
 
 LEVELS = {
     "colour": ((2.0, 3.5, 5.0, 6.5), (4.0, 5.0, 5.0)),
@@ -24,7 +24,7 @@ LEVELS = {
 LEAST_COVERAGE = 0.9
 
 
-class Row(NamedTuple):
+class IndicatorRow(NamedTuple):
     """One indicator: what, how much, and the level that the value alone would reach."""
 
     name: str
@@ -48,7 +48,7 @@ class Colours(NamedTuple):
 
 
 def compare_colours(
-    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: Reference
+    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: ChartReference
 ) -> Colours:
     """Compare the patches' colours with those of the reference spectra.
 
@@ -117,7 +117,7 @@ def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(delta_E_CIE2000(a, b), float)
 
 
-def rate(colours: Colours, chart: Chart, *, uniformity: float | None = None) -> list[Row]:
+def rate(colours: Colours, chart: Chart, *, uniformity: float | None = None) -> list[IndicatorRow]:
     """Return the indicator rows of a chart.
 
     Parameters
@@ -139,14 +139,16 @@ def rate(colours: Colours, chart: Chart, *, uniformity: float | None = None) -> 
     ]
     if uniformity is not None:
         rows.append(
-            Row("uniformity of the light, least over greatest", 100 * uniformity, "%", "–", "–")
+            IndicatorRow(
+                "uniformity of the light, least over greatest", 100 * uniformity, "%", "–", "–"
+            )
         )
     return rows
 
 
-def _row(key: str, name: str, value: float, unit: str) -> Row:
+def _row(key: str, name: str, value: float, unit: str) -> IndicatorRow:
     stars, levels = LEVELS[key]
     reached = [f"{4 - i} stars" for i, most in enumerate(stars) if value < most]
     level = [f"level {'ABC'[i]}" for i, most in enumerate(levels) if value <= most]
     fadgi = "–" if not stars else (reached[0].replace("1 stars", "1 star") if reached else "none")
-    return Row(name, value, unit, fadgi, level[0] if level else "none")
+    return IndicatorRow(name, value, unit, fadgi, level[0] if level else "none")

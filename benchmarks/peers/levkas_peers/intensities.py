@@ -1,4 +1,4 @@
-"""Methods that compare grey values: ECC of OpenCV, elastix, SimpleITK and ANTs, as their users run them.
+"""Methods that compare grey values: elastix, SimpleITK and ANTs, as their users run them.
 
 All start from the scale alone, on the target laid on the reference's pixels; settings are those of
 the packages' own examples for a multimodal pair, an affine map first and a smooth field after it.
@@ -6,54 +6,21 @@ the packages' own examples for a multimodal pair, an affine map first and a smoo
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.geometry.transforms import Composed, Homography
-from levkas.quality.comparison.answer import Answer, NoAnswer
-from levkas.quality.comparison.fields import Displacement
+from levkas.quality.comparison.pairs import Answer, NoAnswer
 
 if TYPE_CHECKING:
     from levkas.quality.comparison.pairs import Pair
 
 LEVELS = 4
-"""Of the pyramid of ECC."""
-LEAST_SIDE = 32
+"""Of the pyramid of elastix."""
 NODE_PX = 64
 """Distance of the nodes of B-spline fields, px."""
 MATTES_BINS = 48
-
-
-def opencv_ecc(pair: Pair) -> Answer:
-    """ECC [evangelidis2008]_ with a homography, coarse to fine; blurred outside, as its own blur biases."""
-    import cv2
-
-    ecc: Any = cv2.findTransformECC
-    moved, valid = pair.moved()
-    warp = np.eye(3)
-    cost: float = float("nan")
-    for level in reversed(range(LEVELS)):
-        scale = 0.5**level
-        if min(moved.shape) * scale < LEAST_SIDE:
-            continue
-        a, b = (_reduced(cv2, p, scale) for p in (pair.reference, moved))
-        mask = _reduced(cv2, valid.astype(np.float32), scale) > 0.99
-        shrink = np.array([[scale, 0, scale / 2 - 0.5], [0, scale, scale / 2 - 0.5], [0, 0, 1]])
-        guess = (shrink @ warp @ np.linalg.inv(shrink)).astype(np.float32)
-        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60 if level else 30, 1e-6)
-        try:
-            cost, guess = ecc(a, b, guess, cv2.MOTION_HOMOGRAPHY, stop, mask.astype(np.uint8), 1)
-        except cv2.error as error:
-            raise NoAnswer(str(error).splitlines()[-1][-120:]) from error
-        warp = np.linalg.inv(shrink) @ guess.astype(float) @ shrink
-    return Answer(Composed(Homography(warp), pair.start), f"correlation {cost:.3f}")
-
-
-def _reduced(cv2: Any, picture: np.ndarray, scale: float) -> np.ndarray:
-    size = tuple(max(1, round(side * scale)) for side in picture.shape[::-1])
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if scale < 1 else picture
-    return np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), np.float32)
 
 
 def elastix(pair: Pair) -> Answer:
@@ -156,3 +123,31 @@ def ants(pair: Pair) -> Answer:
 
 def _after(field: Displacement, pair: Pair) -> Any:
     return lambda points: pair.start(field(points))
+
+
+@dataclass(frozen=True, eq=False)
+class Displacement:
+    """``p ↦ p + field(p)``, linear between pixels, constant beyond the edge.
+
+    Parameters
+    ----------
+    field : ndarray, (h, w, 2), px
+        Shift in x and y at every pixel.
+
+    Examples
+    --------
+    >>> Displacement(np.full((3, 3, 2), 0.5))(np.array([[1.25, 2.0]]))
+    array([[1.75, 2.5 ]])
+    """
+
+    field: np.ndarray
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        from scipy.ndimage import map_coordinates
+
+        points = np.asarray(points, float)
+        places = points[:, ::-1].T
+        shift = [
+            map_coordinates(self.field[..., k], places, order=1, mode="nearest") for k in (0, 1)
+        ]
+        return points + np.stack(shift, 1)

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.quality.comparison.answer import Answer, NoAnswer
-from levkas.quality.comparison.growing import LADDERS, Fitted, Form
-from levkas.quality.comparison.structures import Structures, find_structures
+from levkas.quality.comparison.pairs import Answer, NoAnswer
 from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.matching import find_neighbours
+from levkas_peers.growing import LADDERS, Fitted, Form
+from levkas_peers.structures import Structures, find_structures
 
 if TYPE_CHECKING:
     from collections.abc import Callable

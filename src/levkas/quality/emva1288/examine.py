@@ -7,18 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem, Refused
 from levkas.quality.emva1288.bounds import Bound, bound_sensor
 from levkas.quality.emva1288.facts import FrameFacts, describe_files, describe_frame
 from levkas.quality.emva1288.photon_transfer import measure_sensor, without_full_scale
-from levkas.quality.emva1288.reports import Examination, SensorReport
+from levkas.quality.emva1288.report import Examination, SensorReport
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from levkas.calibration.code_spacing import Levels
-    from levkas.quality.emva1288.gathered import Sensor
+    from levkas.quality.emva1288.sensor_stacks import SensorStacks
 
 
 def examine(
@@ -93,7 +93,7 @@ def _examine_camera(
         yield _unknown(name, list(refused.problems))
 
 
-def _report(sensor: Sensor, rng: np.random.Generator) -> SensorReport:
+def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
     """Measure every channel of a sensor; what is refused for all is said once."""
     facts = describe_frame(sensor.bench.sensor.object[0].path)
     bits = sensor.bench.camera.bits or facts.bits
@@ -149,7 +149,7 @@ def _report(sensor: Sensor, rng: np.random.Generator) -> SensorReport:
     )
 
 
-def _bounds(sensor: Sensor, channel: str, full: float | None) -> list[Bound]:
+def _bounds(sensor: SensorStacks, channel: str, full: float | None) -> list[Bound]:
     """Return what single shots tell of a channel; nothing where saturation is not known."""
     if full is None:
         return []
@@ -158,7 +158,7 @@ def _bounds(sensor: Sensor, channel: str, full: float | None) -> list[Bound]:
     )
 
 
-def _white_level(sensor: Sensor) -> tuple[float | None, bool]:
+def _white_level(sensor: SensorStacks) -> tuple[float | None, bool]:
     """Return saturation in counts, and whether it is declared: else it is what the top code needs.
 
     What the top code needs is enough for the range of the gain, and too little to tell a full well.
@@ -174,7 +174,7 @@ def _white_level(sensor: Sensor) -> tuple[float | None, bool]:
     return float(2 ** max(8, top.bit_length()) - 1), False
 
 
-def _pattern(sensor: Sensor) -> str | None:
+def _pattern(sensor: SensorStacks) -> str | None:
     rows = sensor.bench.sensor.pattern
     return None if rows is None else " / ".join(" ".join(row) for row in rows)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine
-from levkas.quality.evaluation.loops import View, close_loops, points_on
+from levkas.quality.evaluation.loop_closure import LoopView, close_loops, points_on
 from levkas.registration import BandImage
 
 
@@ -14,7 +14,7 @@ def shifted(scale, x, y):
 
 def view(studio, name, painting, mapping, *, claimed=None, seed=0):
     picture = studio.photograph(painting, mapping.inverse, seed=seed)
-    return View(name, [BandImage.of("grey", picture)], "grey", claimed or mapping)
+    return LoopView(name, [BandImage.of("grey", picture)], "grey", claimed or mapping)
 
 
 def test_right_maps_close_and_a_wrong_one_shows_by_how_much(studio):
@@ -26,7 +26,7 @@ def test_right_maps_close_and_a_wrong_one_shows_by_how_much(studio):
     assert len(loop.error) > 0.8 * len(points)
     assert loop.error.mean() < 0.05
     # The same picture, said to lie 0.8 px aside of where it does.
-    wrong = View("wrong", other.images, "grey", shifted(0.97, 1.5 + 0.97 * 0.8, 4.0))
+    wrong = LoopView("wrong", other.images, "grey", shifted(0.97, 1.5 + 0.97 * 0.8, 4.0))
     (loop,) = close_loops([one, wrong], points)
     np.testing.assert_allclose(loop.error.mean(), 0.8, atol=0.05)
 
