@@ -15,6 +15,7 @@ import numpy as np
 from levkas.core.cube import Band, Cube
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
+from levkas.database.layout import LayerId
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
@@ -407,7 +408,7 @@ def subjects_of(
     for entry in entries:
         if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
             continue
-        layer = "_".join(part for part in (entry.object, entry.camera, entry.setup) if part)
+        layer = LayerId(entry.object, entry.camera, entry.setup).stem
         file = database / "objects" / entry.object / f"{layer}.tif"
         check_inside(database, file, file.with_name(f"{layer}.flags.tif"))
         yield Subject(_name(entry), chart_of(kind), {"": file}, bool(objects))

@@ -1,4 +1,4 @@
-"""Detail between the sensels of a mosaic: how far interpolated values are from a scene that was not sampled.
+"""Interpolation error of a mosaic: the variance by which interpolated values miss detail between the sensels.
 
 Where a sensel differs from the mean of its two neighbours of the same phase, the scene has detail that
 interpolation between sensels cannot know. How much such disagreement means for a method is tried on the

@@ -1,4 +1,4 @@
-"""Do exposures scale? The same scene at several times must give counts in their ratio.
+"""Linearity: the same scene at several exposure times must give counts in their ratio.
 
 y(g, t) = C(g)·t + offset for groups g of pixels of like brightness, fitted so that Σ(Δy/y)² is
 least over 5–95 % of saturation; what is left, relative, is the deviation from linearity.

@@ -1,4 +1,4 @@
-"""How noisy a sensor is: variance = read² + gain · signal, fitted to the frames that are there.
+"""Noise model of a sensor, variance = read² + gain · signal, fitted to the frames of a campaign.
 
 From stacks (two shots or more of one scene) the variance over time is free of everything fixed:
 texture, PRNU, shading. From single shots only an upper estimate can be had, from what is left of

@@ -17,6 +17,7 @@ import numpy as np
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
+from levkas.database.layout import layer_name
 from levkas.database.registrations import RecordRefused, read_registration
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
@@ -42,7 +43,7 @@ class Frame:
     @property
     def layer(self) -> str:
         """``CAMERA`` or ``CAMERA@SETUP``, as registration records are called."""
-        return f"{self.camera}@{self.setup}" if self.setup else self.camera
+        return layer_name(self.camera, self.setup)
 
     def __str__(self) -> str:
         if not self.camera:

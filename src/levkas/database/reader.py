@@ -15,9 +15,10 @@ from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
+from levkas.database.layout import LayerId, layer_name
 from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
-from levkas.database.store import DIMENSIONS, layer_name
+from levkas.database.store import DIMENSIONS
 from levkas.database.tiff_pages import TiffPages, open_pages
 from levkas.readers.text import parse_bounded
 
@@ -176,7 +177,7 @@ class Origin:
         return array
 
     def _tiff(self, kind: str) -> Path:
-        stem = "_".join(part for part in (self.object, self.camera, self.setup) if part)
+        stem = LayerId(self.object, self.camera, self.setup).stem
         return self.path / "objects" / self.object / (stem + KINDS[kind])
 
 

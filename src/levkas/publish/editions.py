@@ -21,10 +21,11 @@ from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
 from levkas.database.consistency import stem_of
+from levkas.database.layout import layer_name
 from levkas.database.registrations import read_registration
 from levkas.database.splits import NAME as SPLITS
 from levkas.database.splits import split_objects
-from levkas.database.store import layer_name, write_index
+from levkas.database.store import write_index
 from levkas.publish.publication import PublishRefused
 
 if TYPE_CHECKING:

@@ -17,9 +17,11 @@ from levkas.registration.record import RegistrationRefused
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-REJECT_SHARE = 1 / 16
-STOP_PX = 1.0
+#: Share of the diagonal beyond which matches are cut, and largest error, px, that is kept.
+REJECT_SHARE, STOP_PX = 1 / 16, 1.0
+#: Matches that a model needs.
 LEAST_MATCHES = {"rigid": 8, "affine": 12}
+#: Share of a resampled pixel that has to be valid.
 EDGE = 0.999
 
 

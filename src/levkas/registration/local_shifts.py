@@ -17,8 +17,11 @@ import numpy as np
 from levkas.core.threads import in_threads
 from levkas.registration import local_shifts_kernel as kernels
 
+#: Side of a cell, px; a window is three cells wide.
 CELL_PX = 16
+#: Of the gains, as a share of the predictors' energy.
 RIDGE = 1e-4
+#: Share of a window that has to be valid.
 LEAST_COVER = 0.6
 
 

@@ -351,12 +351,12 @@ class Evidence:
         return (self.order + 1) * (self.order + 2) // 2
 
 
-def judge(evidence: Evidence, rng: np.random.Generator | None = None) -> Verdict:
-    """Decide whether a registration on matches is accepted; `rng` draws the random pairings."""
-    return judge_matches(measure(evidence, rng))
+def judge(evidence: Evidence) -> Verdict:
+    """Decide whether a registration on matches is accepted."""
+    return judge_matches(measure(evidence))
 
 
-def measure(evidence: Evidence, rng: np.random.Generator | None = None) -> dict[str, Any]:
+def measure(evidence: Evidence) -> dict[str, Any]:
     """Return all numbers that the rules look at, by name."""
     matches = evidence.matches
     search = search_windows(
@@ -373,7 +373,7 @@ def measure(evidence: Evidence, rng: np.random.Generator | None = None) -> dict[
         "terms": evidence.terms,
         "stop": evidence.stop,
         "tolerance": tolerance,
-        **measure_chance(evidence, rng or np.random.default_rng(SETTINGS.seed)),
+        **measure_chance(evidence, np.random.default_rng(SETTINGS.seed)),
         **measure_held_out(evidence),
         **measure_shape(evidence.overlap),
         **measure_windows(checks),

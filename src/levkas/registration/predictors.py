@@ -20,10 +20,13 @@ from levkas.registration.bands import SAMPLED_PX
 from levkas.registration.local_shifts import RIDGE, Predictor, WindowShifts
 from levkas.registration.sampling import highpass, reduce, warp
 
+#: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
+#: Share of the largest eigenvalue below which a component is left out.
 LEAST_SHARE = 1e-6
+#: Rows that are mixed at once.
 LINES = 32
-#: Light that far beyond the outermost of some bands is predicted by them as well as what lies between.
+#: Light so far, nm, beyond the outermost of at least three bands is predicted as well as what lies between.
 NEAR_NM, LEAST_BANDS = 20.0, 3
 
 

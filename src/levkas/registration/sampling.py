@@ -13,7 +13,9 @@ from levkas.core.threads import in_threads
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
+#: The map is evaluated at every such px and interpolated between.
 LATTICE_PX = 8
+#: Standard deviation of the local mean that a high-pass filter subtracts, px.
 HIGHPASS_PX = 3.0
 
 

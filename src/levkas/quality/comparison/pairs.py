@@ -1,4 +1,4 @@
-"""What every compared method is given: one grey picture of either camera, and a start by scale alone."""
+"""Input and output of a compared method: a grey picture of either camera, a start by scale alone, a map."""
 
 from __future__ import annotations
 

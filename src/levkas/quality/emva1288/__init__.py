@@ -1,4 +1,4 @@
-"""What the cameras of a campaign are: raw facts of frames, photon transfer of sensors."""
+"""Characterisation of cameras after EMVA 1288: facts of frames, photon transfer, linearity, steadiness of the light."""
 
 from __future__ import annotations
 

@@ -156,7 +156,11 @@ def pair_blocks(
     clipped: bool = False,
     side: int = SIDE,
 ) -> Blocks:
-    """Reduce two single frames to blocks, as if they were two shots of one level.
+    """Reduce two single frames of one fixed pattern to blocks, as if they were two shots of one level.
+
+    Behind a tunable filter the white of another band, and in an exposure series another time, show the
+    same sensels and the same scene at another level. a − α·b, with α the ratio of the two levels, is
+    free of PRNU, texture and scene; its variance is that of noise over time, K·a(1 + α) + read²(1 + α²).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What each camera of a campaign is: raw facts, photon transfer, steadiness of the light."""
+"""Examination of the cameras of a campaign: raw facts, photon transfer, steadiness of the light."""
 
 from __future__ import annotations
 

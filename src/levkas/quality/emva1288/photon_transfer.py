@@ -1,4 +1,4 @@
-"""Photon transfer: what a sensor is, from darks and lit stacks, in the terms of EMVA 1288.
+"""Photon transfer: gain, noise, PRNU and full well of a sensor from darks and lit stacks, after EMVA 1288.
 
 Noise over time grows with the light, var = K·(mean − dark) + var of the dark, so that its slope K is
 counts per electron and turns all else into electrons. What stays from shot to shot is fixed pattern:
@@ -233,7 +233,13 @@ def _seconds(times: Sequence[float]) -> str:
 
 
 def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> None:
-    """Refuse stacks that cannot tell a gain, with what to capture instead."""
+    """Refuse stacks from which no gain follows, with what to capture instead."""
+    _check_stacks(darks, lit)
+    _check_light(darks, [b for b in lit if b.shots > 1], saturation)
+
+
+def _check_stacks(darks: Sequence[Dark], lit: Sequence[Blocks]) -> None:
+    """Refuse where a dark or a repeated shot is missing, or sizes differ."""
     if not darks:
         raise _refusal(
             "E_TEMPLATE_MISSING",
@@ -252,8 +258,7 @@ def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> N
             "as many blocks in each",
             "Capture all in one mode; crops of other sessions do not fit.",
         )
-    repeated = [b for b in lit if b.shots > 1]
-    if not repeated:
+    if not any(b.shots > 1 for b in lit):
         raise _refusal(
             "E_SHOTS",
             "noise over time cannot be told from one shot of each scene",
@@ -261,6 +266,10 @@ def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> N
             "two shots or more of one scene, nothing moved between them",
             "Capture the white twice or more at one exposure, and two darks.",
         )
+
+
+def _check_light(darks: Sequence[Dark], repeated: Sequence[Blocks], saturation: float) -> None:
+    """Refuse repeated stacks without enough blocks between dark and saturation."""
     dark = float(np.nanmean(darks[0].level)) if np.any(np.isfinite(darks[0].level)) else np.nan
     means = np.concatenate([b.mean for b in repeated])
     if means.size < FEWEST_BLOCKS:

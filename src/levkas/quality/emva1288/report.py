@@ -1,4 +1,4 @@
-"""What was told of sensors: tables for people, plain values for programs."""
+"""Reports on sensors: tables for people, plain values for programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is gathered of one sensor, and how its stacks are reduced to blocks."""
+"""Stacks of one sensor: darks by exposure, whites and scenes, each reduced to blocks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Key = tuple[str | None, float | None]
 
 @dataclass
 class SensorStacks:
-    """What was gathered of one sensor.
+    """Stacks of one sensor, reduced to blocks by channel.
 
     Parameters
     ----------

@@ -1,4 +1,8 @@
-"""The stacks of one sensor of a campaign, reduced to blocks as the frames pass by."""
+"""Reduction of the frames of a campaign to the stacks of each sensor: areas, line scanners, single shots.
+
+Of a line scanner every line of dark and white is a shot of all samples and bands. Where a tunable filter has
+one shot of everything, other bands and other exposures of a scene stand in for repeats.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +42,7 @@ MOST_SCENES = 3
 
 
 def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iterator[SensorStacks]:
-    """Yield what the frames of each sensor of a camera tell, one sensor at a time.
+    """Yield the stacks of each sensor of a camera, one sensor at a time.
 
     Parameters
     ----------

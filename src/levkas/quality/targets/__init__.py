@@ -1,4 +1,4 @@
-"""What captures are worth: noise, range, glare, light, focus, charts; arrays in, numbers out."""
+"""Colour charts and image quality: noise, range, glare, light, focus; arrays in, numbers out."""
 
 from __future__ import annotations
 

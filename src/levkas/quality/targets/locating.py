@@ -1,4 +1,4 @@
-"""Where a chart lies in a cube: found by OpenCV's `mcc`, and believed only where its patches agree."""
+"""Location of a chart in a cube by OpenCV's `mcc`, verified by the rank correlation of its patches."""
 
 from __future__ import annotations
 

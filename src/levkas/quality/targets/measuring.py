@@ -1,4 +1,4 @@
-"""A chart measured: where it was seen, signal and noise of its patches, blur, colours, indicators."""
+"""Measurement of a chart: signal and noise of its patches, blur, colours, indicators."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class ChartMeasure:
-    """What a chart says of one camera under one setup.
+    """Measurement of a chart by one camera under one setup.
 
     Parameters
     ----------
