@@ -24,8 +24,7 @@ from levkas import database as levkas_database
 from levkas.core.cube import Band, Cube
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
-from levkas.database.planes import planes_of
-from levkas.database.spectral_tiff import LEVEL, write_spectral_tiff
+from levkas.database.spectral_tiff import LEVEL, planes_of, write_spectral_tiff
 from levkas.database.store import SQUEEZE, chunks_of, write_layer_store
 
 ROUNDS = 3

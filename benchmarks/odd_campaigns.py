@@ -25,8 +25,8 @@ import tifffile
 from levkas.building import build, summarise
 from levkas.campaign.guess import look
 from levkas.core.problems import Refused
-from levkas.quality.emva1288 import examine_with_seed
 from levkas.pages.emva1288 import render_page
+from levkas.quality.emva1288 import examine_with_seed
 
 KINDS = ("mosaic", "bands", "cube", "cube", "mirror", "image", "sensors")
 SIZES = (*[(64, 60)] * 4, (33, 47), (16, 16), (8, 8), (128, 7), (1, 40), (40, 1), (2, 3), (1, 1))

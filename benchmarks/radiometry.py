@@ -22,10 +22,11 @@ from levkas.calibration.noise_model import Sensor, sample_values, snr_db
 from levkas.calibration.templates import average
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
+from levkas.geometry import from_dict
 from levkas.geometry.resample import warp
-from levkas.geometry.transforms import Affine, from_dict
+from levkas.geometry.transforms import Affine
 from levkas.quality.image_quality.glare import mark_glare
-from levkas.quality.image_quality.noise_correlation import find_preblur
+from levkas.quality.targets.patches import find_preblur
 
 GAIN, READ, BLACK, FULL, PRNU = 0.1, 2.0, 64.0, 4095, 0.019
 

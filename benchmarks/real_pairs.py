@@ -17,7 +17,7 @@ import numpy as np
 
 import levkas
 from levkas.building import build
-from levkas.quality.evaluation.loops import View, close_loops, points_on
+from levkas.quality.evaluation.loop_closure import LoopView, close_loops, points_on
 from levkas.readers.frames import read_frame
 from levkas.registration import BandImage, RegistrationRefused, register
 
@@ -90,7 +90,7 @@ def lenses() -> None:
                 continue
             print(f"{scene}, {name} to Red: {found.verdict.decision} {found.verdict.reasons[0]}")
             if found.verdict.decision != "refuse":
-                views.append(View(name, images[name], name, found.transforms[name]))
+                views.append(LoopView(name, images[name], name, found.transforms[name]))
         for loop in close_loops(views, points_on(images["Red"][0])):
             told = loop.to_dict()
             name = f"{scene}, loop Red, {loop.first}, {loop.second}"

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.building import build
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import position_errors, read_truth
 from levkas.simulation import simulate_campaign
 

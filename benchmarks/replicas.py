@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 from levkas.building import build
-from levkas.quality.comparison.captures import read_capture
+from levkas.quality.evaluation.native_layers import read_native_layer
 from levkas.registration import RegistrationRefused, register
 from levkas.simulation import campaigns
 
@@ -64,7 +64,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             database = simulated(Path(folder) / "campaign", seed, arguments.scale)
             images = {
-                (name, camera): read_capture(database, name, camera, "").images()
+                (name, camera): read_native_layer(database, name, camera, "").images()
                 for name in NAMES
                 for camera in (*CAMERAS, "lctf-vis")
             }

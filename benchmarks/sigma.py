@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import read_truth
 from levkas.registration.record import Sigma
 from levkas.registration.uncertainty import NINE_OF_TEN

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import levkas
-from levkas.quality.comparison.captures import read_capture
+from levkas.quality.evaluation.native_layers import read_native_layer
 from levkas.readers.frames import read_frame
 from levkas.registration import BandImage, RegistrationRefused, register
 
@@ -36,10 +36,10 @@ def of_database(path: Path) -> Iterator[Pair]:
     for first, second in permutations(list(database), 2):
         record = next((path / "objects" / first / "registration").glob("*.json"))
         reference = json.loads(record.read_text(encoding="utf-8"))["reference"]
-        ours = read_capture(path, first, reference["camera"], "").images()
+        ours = read_native_layer(path, first, reference["camera"], "").images()
         for layer in database[second]:
             camera, setup = layer if isinstance(layer, tuple) else (layer, "")
-            theirs = read_capture(path, second, camera, setup).images()
+            theirs = read_native_layer(path, second, camera, setup).images()
             yield f"{first}, {second}/{camera} {setup}".rstrip(), ours, theirs, reference["band"]
 
 

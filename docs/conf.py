@@ -1,5 +1,7 @@
 """Sphinx configuration."""
 
+import re
+
 import levkas
 
 project = "Levkas"
@@ -13,12 +15,25 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
+    "sphinxcontrib.bibtex",
 ]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 autosummary_generate = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 napoleon_numpy_docstring = True
+bibtex_bibfiles = ["references.bib"]
+bibtex_reference_style = "author_year"
 exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "Levkas"
+
+
+def cite(app, what, name, obj, options, lines):
+    """Turn citations of docstrings, ``[key]_``, into those of references.bib."""
+    lines[:] = [re.sub(r"\[([a-z]+\d{4})\]_", r":cite:t:`\1`", line) for line in lines]
+
+
+def setup(app):
+    """Connect what is done to docstrings."""
+    app.connect("autodoc-process-docstring", cite)

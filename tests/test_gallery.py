@@ -127,6 +127,7 @@ def test_the_largest_error_falls_until_it_is_at_most_t2(script, registration, tm
     assert largest[0] > 10 * largest[-1]
 
 
+@pytest.mark.slow
 def test_the_gamut_of_reds_lies_where_red_is(script, tmp_path):
     folder = tmp_path / "database" / "objects" / "icon"
     folder.mkdir(parents=True)

@@ -16,7 +16,7 @@ _HOMES = {
     "read_stiff": "database.spectral_tiff",
     "write_stiff": "database.spectral_tiff",
     "read_mtiff": "database.spectral_tiff",
-    "map_points": "geometry.pixel_frames",
+    "map_points": "database.pixel_frames",
     "assess": "quality.evaluation.layer_report",
     "register": "registration",
     "warp": "geometry.resample",

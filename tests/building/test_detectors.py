@@ -11,7 +11,7 @@ import pytest
 from levkas.building import build, summarise
 from levkas.building.run import check_detectors
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 from levkas.registration.features import DETECTORS, available_detectors
 
 pytestmark = pytest.mark.slow

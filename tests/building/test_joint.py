@@ -74,6 +74,7 @@ def _adjusted(folder, spoilt=0.0):
     return adjusted(measured["one"], others, None).record
 
 
+@pytest.mark.slow
 def test_the_verdict_is_of_the_map_that_is_written(plates):
     sound, bad = _adjusted(plates), _adjusted(plates, spoilt=6.0)
     assert bad["model"]["sensors"][0]["joint"]["moved_px"]["mean"] > 3

@@ -3,7 +3,7 @@
 import numpy as np
 
 from levkas.building import build, status, summarise
-from levkas.geometry.pixel_frames import map_points
+from levkas.database.pixel_frames import map_points
 
 
 def test_points_are_mapped_by_the_grid_that_was_built(make_plates, tmp_path):

@@ -132,6 +132,7 @@ def test_templates_with_equal_headers_are_not_taken_for_one(campaign):
     assert template("white").mean.mean() > 10 * template("dark").mean.mean()
 
 
+@pytest.mark.slow
 def test_a_streamed_scan_ends_in_the_bytes_of_a_whole_one(campaign, monkeypatch):
     monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
     assert summarise(build(campaign, output=campaign / "streamed")).ok

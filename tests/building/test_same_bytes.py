@@ -28,13 +28,14 @@ def plate(make_plates, tmp_path_factory):
     return folder, hash_tree(folder / "database")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param("1 threads, 64 rows", marks=pytest.mark.slow),
-        pytest.param("2 threads, whole rows", marks=pytest.mark.slow),
+        "1 threads, 64 rows",
+        "2 threads, whole rows",
         "3 threads, 97 rows",
-        pytest.param("Turkish, Kathmandu, 400 days on", marks=pytest.mark.slow),
+        "Turkish, Kathmandu, 400 days on",
     ],
 )
 def test_the_bytes_are_the_same(name, plate, other_ways, tmp_path):

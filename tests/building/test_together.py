@@ -112,7 +112,7 @@ def test_what_a_build_noted_outlasts_another_that_does_the_stage_again(tmp_path)
     mine, other = (BuildRecords(tmp_path / "kept", tmp_path / "database") for _ in range(2))
     mine.keep(key, {"code": "1"}, [], captured="2019-08-29")
     other.forget(key)
-    assert mine.told(key) == {"captured": "2019-08-29"} and other.told(key) == {}
+    assert mine.notes(key) == {"captured": "2019-08-29"} and other.notes(key) == {}
 
 
 def test_turns_are_taken_and_not_waited_for_without_end(tmp_path):

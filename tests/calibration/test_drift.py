@@ -4,7 +4,7 @@ import pytest
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import average
-from levkas.quality.emva1288.drift import Light, measure_drift
+from levkas.quality.emva1288.drift import CellMeans, measure_drift
 
 
 def series(scales, seed=1):
@@ -14,7 +14,7 @@ def series(scales, seed=1):
 
 
 def drift_of(frames):
-    light = Light()
+    light = CellMeans()
     average(light.watch(frames))
     return measure_drift(light.cells, 64.0)
 
@@ -83,7 +83,7 @@ def test_a_real_burst_has_leaves_that_sway_under_a_falling_light(real_data):
     import cv2
 
     paths = sorted((real_data / "silios-kinect" / "burst").glob("*_multi*.png"), key=_number)
-    light = Light()
+    light = CellMeans()
     frames = (cv2.imread(str(p), cv2.IMREAD_UNCHANGED) for p in paths)
     made = average(light.watch(frames), saturation=255)
     found = measure_drift(light.cells)

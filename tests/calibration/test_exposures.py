@@ -39,7 +39,9 @@ def test_the_longest_unsaturated_exposure_is_the_best():
         for f, t in zip(frames, (1.0, 2.0, 4.0), strict=True)
     ]
     assert best_exposure(shots[::-1]).exposure_s == 4.0  # one of 10,000 is tolerated
-    assert best_exposure(shots, tolerated=0.0).exposure_s == 2.0
+    frames[2][0, 1] = 255
+    shots[2] = average(frames[2:], saturation=255, exposure_s=4.0)
+    assert best_exposure(shots).exposure_s == 2.0
 
 
 def test_where_all_are_saturated_the_least_is_taken():

@@ -2,6 +2,7 @@ import copy
 import re
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from hypothesis import given
@@ -219,17 +220,27 @@ def test_keys_of_the_papers_method_reach_only_cameras_that_use_it(tmp_path):
     assert campaign.registration_of("nir") == {"method": "levkas"}
 
 
-def test_the_keys_of_the_papers_method_are_its_arguments():
-    import inspect
-
-    from levkas.campaign.schema.tables import ONLY_OF_THE_PAPER
+def test_options_name_what_the_registration_has():
+    from levkas.campaign.methods import METHODS
+    from levkas.registration import BUILT_IN
     from levkas.registration.features import DETECTORS
     from levkas.registration.matching import MATCHERS
-    from levkas.registration.mirhashemi2019 import register_mirhashemi2019
 
-    assert set(ONLY_OF_THE_PAPER) <= set(inspect.signature(register_mirhashemi2019).parameters)
-    assert set(DETECTORS) == {"sift", "orb", "kaze", "akaze"}
-    assert set(MATCHERS) == {"mutual-ratio", "mutual", "ratio"}
+    assert set(BUILT_IN) <= set(METHODS)
+    options = METHODS["mirhashemi2019"].options.model_fields
+    for key, rows in (("detector", DETECTORS), ("matching", MATCHERS)):
+        assert set(get_args(get_args(options[key].annotation)[0])) == set(rows)
+
+
+def test_every_option_of_a_method_is_in_the_reference():
+    from levkas.campaign.methods import METHODS
+
+    text = (Path(__file__).parents[2] / "docs" / "campaign.md").read_text()
+    table = text.partition("## `[registration]`")[2].partition("\n## ")[0]
+    for name, method in METHODS.items():
+        assert f'`"{name}"`' in table
+        for option in method.options.model_fields:
+            assert f"\n| `{option}` |" in table, option
 
 
 WHOLE = tomllib.loads(

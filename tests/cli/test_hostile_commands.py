@@ -455,6 +455,7 @@ def test_no_command_ends_in_a_traceback_over_a_hostile_frame(name, tmp_path):
     run("status", campaign)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="names of Unix")
 @pytest.mark.parametrize("name", [b"icon\n1.tif", b"icon\xff.tif", b"icon{1}.tif", b'icon"1.tif'])
 def test_odd_names_of_frames_end_in_no_traceback(name, tmp_path):

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from levkas.colour.icc import srgb_profile
 from levkas.colour.observer import tables
 from levkas.colour.srgb import (
     SRGB_TO_XYZ,
@@ -15,6 +14,7 @@ from levkas.colour.srgb import (
     find_rendering,
     observer_under_d65,
     preview,
+    srgb_profile,
     visible_coverage,
     xyz_weights,
 )

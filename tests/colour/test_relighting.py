@@ -39,6 +39,7 @@ def test_under_d65_it_is_the_picture_of_the_build():
     assert np.abs(relight(values, WAVES, "D65").astype(int) - built).max() <= 1
 
 
+@pytest.mark.slow
 def test_colour_science_sees_the_same_colour_under_illuminant_a():
     import colour
 

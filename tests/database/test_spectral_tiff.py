@@ -1,7 +1,10 @@
 import io
+import sys
 import warnings
+import zlib
 from pathlib import Path
 
+import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -10,8 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from levkas.database.credits import Credits
-from levkas.database.planes import planes_of
 from levkas.database.spectral_tiff import (
+    encode_strip,
+    planes_of,
     read_mtiff,
     read_stiff,
     read_tiff_pages,
@@ -265,13 +269,30 @@ def test_pillow_reads_the_render_with_its_profile(tmp_path):
         assert image.info["icc_profile"][36:40] == b"acsp"
 
 
+SIZES = st.tuples(st.integers(1, 40), st.integers(1, 300))
+
+
+@given(hnp.arrays(np.uint8, SIZES, elements=st.sampled_from([0, 1, 2, 255]) | st.integers(0, 255)))
+def test_any_bytes_come_back(rows):
+    assert zlib.decompress(encode_strip(rows)) == rows.tobytes()
+
+
 @pytest.mark.parametrize("width", [1, 2, 17, 700])
-def test_the_predictor_is_that_of_the_library(width):
-    import imagecodecs
-
-    from levkas.database.predicting import predict_rows
-
+def test_strips_of_floats_come_back_to_the_bit(width):
     rows = np.random.default_rng(width).normal(0, 1, (5, width)).astype(np.float32)
     rows[1, 0], rows[2, -1], rows[3, 0] = np.nan, np.inf, -0.0
-    expected = imagecodecs.floatpred_encode(rows, axis=-1)
-    assert predict_rows(rows).tobytes() == expected.tobytes()
+    bytes_ = np.frombuffer(zlib.decompress(encode_strip(rows)), np.uint8).reshape(5, 4 * width)
+    found = imagecodecs.floatpred_decode(bytes_.view(np.float32), axis=-1)
+    assert found.tobytes() == rows.tobytes()
+
+
+def test_strips_are_readable_where_the_fast_library_is_missing(monkeypatch):
+    rows = np.tile(np.arange(200, dtype=np.uint8), (30, 1))
+    monkeypatch.setitem(sys.modules, "isal", None)
+    assert zlib.decompress(encode_strip(rows)) == rows.tobytes()
+
+
+def test_flags_take_hardly_any_room():
+    flags = np.zeros((256, 1024), np.uint8)
+    flags[40:90, 100:300] = 2
+    assert len(encode_strip(flags)) < 3000

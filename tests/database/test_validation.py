@@ -1,5 +1,6 @@
 import json
 import shutil
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -261,7 +262,7 @@ def test_as_many_files_are_hashed_at_a_time_as_threads_may_work(database, monkey
             asked.append(count)
             super().__init__(count)
 
-    monkeypatch.setattr(validate, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr(sys.modules[validate.__module__], "ThreadPoolExecutor", Pool)
     monkeypatch.setenv("LEVKAS_THREADS", "5")
     assert validate(database).ok and validate(database, threads=1).ok
     assert asked == [5, 1]

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from levkas.geometry import from_dict
 from levkas.geometry.transforms import (
     Affine,
     Composed,
@@ -13,7 +14,6 @@ from levkas.geometry.transforms import (
     Lens,
     Polynomial,
     Transform,
-    from_dict,
 )
 
 GRID = np.stack(np.meshgrid(np.linspace(0, 1391, 9), np.linspace(0, 1039, 7)), -1).reshape(-1, 2)

@@ -139,14 +139,13 @@ def test_map_without_an_answer_somewhere_is_outside_there():
 # --- ramps --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", ["cubic", "lanczos3", "linear"])
 @pytest.mark.parametrize("scale", [1.0, 2.8])
-def test_a_ramp_tells_the_position_up_to_the_edge(kernel, scale):
+def test_a_ramp_shows_the_position_up_to_the_edge(scale):
     h, w = (int(n * scale) for n in SOURCE)
     y, x = np.mgrid[:h, :w].astype(np.float32)
     source = np.stack([x, y], -1)
     transform = Composed(camera_map(), Affine.scaling(scale))
-    warped = warp(source, transform, SHAPE, kernel=kernel)
+    warped = warp(source, transform, SHAPE)
     places = exact_places(transform)
     inside = ((places >= -0.5) & (places <= (w - 0.5, h - 0.5))).all(-1)
     assert np.array_equal(inside, warped.flags[..., 0] == 0)
@@ -202,31 +201,48 @@ def everything(cube, **changes):
     return source, maps, {"flags": flags, "variance": cube**2, **changes}
 
 
-@pytest.mark.parametrize("kernel", ["cubic", "lanczos3"])
-def test_tiles_and_threads_and_groups_of_bands_give_the_same_bytes(cube, kernel):
-    source, maps, given_ = everything(cube, kernel=kernel)
-    whole = warp(source, maps, SHAPE, threads=1, **given_)
-    assert same(whole, warp(source, maps, SHAPE, threads=3, **given_))
+def near(a, b):
+    """Flags alike, values and variances to rounding."""
+    pairs = [(x, y) for x, y in ((a.values, b.values), (a.variance, b.variance)) if x is not None]
+    return np.array_equal(a.flags, b.flags) and all(
+        np.allclose(x, y, atol=1e-6, equal_nan=True) for x, y in pairs
+    )
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.2])
+def test_tiles_and_threads_give_the_same_bytes(cube, scale, monkeypatch):
+    source, maps, given_ = everything(cube)
+    maps = [Composed(Affine.scaling(scale), m) for m in maps]
+    monkeypatch.setenv("LEVKAS_THREADS", "1")
+    whole = warp(source, maps, SHAPE, **given_)
+    monkeypatch.setenv("LEVKAS_THREADS", "3")
+    assert same(whole, warp(source, maps, SHAPE, **given_))
     for rows in ((0, 17), (17, 18), (18, 90)):
-        part = warp(source, maps, SHAPE, rows=rows, threads=2, **given_)
+        part = warp(source, maps, SHAPE, rows=rows, **given_)
         assert part.values.tobytes() == whole.values[slice(*rows)].tobytes()
         assert part.flags.tobytes() == whole.flags[slice(*rows)].tobytes()
         assert part.variance.tobytes() == whole.variance[slice(*rows)].tobytes()
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.2])
+def test_a_band_is_the_same_whatever_others_are_resampled_with_it(cube, scale):
+    source, maps, given_ = everything(cube)
+    maps = [Composed(Affine.scaling(scale), m) for m in maps]
+    shape = (int(90 / scale), int(130 / scale))
+    whole = warp(source, maps, shape, **given_)
     for bands in ((0, 1), (1, 5), (5, 21)):
         cut = slice(*bands)
         twins = {k: np.ascontiguousarray(given_[k][..., cut]) for k in ("flags", "variance")}
-        part = warp(source[..., cut], maps[cut], SHAPE, kernel=kernel, **twins)
-        assert part.values.tobytes() == np.ascontiguousarray(whole.values[..., cut]).tobytes()
-        assert part.flags.tobytes() == np.ascontiguousarray(whole.flags[..., cut]).tobytes()
-        assert part.variance.tobytes() == np.ascontiguousarray(whole.variance[..., cut]).tobytes()
+        part = warp(source[..., cut], maps[cut], shape, **twins)
+        each = Warped(whole.values[..., cut], whole.flags[..., cut], whole.variance[..., cut])
+        assert near(part, each)
 
 
-@pytest.mark.parametrize("kernel", ["cubic", "lanczos3"])
-def test_one_map_is_as_the_same_map_for_each_band(cube, kernel):
-    source, _, given_ = everything(cube, kernel=kernel)
+def test_one_map_is_as_the_same_map_for_each_band(cube):
+    source, _, given_ = everything(cube)
     # Maps that are equal but not the same object are laid out one by one.
     each = warp(source, [camera_map() for _ in range(21)], SHAPE, **given_)
-    assert same(each, warp(source, camera_map(), SHAPE, **given_))
+    assert near(each, warp(source, camera_map(), SHAPE, **given_))
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.2])
@@ -238,7 +254,7 @@ def test_flags_of_all_bands_are_passed_on_as_those_of_each(cube, scale):
     coarser = [Composed(camera_map(), Affine.scaling(scale)) for _ in range(21)]
     shape = (int(90 / scale), int(130 / scale))
     each = warp(cube, coarser, shape, flags=flags, variance=cube**2)
-    assert same(each, warp(cube, coarser[0], shape, flags=flags, variance=cube**2))
+    assert near(each, warp(cube, coarser[0], shape, flags=flags, variance=cube**2))
     assert len(np.unique(each.flags)) > 5
 
 
@@ -250,7 +266,7 @@ def test_maps_of_many_bands_are_laid_a_part_at_a_time(monkeypatch):
     in_parts = warp(many, maps, (18, 28))
     assert same(at_once, in_parts)
     for b in (0, 32, 33, 63, 64, 69):
-        assert same(
+        assert near(
             warp(np.ascontiguousarray(many[..., b]), maps[b], (18, 28)),
             Warped(at_once.values[..., b], at_once.flags[..., b], None),
         )
@@ -317,13 +333,12 @@ def test_a_flagged_region_is_flagged_at_any_scale(scale):
     assert not warped.flags[:, :17].any()
 
 
-@pytest.mark.parametrize("kernel", ["cubic", "lanczos3", "linear"])
 @pytest.mark.parametrize("hole", ["nan", "outside"])
-def test_what_is_not_there_does_not_spread(kernel, hole):
+def test_what_is_not_there_does_not_spread(hole):
     image, flags = spot(
         Flag.OUTSIDE if hole == "outside" else 0, 99.0 if hole == "outside" else np.nan
     )
-    warped = warp(image, shift(0.25, 0.3), (21, 21), flags=flags, kernel=kernel)
+    warped = warp(image, shift(0.25, 0.3), (21, 21), flags=flags)
     assert np.isnan(warped.values[10, 10])
     assert warped.flags[10, 10] == Flag.OUTSIDE
     seen = np.ones((21, 21), bool)
@@ -354,9 +369,9 @@ def test_variance_adds_with_squared_weights():
 def test_variance_is_what_noise_shows():
     rng = np.random.default_rng(2)
     noise = rng.normal(0, 1, (*SOURCE, 60)).astype(np.float32)
-    for scale, kernel in ((1.0, "cubic"), (1.0, "lanczos3"), (2.2, "cubic")):
+    for scale in (1.0, 2.2):
         transform = Composed(Affine.scaling(1 / 2.2), Affine.scaling(scale), camera_map())
-        warped = warp(noise, transform, (20, 20), variance=np.ones_like(noise), kernel=kernel)
+        warped = warp(noise, transform, (20, 20), variance=np.ones_like(noise))
         seen = warped.flags[..., 0] == 0
         spread = warped.values[seen].std() ** 2
         # 400 pixels of 60 bands, neighbours correlated: 2 per cent.
@@ -408,7 +423,6 @@ def test_any_order_of_bytes_and_strides(cube):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"kernel": "sinc"}, "unknown kernel"),
         ({"flags": np.zeros((5, 5), np.uint8)}, "flags of shape"),
         ({"flags": np.zeros((8, 8))}, "flags of float64"),
         ({"rows": (3, 3)}, "rows 3 to 3"),

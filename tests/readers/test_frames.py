@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.core.problems import Refused
+from levkas.readers import frames
 from levkas.readers.frames import UnreadableCapture, kind_of, read_facts, read_frame
 
 RNG = np.random.default_rng(1)
@@ -98,3 +99,18 @@ def test_every_real_frame_is_what_its_facts_declare(real_data):
     for path in paths[::4]:
         facts, values = read_facts(path), read_frame(path)
         assert values.shape == facts.shape and values.dtype == facts.dtype
+
+
+def test_facts_of_an_untouched_file_are_read_once_and_of_a_changed_one_anew(tmp_path, monkeypatch):
+    path, opened, reader = tmp_path / "frame.png", [], frames._reader
+
+    def counted(path, which):
+        opened.append(path)
+        return reader(path, which)
+
+    monkeypatch.setattr(frames, "_reader", counted)
+    cv2.imwrite(str(path), CODES)
+    assert [read_facts(path).shape[:2] for _ in range(3)] == [CODES.shape] * 3
+    assert opened == [path]
+    cv2.imwrite(str(path), CODES[:9])
+    assert read_facts(path).shape[:2] == (9, 30)

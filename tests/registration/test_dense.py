@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage, spatial
 
+from levkas.geometry import from_dict
 from levkas.geometry.spline import SplineShift
-from levkas.geometry.transforms import Affine, Composed, Homography, Lens, from_dict
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens
 from levkas.registration.bands import sqrt_transform
 from levkas.registration.chromatic import fit_chromatic, zero_displacement
 from levkas.registration.features import (

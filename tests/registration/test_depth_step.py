@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from levkas.geometry import from_dict
 from levkas.geometry.depth_step import LedgeShift
-from levkas.geometry.transforms import Affine, Composed, Lens, from_dict
+from levkas.geometry.transforms import Affine, Composed, Lens
 from levkas.registration.depth_step import (
     average_over_windows,
     find_depth_step,

@@ -139,6 +139,7 @@ def test_three_pairs_are_not_enough_to_start_what_key_points_do_not(pair):
     assert refused.value.problems[0].code == "E_MATCHES"
 
 
+@pytest.mark.slow
 def test_four_pairs_on_pictures_of_nothing_are_not_believed(pair):
     reference, _, truth = pair
     rng = np.random.default_rng(0)

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from levkas.geometry.transforms import Affine, Composed, Homography, Lens, from_dict
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Affine, Composed, Homography, Lens
 from levkas.registration import BandImage, RegistrationRefused, register
 from levkas.registration.mirhashemi2019 import scale_only
 from levkas.registration.record import COLUMNS

@@ -57,6 +57,7 @@ def pairs(studio):
     return found
 
 
+@pytest.mark.slow
 def test_circles_of_nine_in_ten_hold_about_that_many_errors(pairs):
     held = [(miss <= NINE_OF_TEN * r.sigma["grey"](p)).mean() for r, p, miss in pairs]
     # Errors of one map move together: five maps tell the share to some ten per cent.

@@ -25,6 +25,7 @@ from levkas.core.files import (
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import stays_inside
+from levkas.database.layout import LayerId, layer_name
 from levkas.readers.text import read_text
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class Key:
     @property
     def layer(self) -> str:
         """Camera and setup as frames and files name them: ``d80`` or ``d80@45-degree``."""
-        return f"{self.camera}@{self.setup}" if self.setup else self.camera
+        return layer_name(self.camera, self.setup)
 
     def to_dict(self) -> dict[str, str]:
         """Return the identifying fields of a stage report."""
@@ -230,7 +231,7 @@ class BuildRecords:
         root = str(self.output)
         return {name: sha for name, sha in known.items() if _is_file(f"{root}{os.sep}{name}")}
 
-    def told(self, key: Key) -> dict[str, Any]:
+    def notes(self, key: Key) -> dict[str, Any]:
         """Return what a finished stage noted for later ones."""
         return dict(self._record(key).get("notes", {}))
 
@@ -313,8 +314,8 @@ class BuildRecords:
                 if suffix not in (".json", WAS):
                     continue
                 if len(where) == 2 and stem in STAGES:
-                    camera, _, setup = where[1].partition("@")
-                    found.add(Key(where[0], camera, setup, stem))
+                    layer = LayerId.parse(where[0], where[1])
+                    found.add(Key(layer.object, layer.camera, layer.setup, stem))
                 elif len(where) == 1 and stem == "report":
                     found.add(Key(where[0], stage=stem))
                 elif len(where) == 1 and stem == "camera":

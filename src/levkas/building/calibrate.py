@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,7 +42,6 @@ from levkas.calibration.defects import replace_defects
 from levkas.calibration.denoising import denoise, describe_removed
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
-from levkas.calibration.invalid_values import describe_gaps
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
 from levkas.calibration.pushbroom import average_lines, join_strips
@@ -60,7 +60,7 @@ from levkas.calibration.sensor_context import (
     times_in,
     times_of,
 )
-from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.templates import CalibrationRefused, Template, average, describe_gaps
 from levkas.calibration.whites import thinning
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
@@ -79,6 +79,8 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
 
 MOST_PROBLEMS = 50
+Noted = tuple[Cube, list[str]]
+"""Of one sensor, and what a person should know of it."""
 
 
 def calibrate(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native | Scan:
@@ -136,7 +138,7 @@ def load_calibrated(
     return read_native(capture, places, notes.get("quantity", "counts"), warnings)
 
 
-def develop(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Native:
+def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Native:
     """Calibrate every sensor of a capture.
 
     Raises
@@ -151,14 +153,16 @@ def develop(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Nativ
         for sensor in capture.sensors:
             facts = read_facts(sensor.object[0].path)
             captured = captured or facts.captured
-            bench = SensorContext(campaign, camera, sensor, facts, shelf)
+            context = SensorContext(campaign, camera, sensor, facts, templates)
             if camera.kind != "image":
-                require_exposures(bench)
-            notes += doubts_of(bench)
-            cubes[sensor.name] = mark_glare_in(DEVELOPERS[camera.kind](bench, notes))
-            learnt[sensor.name] = bench.told
+                require_exposures(context)
+            notes += doubts_of(context)
+            cube, found = DEVELOPERS[camera.kind](context)
+            cubes[sensor.name] = mark_glare_in(cube)
+            notes += found
+            learnt[sensor.name] = context.told
     except (UnreadableCapture, CodesRefused) as refused:
-        raise type(refused)(*_all_problems(capture, campaign, shelf, refused)) from None
+        raise type(refused)(*_all_problems(capture, campaign, templates, refused)) from None
     aligns = {sensor.name: sensor.align for sensor in capture.sensors}
     where = f"{capture.object}/{capture.layer}"
     told = tuple(dict.fromkeys(f"{where}: {note}" for note in notes if note))
@@ -166,7 +170,7 @@ def develop(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Nativ
 
 
 def _all_problems(
-    capture: Capture, campaign: Campaign, shelf: TemplateCache, first: Refused
+    capture: Capture, campaign: Campaign, templates: TemplateCache, first: Refused
 ) -> list[Problem]:
     """What is wrong with every frame of a capture: who mends one wants to know of the others."""
     problems = list(first.problems)
@@ -174,10 +178,10 @@ def _all_problems(
         for frame in (*sensor.object, *sensor.white, *sensor.dark):
             try:
                 facts = read_facts(frame.path)
-                bench = SensorContext(
-                    campaign, campaign.cameras[capture.camera], sensor, facts, shelf
+                context = SensorContext(
+                    campaign, campaign.cameras[capture.camera], sensor, facts, templates
                 )
-                bench.checked(read_frame(frame.path, page=frame.page), frame)
+                context.checked(read_frame(frame.path, page=frame.page), frame)
             except Refused as refused:
                 problems += refused.problems
             if len(problems) > MOST_PROBLEMS:
@@ -185,26 +189,25 @@ def _all_problems(
     return list(dict.fromkeys(problems))
 
 
-def develop_mosaic(bench: SensorContext, notes: list[str]) -> Cube:
+def develop_mosaic(context: SensorContext) -> Noted:
     """A mosaic: flat field on the mosaic, then demosaic; or a sensor without one."""
-
-    sensor, camera = bench.sensor, bench.camera
-    darks = bench.templates(sensor.dark)
-    shots = average_shots(bench, sensor.object)
-    whites = bench.templates(sensor.white) if sensor.white else []
-    require_same_size(bench, shots[0].mean.shape, darks, whites)
-    white = white_of(bench, sensor.white, darks)
-    noise = noise_of(bench, shots, [white] * len(shots), darks)
-    exposed = expose(bench, shots, darks, noise)
+    sensor, camera = context.sensor, context.camera
+    darks = context.templates(sensor.dark)
+    shots = average_shots(context, sensor.object)
+    whites = context.templates(sensor.white) if sensor.white else []
+    require_same_size(context, shots[0].mean.shape, darks, whites)
+    white = white_of(context, sensor.white, darks)
+    noise = noise_of(context, shots, [white] * len(shots), darks)
+    exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
-        white = white_of(bench, sensor.white, darks, noise=noise, merged=True)
-    notes.append(check_scaling(bench, exposed, white, (shots, whites), darks))
+        white = white_of(context, sensor.white, darks, noise=noise, merged=True)
+    notes = [check_scaling(context, exposed, white, (shots, whites), darks)]
     pattern = sensor.pattern
-    note_light(bench.told, white, darks, pattern, [b.label for b in sensor.bands])
+    note_light(context.told, white, darks, pattern, [b.label for b in sensor.bands])
     defects = defects_of(darks, white, pattern)
-    reflectance = white_reflectance(bench.campaign, sensor.bands)
+    reflectance = white_reflectance(context.campaign, sensor.bands)
     flat = flatten(
-        bench,
+        context,
         exposed.shot,
         darks,
         white,
@@ -222,8 +225,9 @@ def develop_mosaic(bench: SensorContext, notes: list[str]) -> Cube:
     if pattern is None:
         deep = values.shape if values.ndim == 3 else (*values.shape, 1)
         variance = None if variance is None else variance.reshape(deep)
-        return cube_of(bench, values.reshape(deep), flags.reshape(deep), variance, flat.quantity)
-    note_sensels(bench.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
+        deepened = (values.reshape(deep), flags.reshape(deep), variance)
+        return cube_of(context, *deepened, flat.quantity), notes
+    note_sensels(context.told, values, flags, variance, pattern, [b.label for b in sensor.bands])
     made = demosaic(
         values,
         flags,
@@ -232,7 +236,7 @@ def develop_mosaic(bench: SensorContext, notes: list[str]) -> Cube:
         method=demosaicing_of(camera, pattern),
         channels=[b.label for b in sensor.bands],
     )
-    return cube_of(bench, *made, flat.quantity)
+    return cube_of(context, *made, flat.quantity), notes
 
 
 def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | None:
@@ -241,63 +245,73 @@ def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | No
     return camera.demosaic or ("bilinear" if beam_splitter else None)
 
 
-def develop_cube(bench: SensorContext, notes: list[str]) -> Cube:
+def develop_cube(context: SensorContext) -> Noted:
     """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
-
-    sensor, mirror = bench.sensor, bench.camera.scan == "mirror"
-
-    def make(frames: Sequence[FrameRef]) -> Template:
-        blocks = (bench.checked(read_cube(frame), frame) for frame in frames)
-        join = average if mirror else average_lines
-        return bench.whole(join(blocks, saturation=bench.saturation), frames)
-
+    sensor, mirror = context.sensor, context.camera.scan == "mirror"
+    make = partial(_scan_template, context)
     darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
-    require_same_size(bench, _shape_of(sensor.object[0]), darks, whites)
+    require_same_size(context, _shape_of(sensor.object[0]), darks, whites)
     step = thinning(whites[0].mean.shape[:2]) if mirror and whites else 1
     chosen = best_white(whites, step) if whites else 0
     white = whites[chosen] if whites else None
     note_light(
-        bench.told,
+        context.told,
         thinned(white, step) if white else None,
         [thinned(d, step) for d in darks],
         None,
         [b.label for b in sensor.bands],
         period=(step, step),
     )
-    reflectance = white_reflectance(bench.campaign, sensor.bands)
     if mirror:
         of_white = by_exposure(sensor.white)[chosen][1][0] if white else None
-        noise = noise_behind_mirror(bench, of_white)
+        noise = noise_behind_mirror(context, of_white)
     else:
-        noise = line_noise(bench, darks, white)
-    _require_one_time(bench, white)
-    strips = []
-    for frame in sensor.object:
-        block, times = bench.checked(read_cube(frame), frame), times_of(frame)
-        shot = timed(
-            bench.whole(average(iter([block]), saturation=bench.saturation), [frame]), times
-        )
-        del block
-        notes.append(doubt_scaling(bench, times, times_in(white)) if white else "")
-        flat = flatten(
-            bench,
-            shot,
-            darks,
-            white,
-            white_reflectance=reflectance,
-            noise=noise,
-            labels=[b.label for b in sensor.bands],
-        )
-        notes.extend(flat.notes)
-        strips.append(flat)
+        noise = line_noise(context, darks, white)
+    _require_one_time(context, white)
+    strips = [_strip(context, frame, darks, white, noise) for frame in sensor.object]
+    notes = [note for strip in strips for note in strip.notes]
     whole = strips[0]
     if len(strips) > 1:
         whole, seams = join_strips(strips)
         notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
     values, variance = whole.values, whole.variance
-    if bench.camera.denoise:
-        values, variance = _denoised(values, variance, notes)
-    return cube_of(bench, values, whole.flags, variance, whole.quantity)
+    if context.camera.denoise:
+        values, variance, note = _denoised(values, variance)
+        notes.append(note)
+    return cube_of(context, values, whole.flags, variance, whole.quantity), notes
+
+
+def _scan_template(context: SensorContext, frames: Sequence[FrameRef]) -> Template:
+    """Average the lines of dark or white frames; of a mirror scanner the frames."""
+    blocks = (context.checked(read_cube(frame), frame) for frame in frames)
+    join = average if context.camera.scan == "mirror" else average_lines
+    return context.whole(join(blocks, saturation=context.saturation), frames)
+
+
+def _strip(
+    context: SensorContext,
+    frame: FrameRef,
+    darks: list[Template],
+    white: Template | None,
+    noise: NoiseModel | None,
+) -> Calibrated:
+    """Flat-field one strip of a line scan."""
+    block, times = context.checked(read_cube(frame), frame), times_of(frame)
+    shot = timed(
+        context.whole(average(iter([block]), saturation=context.saturation), [frame]), times
+    )
+    del block
+    flat = flatten(
+        context,
+        shot,
+        darks,
+        white,
+        white_reflectance=white_reflectance(context.campaign, context.sensor.bands),
+        noise=noise,
+        labels=[b.label for b in context.sensor.bands],
+    )
+    doubt = doubt_scaling(context, times, times_in(white)) if white else ""
+    return replace(flat, notes=(doubt, *flat.notes))
 
 
 def _shape_of(frame: FrameRef) -> tuple[int, ...]:
@@ -308,19 +322,19 @@ def _shape_of(frame: FrameRef) -> tuple[int, ...]:
     return facts.shape if len(facts.shape) == 3 else (*facts.shape, 1)
 
 
-def _require_one_time(bench: SensorContext, white: Template | None) -> None:
+def _require_one_time(context: SensorContext, white: Template | None) -> None:
     """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
-    strips = by_exposure(bench.sensor.object)
+    strips = by_exposure(context.sensor.object)
     if white is None and len(strips) > 1:
         problem = Problem(
             "E_EXPOSURES",
-            f"{bench.camera.name}: strips of several exposures, and no white",
+            f"{context.camera.name}: strips of several exposures, and no white",
             field="targets.white",
             found=", ".join(frames[0].path.name for _, frames in strips),
             expected="strips of one exposure, or a white",
             fix="Capture a white, or leave the other exposures out of `files`.",
         )
-        raise CalibrationRefused(placed(problem, bench.sensor.object))
+        raise CalibrationRefused(placed(problem, context.sensor.object))
 
 
 def _describe_seam(number: int, seam: Seam) -> str:
@@ -332,49 +346,50 @@ def _describe_seam(number: int, seam: Seam) -> str:
 
 
 def _denoised(
-    values: np.ndarray, variance: np.ndarray | None, notes: list[str]
-) -> tuple[np.ndarray, np.ndarray | None]:
+    values: np.ndarray, variance: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None, str]:
     """Project a cube on its signal subspace (HySime), and say what that took away."""
-
     if variance is not None:  # rounded as the sigma of lines that are read some at a time
         variance = np.square(round_root(variance, out=variance), out=variance)
     made = denoise(values, variance)
-    notes.append(describe_removed(made.subspace, made.removed, made.removed_most))
-    return made.values, made.variance
+    note = describe_removed(made.subspace, made.removed, made.removed_most)
+    return made.values, made.variance, note
 
 
-def develop_image(bench: SensorContext, notes: list[str]) -> Cube:
+def develop_image(context: SensorContext) -> Noted:
     """A photograph or radiograph: nothing to calibrate, its codes as they are."""
-
-    shot = bench.average(bench.sensor.object)
+    shot = context.average(context.sensor.object)
     values = shot.mean[..., None] if shot.mean.ndim == 2 else shot.mean
+    notes = []
     if shot.lost is not None:
-        notes.append(describe_gaps(shot.lost, bench.camera.name))
+        notes.append(describe_gaps(shot.lost, context.camera.name))
         values = np.where(shot.lost.reshape(values.shape), np.float32(np.nan), values)
     saturated = shot.saturated.reshape(values.shape)
     flags = np.where(saturated, np.uint8(Flag.SATURATED), np.uint8(0))
     variance = None
     if shot.variance is not None:
-        variance = mean_variance(shot, step=bench.step).reshape(values.shape)
-    return cube_of(bench, np.ascontiguousarray(values, np.float32), flags, variance, "counts")
+        variance = mean_variance(shot, step=context.step).reshape(values.shape)
+    values = np.ascontiguousarray(values, np.float32)
+    return cube_of(context, values, flags, variance, "counts"), notes
 
 
-def develop_bands(bench: SensorContext, notes: list[str]) -> Cube:
+def develop_bands(context: SensorContext) -> Noted:
     """One file a band: each with its own templates; behind narrow filters a mosaic is equalised."""
-    bands = bench.sensor.bands
-    reflectances = np.broadcast_to(white_reflectance(bench.campaign, bands), len(bands))
-    noise = _noise_of_bands(bench)
-    shape = (*bench.facts.shape[:2], len(bands))
+    bands = context.sensor.bands
+    reflectances = np.broadcast_to(white_reflectance(context.campaign, bands), len(bands))
+    noise = _noise_of_bands(context)
+    shape = (*context.facts.shape[:2], len(bands))
     values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
     variance: np.ndarray | None = np.empty(shape, np.float32)
+    notes: list[str] = []
     quantity = "reflectance"
     for start in range(0, len(bands), GROUP):
         group = []
         for i, band in enumerate(bands[start : start + GROUP], start):
-            flat = _band(bench, band.label, float(reflectances[i]), noise)
+            flat = _band(context, band.label, float(reflectances[i]), noise)
             notes.extend(flat.notes)
             quantity = flat.quantity
-            _check_shape(bench, band.label, flat.values.shape, shape[:2])
+            _check_shape(context, band.label, flat.values.shape, shape[:2])
             group.append(flat)
         _interleave([flat.values for flat in group], values, start)
         _interleave([flat.flags for flat in group], flags, start)
@@ -383,7 +398,7 @@ def develop_bands(bench: SensorContext, notes: list[str]) -> Cube:
             _interleave(variances, variance, start)
         else:
             variance = None
-    return cube_of(bench, values, flags, variance, quantity)
+    return cube_of(context, values, flags, variance, quantity), notes
 
 
 def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> None:
@@ -394,22 +409,21 @@ def _interleave(planes: Sequence[np.ndarray], cube: np.ndarray, start: int) -> N
 
 
 def _band(
-    bench: SensorContext, label: str, reflectance: float, noise: NoiseModel | None
+    context: SensorContext, label: str, reflectance: float, noise: NoiseModel | None
 ) -> Calibrated:
     """One band of one file, or of one file an exposure."""
-
-    sensor = bench.sensor
-    darks = bench.templates(_of_band(sensor.dark, label))
-    shots = average_shots(bench, [f for f in sensor.object if f.band == label])
-    frames = _require(_of_band(sensor.white, label), bench, label)
-    whites = bench.templates(frames) if frames else []
-    require_same_size(bench, shots[0].mean.shape, darks, whites)
-    exposed = expose(bench, shots, darks, noise)
-    white = white_of(bench, frames, darks, noise=noise, merged=exposed.shot.above_dark)
-    doubt = check_scaling(bench, exposed, white, (shots, whites), darks)
-    note_light(bench.told, white, darks, None, [label])
+    sensor = context.sensor
+    darks = context.templates(_of_band(sensor.dark, label))
+    shots = average_shots(context, [f for f in sensor.object if f.band == label])
+    frames = _require(_of_band(sensor.white, label), context, label)
+    whites = context.templates(frames) if frames else []
+    require_same_size(context, shots[0].mean.shape, darks, whites)
+    exposed = expose(context, shots, darks, noise)
+    white = white_of(context, frames, darks, noise=noise, merged=exposed.shot.above_dark)
+    doubt = check_scaling(context, exposed, white, (shots, whites), darks)
+    note_light(context.told, white, darks, None, [label])
     flat = flatten(
-        bench,
+        context,
         exposed.shot,
         darks,
         white,
@@ -426,14 +440,14 @@ def _band(
     return replace(flat, values=plane[0], flags=plane[1], variance=plane[2], notes=notes)
 
 
-def _require(frames: list[FrameRef], bench: SensorContext, label: str) -> list[FrameRef]:
-    if not frames and bench.sensor.white:
+def _require(frames: list[FrameRef], context: SensorContext, label: str) -> list[FrameRef]:
+    if not frames and context.sensor.white:
         raise CalibrationRefused(
             Problem(
                 "E_TEMPLATE_MISSING",
-                f"{bench.camera.name}: no white for band {label}",
-                str(bench.sensor.white[0].path.parent),
-                f"cameras.{bench.camera.name}.files",
+                f"{context.camera.name}: no white for band {label}",
+                str(context.sensor.white[0].path.parent),
+                f"cameras.{context.camera.name}.files",
                 "no file",
                 f"a white frame of {label}",
                 "Add the frame, or leave the band out of `wavelengths`.",
@@ -449,14 +463,14 @@ def _of_band(frames: Sequence[FrameRef], label: str) -> list[FrameRef]:
 
 
 def _check_shape(
-    bench: SensorContext, label: str, found: tuple[int, ...], expected: tuple[int, ...]
+    context: SensorContext, label: str, found: tuple[int, ...], expected: tuple[int, ...]
 ) -> None:
     if found != expected:
-        path = next(f.path for f in bench.sensor.object if f.band == label)
+        path = next(f.path for f in context.sensor.object if f.band == label)
         raise CalibrationRefused(
             Problem(
                 "E_SIZE",
-                f"{bench.camera.name}: band {label} has another size than the others",
+                f"{context.camera.name}: band {label} has another size than the others",
                 str(path),
                 "width, height",
                 f"{found[1]} x {found[0]}",
@@ -466,22 +480,22 @@ def _check_shape(
         )
 
 
-def _noise_of_bands(bench: SensorContext) -> NoiseModel | None:
+def _noise_of_bands(context: SensorContext) -> NoiseModel | None:
     """Fit the sensor's noise once, on a few bands spread over the range: it is the same sensor."""
-    bands = bench.sensor.bands
+    bands = context.sensor.bands
     chosen = sorted({len(bands) // 4, len(bands) // 2, (3 * len(bands)) // 4})
     shots, whites, darks = [], [], list[Template]()
     for i in chosen:
         label = bands[i].label
-        frames = [f for f in bench.sensor.object if f.band == label]
+        frames = [f for f in context.sensor.object if f.band == label]
         alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
-        shots.append(bench.average(alike))
-        own = bench.templates(_of_band(bench.sensor.dark, label))
-        white = white_of(bench, _of_band(bench.sensor.white, label), own)
-        require_same_size(bench, shots[-1].mean.shape, own, [white] if white else [])
+        shots.append(context.average(alike))
+        own = context.templates(_of_band(context.sensor.dark, label))
+        white = white_of(context, _of_band(context.sensor.white, label), own)
+        require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)
-        darks += own if any(f.band for f in bench.sensor.dark) or not darks else []
-    return noise_of(bench, shots, whites, darks)
+        darks += own if any(f.band for f in context.sensor.dark) or not darks else []
+    return noise_of(context, shots, whites, darks)
 
 
 DEVELOPERS = {

@@ -120,7 +120,7 @@ def learnt_of(page: CameraPage, records: BuildRecords) -> dict[str, dict[str, An
     found: dict[str, dict[str, Any]] = {}
     for capture in page.captures:
         if capture.setup not in found:
-            told = records.told(key_of(capture, "calibrate")).get("learnt", {})
+            told = records.notes(key_of(capture, "calibrate")).get("learnt", {})
             of_camera = {
                 sensor: {name: v for name, v in one.items() if name != SENSELS}
                 for sensor, one in told.items()

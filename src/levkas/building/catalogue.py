@@ -28,7 +28,7 @@ _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv"
 def write_catalogue_of(
     campaign: Campaign,
     places: Places,
-    ledger: BuildRecords,
+    records: BuildRecords,
     captures: list[Capture],
     names: list[str],
     *,
@@ -46,41 +46,41 @@ def write_catalogue_of(
 
     key = CATALOGUE
     with in_turn(places.kept):
-        entries = _entries(places, ledger, captures, names, whole=whole)
-        products = ledger.hashes_of_products()
+        entries = _entries(places, records, captures, names, whole=whole)
+        products = records.hashes_of_products()
         imprint = imprint_of(campaign, entries)
         spectra = spectra_of(campaign, imprint["setups"])
-        others = by_others(places, ledger)
+        others = by_others(places, records)
         prints = _prints(entries, products, imprint, spectra, others)
-        why = ledger.why_stale(key, prints)
+        why = records.why_stale(key, prints)
         if not why:
             return Step(key, "fresh", warnings=foreign_files(others))
-        ledger.forget(key)
+        records.forget(key)
         made = _published(places, entries, names, imprint, spectra)
         manifest = places.output / MANIFEST
         listed = [path.relative_to(places.output).as_posix() for path in (*made, manifest)]
-        ledger.put_away_left(key, listed)
+        records.put_away_left(key, listed)
         write_manifest(places.output, products)
-        ledger.keep(key, prints, [*made, manifest])
+        records.keep(key, prints, [*made, manifest])
     return Step(key, "done", why, warnings=foreign_files(others))
 
 
 def prints_of_catalogue(
     campaign: Campaign,
     places: Places,
-    ledger: BuildRecords,
+    records: BuildRecords,
     captures: list[Capture],
     names: list[str],
 ) -> dict[str, Any]:
     """Return what the files that speak of all layers hang on."""
-    entries = _entries(places, ledger, captures, names, whole=True)
+    entries = _entries(places, records, captures, names, whole=True)
     imprint = imprint_of(campaign, entries)
     spectra = spectra_of(campaign, imprint["setups"])
-    products = ledger.hashes_of_products()
-    return _prints(entries, products, imprint, spectra, by_others(places, ledger))
+    products = records.hashes_of_products()
+    return _prints(entries, products, imprint, spectra, by_others(places, records))
 
 
-def by_others(places: Places, ledger: BuildRecords) -> dict[str, str]:
+def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
     """Return name → SHA-256 of the files in the database that there is no record of having made.
 
     Catalogue, indices and what else is written from all layers is ours by its name.
@@ -89,11 +89,11 @@ def by_others(places: Places, ledger: BuildRecords) -> dict[str, str]:
     from levkas.database.manifest import NAME as MANIFEST
     from levkas.database.manifest import is_partial, list_files
 
-    ours = {name for key in (*ledger.recorded(), CATALOGUE) for name in ledger.made_by(key)}
+    ours = {name for key in (*records.recorded(), CATALOGUE) for name in records.made_by(key)}
     ours |= {TABLE, IMPRINT, MANIFEST}
     there = [n for n in list_files(places.output) if n not in ours and not is_partial(n)]
     there = [n for n in there if not _OF_ALL_LAYERS.fullmatch(n)]
-    return {n: ledger.hashes(places.output / n) for n in there if (places.output / n).is_file()}
+    return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
 
 
 def foreign_files(others: dict[str, str]) -> tuple[str, ...]:
@@ -126,7 +126,7 @@ def _prints(
 
 
 def _entries(
-    places: Places, ledger: BuildRecords, captures: list[Capture], names: list[str], *, whole: bool
+    places: Places, records: BuildRecords, captures: list[Capture], names: list[str], *, whole: bool
 ) -> list[Entry]:
     """One row a layer that stands in the database."""
     from levkas.database.catalogue import DatabaseRefused, entry_of, read_catalogue
@@ -141,13 +141,13 @@ def _entries(
         for e in stood
         if (not whole and e.object not in names)
         or (
-            ledger.keep_removed
+            records.keep_removed
             and (e.object, e.camera, e.setup) not in built
-            and ledger.told(Key(e.object, e.camera, e.setup, "resample"))
+            and records.notes(Key(e.object, e.camera, e.setup, "resample"))
         )
     ]
     for capture in captures:
-        if row := ledger.told(key_of(capture, "resample")).get("entry"):
+        if row := records.notes(key_of(capture, "resample")).get("entry"):
             entries.append(entry_of(row))
     return sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
 

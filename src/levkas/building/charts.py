@@ -15,7 +15,14 @@ import numpy as np
 from levkas.core.cube import Band, Cube
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
-from levkas.quality.targets.charts import Chart, ChartRefused, Reference, chart_of, reference_of
+from levkas.database.layout import LayerId
+from levkas.quality.targets.charts import (
+    Chart,
+    ChartReference,
+    ChartRefused,
+    chart_of,
+    reference_of,
+)
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure, sight
 
 if TYPE_CHECKING:
@@ -164,20 +171,20 @@ def _of_campaign(
             )
         )
     kept = Places(campaign.output).kept
-    shelf = TemplateCache(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
+    templates = TemplateCache(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
     captures, refusals = find_charts(campaign)
     report.problems.extend(p for r in refusals.values() for p in r.problems)
     for capture in captures:
         if not cameras or capture.camera in cameras:
             try:
-                yield capture, kinds[capture.object], develop_chart(capture, campaign, shelf)
+                yield capture, kinds[capture.object], develop_chart(capture, campaign, templates)
             except Refused as refused:
                 report.problems.extend(
                     problems_of(f"{capture.object}/{capture.layer}", capture, refused)
                 )
 
 
-def _reference(chart: Chart, path: str | Path | None) -> Reference | None:
+def _reference(chart: Chart, path: str | Path | None) -> ChartReference | None:
     from levkas.quality.targets.charts import parse_reference
     from levkas.readers.text import read_text
 
@@ -204,18 +211,18 @@ class Developed:
     """Shots that the values are the mean of, in the band of fewest."""
 
 
-def develop_chart(capture: Capture, campaign: Campaign, shelf: TemplateCache) -> Developed:
+def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
     """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
     from levkas.building.calibrate import develop
 
     mosaics = frozenset(s.name for s in capture.sensors if s.pattern is not None)
     parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
     if parts is None:
-        whole = develop(capture, campaign, shelf)
+        whole = develop(capture, campaign, templates)
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
         return Developed(dict(whole.cubes), {}, mosaics, whole.captured or "", steps, most)
-    first, second = (develop(part, campaign, shelf) for part in parts)
+    first, second = (develop(part, campaign, templates) for part in parts)
     cubes, shots = {}, {}
     for name, a in first.cubes.items():
         b = second.cubes[name]
@@ -267,7 +274,7 @@ def measure_capture(
     name: str,
     made: Developed,
     chart: Chart,
-    reference: Reference | None,
+    reference: ChartReference | None,
     *,
     corners: np.ndarray | None = None,
     uniformity: float | None = None,
@@ -401,7 +408,7 @@ def subjects_of(
     for entry in entries:
         if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
             continue
-        layer = "_".join(part for part in (entry.object, entry.camera, entry.setup) if part)
+        layer = LayerId(entry.object, entry.camera, entry.setup).stem
         file = database / "objects" / entry.object / f"{layer}.tif"
         check_inside(database, file, file.with_name(f"{layer}.flags.tif"))
         yield Subject(_name(entry), chart_of(kind), {"": file}, bool(objects))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.registration.manual_points import ManualPoints
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.registration.control_points import ControlPoints
+    from levkas.registration.manual_points import ManualPoints
 
 
 def points_file(campaign: Campaign, capture: Capture) -> Path | None:
@@ -117,6 +117,8 @@ def placed_pairs(pairs: ManualPoints, band: str) -> ManualPoints:
 
 def joined(one: ManualPoints, other: ManualPoints) -> ManualPoints:
     """Return the pairs of both, whose check points all say in which band they were placed."""
+    from levkas.registration.manual_points import ManualPoints  # heavy, and not for fingerprints
+
     kinds = [f.name for f in fields(ManualPoints) if f.name != "placed"]
     pairs = {kind: np.concatenate([getattr(one, kind), getattr(other, kind)]) for kind in kinds}
     return ManualPoints(**pairs, placed=one.placed + other.placed)
@@ -148,6 +150,8 @@ def _of_capture(campaign: Campaign, capture: Capture, path: Path) -> dict[str, C
 
 
 def _given(points: ControlPoints, use: str) -> ManualPoints:
+    from levkas.registration.manual_points import ManualPoints
+
     pairs = np.hstack([points.reference, points.target])
     checks = points.enabled & (points.check | (use == "check"))
     return ManualPoints(added=pairs[points.enabled & ~checks], checks=pairs[checks])

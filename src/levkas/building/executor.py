@@ -119,7 +119,7 @@ class Held:
     def _read(self, capture: Capture) -> Native | Scan:
         from levkas.building.calibrate import load_calibrated
 
-        notes = self.records.told(key_of(capture, "calibrate"))
+        notes = self.records.notes(key_of(capture, "calibrate"))
         return load_calibrated(capture, self.campaign, self.places, notes, self.templates)
 
 
@@ -353,7 +353,7 @@ class Executor:
         capture, _ = _captures(task)
         frame = self._held.frame(task, self.graph)
         native = self._held.native(capture)
-        captured = self.records.told(key_of(capture, "calibrate")).get("captured", "")
+        captured = self.records.notes(key_of(capture, "calibrate")).get("captured", "")
         target = target_of(capture, native, frame, record_of(self.places, capture), captured)
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
@@ -428,7 +428,7 @@ class Executor:
             return step
         withdraw(capture, self.places, self.records, key.stage)
         # A refused registration has a record; more memory may be there the next time.
-        recorded = self.records.told(key).get("refused")
+        recorded = self.records.notes(key).get("refused")
         if not recorded and all(p.code != "E_MEMORY" for p in step.problems):
             # A campaign may be moved: what is kept names its files from its folder.
             root = f"{self.campaign.root}{os.sep}"
@@ -460,7 +460,7 @@ class Executor:
 
 def fresh_step(key: Key, records: BuildRecords) -> Step:
     """Return how a task ended that need not be done again."""
-    notes = records.told(key)
+    notes = records.notes(key)
     warnings = tuple(notes.get("warnings", ()))
     problems = tuple(Problem(**p) for p in notes.get("refused", ()))
     if problems:

@@ -13,13 +13,12 @@ from levkas.calibration.darks import SAME_TIME
 from levkas.calibration.defects import find_defects
 from levkas.calibration.exposures import best_exposure, merge_exposures
 from levkas.calibration.flatfield import Calibrated, flat_field, pair_darks
-from levkas.calibration.invalid_values import describe_gaps, gaps_of
 from levkas.calibration.linearity import check_linearity, require_reciprocity
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import fit_noise, fit_noise_single, level_of
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
 from levkas.calibration.whites import reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag
@@ -43,60 +42,58 @@ class Exposed:
     moved: np.ndarray | None = None
 
 
-def average_shots(bench: SensorContext, frames: Sequence[FrameRef]) -> list[Template]:
+def average_shots(context: SensorContext, frames: Sequence[FrameRef]) -> list[Template]:
     """Average the object's shots, exposure by exposure."""
     times = sorted({exposure_of(f) for f in frames}, key=lambda t: (t is not None, t or 0.0))
-    if len(times) > 1 and bench.camera.exposures == "one":
+    if len(times) > 1 and context.camera.exposures == "one":
         raise CaptureRefused(
             Problem(
                 "E_EXPOSURES",
-                f"{bench.camera.name}: shots of several exposures",
+                f"{context.camera.name}: shots of several exposures",
                 str(frames[0].path.parent),
-                f"cameras.{bench.camera.name}.exposures",
+                f"cameras.{context.camera.name}.exposures",
                 ", ".join(f"{t:g} s" for t in times if t),
                 "one exposure",
                 'Write exposures = "best" (the longest unsaturated) or "merge".',
             )
         )
-    return [bench.average([f for f in frames if exposure_of(f) == t]) for t in times]
+    return [context.average([f for f in frames if exposure_of(f) == t]) for t in times]
 
 
 def expose(
-    bench: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
+    context: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Exposed:
     """The object's frames as one: averaged, the best exposure, or all merged above dark."""
-
     if len(shots) == 1:
         return Exposed(shots[0])
-    if bench.camera.exposures == "merge":
-        merged = _merge(bench, shots, darks, noise)
+    if context.camera.exposures == "merge":
+        merged = _merge(context, shots, darks, noise)
         return Exposed(merged.template, moved=merged.moved)
     return Exposed(best_exposure(shots))
 
 
 def _merge(
-    bench: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
+    context: SensorContext, shots: list[Template], darks: list[Template], noise: NoiseModel | None
 ) -> Merged:
     """An exposure series in counts a second above dark."""
-
-    if bench.saturation is None:
+    if context.saturation is None:
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                f"{bench.camera.name}: exposures cannot be merged without a saturation level",
-                field=f"cameras.{bench.camera.name}.saturation",
+                f"{context.camera.name}: exposures cannot be merged without a saturation level",
+                field=f"cameras.{context.camera.name}.saturation",
                 fix="Declare `bits` or `saturation`.",
             )
         )
-    pattern = bench.sensor.pattern
+    pattern = context.sensor.pattern
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     return merge_exposures(
-        shots, darks, saturation=bench.saturation, black=bench.black, noise=noise, **more
+        shots, darks, saturation=context.saturation, black=context.black, noise=noise, **more
     )
 
 
 def white_of(
-    bench: SensorContext,
+    context: SensorContext,
     frames: Sequence[FrameRef],
     darks: list[Template],
     *,
@@ -104,17 +101,16 @@ def white_of(
     merged: bool = False,
 ) -> Template | None:
     """The white of one exposure, the best one; or several of them merged, above dark."""
-
     if not frames:
         return None
-    whites = bench.templates(frames)
+    whites = context.templates(frames)
     if len(whites) == 1:
         return whites[0]
-    return _merge(bench, whites, darks, noise).template if merged else best_exposure(whites)
+    return _merge(context, whites, darks, noise).template if merged else best_exposure(whites)
 
 
 def check_scaling(
-    bench: SensorContext,
+    context: SensorContext,
     exposed: Exposed,
     white: Template | None,
     series: Sequence[list[Template]],
@@ -129,51 +125,54 @@ def check_scaling(
     CalibrationRefused
         E_EXPOSURES where a series shows that counts do not scale, with exposure and level.
     """
-
     taken, other = exposed.shot.exposure_s, white.exposure_s if white else None
     if exposed.shot.above_dark or not taken or not other or abs(taken / other - 1) <= SAME_TIME:
         return ""
-    pattern = bench.sensor.pattern
+    pattern = context.sensor.pattern
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     hidden = bool(darks) and all(np.mean(dark.black) > 0.5 for dark in darks)
     for shots in series:
-        if len(shots) < 2 or bench.saturation is None:
+        if len(shots) < 2 or context.saturation is None:
             continue
         found = check_linearity(
-            shots, darks, saturation=bench.saturation, black=bench.black, fit_offset=hidden, **more
+            shots,
+            darks,
+            saturation=context.saturation,
+            black=context.black,
+            fit_offset=hidden,
+            **more,
         )
         if found.points:
             require_reciprocity(found)
             return ""
-    return doubt_scaling(bench, taken, other)
+    return doubt_scaling(context, taken, other)
 
 
 def noise_of(
-    bench: SensorContext,
+    context: SensorContext,
     shots: list[Template],
     whites: list[Template | None],
     darks: list[Template],
 ) -> NoiseModel | None:
     """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
-
     dark = darks[0] if darks else None
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
-    black = bench.black or 0.0
+    black = context.black or 0.0
     fitted = None
     if stacks:
         stacks += [d for d in darks if d.count > 1]
         under = [_dark_of(t, darks) for t in stacks] if darks else None
-        fitted = fit_noise(stacks, under, black=black, step=bench.step)
+        fitted = fit_noise(stacks, under, black=black, step=context.step)
     unread = fitted is not None and not any(d.count > 1 for d in darks)
     if (fitted is None or unread) and len(shots) == len(whites):  # of a line scan there is no shot
         under = [_dark_of(t, darks) for t in shots] if darks else None
-        more: dict[str, Any] = {"pattern": bench.sensor.pattern, "step": bench.step}
+        more: dict[str, Any] = {"pattern": context.sensor.pattern, "step": context.step}
         single = fit_noise_single(shots, whites, under, black=black, **more)
         if fitted is None:
             fitted = single
         elif single is not None and fitted.read_variance <= fitted.step**2 / 12:
             fitted = replace(fitted, read_variance=single.read_variance)
-    note_noise(bench.told, fitted, dark, black, bench.saturation)
+    note_noise(context.told, fitted, dark, black, context.saturation)
     return fitted
 
 
@@ -189,7 +188,7 @@ def _dark_of(stack: Template, darks: Sequence[Template]) -> Template:
 
 
 def require_same_size(
-    bench: SensorContext,
+    context: SensorContext,
     shape: tuple[int, ...],
     darks: Sequence[Template],
     whites: Sequence[Template],
@@ -200,9 +199,9 @@ def require_same_size(
     camera are one line.
     """
     lines = shape[0]
-    if bench.camera.kind == "cube" and bench.camera.scan != "mirror":
+    if context.camera.kind == "cube" and context.camera.scan != "mirror":
         lines = 1
-    pattern = bench.sensor.pattern
+    pattern = context.sensor.pattern
     if pattern is not None and (shape[0] < len(pattern) or shape[1] < len(pattern[0])):
         found, expected = (f"{w} x {h}" for h, w in (shape[:2], (len(pattern), len(pattern[0]))))
         small = Problem(
@@ -212,7 +211,7 @@ def require_same_size(
             found=found,
             expected=f"at least {expected}",
         )
-        raise CalibrationRefused(placed(small, bench.sensor.object))
+        raise CalibrationRefused(placed(small, context.sensor.object))
     problems = [
         placed(
             Problem(
@@ -225,8 +224,8 @@ def require_same_size(
             frames,
         )
         for name, found, frames in (
-            ("dark", darks, bench.sensor.dark),
-            ("white", whites, bench.sensor.white),
+            ("dark", darks, context.sensor.dark),
+            ("white", whites, context.sensor.white),
         )
         for template in found
         if template.mean.shape != (lines, *shape[1:])
@@ -236,7 +235,7 @@ def require_same_size(
 
 
 def flatten(
-    bench: SensorContext,
+    context: SensorContext,
     shot: Template,
     dark: list[Template],
     white: Template | None,
@@ -246,24 +245,24 @@ def flatten(
 ) -> Calibrated:
     """Flat-field with the files named in every refusal; `moved` is what exposures told already."""
     try:
-        flat = flat_field(shot, dark or None, white, black=bench.black, **more)
+        flat = flat_field(shot, dark or None, white, black=context.black, **more)
     except CalibrationRefused as refused:
-        frames = bench.sensor.white or bench.sensor.object
+        frames = context.sensor.white or context.sensor.object
         raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
-    if bench.camera.kind != "cube" and not shot.above_dark:
-        found = _rounding(bench, shot, dark, white, **more)
-        bench.told.setdefault("rounding", {}).update(found)
+    if context.camera.kind != "cube" and not shot.above_dark:
+        found = _rounding(context, shot, dark, white, **more)
+        context.told.setdefault("rounding", {}).update(found)
     if moved is None:
-        moved = _moved(bench, shot, dark, more.get("noise"))
-    flat = _with_movement(bench, flat, moved)
+        moved = _moved(context, shot, dark, more.get("noise"))
+    flat = _with_movement(context, flat, moved)
     lost = gaps_of(shot, *dark, white)
     if lost is None:
         return flat
     labels: list[str] = list(more.get("labels") or ())
     lost = np.broadcast_to(lost, flat.values.shape)
-    note = describe_gaps(lost, labels[0] if len(labels) == 1 else bench.camera.name)
+    note = describe_gaps(lost, labels[0] if len(labels) == 1 else context.camera.name)
     values, variance = flat.values, flat.variance
-    if bench.unmended:  # not replaced from its neighbours: the value is gone
+    if context.unmended:  # not replaced from its neighbours: the value is gone
         values = np.where(lost, np.float32(np.nan), values)
         variance = None if variance is None else np.where(lost, np.float32(np.nan), variance)
     flags = np.where(lost, flat.flags | np.uint8(Flag.DEFECT), flat.flags)
@@ -272,7 +271,7 @@ def flatten(
 
 
 def _rounding(
-    bench: SensorContext,
+    context: SensorContext,
     shot: Template,
     dark: list[Template],
     white: Template | None,
@@ -283,10 +282,9 @@ def _rounding(
     **_: Any,
 ) -> dict[str, float]:
     """Return what a step from code to code is of the values of each band, where the light is middling."""
-
     if white is None:
-        return dict.fromkeys(labels, bench.step)
-    pair = pair_darks(shot, dark or None, white, bench.black)
+        return dict.fromkeys(labels, context.step)
+    pair = pair_darks(shot, dark or None, white, context.black)
     lit, ratio = white.mean - pair[1].mean, pair[2]
     table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
     scale = (
@@ -296,35 +294,36 @@ def _rounding(
     for i, label in enumerate(labels):
         y, x = (int(n) for n in np.argwhere(table == i)[0])
         level = level_of(lit[y :: table.shape[0], x :: table.shape[1]])
-        found[label] = float(f"{bench.step * scale[y, x] / max(level, 1e-9):.4g}")
+        found[label] = float(f"{context.step * scale[y, x] / max(level, 1e-9):.4g}")
     return found
 
 
 def _moved(
-    bench: SensorContext, shot: Template, dark: list[Template], noise: NoiseModel | None
+    context: SensorContext, shot: Template, dark: list[Template], noise: NoiseModel | None
 ) -> np.ndarray | None:
     """Return what moved between the object's shots; None where that cannot be told."""
-
     if shot.count < 2 or noise is None or noise.source != "temporal":
         return None
-    rows = bench.sensor.pattern or ((None,),)
+    rows = context.sensor.pattern or ((None,),)
     # One number for the dark: a hot sensel's current counts as light, as it does for its noise.
-    level = float(np.median(dark[0].mean)) if dark else bench.black or 0.0
+    level = float(np.median(dark[0].mean)) if dark else context.black or 0.0
     return find_moved(shot, noise, level, period=(len(rows), len(rows[0])))
 
 
-def _with_movement(bench: SensorContext, flat: Calibrated, moved: np.ndarray | None) -> Calibrated:
+def _with_movement(
+    context: SensorContext, flat: Calibrated, moved: np.ndarray | None
+) -> Calibrated:
     """Flag what moved, and say how much of it did."""
     if moved is None or not moved.any():
         return flat
     share = float(np.mean(moved))
-    note = f"{bench.camera.name}: {100 * share:.2g} % of the pixels moved between shots, flagged"
+    note = f"{context.camera.name}: {100 * share:.2g} % of the pixels moved between shots, flagged"
     flags = np.where(moved, flat.flags | np.uint8(Flag.MOVED), flat.flags)
     return replace(flat, flags=flags, notes=(*flat.notes, note))
 
 
 def cube_of(
-    bench: SensorContext,
+    context: SensorContext,
     values: np.ndarray,
     flags: np.ndarray,
     variance: np.ndarray | None,
@@ -345,12 +344,11 @@ def cube_of(
     if lost.any():
         values = np.where(lost, np.float32(0), values)
         flags = np.where(lost, flags | (Flag.DEFECT | Flag.OUTSIDE), flags).astype(np.uint8)
-    return Cube(values, flags, sigma, bench.sensor.bands, quantity)
+    return Cube(values, flags, sigma, context.sensor.bands, quantity)
 
 
 def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> np.ndarray | None:
     """Hot sensels of the longest dark and dead ones of the white."""
-
     if not darks and white is None:
         return None
     return find_defects(darks[-1] if darks else None, white, pattern)
@@ -367,7 +365,7 @@ def mark_glare_in(cube: Cube, *, squared: bool = False) -> Cube:
 
 
 def line_noise(
-    bench: SensorContext, darks: Sequence[Template], white: Template | None
+    context: SensorContext, darks: Sequence[Template], white: Template | None
 ) -> NoiseModel | None:
     """Noise of a push-broom camera: its white is one line, seen many times."""
-    return noise_of(bench, [], [white] if white else [], list(darks))
+    return noise_of(context, [], [white] if white else [], list(darks))

@@ -82,21 +82,21 @@ def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
     return {task.key: task for task in ordered(tasks, [*first, *tasks])}
 
 
-def ordered(tasks: Graph, wanted: Iterable[Key]) -> Iterator[Task]:
-    """Yield tasks and all that they read, each once and behind what it reads."""
-    done: set[Key] = set()
-
-    def visit(key: Key) -> Iterator[Task]:
-        if key in done or key not in tasks:
-            return
-        done.add(key)
-        task = tasks[key]
-        for before in (*task.needs, *task.uses):
-            yield from visit(before)
-        yield task
-
-    for key in wanted:
-        yield from visit(key)
+def ordered(tasks: Graph, wanted: Iterable[Key]) -> list[Task]:
+    """Return tasks and all that they read, each once and behind what it reads."""
+    done: dict[Key, Task] = {}
+    waiting = [*wanted][::-1]
+    while waiting:
+        key = waiting[-1]
+        task = None if key in done else tasks.get(key)
+        ahead = (*task.needs, *task.uses)[::-1] if task else ()
+        if left := [before for before in ahead if before in tasks and before not in done]:
+            waiting += left
+            continue
+        waiting.pop()
+        if task:
+            done[key] = task
+    return list(done.values())
 
 
 def keys_of(campaign: Campaign, capture: Capture) -> dict[str, Key]:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.building.register import Measured, draw_figures, verdict_problems
-from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.joint import JointResult, SensorObservations, adjust_jointly
 from levkas.registration.manual_points import measure_checks, nearest_rows
 from levkas.registration.models import solve_2x2

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.calibration.denoising import describe_removed
-from levkas.calibration.invalid_values import describe_lost, gaps_of, no_values
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.templates import CalibrationRefused, describe_lost, gaps_of, no_values
 from levkas.core.cube import UNRELIABLE
 from levkas.registration.bands import BandImage
 

@@ -11,10 +11,12 @@ import cv2
 import numpy as np
 
 from levkas.building.spectra import reference_channel
+from levkas.campaign.methods import method_of
 from levkas.core.cube import find_band
 from levkas.database.registrations import read_registration
+from levkas.geometry import from_dict
 from levkas.geometry.grid import Grid, GridRefused
-from levkas.geometry.transforms import Transform, from_dict
+from levkas.geometry.transforms import Transform
 from levkas.registration import Matches, Registration, Verdict
 from levkas.registration.record import Sigma
 
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
     from levkas.campaign.schema.tables import GridKeys
     from levkas.database.layout import Places
     from levkas.registration import BandImage
-    from levkas.registration.levkas import PreparedReference
+    from levkas.registration.prepared_reference import PreparedReference
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
@@ -74,7 +76,7 @@ class ReferenceFrame:
 
         `own` where the reference camera itself is registered: all its bands are held until then.
         """
-        from levkas.registration.levkas import PreparedReference
+        from levkas.registration.prepared_reference import PreparedReference
 
         if self._prepared is None:
             self._prepared = PreparedReference(self.images, self.band, region)
@@ -93,8 +95,8 @@ class ReferenceFrame:
             self._prepared.release()
 
     def _release(self) -> None:
-        methods = {self.campaign.registration_of(c.camera).get("method") for c in self.captures}
-        if self._prepared is not None and methods <= {None, "levkas"}:
+        keys = [self.campaign.registration_of(capture.camera) for capture in self.captures]
+        if self._prepared is not None and all(method_of(one).prepared for one in keys):
             self._prepared.freeze(self.registration().transforms)
             self.images = [self._prepared.anchor]
 

@@ -15,6 +15,7 @@ import numpy as np
 from levkas import __version__
 from levkas.building.build_records import Written
 from levkas.building.control_points import declared_points, joined, placed_in, placed_pairs
+from levkas.campaign.methods import DEFAULT_METHOD
 from levkas.core.files import make_folder, remove, together, write_bytes, write_json, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Composed
@@ -35,8 +36,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.manual_points import ManualPoints
-    from levkas.registration.record import Matches
+    from levkas.registration.prepared_reference import PreparedReference
 
 _COLUMNS = tuple(column.name for column in fields(Matches))
 _WORDS = ("state", "reason")
@@ -50,15 +50,16 @@ def measure(
     own = None if leads else frame.registration()
     channel = frame.channel(capture)
     options = dict(campaign.registration_of(capture.camera))
-    method = options.get("method", "levkas")
+    method = options.get("method", DEFAULT_METHOD)
     given, by_hand = corrections_of(campaign, capture, channel)
     options |= by_hand
     grid, sampling, region = frame.layout()
-    if method == "levkas":
-        options["ready"] = partial(frame.prepared, region, own=leads)
+    prepared = partial(frame.prepared, region, own=leads)
     found, refused = None, None
     try:
-        found = register_capture(native, frame.images, frame.band, own, region, options, given)
+        found = register_capture(
+            native, frame.images, frame.band, own, region, options, given, prepared
+        )
     except RegistrationRefused as error:
         refused = error
     if leads and found is not None:
@@ -135,31 +136,31 @@ def register_capture(
     region: tuple[float, float, float, float] | None,
     options: dict[str, Any],
     given: Mapping[str, ManualPoints] | None = None,
+    prepared: Callable[[], PreparedReference] | None = None,
 ) -> Registration:
     """Register every band of a capture; `own` is the reference camera's registration, None for itself.
 
-    `given` are pairs by hand, by sensor, in native pixels.
+    `given` are pairs by hand, by sensor, in native pixels; `prepared` returns the reference made ready.
 
     Raises RegistrationRefused where there is no answer at all.
     """
     if own is None:
         return register(
             reference, reference, reference_band=reference_band, region=region, given=given,
-            **options,
+            prepared=prepared, **options,
         )  # fmt: skip
     given = {sensor: pairs.reduced(native.factor) for sensor, pairs in (given or {}).items()}
-    if options.get("method", "levkas") == "levkas":
-        options = {
-            **options,
-            "reference_transforms": own.transforms,
-            "reference_sigma": own.sigma,
-        }
-    aligns = {s: a for s, a in native.aligns.items() if a != "measure"}
-    if aligns and options.get("method") == "mirhashemi2019":
-        options = {**options, "align": {s: Affine(np.array(a, float)) for s, a in aligns.items()}}
+    request: dict[str, Any] = {
+        "reference_transforms": own.transforms,
+        "reference_sigma": own.sigma,
+        "align": {
+            s: Affine(np.array(a, float)) for s, a in native.aligns.items() if a != "measure"
+        },
+        "prepared": prepared,
+    }
     found = register(
         reference, native.images(), reference_band=reference_band, region=region, given=given,
-        **options,
+        **request, **options,
     )  # fmt: skip
     return found if native.factor == 1 else _enlarged(found, native.factor)
 

@@ -24,7 +24,7 @@ REMOVED = Key("", stage="removed")
 
 def no_longer_there(
     campaign: Campaign,
-    ledger: BuildRecords,
+    records: BuildRecords,
     captures: Sequence[Capture],
     refusals: Refusals,
     pages: Iterable[Key],
@@ -39,16 +39,16 @@ def no_longer_there(
     known |= {Key(name, stage="report") for name in _names(captures, refusals)}
     return [
         key
-        for key in ledger.recorded()
+        for key in records.recorded()
         if key not in known
         and (key.object, key.camera, key.setup) not in refusals
         and (objects is None or key.object in objects)
     ]
 
 
-def describe(keys: Iterable[Key], ledger: BuildRecords) -> str:
+def describe(keys: Iterable[Key], records: BuildRecords) -> str:
     """Say what is no longer in the campaign; empty where nothing of it is in the database."""
-    there = [key for key in keys if ledger.made_by(key)]
+    there = [key for key in keys if records.made_by(key)]
     layers = {(key.object, key.layer) for key in there if key.object and key.camera}
     told = {
         "layer": len(layers),
@@ -62,7 +62,7 @@ def describe(keys: Iterable[Key], ledger: BuildRecords) -> str:
     return f"{' and '.join(parts)} {verb} no longer in the campaign"
 
 
-def removal(keys: Sequence[Key], ledger: BuildRecords) -> list[Step]:
+def removal(keys: Sequence[Key], records: BuildRecords) -> list[Step]:
     """Move what is no longer in the campaign out of the database, unless it is to stay.
 
     Returns
@@ -70,15 +70,15 @@ def removal(keys: Sequence[Key], ledger: BuildRecords) -> list[Step]:
     steps : list of Step
         One, or none where there was nothing.
     """
-    told = describe(keys, ledger)
-    if told and ledger.keep_removed:
+    told = describe(keys, records)
+    if told and records.keep_removed:
         return [Step(REMOVED, "fresh", warnings=(f"{told}, and was kept",))]
-    if keys and not ledger.keep_removed:
-        ledger.forget(CATALOGUE)  # what it lists is about to change
+    if keys and not records.keep_removed:
+        records.forget(CATALOGUE)  # what it lists is about to change
     where = None
-    for key in keys if not ledger.keep_removed else ():
-        where = ledger.put_away(ledger.made_by(key)) or where
-        ledger.drop(key)
+    for key in keys if not records.keep_removed else ():
+        where = records.put_away(records.made_by(key)) or where
+        records.drop(key)
     if where is None:
         return []
     return [Step(REMOVED, "done", told, warnings=(f"{told}: moved to {where}",))]
@@ -95,21 +95,21 @@ def is_of_the_disk(problems: Iterable[Problem]) -> bool:
 
 
 def withdraw(
-    capture: Capture, places: Places, ledger: BuildRecords, stage: str = "resample"
+    capture: Capture, places: Places, records: BuildRecords, stage: str = "resample"
 ) -> None:
     """Take away what an earlier build made of a layer from the stage on that is refused now."""
     from levkas.core.files import remove
 
     keys = [Key(capture.object, capture.camera, capture.setup, s) for s in STAGES]
     for key in keys[STAGES.index(stage) : -1]:
-        if key.stage == stage and ledger.told(key).get("refused"):
+        if key.stage == stage and records.notes(key).get("refused"):
             continue  # a registration that is refused has a record
-        for name in sorted(ledger.made_by(key)):
+        for name in sorted(records.made_by(key)):
             remove(places.output / name)
-        ledger.drop(key)
+        records.drop(key)
     # By name, not by record: an interrupted build has dropped the record and left the files.
-    ledger.forget(CATALOGUE)
-    ledger.forget(key_of(capture, "resample"))
+    records.forget(CATALOGUE)
+    records.forget(key_of(capture, "resample"))
     files = [
         places.layer(capture.object, capture.camera, capture.setup, kind=kind)
         for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")
@@ -119,18 +119,18 @@ def withdraw(
             remove(path)
 
 
-def put_away(name: str, camera: str, setup: str, ledger: BuildRecords) -> None:
+def put_away(name: str, camera: str, setup: str, records: BuildRecords) -> None:
     """Move out what was made of a capture that cannot even be begun."""
     for stage in STAGES:
-        put_away_stage(Key(name, camera, setup, stage), ledger)
+        put_away_stage(Key(name, camera, setup, stage), records)
 
 
-def put_away_stage(key: Key, ledger: BuildRecords) -> None:
+def put_away_stage(key: Key, records: BuildRecords) -> None:
     """Move out what a stage made, and forget it."""
-    if made := ledger.made_by(key):
-        ledger.forget(CATALOGUE)
-        ledger.put_away(made)
-        ledger.drop(key)
+    if made := records.made_by(key):
+        records.forget(CATALOGUE)
+        records.put_away(made)
+        records.drop(key)
 
 
 class NoReference(Refused):

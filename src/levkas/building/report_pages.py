@@ -1,18 +1,24 @@
-"""The report page of an object from the records of its layers."""
+"""The report page of an object from the records of its layers, and its provenance."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from levkas import __version__
-from levkas.building import provenance
+from levkas.building import fingerprints
 from levkas.building.build_records import Key, key_of
 from levkas.building.fingerprints import written
+from levkas.building.graph import keys_of
+from levkas.building.sources import LIBRARIES
+from levkas.calibration.sensor_context import Times, times_of
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
+from levkas.core.problems import Refused
 from levkas.database.registrations import read_registration
 from levkas.pages.page import (
     CloseUpRow,
@@ -26,7 +32,8 @@ from levkas.pages.page import (
     render_page,
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
-from levkas.quality.targets.places import choose_places
+from levkas.quality.image_quality.light import choose_places
+from levkas.readers.frames import files_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,6 +44,13 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places
+
+
+FRAME = "frame "
+"""Begins what a fingerprint says of the use of a file as a frame."""
+PROVENANCE = "provenance.json"
+FILE = "file "
+"""Begins the names of input files in a fingerprint."""
 
 
 def write_report(
@@ -54,26 +68,28 @@ def write_report(
     """
     name = captures[0].object
     folder = places.folder(name)
-    page, facts, made_of = (folder / n for n in ("report.html", "object.toml", provenance.NAME))
+    page, facts, made_of = (folder / n for n in ("report.html", "object.toml", PROVENANCE))
     described = campaign.objects.get(name)
     make_folder(folder)
     with together(partial(records.forget, Key(name, stage="report"))):
         write_text(page, report_of(campaign, places, records, name, captures, steps))
         write_text(facts, to_toml({"name": name, **(described.model_dump() if described else {})}))
-        write_json(made_of, provenance.provenance_of(campaign, records, name, captures))
+        write_json(made_of, provenance_of(campaign, records, name, captures))
     return [page, facts, made_of]
 
 
 def report_of(
     campaign: Campaign,
     places: Places,
-    ledger: BuildRecords,
+    records: BuildRecords,
     name: str,
     captures: list[Capture],
     steps: list[Step],
 ) -> str:
     """Return the HTML of an object's report."""
-    layers = [layer for c in captures if (layer := _layer(campaign, places, ledger, c)) is not None]
+    layers = [
+        layer for c in captures if (layer := _layer(campaign, places, records, c)) is not None
+    ]
     facts = campaign.objects.get(name)
     told = (
         [facts.creator, facts.date or "", facts.medium, facts.owner, facts.inventory]
@@ -101,23 +117,23 @@ def report_of(
             mm_per_px=sampling,
             footer=f"Levkas {__version__}. Object {name}; every figure is in pixels of the reference band unless it says otherwise.",
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
-            radiometry=radiometry_rows(ledger, captures),
+            radiometry=radiometry_rows(records, captures),
             setups=close_ups(places, captures),
         ),
     )
 
 
 def _layer(
-    campaign: Campaign, places: Places, ledger: BuildRecords, capture: Capture
+    campaign: Campaign, places: Places, records: BuildRecords, capture: Capture
 ) -> LayerReport | None:
     path = places.registration(capture.object, capture.layer)
-    calibrated = ledger.told(key_of(capture, "calibrate"))
+    calibrated = records.notes(key_of(capture, "calibrate"))
     if not path.is_file() or not calibrated:
         return None
     record: dict[str, Any] = read_registration(path)
     registered, resampled = (
-        ledger.told(key_of(capture, "register")),
-        ledger.told(key_of(capture, "resample")),
+        records.notes(key_of(capture, "register")),
+        records.notes(key_of(capture, "resample")),
     )
     verdict, errors = record["verdict"], record.get("errors", {})
     preview = places.layer(capture.object, capture.camera, capture.setup, kind=".png")
@@ -177,7 +193,7 @@ def _band_rows(record: dict[str, Any]) -> list[list[str]]:
     """Where the middle of the reference lies in each band, against the camera's reference channel."""
     import numpy as np
 
-    from levkas.geometry.transforms import from_dict
+    from levkas.geometry import from_dict
 
     bands = record.get("bands", {})
     channel = record.get("target", {}).get("band")
@@ -206,20 +222,20 @@ def _sampling(places: Places, captures: list[Capture]) -> str:
         return ""
     import numpy as np
 
-    from levkas.geometry.transforms import from_dict
+    from levkas.geometry import from_dict
 
     step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
     return f"{1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5):.3f}"
 
 
-def radiometry_rows(ledger: BuildRecords, captures: Sequence[Capture]) -> list[RadiometryRow]:
+def radiometry_rows(records: BuildRecords, captures: Sequence[Capture]) -> list[RadiometryRow]:
     """Return the rows of the layers that were built."""
     rows = []
     for capture in captures:
         row = describe_layer(
             capture.layer,
-            ledger.told(key_of(capture, "calibrate")),
-            ledger.told(key_of(capture, "resample")),
+            records.notes(key_of(capture, "calibrate")),
+            records.notes(key_of(capture, "resample")),
         )
         if row is not None:
             rows.append(row)
@@ -259,3 +275,72 @@ def _cut(picture: np.ndarray, x: int, y: int, side: int) -> str:
     from levkas.database.preview import encode_png
 
     return embed_png(encode_png(np.ascontiguousarray(picture[y : y + side, x : x + side])))
+
+
+def provenance_of(
+    campaign: Campaign, records: BuildRecords, name: str, captures: Sequence[Capture]
+) -> dict[str, Any]:
+    """Return what the stages of an object were made of.
+
+    Returns
+    -------
+    record : dict
+        ``levkas`` and ``libraries``: versions. ``steps``: of every stage that has ended well, in order,
+        ``camera``, ``setup``, ``stage``, ``code`` (hash of the sources that it rests on),
+        ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
+        chunks, which hold the same numbers as the TIFFs); of a calibration ``frames`` too: of every
+        frame its role, what its name says, its exposure in s, and the SHA-256 of all its files.
+    """
+    steps = []
+    for capture in captures:
+        for key in keys_of(campaign, capture).values():
+            if step := _step(records, key):
+                frames = _frames(campaign, capture, step["inputs"])
+                steps.append(step | ({"frames": frames} if key.stage == "calibrate" else {}))
+    return {"object": name, "levkas": __version__, "libraries": _libraries(), "steps": steps}
+
+
+def _step(records: BuildRecords, key: Key) -> dict[str, Any]:
+    prints, products = records.fingerprint(key), records.products(key)
+    if not prints:
+        return {}
+    inputs = {k.removeprefix(FILE): v for k, v in prints.items() if k.startswith(FILE)}
+    parameters = {
+        k: v
+        for k, v in prints.items()
+        if not k.startswith((FILE, FRAME)) and k != "code" and v is not None
+    }
+    return {
+        "camera": key.camera,
+        "setup": key.setup,
+        "stage": key.stage,
+        "code": prints.get("code", ""),
+        "parameters": parameters,
+        "inputs": inputs,
+        "products": {n: sha for n, sha in products.items() if not n.startswith("zarr/")},
+    }
+
+
+def _frames(campaign: Campaign, capture: Capture, inputs: dict[str, str]) -> list[dict[str, Any]]:
+    """Describe every frame of a capture that was read."""
+    told = []
+    for sensor, role, frame in fingerprints.frames_of(capture):
+        names = [fingerprints.relative(campaign, path) for path in files_of(frame.path)]
+        seconds: Times = frame.exposure_s
+        with suppress(Refused, OSError):
+            seconds = times_of(frame)
+        use = fingerprints.use_of(sensor, role, frame)
+        if seconds is not None:
+            use["exposure_s"] = list(seconds) if isinstance(seconds, tuple) else seconds
+        told.append({**use, "files": {name: inputs.get(name, "") for name in names}})
+    return told
+
+
+def _libraries() -> dict[str, str]:
+    found = {}
+    for name in sorted(LIBRARIES.values()):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # another build of the same library: its version is not known
+            continue
+    return found

@@ -369,8 +369,6 @@ def _report(
     steps: list[Step],
 ) -> Iterator[Step]:
     """Write the page of an object where it is stale."""
-    from levkas.building.report_pages import write_report
-
     key = task.key
     prints = _report_prints(plan, inputs, key.object, steps)
     why = records.why_stale(key, prints)
@@ -378,6 +376,8 @@ def _report(
         yield Step(key, "fresh")
         return
     yield Step(key, "running", why)
+    from levkas.building.report_pages import write_report  # heavy
+
     captures = [c for c in plan.captures if c.object == key.object]
     try:
         files = write_report(plan.campaign, places, records, captures, steps)
@@ -396,7 +396,7 @@ def _camera(
     prints = prints_of_page(page, plan.campaign, records)
     why = records.why_stale(key, prints)
     if not why:
-        yield Step(key, "fresh", warnings=tuple(records.told(key).get("warnings", ())))
+        yield Step(key, "fresh", warnings=tuple(records.notes(key).get("warnings", ())))
         return
     yield Step(key, "running", why)
     try:

@@ -10,7 +10,6 @@ import numpy as np
 
 from levkas.building.exposures import mark_glare_in
 from levkas.building.line_templates import FrameLines, gaps_marked
-from levkas.cache_lines import empty
 from levkas.calibration.lines import LineField
 from levkas.calibration.sensor_context import Times, timed, times_of
 from levkas.calibration.templates import Template, bands_alike
@@ -209,8 +208,8 @@ class Scan:
     def room(self, lines: int) -> Cube:
         """Return arrays for so many lines, not filled."""
         shape = (lines, *self.shape[1:])
-        sigma = empty(shape, np.float32) if self.has_sigma else None
-        values, flags = empty(shape, np.float32), empty(shape, np.uint8)
+        sigma = np.empty(shape, np.float32) if self.has_sigma else None
+        values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
         return Cube(values, flags, sigma, self.bands, self.quantity)
 
     def blocks(self) -> Iterator[Cube]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from levkas.building.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
 from levkas.building.held_lines import HeldLines
-from levkas.cache_lines import empty
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
@@ -260,8 +259,8 @@ def _resampled(scan: Scan, lines: Cube, tile: _Tile, width: int) -> Cube:
     """Resample; in place of sigma `lines` have its square."""
     shape = (tile.stop - tile.top, width, scan.shape[2])
     variance = lines.sigma
-    values, flags = empty(shape, np.float32), empty(shape, np.uint8)
-    sigma = None if variance is None else empty(shape, np.float32)
+    values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    sigma = None if variance is None else np.empty(shape, np.float32)
     for first, pixel_map, rows in tile.parts:
         here = slice(first + rows[0] - tile.top, first + rows[1] - tile.top)
         warp(

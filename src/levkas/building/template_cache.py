@@ -35,7 +35,7 @@ class TemplateCache:
     def template(
         self, frames: Sequence[FrameRef], average: Callable[[], Template], **parameters: object
     ) -> Template:
-        """Return the template of some frames, from the shelf or by `average`.
+        """Return the template of some frames, from the templates or by `average`.
 
         A file that was damaged on the disk fails its checksum and is averaged anew.
         """

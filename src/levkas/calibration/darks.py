@@ -1,4 +1,4 @@
-"""The dark that belongs to an exposure: the matching one, or one brought to its time."""
+"""Dark of an exposure: the matching one, or one interpolated or scaled to its time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Defective sensels: hot ones from darks, dead and stuck ones from whites, and their replacement.
+"""Detection and replacement of defective sensels: hot ones by darks, dead and stuck ones by whites.
 
 Everything is judged against sensels of the same phase of the mosaic, since other phases see
 another colour, and against neighbours, since glow and shading are no defects.
@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numba
 import numpy as np
+from numba import types
 
 from levkas.calibration.patterns import as_pattern, split
 from levkas.calibration.templates import CalibrationRefused, Template
@@ -25,10 +27,6 @@ def find_defects(
     dark: Template | None,
     white: Template | None = None,
     pattern: str | Sequence[Sequence[str]] | None = None,
-    *,
-    hot: float = HOT,
-    least_hot: float = LEAST_HOT,
-    dead: float = DEAD,
 ) -> np.ndarray:
     """Find sensels whose values cannot be trusted.
 
@@ -38,12 +36,6 @@ def find_defects(
         What is missing is not judged.
     pattern : str or rows of names, optional
         Of a mosaic.
-    hot : float
-        Robust standard deviations above the median of the 3x3 neighbours of the same phase.
-    least_hot : float
-        Counts that a hot sensel is above them at least.
-    dead : float
-        A white that differs from that median by more than this share of it.
 
     Returns
     -------
@@ -56,7 +48,9 @@ def find_defects(
 
     Notes
     -----
-    The spread of a dark is taken over a phase from the median absolute deviation, or where zeros
+    A sensel is hot where the dark is `HOT` robust standard deviations, and `LEAST_HOT` counts, above
+    the median of its 3x3 neighbours of the same phase; dead where the white differs from theirs by
+    more than the share `DEAD`. The spread of a dark is taken over a phase from the median absolute deviation, or where zeros
     hide it (a dark clipped at 0 has a MAD of 0) from its 90th percentile, at least one half count
     over the root of the shots.
 
@@ -76,11 +70,11 @@ def find_defects(
     if dark is not None:
         floor = 0.5 / np.sqrt(dark.count)
         for mark, phase in zip(_planes(found, size), _planes(dark.mean, size), strict=True):
-            mark |= _hot(phase, hot, least_hot, floor)
+            mark |= _hot(phase, floor)
     if white is not None:
         lit = white.mean if dark is None or white.above_dark else white.mean - dark.mean
         for mark, phase in zip(_planes(found, size), _planes(lit, size), strict=True):
-            mark |= _dead(phase, dead)
+            mark |= _dead(phase)
     if np.mean(found) > MANY:
         raise CalibrationRefused(
             Problem(
@@ -108,17 +102,17 @@ def _planes(array: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
     return split(array, *size)
 
 
-def _hot(phase: np.ndarray, hot: float, least: float, floor: float) -> np.ndarray:
+def _hot(phase: np.ndarray, floor: float) -> np.ndarray:
     above = phase - _local_median(phase)
     thin = above.ravel()[:: max(1, above.size // 200_000)]
     spread = 1.4826 * float(np.median(np.abs(thin)))
     spread = spread or float(np.quantile(np.abs(thin), 0.9)) / 1.645
-    return above > max(hot * max(spread, floor), least)
+    return above > max(HOT * max(spread, floor), LEAST_HOT)
 
 
-def _dead(phase: np.ndarray, dead: float) -> np.ndarray:
+def _dead(phase: np.ndarray) -> np.ndarray:
     around = _local_median(phase)
-    return (around > 0) & (np.abs(phase - around) > dead * around)
+    return (around > 0) & (np.abs(phase - around) > DEAD * around)
 
 
 def _local_median(plane: np.ndarray) -> np.ndarray:
@@ -156,7 +150,6 @@ def replace_defects(
     The nearest ring of the same phase that holds three sound sensels or more is used; in a cube
     neighbours are those of the same band.
     """
-    from levkas.calibration.defects_kernel import mend
 
     values, flags = np.array(values, np.float32), np.array(flags, np.uint8)
     variance = None if variance is None else np.array(variance, np.float32)
@@ -175,3 +168,65 @@ def replace_defects(
     if variance is not None:
         variance[at] = spreads
     return values, flags, variance
+
+
+DEFECT, NEAR = np.uint8(Flag.DEFECT.value), np.uint8(Flag.NEAR.value)
+RINGS = 4
+ENOUGH = 3  # sound neighbours for a median; fewer only where no larger ring has more
+
+_OUT = types.Tuple((types.float32[::1], types.float32[::1], types.uint8[::1]))
+
+
+@numba.njit(
+    [
+        _OUT(
+            types.Array(types.float32, 3, "C", readonly=True),
+            types.Array(types.uint8, 3, "C", readonly=True),
+            types.Array(types.int64, 2, "C", readonly=True),
+            types.int64,
+            types.int64,
+        )
+    ],
+    parallel=True,
+    cache=True,
+)
+def mend(values, flags, where, rows, columns):  # type: ignore[no-untyped-def]
+    """Return median, variance of prediction and extra flags for each (y, x, band) of `where`."""
+    height, width, _ = values.shape
+    n = where.shape[0]
+    numbers = np.empty(n, np.float32)
+    spreads = np.empty(n, np.float32)
+    marks = np.zeros(n, np.uint8)
+    for i in numba.prange(n):
+        y, x, band = where[i, 0], where[i, 1], where[i, 2]
+        sound = np.empty((2 * RINGS + 1) ** 2, np.float64)
+        count = 0
+        for ring in range(1, RINGS + 1):
+            for v in range(-ring, ring + 1):
+                for h in range(-ring, ring + 1):
+                    if max(abs(v), abs(h)) != ring:
+                        continue
+                    at, across = y + v * rows, x + h * columns
+                    if at < 0 or at >= height or across < 0 or across >= width:
+                        continue
+                    flag = flags[at, across, band]
+                    value = values[at, across, band]
+                    if flag & DEFECT or value != value:
+                        continue
+                    sound[count] = value
+                    count += 1
+                    if flag:
+                        marks[i] |= NEAR
+            if count >= ENOUGH:
+                break
+        if count == 0:
+            numbers[i] = np.nan
+            spreads[i] = np.nan
+            continue
+        numbers[i] = np.median(sound[:count])
+        mean = sound[:count].mean()
+        spread = 0.0
+        for k in range(count):
+            spread += (sound[k] - mean) ** 2
+        spreads[i] = spread / (count - 1) * (1 + 1 / count) if count > 1 else np.nan
+    return numbers, spreads, marks

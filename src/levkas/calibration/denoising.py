@@ -1,7 +1,7 @@
-"""HySime: the signal subspace of a spectral cube, and the cube seen through it, streamed.
+"""Denoising by projection on the signal subspace that HySime finds, block by block of lines.
 
 With R = Σ y yᵀ the noise of band i that no other band predicts has the power 1/(R⁻¹)ᵢᵢ: one pass
-tells it all. Kept are the eigenvectors e of R − Rn with −eᵀR e + 2 eᵀRn e < 0 [bioucas2008]_.
+suffices. Kept are the eigenvectors e of R − Rn with −eᵀR e + 2 eᵀRn e < 0 [bioucas2008]_.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numba
 import numpy as np
+from numba import types
 
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.machine import tile_rows
@@ -22,7 +24,7 @@ MORE_PIXELS = 10  # than bands, times: with fewer, chance alone makes directions
 
 @dataclass(frozen=True)
 class Subspace:
-    """What is signal in a cube.
+    """Signal subspace of a cube.
 
     Parameters
     ----------
@@ -50,7 +52,7 @@ class Subspace:
 
 @dataclass(frozen=True)
 class Denoised:
-    """A cube's projection and what it took away.
+    """Projection of a cube on its signal subspace, and the residual.
 
     Parameters
     ----------
@@ -73,15 +75,13 @@ class Denoised:
     variance: np.ndarray | None = None
 
 
-def find_subspace(blocks: Iterable[np.ndarray], *, correlated: float = CORRELATED) -> Subspace:
+def find_subspace(blocks: Iterable[np.ndarray]) -> Subspace:
     """Find the signal subspace by HySime in one pass.
 
     Parameters
     ----------
     blocks : iterable of ndarray, (…, b)
         Spectra in blocks of any shape; those with NaN are left out.
-    correlated : float
-        Refuse where the noise of neighbouring bands correlates by more.
 
     Returns
     -------
@@ -90,9 +90,9 @@ def find_subspace(blocks: Iterable[np.ndarray], *, correlated: float = CORRELATE
     Raises
     ------
     CalibrationRefused
-        E_SIZE with fewer than 3 bands or 10 spectra a band; E_CORRELATED where the noise is
-        correlated from band to band (binning, smoothing in the camera's software): HySime would
-        take it for signal.
+        E_SIZE with fewer than 3 bands or 10 spectra a band; E_CORRELATED where the noise of
+        neighbouring bands correlates by more than `CORRELATED` (binning, smoothing in the camera's
+        software): HySime would take it for signal.
 
     Notes
     -----
@@ -100,7 +100,6 @@ def find_subspace(blocks: Iterable[np.ndarray], *, correlated: float = CORRELATE
     covariance of what bands leave each other unexplained is D P D with P = R⁻¹, D = 1/diag(P):
     its correlation of bands i and j is Pᵢⱼ/√(PᵢᵢPⱼⱼ), and for white noise that of I − EEᵀ.
     """
-    from levkas.calibration.denoising_kernel import add_products
 
     products, pixels = None, 0
     for block in blocks:
@@ -122,10 +121,10 @@ def find_subspace(blocks: Iterable[np.ndarray], *, correlated: float = CORRELATE
                 fix="Leave `denoise` out for this camera.",
             )
         )
-    return _hysime(np.triu(products) + np.triu(products, 1).T, pixels, correlated)
+    return _hysime(np.triu(products) + np.triu(products, 1).T, pixels)
 
 
-def _hysime(products: np.ndarray, pixels: int, correlated: float) -> Subspace:
+def _hysime(products: np.ndarray, pixels: int) -> Subspace:
     # Equilibrated: bands of a dark and of a bright wavelength differ by orders of magnitude.
     size = np.sqrt(np.maximum(np.diag(products), 1e-300))
     inverse = np.linalg.inv(products / np.outer(size, size) + 1e-12 * np.eye(len(size)))
@@ -141,7 +140,7 @@ def _hysime(products: np.ndarray, pixels: int, correlated: float) -> Subspace:
     basis = np.ascontiguousarray(vectors[:, gain < 0])
     excess = _neighbours(inverse) - _neighbours(np.eye(bands) - basis @ basis.T)
     most = int(MOST_KEPT * bands)
-    if abs(excess) > correlated or basis.shape[1] > most:
+    if abs(excess) > CORRELATED or basis.shape[1] > most:
         raise CalibrationRefused(
             Problem(
                 "E_CORRELATED",
@@ -149,7 +148,7 @@ def _hysime(products: np.ndarray, pixels: int, correlated: float) -> Subspace:
                 "together, or there are too few bands",
                 field="denoise",
                 found=f"excess correlation {excess:.2f}, {basis.shape[1]} of {bands} dimensions",
-                expected=f"within ±{correlated:g}, at most {most} dimensions",
+                expected=f"within ±{CORRELATED:g}, at most {most} dimensions",
                 fix="Leave `denoise` out for this camera.",
             )
         )
@@ -166,7 +165,6 @@ def denoise(
     values: np.ndarray,
     variance: np.ndarray | None = None,
     *,
-    subspace: Subspace | None = None,
     lines: int = 256,
 ) -> Denoised:
     """Project a cube on its signal subspace.
@@ -177,8 +175,6 @@ def denoise(
         Kept as it is by the caller: rare real spectra are what projection deletes.
     variance : ndarray like `values`, float32, optional
         Of the noise of `values`, independent from band to band.
-    subspace : Subspace, optional
-        Known one, of a larger scan; default: found here.
     lines : int
         Rows that are held at a time beside the result, where $LEVKAS_TILE does not say how many;
         the result is the same for any number.
@@ -200,8 +196,7 @@ def denoise(
     """
     lines = tile_rows(lines, len(values))
     starts = range(0, len(values), lines)
-    if subspace is None:
-        subspace = find_subspace(values[y : y + lines] for y in starts)
+    subspace = find_subspace(values[y : y + lines] for y in starts)
     result, projecting = np.empty(values.shape, np.float32), Projecting(subspace)
     spread = None if variance is None else np.empty(values.shape, np.float32)
     for y in starts:
@@ -239,7 +234,6 @@ class Projecting:
         self, block: np.ndarray, variance: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Return lines, (lines, samples, bands), projected, and their variance; spectra with NaN as they are."""
-        from levkas.calibration.denoising_kernel import project, project_variance
 
         spectra = np.array(_spectra(block))
         good = np.isfinite(spectra).all(1)
@@ -274,3 +268,71 @@ def describe_removed(subspace: Subspace, removed: np.ndarray, most: float) -> st
 
 def _spectra(block: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(block, np.float32).reshape(-1, block.shape[-1])
+
+
+TILE = 8  # bands whose sums stay in the first cache while the spectra pass by
+
+_SPECTRA = types.Array(types.float32, 2, "C", readonly=True)
+_BASIS = types.Array(types.float64, 2, "C", readonly=True)
+
+
+@numba.njit([types.void(_SPECTRA, types.float64[:, ::1])], parallel=True, cache=True)
+def add_products(spectra, products):  # type: ignore[no-untyped-def]
+    """Add Σ yᵢyⱼ to `products`, (b, b); only what lies on and above the diagonal is whole."""
+    pixels, bands = spectra.shape
+    for tile in numba.prange((bands + TILE - 1) // TILE):
+        first, last = tile * TILE, min(bands, tile * TILE + TILE)
+        for n in range(pixels):
+            for i in range(first, last):
+                value = np.float64(spectra[n, i])
+                for j in range(first, bands):
+                    products[i, j] += value * np.float64(spectra[n, j])
+
+
+@numba.njit([types.UniTuple(types.float32[:, ::1], 2)(_SPECTRA, _BASIS)], parallel=True, cache=True)
+def project(spectra, basis):  # type: ignore[no-untyped-def]
+    """Return the spectra's projection on the columns of `basis`, (b, k), and what it removed."""
+    pixels, bands = spectra.shape
+    k = basis.shape[1]
+    across = np.ascontiguousarray(basis.T)
+    kept = np.empty((pixels, bands), np.float32)
+    removed = np.empty((pixels, bands), np.float32)
+    for n in numba.prange(pixels):
+        line = np.zeros(bands)
+        for c in range(k):
+            part = 0.0
+            for i in range(bands):
+                part += spectra[n, i] * across[c, i]
+            for i in range(bands):
+                line[i] += part * across[c, i]
+        for i in range(bands):
+            kept[n, i] = line[i]
+            removed[n, i] = spectra[n, i] - line[i]
+    return kept, removed
+
+
+@numba.njit(
+    [types.float32[:, ::1](_SPECTRA, _SPECTRA, _BASIS, types.float64)], parallel=True, cache=True
+)
+def project_variance(variance, removed, projector, most):  # type: ignore[no-untyped-def]
+    """Return the variances of projected spectra; `projector` is P = EEᵀ, (b, b).
+
+    Σⱼ Pᵢⱼ² uⱼ²; where Σ removed² is more than `most` times what noise explains, removedᵢ² besides.
+    """
+    pixels, bands = variance.shape
+    weights = projector * projector
+    found = np.empty((pixels, bands), np.float32)
+    for n in numba.prange(pixels):
+        line = np.zeros(bands)
+        for j in range(bands):
+            spread = np.float64(variance[n, j])
+            for i in range(bands):
+                line[i] += weights[j, i] * spread
+        away, expected = 0.0, 0.0
+        for i in range(bands):
+            away += np.float64(removed[n, i]) ** 2
+            expected += line[i] + (1.0 - 2.0 * projector[i, i]) * np.float64(variance[n, i])
+        for i in range(bands):
+            more = np.float64(removed[n, i]) ** 2 if away > most * expected else 0.0
+            found[n, i] = line[i] + more
+    return found

@@ -1,4 +1,4 @@
-"""Detail between the sensels of a mosaic: how far interpolated values are from a scene that was not sampled.
+"""Interpolation error of a mosaic: the variance by which interpolated values miss detail between the sensels.
 
 Where a sensel differs from the mean of its two neighbours of the same phase, the scene has detail that
 interpolation between sensels cannot know. How much such disagreement means for a method is tried on the
@@ -15,8 +15,6 @@ import cv2
 import numba
 import numpy as np
 from numba import types
-
-from levkas.calibration.numba_types import readonly
 
 FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
 Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
@@ -102,7 +100,9 @@ def interpolation_variance(
 @numba.njit(
     [
         types.void(
-            *(readonly(types.float32), readonly(types.int64), readonly(types.float64, 3)),
+            types.Array(types.float32, 2, "C", readonly=True),
+            types.Array(types.int64, 2, "C", readonly=True),
+            types.Array(types.float64, 3, "C", readonly=True),
             types.float32[:, :, ::1],
         )
     ],

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration import stencils
-from levkas.calibration.mosaic import interpolate
+from levkas.calibration.mosaic import Place, Taps, interpolate, smoothed
 from levkas.calibration.patterns import as_pattern, split
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.cube import Flag
@@ -47,9 +46,6 @@ def phase_gains(
     flags: np.ndarray,
     variance: np.ndarray | None,
     pattern: str | Sequence[Sequence[str]],
-    *,
-    weakest: float = WEAKEST,
-    clipped: float = CLIPPED,
 ) -> PhaseGains:
     """Measure the gains of a mosaic's phases on a picture of one narrow band.
 
@@ -63,10 +59,6 @@ def phase_gains(
         Of `values`. None: the same for all phases.
     pattern : str or rows of channel names
         Its size alone matters: two places of one channel are measured apart.
-    weakest : float
-        A phase of less than this gain is dropped.
-    clipped : float
-        So is one that is saturated or black over more than this share, if another is not.
 
     Returns
     -------
@@ -79,7 +71,8 @@ def phase_gains(
 
     Notes
     -----
-    Means of blocks of phase p against those of the strongest, a line through 0 by iteratively
+    Dropped are phases of less gain than `WEAKEST`, and those that are saturated or black over more
+    than a share of `CLIPPED`, if another is not. Means of blocks of phase p against those of the strongest, a line through 0 by iteratively
     reweighted least squares (Tukey's biweight), over the flatter half of the lit blocks; that
     the phases lie at different places is made good by each block's slope.
     """
@@ -96,7 +89,7 @@ def phase_gains(
         )
     phases, marks = split(values, *shape), split(flags, *shape)
     shares = np.array([np.mean((m & _CLIPS) != 0) for m in marks])
-    usable = shares <= max(clipped, shares.min())
+    usable = shares <= max(CLIPPED, shares.min())
     size = tuple(
         np.array([p.shape for p in phases]).min(0) // BLOCK
     )  # an odd frame has longer phases
@@ -123,7 +116,7 @@ def phase_gains(
     noise = np.ones(len(phases))
     if variance is not None:
         noise = np.array([np.nanmean(part) for part in split(variance, *shape)])
-    weights = np.where(gains >= weakest, gains**2 / np.maximum(noise, 1e-12), 0.0)
+    weights = np.where(gains >= WEAKEST, gains**2 / np.maximum(noise, 1e-12), 0.0)
     return PhaseGains(gains.reshape(shape), (weights / weights.max()).reshape(shape))
 
 
@@ -167,8 +160,6 @@ def equalise_phases(
     flags: np.ndarray,
     variance: np.ndarray | None,
     pattern: str | Sequence[Sequence[str]],
-    *,
-    gains: PhaseGains | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Make one plane of a mosaic that looked through one narrow filter.
 
@@ -176,8 +167,6 @@ def equalise_phases(
     ----------
     values, flags, variance, pattern
         As in `phase_gains`.
-    gains : PhaseGains, optional
-        Known ones, of another picture of the same band; default: measured here.
 
     Returns
     -------
@@ -194,7 +183,7 @@ def equalise_phases(
     >>> bool(np.abs(made - 100 - x).max() < 0.01)
     True
     """
-    gains = gains or phase_gains(values, flags, variance, pattern)
+    gains = phase_gains(values, flags, variance, pattern)
     kept = gains.weights > 0
     scale = np.where(kept, 1 / np.where(kept, gains.gains, 1), 0)
     rows, columns = kept.shape
@@ -212,6 +201,6 @@ def equalise_phases(
     return made[0][:, :, 0], made[1][:, :, 0], None if made[2] is None else made[2][:, :, 0]
 
 
-def _common(place: stencils.Place, channel: int) -> stencils.Taps:
+def _common(place: Place, channel: int) -> Taps:
     """Return the stencil of the kept phases; those that were dropped need none."""
-    return stencils.smoothed(place, 0) if channel == 0 else []
+    return smoothed(place, 0) if channel == 0 else []

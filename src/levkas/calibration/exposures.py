@@ -9,16 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under
-from levkas.calibration.invalid_values import gaps_of
-from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.linearity import PERIOD, RECIPROCAL, Linearity, check_linearity
 from levkas.calibration.motion import find_moved_between
 from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.calibration.templates import (
+    CalibrationRefused,
+    Template,
+    as_marks,
+    as_rows,
+    gaps_of,
+    read_only,
+)
 from levkas.core.problems import Problem
 
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
@@ -30,20 +37,18 @@ MANY = 500_000  # pixels that are looked at
 DIM = 4.0  # times the least variance of a group: brighter ones say little of noise without light
 
 
-def best_exposure(shots: Sequence[Template], *, tolerated: float = TOLERATED) -> Template:
+def best_exposure(shots: Sequence[Template]) -> Template:
     """Return the longest exposure that is not saturated.
 
     Parameters
     ----------
     shots : sequence of Template
         One scene, one band; each with its `exposure_s`.
-    tolerated : float
-        Share of saturated pixels that does not count yet.
 
     Returns
     -------
     shot : Template
-        One of `shots`. Where all are saturated, the one with the fewest saturated pixels; its
+        One of `shots`; a share of `TOLERATED` saturated pixels does not count. Where all are saturated, the one with the fewest saturated pixels; its
         flags tell.
 
     Raises
@@ -53,7 +58,7 @@ def best_exposure(shots: Sequence[Template], *, tolerated: float = TOLERATED) ->
     """
     timed = _in_order(shots)
     shares = [float(np.mean(shot.saturated)) for shot in timed]
-    good = [shot for shot, share in zip(timed, shares, strict=True) if share <= tolerated]
+    good = [shot for shot, share in zip(timed, shares, strict=True) if share <= TOLERATED]
     return good[-1] if good else timed[int(np.argmin(shares))]
 
 
@@ -295,7 +300,6 @@ def _sums(
     noise: NoiseModel | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return Σ w·rate, Σ w, whether the last that counted was clipped at black, and their rate."""
-    from levkas.calibration.exposures_kernel import add_exposure
 
     shape = as_rows(timed[0].mean).shape
     gain = -1.0 if noise is None else noise.gain
@@ -304,14 +308,12 @@ def _sums(
     for _ in range(ROUNDS if noise is not None else 1):
         total, weights = np.zeros(shape), np.zeros(shape)
         clipped = np.zeros(shape, np.uint8)
+        sums = _Sums(rate, total, weights, clipped)
         for shot, under, read, marks in zip(timed, unders, reads, left_out, strict=True):
-            add_exposure(
-                *(as_rows(shot.mean), as_rows(under.mean)),
-                *(as_marks(marks), as_marks(shot.black)),
-                *(rate, total, weights, clipped),
-                *(shot.exposure_s, full, offset, gain, read),
-                *(1.0 / shot.count, under.share),
-            )
+            planes = as_rows(shot.mean), as_rows(under.mean), as_marks(marks), as_marks(shot.black)
+            scalars = shot.exposure_s or 0.0, read, 1.0 / shot.count, under.share
+            parts: list[Any] = [*map(read_only, planes), *map(float, scalars)]
+            _add_exposure(_Frame(*parts), sums, float(full), float(offset), float(gain))
         rate = (total / np.where(weights > 0, weights, 1)).astype(np.float32)
     return total, weights, clipped, rate
 
@@ -359,3 +361,54 @@ def _in_order(shots: Sequence[Template]) -> list[Template]:
             )
         )
     return sorted(shots, key=lambda shot: shot.exposure_s or 0.0)
+
+
+class _Frame(NamedTuple):
+    """One exposure as `_add_exposure` reads it; arrays are (h, w) views, `dark` may be one line or one number.
+
+    `time` in seconds, `read` the variance without light, counts²; `share` and `dark_share` are the
+    variances of the means over those of one shot.
+    """
+
+    mean: np.ndarray
+    dark: np.ndarray
+    saturated: np.ndarray
+    black: np.ndarray
+    time: float
+    read: float
+    share: float
+    dark_share: float
+
+
+class _Sums(NamedTuple):
+    """Running sums of a merge, (h, w) each; `rate` is that of the round before."""
+
+    rate: np.ndarray
+    total: np.ndarray
+    weights: np.ndarray
+    clipped: np.ndarray
+
+
+@numba.njit(parallel=True, cache=True)
+def _add_exposure(frame, sums, limit, offset, gain):  # type: ignore[no-untyped-def]
+    """Add w·(mean − dark − offset)/time to `total` and w to `weights`, where not saturated.
+
+    w = time²/(share·(gain·rate·time + read) + dark_share·read), or `time` where `gain` < 0.
+    `clipped` keeps whether the last exposure that counted was clipped at black.
+    """
+    mean, dark, saturated, black, time, read, share, dark_share = frame
+    rate, total, weights, clipped = sums
+    height, width = mean.shape
+    for y in numba.prange(height):
+        dy, dx = y % dark.shape[0], dark.shape[1] > 1
+        for x in range(width):
+            if saturated[y, x] or mean[y, x] > limit:
+                continue
+            signal = np.float64(mean[y, x]) - np.float64(dark[dy, x * dx]) - offset
+            weight = time
+            if gain >= 0.0:
+                light = gain * max(np.float64(rate[y, x]), 0.0) * time
+                weight = time * time / (share * (light + read) + dark_share * read)
+            total[y, x] += weight * signal / time
+            weights[y, x] += weight
+            clipped[y, x] = black[y, x]

@@ -11,13 +11,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under, match_dark
-from levkas.calibration.layout import as_marks, as_rows
-from levkas.calibration.noise_fit import WORKED_OUT, NoiseModel
-from levkas.calibration.templates import CalibrationRefused, Template, bands_alike, pick_bands
+from levkas.calibration.noise_fit import HIDES, PRIOR, WORKED_OUT, NoiseModel
+from levkas.calibration.templates import (
+    CalibrationRefused,
+    Template,
+    as_marks,
+    as_rows,
+    bands_alike,
+    pick_bands,
+    read_only,
+)
 from levkas.calibration.whites import check_white, reflectance_table
+from levkas.core.cube import Flag
 from levkas.core.problems import Problem
 
 
@@ -109,7 +118,6 @@ def flat_field(
     >>> flat_field(S, D, W, white_reflectance=0.98).values.tolist()
     [[0.49..., 0.49...]]
     """
-    from levkas.calibration import flatfield_kernel
 
     _check_shapes(shot, dark, white, defects)
     darks = [dark] if isinstance(dark, Template) else list(dark or ())
@@ -129,14 +137,16 @@ def flat_field(
         lit, lit_saturated = Side.of_shots(white), as_marks(white.saturated)
     sides = Side.of_shots(shot), Side.of_dark(under), lit, Side.of_dark(white_under)
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
-    frames: list[Any] = [*(side.mean for side in sides), scale, *marks]
-    values, flags = flatfield_kernel.flatten(*frames)
+    scale = read_only(scale)
+    seen, back, ref, ref_back = sides
+    masks = _Marks(*map(read_only, marks))
+    values, flags = _flatten(seen.mean, back.mean, ref.mean, ref_back.mean, scale, masks)
     variance = None
     if noise is not None or all(side.known for side in sides):
+        model = tuple(map(float, model_of(noise, under, white_under)))
         shared = under.mean is white_under.mean
-        model = model_of(noise, under, white_under)
-        parts: list[Any] = [*(p for side in sides for p in side), shared, scale, *model]
-        variance = flatfield_kernel.propagate(*parts).reshape(shot.mean.shape)
+        found = _propagate(seen, back, ref, ref_back, shared, scale, model)
+        variance = found.reshape(shot.mean.shape)
     quantity = "counts" if white is None else "reflectance"
     shape = shot.mean.shape
     return Calibrated(values.reshape(shape), flags.reshape(shape), variance, quantity, notes)
@@ -178,7 +188,10 @@ def _by_bands(
 
 
 class Side(NamedTuple):
-    """A mean, the variance of one shot, its degrees of freedom, and the mean's share of it."""
+    """A mean, the variance of one shot, its degrees of freedom (0: not measured), and the mean's share of it.
+
+    Arrays are (h, w) views; one of height or width 1 stands for all rows or columns.
+    """
 
     mean: np.ndarray
     variance: np.ndarray
@@ -189,19 +202,23 @@ class Side(NamedTuple):
     def of_shots(cls, shots: Template) -> Side:
         """Return the side of an average of shots, or of exposures that were merged."""
         if shots.variance is None:
-            return cls(as_rows(shots.mean), np.zeros((1, 1), np.float32), 0.0, 1.0 / shots.count)
+            return cls._of(shots.mean, None, 0.0, 1.0 / shots.count)
         # A merged exposure series is one "shot" whose variance was worked out, not sampled.
         freedom = shots.count - 1.0 if shots.count > 1 else WORKED_OUT
-        return cls(as_rows(shots.mean), as_rows(shots.variance), freedom, 1.0 / shots.count)
+        return cls._of(shots.mean, shots.variance, freedom, 1.0 / shots.count)
 
     @classmethod
     def of_dark(cls, dark: MatchedDark) -> Side:
         """Return the side of what is subtracted."""
-        if dark.variance is None:
-            return cls(as_rows(dark.mean), np.zeros((1, 1), np.float32), 0.0, dark.share)
-        return cls(
-            as_rows(dark.mean), as_rows(dark.variance), max(dark.count - 1.0, 0.0), dark.share
-        )
+        freedom = 0.0 if dark.variance is None else max(dark.count - 1.0, 0.0)
+        return cls._of(dark.mean, dark.variance, freedom, dark.share)
+
+    @classmethod
+    def _of(
+        cls, mean: np.ndarray, variance: np.ndarray | None, freedom: float, share: float
+    ) -> Side:
+        spread = np.zeros((1, 1), np.float32) if variance is None else as_rows(variance)
+        return cls(read_only(as_rows(mean)), read_only(spread), float(freedom), float(share))
 
     @property
     def known(self) -> bool:
@@ -211,13 +228,13 @@ class Side(NamedTuple):
 
 def exact_side(value: float) -> Side:
     """Return a number that is known exactly."""
-    return Side(np.full((1, 1), value, np.float32), np.zeros((1, 1), np.float32), 0.0, 0.0)
+    return Side._of(np.full((1, 1), value, np.float32), None, 0.0, 0.0)
 
 
 def model_of(
     noise: NoiseModel | None, under: MatchedDark, white_under: MatchedDark
 ) -> tuple[float, float, float, float]:
-    """Return gain, variance without light of object and of white, and step, as `flattening` takes them."""
+    """Return gain, variance without light of object and of white, and step, as the kernels take them."""
     if noise is None:
         return -1.0, 0.0, 0.0, 0.0
     return noise.gain, noise.read_under(under), noise.read_under(white_under), noise.step
@@ -282,3 +299,141 @@ def _check_shapes(
     ]
     if problems:
         raise CalibrationRefused(*problems)
+
+
+SATURATED, BLACK, DEFECT = (np.uint8(f.value) for f in (Flag.SATURATED, Flag.BLACK, Flag.DEFECT))
+
+
+class _Marks(NamedTuple):
+    """Masks as bytes, (h, w) views, by which `_flatten` sets flags."""
+
+    saturated: np.ndarray
+    white_saturated: np.ndarray
+    black: np.ndarray
+    bad: np.ndarray
+
+
+@numba.njit(parallel=True, cache=True)
+def _flatten(shot, dark, white, white_dark, table, marks):  # type: ignore[no-untyped-def]
+    """Return values (shot − dark)/(white − white_dark) · table, and flags.
+
+    Means are (h, w) views; one of height or width 1 stands for all rows or columns. `table` is
+    repeated over the pixels: white reflectance times the ratio of exposures.
+    """
+    saturated, white_saturated, black, bad = marks
+    height, width = shot.shape
+    values = np.empty((height, width), np.float32)
+    flags = np.empty((height, width), np.uint8)
+    for y in numba.prange(height):
+        dy, wy, vy = y % dark.shape[0], y % white.shape[0], y % white_dark.shape[0]
+        sy, by, ty = y % white_saturated.shape[0], y % bad.shape[0], y % table.shape[0]
+        dx, wx, vx = dark.shape[1] > 1, white.shape[1] > 1, white_dark.shape[1] > 1
+        sx, bx = white_saturated.shape[1] > 1, bad.shape[1] > 1
+        columns, tx = table.shape[1], 0
+        for x in range(width):
+            lit = np.float64(white[wy, x * wx]) - np.float64(white_dark[vy, x * vx])
+            value = np.float64(shot[y, x]) - np.float64(dark[dy, x * dx])
+            flag = SATURATED if saturated[y, x] or white_saturated[sy, x * sx] else np.uint8(0)
+            if black[y, x]:
+                flag |= BLACK
+            if bad[by, x * bx]:
+                flag |= DEFECT
+            if lit > 0.0 and value == value:
+                values[y, x] = value / lit * table[ty, tx]
+            else:
+                values[y, x] = np.nan
+                flag |= DEFECT
+            flags[y, x] = flag
+            tx += 1
+            if tx == columns:
+                tx = 0
+    return values, flags
+
+
+@numba.njit(cache=True, nogil=True)
+def hidden(noise, step):  # type: ignore[no-untyped-def]
+    """Return `noise_fit.hidden_rounding` of one value; 0 where the noise shows all of rounding."""
+    if not noise < HIDES * step * step:
+        return 0.0
+    x, total = -4.0 * np.pi**2 * max(noise, 0.0) / (step * step), np.pi**2 / 6
+    if x < 0.0:
+        total = 0.0
+        for k in range(1, 64):
+            term = np.exp(x * k * k) / (k * k)
+            total += term
+            if term < 1e-6:
+                break
+    return step * step / (2.0 * np.pi**2) * total
+
+
+@numba.njit(cache=True, nogil=True)
+def of_mean(share, signal, measured, freedom, gain, read, step):  # type: ignore[no-untyped-def]
+    """Return the variance of a mean, from a stack, the model, or both; `share` of one shot's is left.
+
+    What rounding does to all shots alike is left whole. A variance that was worked out is taken as it is.
+    """
+    if freedom >= WORKED_OUT:
+        return share * measured
+    if gain < 0.0:
+        return share * measured if freedom > 0.0 else 0.0
+    if share == 0.0:
+        return 0.0
+    model = read + gain * max(signal, 0.0)
+    alike = hidden(model - step * step / 12.0, step)
+    shown = (freedom * measured + PRIOR * (model - alike)) / (freedom + PRIOR)
+    return share * shown + alike
+
+
+@numba.njit(parallel=True, cache=True)
+def _propagate(of_shot, of_dark, of_white, of_white_dark, shared, table, model):  # type: ignore[no-untyped-def]
+    """Return the variance of `_flatten`'s values from four `Side`s; `shared`: one dark serves both.
+
+    `model` is (gain, variance without light of the object's exposure, that of the white's, step from
+    code to code); a gain below 0: there is no noise model.
+    """
+    shot, shot_variance, shot_freedom, shot_share = of_shot
+    dark, dark_variance, dark_freedom, dark_share = of_dark
+    white, white_variance, white_freedom, white_share = of_white
+    white_dark, white_dark_variance, white_dark_freedom, white_dark_share = of_white_dark
+    gain, read, white_read, step = model
+    height, width = shot.shape
+    result = np.empty((height, width), np.float32)
+    for y in numba.prange(height):
+        dy, wy, vy = y % dark.shape[0], y % white.shape[0], y % white_dark.shape[0]
+        dx, wx, vx = dark.shape[1] > 1, white.shape[1] > 1, white_dark.shape[1] > 1
+        s1, d1 = shot_variance.shape[1] > 1, dark_variance.shape[1] > 1
+        w1, v1 = white_variance.shape[1] > 1, white_dark_variance.shape[1] > 1
+        s0, d0 = y % shot_variance.shape[0], y % dark_variance.shape[0]
+        w0, v0 = y % white_variance.shape[0], y % white_dark_variance.shape[0]
+        ty = y % table.shape[0]
+        columns, tx = table.shape[1], 0
+        for x in range(width):
+            lit = np.float64(white[wy, x * wx]) - np.float64(white_dark[vy, x * vx])
+            signal = np.float64(shot[y, x]) - np.float64(dark[dy, x * dx])
+            scale = table[ty, tx]
+            tx += 1
+            if tx == columns:
+                tx = 0
+            if not lit > 0.0:
+                result[y, x] = np.nan
+                continue
+            r = signal / lit
+            shot_part = of_mean(
+                shot_share, signal, shot_variance[s0, x * s1], shot_freedom, gain, read, step
+            )
+            white_part = of_mean(
+                white_share, lit, white_variance[w0, x * w1], white_freedom, gain, white_read, step
+            )
+            dark_part = of_mean(
+                dark_share, 0.0, dark_variance[d0, x * d1], dark_freedom, gain, read, step
+            )
+            if shared:
+                total = shot_part + r * r * white_part + (1.0 - r) ** 2 * dark_part
+            else:
+                variance = white_dark_variance[v0, x * v1]
+                under = of_mean(
+                    white_dark_share, 0.0, variance, white_dark_freedom, gain, white_read, step
+                )
+                total = shot_part + dark_part + r * r * (white_part + under)
+            result[y, x] = total * (scale / lit) ** 2
+    return result

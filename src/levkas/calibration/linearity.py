@@ -1,4 +1,4 @@
-"""Do exposures scale? The same scene at several times must give counts in their ratio.
+"""Linearity: the same scene at several exposure times must give counts in their ratio.
 
 y(g, t) = C(g)·t + offset for groups g of pixels of like brightness, fitted so that Σ(Δy/y)² is
 least over 5–95 % of saturation; what is left, relative, is the deviation from linearity.
@@ -100,14 +100,12 @@ def check_linearity(
     return _fit(points, fit_offset)
 
 
-def require_reciprocity(found: Linearity, *, limit: float = RECIPROCAL) -> None:
+def require_reciprocity(found: Linearity) -> None:
     """Refuse to scale counts from one exposure to another where they do not scale.
 
     Parameters
     ----------
     found : Linearity
-    limit : float
-        Most rms deviation over the range that is used.
 
     Raises
     ------
@@ -118,7 +116,7 @@ def require_reciprocity(found: Linearity, *, limit: float = RECIPROCAL) -> None:
     --------
     >>> require_reciprocity(Linearity(0.004, 0.006, 1.0, 0.0, 40))
     """
-    if found.points and found.rms <= limit:
+    if found.points and found.rms <= RECIPROCAL:
         return
     raise CalibrationRefused(
         Problem(
@@ -131,7 +129,7 @@ def require_reciprocity(found: Linearity, *, limit: float = RECIPROCAL) -> None:
             f"and {found.worst_level:.0f} counts"
             if found.points
             else "no scene that two exposures show between 5 and 95 % of saturation",
-            expected=f"at most {limit:.1%} rms",
+            expected=f"at most {RECIPROCAL:.1%} rms",
             fix="Capture object and white with the same exposure; or an exposure series of the white, "
             "with darks of each time, from which the black can be fitted."
             if found.points

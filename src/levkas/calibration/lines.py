@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.flatfield import Side, exact_side, model_of, pair_darks
-from levkas.calibration.invalid_values import gaps_of
-from levkas.calibration.layout import as_marks
-from levkas.calibration.templates import Template
+from levkas.calibration.templates import Template, as_marks, gaps_of
 from levkas.calibration.whites import check_white, reflectance_table
 from levkas.core.cube import Flag
 from levkas.core.rounding import SIGMA_DROP, VALUE_DROP
@@ -36,7 +34,7 @@ class LineField:
     quantity: str
     notes: tuple[str, ...]
     has_sigma: bool
-    _tables: tuple[Any, ...]
+    _tables: Any
 
     @classmethod
     def of(
@@ -69,7 +67,7 @@ class LineField:
         CalibrationRefused
             As `flat_field` does.
         """
-        from levkas.calibration.line_kernels import fill_share
+        from levkas.calibration.line_kernels import Tables, fill_share
 
         nothing = np.zeros((1, *shape), bool)
         zero = np.zeros((1, *shape), np.float32)
@@ -102,11 +100,9 @@ class LineField:
         with np.errstate(divide="ignore", invalid="ignore"):
             share_of_white = np.where(lit > 0, 1 / lit, 0.0)
             factor = table / lit
-        noises = (gain, read, 1.0, float(shared))
-        # Sixteen are read at once, also where fewer are left.
-        padded = [np.pad(t, (0, 16)) for t in (means[1], share_of_white, factor)]
-        shares, flags = np.pad(shares[:2], ((0, 0), (0, 16))), np.pad(flags, (0, 16))
-        tables = (*padded, shares, flags, noises, np.flatnonzero(~(share_of_white > 0)))
+        lost_places = np.flatnonzero(~(share_of_white > 0))
+        means_and_shares = (means[1], share_of_white, factor, shares[0], shares[1], flags)
+        tables = Tables(*means_and_shares, lost_places, gain, read, bool(shared))
         quantity = "counts" if white is None else "reflectance"
         return cls(shape, quantity, notes, noise is not None, tables)
 
@@ -131,30 +127,26 @@ class LineField:
             Where the white is not above dark, or a template lost its value, the value is 0 and
             flagged DEFECT and OUTSIDE.
         """
-        from levkas.calibration.line_kernels import develop_lines
+        from levkas.calibration.line_kernels import Limits, develop_lines
 
         kernel: Callable[..., None] = develop_lines
         if out is None:
             known = np.empty(raw.shape, np.float32) if self.has_sigma else None
             out = np.empty(raw.shape, np.float32), np.empty(raw.shape, np.uint8), known
         values, flags, noise = out
-        sigma = np.empty(0, np.float32) if noise is None else noise
-        parts: list[np.ndarray] = [values.reshape(-1), flags.reshape(-1), sigma.reshape(-1)]
-        if short := self.shape[0] * self.shape[1] < 16:
-            threads, parts = 1, [np.pad(part, (0, 16)) if part.size else part for part in parts]
-        limits = (np.inf if saturation is None else float(saturation), BLACK_CLIP)
-        drops = (0 if exact else VALUE_DROP, SIGMA_DROP)
+        sigma = np.empty((0, 0), np.float32) if noise is None else noise
+        made = tuple(part.reshape(len(part), -1) for part in (values, flags, sigma))
+        limit = np.inf if saturation is None else float(saturation)
+        limits = Limits(limit, BLACK_CLIP, 0 if exact else VALUE_DROP, SIGMA_DROP, squared)
         codes, apart = _flat(raw)
+        apart = (*apart, self.shape[1])
         edges = np.linspace(0, len(raw), min(threads, len(raw)) + 1).astype(int)
 
         def work(part: tuple[int, int]) -> None:
-            kernel(*part, codes, apart, self.shape, *self._tables, limits, drops, squared, *parts)
+            kernel(*part, codes, apart, self._tables, limits, made)
 
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(work, zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)))
-        if short:
-            for array, made in zip((values, flags, sigma), parts, strict=True):
-                array[...] = made[: array.size].reshape(array.shape)
         return out
 
 

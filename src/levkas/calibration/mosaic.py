@@ -1,21 +1,332 @@
-"""Mosaics to channels: every channel at every sensel, in native pixels, none of them shifted."""
+"""Demosaicing: every channel at every sensel, in native pixels, none of them shifted.
+
+A *stencil* holds the weights by which a mosaic's sensels make one channel at one place. All are exact
+on a constant and on a plane, at the borders too: Σw = 1, Σw·dx = 0, Σw·dy = 0. A stencil depends on
+the phase and on how near the border is, so a frame of any size has a few hundred of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from levkas.calibration import stencils
 from levkas.calibration.detail import interpolation_variance
 from levkas.calibration.patterns import channel_table
-from levkas.calibration.templates import CalibrationRefused
+from levkas.calibration.templates import CalibrationRefused, read_only
+from levkas.core.cube import Flag
 from levkas.core.problems import Problem
 
-METHODS: dict[str, Callable[[stencils.Place, int], stencils.Taps]] = {
-    "malvar": stencils.malvar,
-    "bilinear": stencils.normalised,
-    "normalised": stencils.normalised,
+LARGEST = 4.0  # Σ|w| of a stencil that extrapolates; a larger window is tried before more
+WINDOWS = 4  # how many periods a window may reach to each side
+Taps = list[tuple[int, int, float, bool]]
+
+
+@dataclass(frozen=True)
+class Place:
+    """One sensel of a frame, as a stencil sees it: where it is and what is around it.
+
+    Parameters
+    ----------
+    y, x : int
+    shape : tuple of int
+        Of the frame.
+    table : ndarray, (rows, columns), int
+        Channel at each place of the pattern.
+    weights : ndarray like `table`, float
+        How much a sensel of each phase counts; 0: not at all.
+    """
+
+    y: int
+    x: int
+    shape: tuple[int, int]
+    table: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def channel(self) -> int:
+        """The channel that is recorded here."""
+        return self.channel_at(0, 0)
+
+    def channel_at(self, dy: int, dx: int) -> int:
+        """Return the channel recorded dy rows below and dx columns to the right."""
+        rows, columns = self.table.shape
+        return int(self.table[(self.y + dy) % rows, (self.x + dx) % columns])
+
+    def holds(self, reach: int) -> bool:
+        """Whether the frame reaches so far to all sides."""
+        return reach <= self.y < self.shape[0] - reach and reach <= self.x < self.shape[1] - reach
+
+
+def normalised(place: Place, channel: int) -> Taps:
+    """Return first-order normalised convolution under a tent of one period's half width.
+
+    What was measured is kept. On a Bayer pattern this is bilinear interpolation.
+    """
+    if place.channel == channel:
+        return [(0, 0, 1.0, True)]
+    return smoothed(place, channel)
+
+
+def smoothed(place: Place, channel: int) -> Taps:
+    """Return the same without keeping what was measured: neighbours of the channel count too.
+
+    Notes
+    -----
+    Weights are k(1 + a·dx + b·dy)·c with the tent k, where a, b and c make the moments right
+    [knutsson1993]_. Where the tent does not hold enough samples (borders) it is widened.
+    """
+    best: Taps = []
+    for periods in _windows(place):
+        dy, dx, tent = _samples(place, channel, periods)
+        if not len(tent):
+            continue
+        columns = np.stack([np.ones(len(dy)), dx, dy], 1)
+        moments = columns.T @ (columns * tent[:, None])
+        weights = tent * (columns @ (np.linalg.pinv(moments, rcond=1e-10) @ [1.0, 0, 0]))
+        exact = np.allclose(columns.T @ weights, [1, 0, 0], atol=1e-9)
+        if exact or not best:
+            if not exact:
+                weights = tent / tent.sum()
+            best = [
+                (int(v), int(h), float(w), True)
+                for v, h, w in zip(dy, dx, weights, strict=True)
+                if abs(w) > 1e-12
+            ]
+        if exact and np.abs(weights).sum() <= LARGEST:
+            break
+    return best
+
+
+def _windows(place: Place) -> list[tuple[int, int]]:
+    """Return how many periods to try down and across, least first.
+
+    Only towards a border does a window grow: one period holds samples on all sides elsewhere, and
+    what is far from a border must not depend on it.
+    """
+    sizes = [
+        range(1, WINDOWS + 1) if at < period or at >= length - period else range(1, 2)
+        for at, length, period in zip(
+            (place.y, place.x), place.shape, place.table.shape, strict=True
+        )
+    ]
+    return sorted(((v, h) for v in sizes[0] for h in sizes[1]), key=lambda n: (sum(n), n))
+
+
+def _samples(
+    place: Place, channel: int, periods: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return offsets (dy, dx) of a channel's sensels under the tent, and its height there."""
+    half = [p * n for p, n in zip(periods, place.table.shape, strict=True)]
+    rows = np.arange(max(-place.y, 1 - half[0]), min(place.shape[0] - place.y, half[0]))
+    columns = np.arange(max(-place.x, 1 - half[1]), min(place.shape[1] - place.x, half[1]))
+    dy, dx = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
+    phase = (place.y + dy) % place.table.shape[0], (place.x + dx) % place.table.shape[1]
+    tent = (1 - np.abs(dy) / half[0]) * (1 - np.abs(dx) / half[1]) * place.weights[phase]
+    kept = (place.table[phase] == channel) & (tent > 0)
+    return dy[kept], dx[kept], tent[kept]
+
+
+# Eq. numbers and masks of [malvar2004]_, Figure 2, over 16.
+_GREEN_AT_COLOUR = """
+    0  0 -2  0  0
+    0  0  4  0  0
+   -2  4  8  4 -2
+    0  0  4  0  0
+    0  0 -2  0  0"""
+_COLOUR_AT_GREEN_IN_ITS_ROW = """
+    0  0  1  0  0
+    0 -2  0 -2  0
+   -2  8 10  8 -2
+    0 -2  0 -2  0
+    0  0  1  0  0"""
+_COLOUR_AT_COLOUR = """
+    0  0 -3  0  0
+    0  4  0  4  0
+   -3  0 12  0 -3
+    0  4  0  4  0
+    0  0 -3  0  0"""
+
+
+def _mask(text: str) -> np.ndarray:
+    return np.array(text.split(), float).reshape(5, 5) / 16
+
+
+def malvar(place: Place, channel: int) -> Taps:
+    """Return Malvar, He and Cutler's gradient-corrected mask; `normalised` within 2 of a border.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_VALUE where the pattern is not a Bayer one (2x2, one channel on a diagonal).
+    """
+    green = _green(place.table)
+    if place.channel == channel or not place.holds(2):
+        return normalised(place, channel)
+    if channel == green:
+        mask = _mask(_GREEN_AT_COLOUR)
+    elif place.channel != green:
+        mask = _mask(_COLOUR_AT_COLOUR)
+    else:
+        mask = _mask(_COLOUR_AT_GREEN_IN_ITS_ROW)
+        mask = mask if place.channel_at(0, 1) == channel else mask.T
+    return [
+        (int(y) - 2, int(x) - 2, float(mask[y, x]), place.channel_at(y - 2, x - 2) == channel)
+        for y, x in np.argwhere(mask)
+    ]
+
+
+def _green(table: np.ndarray) -> int:
+    diagonals = {(int(table[0, 0]), int(table[1, 1])), (int(table[0, 1]), int(table[1, 0]))}
+    greens = [a for a, b in diagonals if a == b] if table.shape == (2, 2) else []
+    if len(greens) != 1 or len(np.unique(table)) != 3:
+        raise CalibrationRefused(
+            Problem(
+                "E_VALUE",
+                "this demosaicing needs a Bayer pattern",
+                field="demosaic",
+                found=f"{table.shape[0]}x{table.shape[1]} pattern of {len(np.unique(table))}",
+                expected="2x2, one of three channels on a diagonal",
+                fix='Use demosaic = "normalised".',
+            )
+        )
+    return greens[0]
+
+
+class Stencils(NamedTuple):
+    """All stencils of a frame, laid out for the kernel.
+
+    `rows` and `columns` give each row and column its class; stencil (r, c, k) of row class r,
+    column class c and channel k has the taps ``start[i]:start[i + 1]``, i = (r·C + c)·K + k.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    start: np.ndarray
+    dy: np.ndarray
+    dx: np.ndarray
+    weight: np.ndarray
+    own: np.ndarray
+    channels: int
+    reach: int
+
+
+def lay_out(
+    table: np.ndarray,
+    shape: tuple[int, int],
+    method: Callable[[Place, int], Taps],
+    weights: np.ndarray | None = None,
+) -> Stencils:
+    """Return the stencils of `method` for every kind of place in a frame of `shape`.
+
+    Parameters
+    ----------
+    table : ndarray, (rows, columns), int
+        Channel at each place of the pattern.
+    shape : tuple of int
+        (h, w), at least one period.
+    method : callable
+        (place, channel) → taps (dy, dx, weight, of the same channel).
+    weights : ndarray like `table`, optional
+        See `Place`; default 1.
+    """
+    rows, row_class = _classes(shape[0], table.shape[0])
+    columns, column_class = _classes(shape[1], table.shape[1])
+    heights = np.ones(table.shape) if weights is None else np.asarray(weights, float)
+    channels = int(table.max()) + 1
+    taps: Taps = []
+    start = [0]
+    for y in rows:
+        for x in columns:
+            place = Place(int(y), int(x), shape, table, heights)
+            for channel in range(channels):
+                taps += method(place, channel)
+                start.append(len(taps))
+    dy, dx, weight, own = (np.array(part) for part in zip(*taps, strict=True))
+    return Stencils(
+        row_class,
+        column_class,
+        np.array(start),
+        dy,
+        dx,
+        weight,
+        own.astype(np.uint8),
+        channels,
+        int(np.abs(dy).max()),
+    )
+
+
+def _classes(length: int, period: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a position of each kind, and the kind of each position, along one axis."""
+    reach = max(2, period)
+    at = np.arange(length)
+    if length <= 4 * WINDOWS * period:
+        return at, at
+    kinds = np.stack([at % period, np.minimum(at, reach), np.minimum(length - 1 - at, reach)], 1)
+    _, first, which = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
+    return first, which.ravel()
+
+
+NEAR = np.uint8(Flag.NEAR.value)
+
+
+@numba.njit(parallel=True, cache=True)
+def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def]
+    """Return Σwv, flags and, where `known`, Σw²u², all (h, w, channels).
+
+    A tap on the place itself hands its flags on as they are. Any other flagged tap sets NEAR, and
+    hands on its bits too where it is of the same channel (`own`).
+    """
+    rows, columns, start, dy, dx, weight, own, channels, reach = plan
+    height, width = values.shape
+    kinds = np.int64(0)
+    for x in range(width):
+        kinds = max(kinds, columns[x] + 1)
+    marked = np.zeros(height, np.bool_)
+    for y in numba.prange(height):
+        for x in range(width):
+            if flags[y, x]:
+                marked[y] = True
+                break
+    made = np.empty((height, width, channels), np.float32)
+    noted = np.zeros((height, width, channels), np.uint8)
+    spread = np.empty((height if known else 0, width, channels), np.float32)
+    for y in numba.prange(height):
+        near = False
+        for v in range(max(0, y - reach), min(height, y + reach + 1)):
+            near |= marked[v]
+        for x in range(width):
+            first = (rows[y] * kinds + columns[x]) * channels
+            for k in range(channels):
+                begin, end = start[first + k], start[first + k + 1]
+                total = 0.0
+                for i in range(begin, end):
+                    total += weight[i] * values[y + dy[i], x + dx[i]]
+                made[y, x, k] = total
+                if known:
+                    total = 0.0
+                    for i in range(begin, end):
+                        total += weight[i] * weight[i] * variance[y + dy[i], x + dx[i]]
+                    spread[y, x, k] = total
+                if near:
+                    flag = np.uint8(0)
+                    for i in range(begin, end):
+                        bits = flags[y + dy[i], x + dx[i]]
+                        if bits and dy[i] == 0 and dx[i] == 0 and own[i]:
+                            flag |= bits
+                        elif bits:
+                            flag |= NEAR | (bits if own[i] else np.uint8(0))
+                    noted[y, x, k] = flag
+    return made, noted, spread
+
+
+METHODS: dict[str, Callable[[Place, int], Taps]] = {
+    "malvar": malvar,
+    "bilinear": normalised,
+    "normalised": normalised,
 }
 
 
@@ -82,7 +393,7 @@ def demosaic(
 
 def method_of(
     pattern: str | Sequence[Sequence[str]], method: str | None, channels: Sequence[str] | None
-) -> tuple[np.ndarray, Callable[[stencils.Place, int], stencils.Taps]]:
+) -> tuple[np.ndarray, Callable[[Place, int], Taps]]:
     """Return the table of a pattern and the stencils of a method, arguments and refusals as of `demosaic`."""
     table = channel_table(pattern, channels)
     if method is None:
@@ -105,14 +416,13 @@ def interpolate(
     flags: np.ndarray,
     variance: np.ndarray | None,
     table: np.ndarray,
-    method: Callable[[stencils.Place, int], stencils.Taps],
+    method: Callable[[Place, int], Taps],
     weights: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Apply a stencil method to a mosaic whose pattern is `table`, (rows, columns) of indices.
 
-    Arguments and results as in `demosaic`; `weights` as in `stencils.Place`.
+    Arguments and results as in `demosaic`; `weights` as in `Place`.
     """
-    from levkas.calibration.mosaic_kernel import weigh
 
     if values.ndim != 2 or any(n < p for n, p in zip(values.shape, table.shape, strict=True)):
         raise CalibrationRefused(
@@ -124,16 +434,14 @@ def interpolate(
             )
         )
     shape = (values.shape[0], values.shape[1])
-    plan = stencils.lay_out(table, shape, method, weights)
-    made, noted, spread = weigh(
-        np.ascontiguousarray(values, np.float32),
-        np.ascontiguousarray(flags, np.uint8),
-        np.zeros((1, 1), np.float32)
-        if variance is None
-        else np.ascontiguousarray(variance, np.float32),
+    plan = lay_out(table, shape, method, weights)
+    spreads = np.zeros((1, 1), np.float32) if variance is None else variance
+    made, noted, spread = _weigh(
+        read_only(np.ascontiguousarray(values, np.float32)),
+        read_only(np.ascontiguousarray(flags, np.uint8)),
+        read_only(np.ascontiguousarray(spreads, np.float32)),
         variance is not None,
-        *(plan.rows, plan.columns, plan.start, plan.dy, plan.dx, plan.weight, plan.own),
-        *(plan.channels, plan.reach),
+        plan,
     )
     return made, noted, None if variance is None else spread
 

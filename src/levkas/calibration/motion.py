@@ -1,4 +1,4 @@
-"""Pixels that moved between shots, or between exposures: a spread over time that noise does not explain.
+"""Motion detection: pixels whose spread over shots, or over exposures, exceeds the noise (chi-squared test).
 
 A pixel's sample variance over its expected one is summed over it and its eight neighbours of the same
 channel; in still places nine times (shots − 1) of it follows chi-squared.
@@ -10,18 +10,13 @@ from collections.abc import Sequence
 
 import numba
 import numpy as np
-from numba import types
 
-from levkas.calibration.layout import as_marks, as_rows
 from levkas.calibration.noise_fit import NoiseModel
-from levkas.calibration.numba_types import readonly
-from levkas.calibration.templates import Template
+from levkas.calibration.templates import Template, as_marks, as_rows, read_only
 
 BY_CHANCE = 1e-10  # of one pixel: a false one in a thousand frames of 10 megapixels
 NONLINEAR = 0.01  # of the signal, from exposure to exposure: `linearity` allows as much
 MISFIT = 1.5  # of the variance: what a fitted noise model may be off by
-
-_REAL, _BYTE = readonly(types.float32), readonly(types.uint8)
 
 
 def find_moved(
@@ -72,10 +67,10 @@ def find_moved(
         level = np.broadcast_to(level, (level.shape[0], *shape[1:]))
     depth = shape[2] if len(shape) == 3 else 1
     rows, columns = period[0], period[1] * depth
-    marked = _find(
-        *(as_rows(stack.mean), as_rows(stack.variance), as_marks(stack.saturated), as_rows(level)),
-        *(noise.gain, noise.read_variance, _limit(stack.count - 1), rows, columns),
-    )
+    planes = as_rows(stack.mean), as_rows(stack.variance), as_marks(stack.saturated), as_rows(level)
+    model = noise.gain, noise.read_variance, _limit(stack.count - 1)
+    mean, spread, full, level = map(read_only, planes)
+    marked = _find(mean, spread, full, level, tuple(map(np.float32, model)), (rows, columns))
     return marked.reshape(shape) > 0
 
 
@@ -87,7 +82,6 @@ def find_moved_between(
     *,
     reads: Sequence[float] | None = None,
     left_out: Sequence[np.ndarray] | None = None,
-    nonlinear: float = NONLINEAR,
     period: tuple[int, int] = (1, 1),
 ) -> np.ndarray:
     """Find pixels that did not stand still from one exposure of a scene to the next.
@@ -106,8 +100,6 @@ def find_moved_between(
         Variance without light of each exposure, counts²; the noise model's by default.
     left_out : sequence of ndarray of bool, optional
         What takes no part in each shot, saturated and black values besides.
-    nonlinear : float
-        Relative deviation that the sensor's own response explains.
     period : (rows, columns)
         Of a mosaic: neighbours are those of the same phase.
 
@@ -135,17 +127,18 @@ def find_moved_between(
     reads = reads or [noise.read_variance] * len(shots)
     for shot, level, read, lost in zip(shots, levels, reads, bad, strict=True):
         expected = np.maximum(rate, 0) * np.float32(shot.exposure_s or 0.0)
-        spread = (read + noise.gain * expected) / shot.count + (nonlinear * expected) ** 2
+        spread = (read + noise.gain * expected) / shot.count + (NONLINEAR * expected) ** 2
         total += np.where(lost, 0, (shot.mean - level - expected) ** 2 / spread)
         used += ~lost
     total[used < 2] = 0
     freedom = len(shots) - 1  # one went into the rate; where fewer took part the limit is safe
     depth = shape[2] if len(shape) == 3 else 1
     still, none = np.zeros(shape, bool), np.zeros((1, 1), np.float32)
-    marked = _find(
-        *(as_rows(still, np.float32), as_rows(total), as_marks(still), none),
-        *(0.0, 1.0, freedom * _limit(freedom), period[0], period[1] * depth),
-    )
+    planes = as_rows(still, np.float32), as_rows(total), as_marks(still), none
+    model = 0.0, 1.0, freedom * _limit(freedom)
+    size = period[0], period[1] * depth
+    mean, spread, full, level = map(read_only, planes)
+    marked = _find(mean, spread, full, level, tuple(map(np.float32, model)), size)
     return marked.reshape(shape) > 0
 
 
@@ -156,21 +149,14 @@ def _limit(freedom: int) -> float:
     return MISFIT * 2 * float(gammainccinv(9 * freedom / 2, BY_CHANCE)) / freedom
 
 
-@numba.njit(
-    [
-        types.uint8[:, ::1](
-            *(_REAL, _REAL, _BYTE, _REAL),
-            *(types.float32, types.float32, types.float32, types.int64, types.int64),
-        )
-    ],
-    parallel=True,
-    cache=True,
-    fastmath={"contract"},
-)
-def _find(  # type: ignore[no-untyped-def]
-    mean, variance, saturated, dark, gain, read, limit, rows, columns
-):
-    """Return where a pixel and its neighbours, those beyond the border left out, pass the limit."""
+@numba.njit(parallel=True, cache=True, fastmath={"contract"})
+def _find(mean, variance, saturated, dark, model, period):  # type: ignore[no-untyped-def]
+    """Return where a pixel and its neighbours, those beyond the border left out, pass the limit.
+
+    `model` is (gain, variance without light, limit), float32; `period` (rows, columns).
+    """
+    gain, read, limit = model
+    rows, columns = period
     height, width = mean.shape
     ratio = np.empty((height, width), np.float32)
     for y in numba.prange(height):

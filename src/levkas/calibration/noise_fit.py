@@ -1,4 +1,4 @@
-"""How noisy a sensor is: variance = read² + gain · signal, fitted to the frames that are there.
+"""Noise model of a sensor, variance = read² + gain · signal, fitted to the frames of a campaign.
 
 From stacks (two shots or more of one scene) the variance over time is free of everything fixed:
 texture, PRNU, shading. From single shots only an upper estimate can be had, from what is left of
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from levkas.calibration.darks import MatchedDark
 
 WORKED_OUT = 1e9  # degrees of freedom of a variance that was derived, not sampled
+PRIOR = 60.0  # a noise model weighs as much as this many degrees of freedom of a stack
 HIDES = 0.25  # of step²: more noise than that shows all of rounding (B < 3e-6 step²)
 TERMS = 12  # of the series of B: its error is below 0.4 % of step²
 MANY_PIXELS = 200_000  # of one stack that are looked at
@@ -206,8 +207,6 @@ def mean_variance(stack: Template, *, step: float = 1.0) -> np.ndarray:
     A pixel's own variance of a few shots is no sigma: it weighs n − 1 against 60 of what pixels of like
     signal have in the mean, channel by channel.
     """
-    from levkas.calibration.flatfield_kernel import PRIOR
-
     freedom = stack.count - 1
     assert stack.variance is not None
     found = np.empty(stack.mean.shape, np.float32)

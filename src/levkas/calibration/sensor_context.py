@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -12,8 +12,7 @@ import numpy as np
 
 from levkas.calibration.code_spacing import find_step
 from levkas.calibration.darks import SAME_TIME
-from levkas.calibration.invalid_values import close_gaps
-from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.templates import CalibrationRefused, Template, average, close_gaps
 from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 
@@ -75,20 +74,23 @@ class SensorContext:
 
     def average(self, frames: Sequence[FrameRef], *, kept: bool = False) -> Template:
         """Average shots of one exposure; templates are kept for the other objects."""
-        exposure = exposure_of(frames[0])
-
-        def make() -> Template:
-            try:
-                return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
-            except CalibrationRefused as refused:
-                raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
-
         if not kept or self.cache is None:
-            return self.whole(make(), frames)
+            return self.whole(self._averaged(frames), frames)
         made = self.cache.template(
-            frames, make, saturation=self.saturation, exposure=exposure, bits=self.camera.bits
+            frames,
+            partial(self._averaged, frames),
+            saturation=self.saturation,
+            exposure=exposure_of(frames[0]),
+            bits=self.camera.bits,
         )
         return self.whole(made, frames)
+
+    def _averaged(self, frames: Sequence[FrameRef]) -> Template:
+        exposure = exposure_of(frames[0])
+        try:
+            return average(self.read(frames), saturation=self.saturation, exposure_s=exposure)
+        except CalibrationRefused as refused:
+            raise type(refused)(*(placed(p, frames) for p in refused.problems)) from None
 
     def read(self, frames: Iterable[FrameRef]) -> Iterator[np.ndarray]:
         """Read frame by frame, codes checked against the bits that are declared."""
@@ -137,14 +139,14 @@ def placed(problem: Problem, frames: Sequence[FrameRef]) -> Problem:
     return problem if problem.file else replace(problem, file=f"{frames[0].path.parent}: {names}")
 
 
-def doubts_of(bench: SensorContext) -> list[str]:
+def doubts_of(context: SensorContext) -> list[str]:
     """What a person should know before believing the values."""
-    camera = bench.camera
-    doubts = _doubt_bits(bench)
-    targets = bench.campaign.targets
+    camera = context.camera
+    doubts = _doubt_bits(context)
+    targets = context.campaign.targets
     if camera.kind == "image":
         return doubts
-    if not bench.sensor.white:
+    if not context.sensor.white:
         doubts.append("no white reference is declared: the cube stays in counts")
     elif targets.white and not isinstance(targets.white.reflectance, str):
         given = targets.white.reflectance
@@ -155,13 +157,13 @@ def doubts_of(bench: SensorContext) -> list[str]:
     return doubts
 
 
-def _doubt_bits(bench: SensorContext) -> list[str]:
+def _doubt_bits(context: SensorContext) -> list[str]:
     """Whether a few frames, whites above all, look like 8 bits where more are declared."""
-    bits, full = bench.camera.bits, bench.saturation
-    if bits is None or bits <= 8 or full is None or bench.facts.kind == "raw":
+    bits, full = context.camera.bits, context.saturation
+    if bits is None or bits <= 8 or full is None or context.facts.kind == "raw":
         return []
-    frames = [*spread(bench.sensor.object, 3), *spread(bench.sensor.white, 3)]
-    return [f"{bench.camera.name}: {d}" for d in doubt_codes(map(_glimpse, frames), bits, full)]
+    frames = [*spread(context.sensor.object, 3), *spread(context.sensor.white, 3)]
+    return [f"{context.camera.name}: {d}" for d in doubt_codes(map(_glimpse, frames), bits, full)]
 
 
 def _glimpse(frame: FrameRef) -> np.ndarray:
@@ -292,7 +294,7 @@ def times_of(frame: FrameRef) -> Times:
     return facts.band_times_s or facts.exposure_s
 
 
-def require_exposures(bench: SensorContext) -> None:
+def require_exposures(context: SensorContext) -> None:
     """Refuse a sensor some of whose frames state their exposure, and others do not.
 
     Raises
@@ -300,7 +302,7 @@ def require_exposures(bench: SensorContext) -> None:
     CalibrationRefused
         E_EXPOSURES; also where no frame states it in a known unit, and the numbers without one differ.
     """
-    sensor = bench.sensor
+    sensor = context.sensor
     frames = list(dict.fromkeys((*sensor.object, *sensor.white, *sensor.dark)))
     stated = [frame for frame in frames if times_of(frame) is not None]
     silent = [frame for frame in frames if times_of(frame) is None]
@@ -324,7 +326,7 @@ def require_exposures(bench: SensorContext) -> None:
     raise CalibrationRefused(
         Problem(
             "E_EXPOSURES",
-            f"{bench.camera.name}: {what}",
+            f"{context.camera.name}: {what}",
             str(silent[0].path),
             "exposure",
             "; ".join(found),
@@ -361,7 +363,7 @@ def templates_by_exposure(
     return [timed(make(group), times) for times, group in by_exposure(frames)]
 
 
-def doubt_scaling(bench: SensorContext, taken: Times, other: Times) -> str:
+def doubt_scaling(context: SensorContext, taken: Times, other: Times) -> str:
     """Say that counts are scaled from the white's time to the object's without a series that shows that they scale."""
     object_times, white_times = _listed(taken), _listed(other)
     if not object_times or not white_times:
@@ -371,7 +373,7 @@ def doubt_scaling(bench: SensorContext, taken: Times, other: Times) -> str:
     if all(abs(mine / its - 1) <= SAME_TIME for mine, its in pairs):
         return ""
     return (
-        f"{bench.camera.name}: the white was exposed for {_shown(other)}, the object for {_shown(taken)}: whether "
+        f"{context.camera.name}: the white was exposed for {_shown(other)}, the object for {_shown(taken)}: whether "
         "counts scale is not known without an exposure series of one of them"
     )
 

@@ -9,15 +9,13 @@ import numba
 import numpy as np
 from numba import types
 
-from levkas.calibration.numba_types import readonly
-
 _BYTES, _REALS = types.uint8[:, ::1], types.float64[:, ::1]
 
 
 @numba.njit(
     [
         types.void(
-            readonly(code),
+            types.Array(code, 2, "C", readonly=True),
             types.uint32[:, ::1],
             types.uint64[:, ::1],
             *(_BYTES, _BYTES, types.float64, types.float64),
@@ -42,7 +40,7 @@ def add_codes(frame, total, squares, saturated, black, high, low):  # type: igno
 @numba.njit(
     [
         types.void(
-            readonly(real),
+            types.Array(real, 2, "C", readonly=True),
             types.int64,
             *(_REALS, _REALS, _BYTES, _BYTES, types.float64, types.float64),
         )
@@ -70,7 +68,15 @@ _PAIR = types.UniTuple(types.float32[:, ::1], 2)
 
 
 @numba.njit(
-    [_PAIR(readonly(types.uint32), readonly(types.uint64), types.int64)], parallel=True, cache=True
+    [
+        _PAIR(
+            types.Array(types.uint32, 2, "C", readonly=True),
+            types.Array(types.uint64, 2, "C", readonly=True),
+            types.int64,
+        )
+    ],
+    parallel=True,
+    cache=True,
 )
 def finish_codes(total, squares, count):  # type: ignore[no-untyped-def]
     """Return mean and variance of one shot from exact sums of `count` shots."""
@@ -87,7 +93,13 @@ def finish_codes(total, squares, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(
-    [_PAIR(readonly(types.float64), readonly(types.float64), types.int64)],
+    [
+        _PAIR(
+            types.Array(types.float64, 2, "C", readonly=True),
+            types.Array(types.float64, 2, "C", readonly=True),
+            types.int64,
+        )
+    ],
     parallel=True,
     cache=True,
 )

@@ -1,4 +1,4 @@
-"""The white target: its reflectance laid out over a frame, and whether its frames can serve."""
+"""White target: its reflectance over a frame, and the checks of its frames."""
 
 from __future__ import annotations
 

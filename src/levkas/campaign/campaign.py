@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from levkas.campaign.edits import FILE_NAME, Edits, read_edits
+from levkas.campaign.methods import method_of
 from levkas.campaign.schema.cross_checks import (
     find_contradictions,
     find_ineffective,
@@ -18,10 +19,6 @@ from levkas.campaign.schema.cross_checks import (
 )
 from levkas.campaign.schema.error_messages import MOST_PROBLEMS, explain, left_out
 from levkas.campaign.schema.tables import (
-    OF_THE_POINTS,
-    OF_THE_RIG,
-    ONLY_OF_THE_PAPER,
-    THRESHOLDS,
     CameraKeys,
     Document,
     ReferenceKeys,
@@ -70,16 +67,14 @@ class Campaign(Document):
 
     @property
     def reference(self) -> ReferenceKeys:
-        """What all else is registered to."""
+        """The band that all others are registered to."""
         return self.campaign.reference
 
     def registration_of(self, camera: str) -> dict[str, Any]:
         """Registration keys for one camera: its own over the campaign's, those of its method only."""
         keys = {**self.registration.declared(), **self.cameras[camera].registration.declared()}
-        left_out: tuple[str, ...] = (*OF_THE_POINTS, *OF_THE_RIG)
-        if keys.get("method") != "mirhashemi2019":
-            left_out = (*left_out, *ONLY_OF_THE_PAPER)
-        return {k: v for k, v in keys.items() if k not in left_out}
+        own = {"method", *method_of(keys).options.model_fields}
+        return {key: value for key, value in keys.items() if key in own}
 
     @property
     def without_effect(self) -> tuple[str, ...]:
@@ -89,16 +84,19 @@ class Campaign(Document):
             camera = re.split("[@:]", frame)[0]
             if camera not in self.cameras:
                 continue
-            if self.registration_of(camera).get("method", "levkas") == "levkas":
+            ineffective = method_of(self.registration_of(camera)).ineffective
+            if ineffective:
                 where = f'objects."{name}".cameras."{frame}"'
-                given = [key for key in THRESHOLDS if getattr(edits, key) is not None]
+                given = [
+                    key for key in sorted(ineffective) if getattr(edits, key, None) is not None
+                ]
                 warnings += [f"{FILE_NAME}: {without_effect(f'{where}.{key}')}" for key in given]
         return tuple(warnings)
 
     def is_joint(self, camera: str) -> bool:
         """Tell whether the captures of a camera are adjusted together."""
         keys = {**self.registration.declared(), **self.cameras[camera].registration.declared()}
-        return bool(keys.get("joint")) and keys.get("method", "levkas") == "levkas"
+        return bool(keys.get("joint")) and method_of(keys).joint
 
     def darks_of(self, camera: Camera) -> tuple[str, ...]:
         """Values of {target} that are darks of a camera; none for a plain image."""

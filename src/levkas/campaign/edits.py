@@ -23,7 +23,7 @@ from levkas.core.problems import Problem, Refused
 
 FILE_NAME = "edits.toml"
 MOST_TURNS = 50
-"""How often a change is made anew because the file was changed meanwhile."""
+"""Attempts to make a change while others change the file."""
 EXPLAINED = "docs/workbench.md explains every key; the workbench writes the file for you."
 HEAD = """\
 # Corrections by hand; `levkas inspect` writes this file, `levkas build` replays it.
@@ -51,7 +51,7 @@ class EditsConflict(Refused):
 
 @dataclass(frozen=True)
 class FrameEdits:
-    """What was corrected of one frame: a camera, its lighting, and a band that names its sensor.
+    """Corrections of one frame: a camera, its lighting, and a band that names its sensor.
 
     Parameters
     ----------
@@ -311,7 +311,7 @@ def _clashes(
 
 
 def _revised(data: bytes, edits: Edits, wanted: Edits, place: tuple[str, str], path: Path) -> str:
-    """The file's text with one frame changed: written anew where it is as we write it, else in place."""
+    """Return the file's text with one frame changed: written anew where it is as we write it, else in place."""
     text = data.decode("utf-8-sig")
     if not text.strip() or text == to_text(edits):
         return to_text(wanted)

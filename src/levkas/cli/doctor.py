@@ -49,7 +49,6 @@ PURPOSES = {
     "imagecodecs": "compressed TIFFs",
     "isal": "deflate of spectral TIFFs",
     "jinja2": "report pages",
-    "llvmlite": "resampling kernels",
     "markupsafe": "pages of the viewer",
     "matplotlib": "plots of reports",
     "numba": "resampling and registration kernels",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.colour.illuminants import SECOND_RADIATION, planck
 from levkas.colour.observer import tables_by_nm
 from levkas.colour.srgb import SRGB_TO_XYZ, Rendering
 
@@ -23,10 +24,8 @@ if TYPE_CHECKING:
 BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
-C2 = 1.4388e7
-"""Second radiation constant, nm K, as the CIE rounds it."""
-LIGHT_A = 2855.54
-"""Temperature of illuminant A on that constant, K (CIE 15: 2848 K on 1.435e7)."""
+LIGHT_A = 2848 * SECOND_RADIATION / 1.435e7
+"""Temperature of illuminant A, K: by definition 2848 K with c2 of 1931 (CIE 15)."""
 
 
 def light_on_grid(light: Light) -> np.ndarray:
@@ -163,9 +162,6 @@ def _table(light: Light) -> np.ndarray:
 
 
 def _black_body(wavelengths: np.ndarray, kelvin: float) -> np.ndarray:
-    """Planck's law, relative to 560 nm."""
     if not 500 <= kelvin <= 100_000:
         raise ValueError(f"a black body of {kelvin:g} K is no light; 500 to 100000 K is")
-    exponent = C2 / kelvin
-    power = (560 / wavelengths) ** 5 * np.expm1(exponent / 560) / np.expm1(exponent / wavelengths)
-    return np.asarray(power)
+    return np.asarray(planck(wavelengths, kelvin))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.colour.observer import tables_by_nm
+from levkas.colour.observer import DATA, tables_by_nm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -326,3 +326,16 @@ def _grey(bands: Sequence[Band], encoded: bool) -> Rendering:
         else f"greyscale: mean of {len(bands)} bands"
     )
     return Rendering(matrix, text, False, encoded)
+
+
+@cache
+def srgb_profile() -> bytes:
+    """Return an ICC version 2 display profile of sRGB, 2.6 kB, primaries adapted to D50 by Bradford.
+
+    Examples
+    --------
+    >>> profile = srgb_profile()
+    >>> len(profile) == int.from_bytes(profile[:4], "big"), profile[36:40]
+    (True, b'acsp')
+    """
+    return (DATA / "srgb.icc").read_bytes()

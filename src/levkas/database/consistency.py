@@ -11,8 +11,8 @@ from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.file_inventory import Holdings, record_of, same_numbers
 from levkas.database.integrity import TiffFacts, damaged
+from levkas.database.layout import layer_name
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS
-from levkas.database.store import layer_name
 from levkas.database.twins import check_group
 
 BESIDE = (".flags.tif", ".sigma.tif")

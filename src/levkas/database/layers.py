@@ -16,10 +16,10 @@ from levkas.core.files import remove, together
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
 from levkas.database.catalogue import Entry
 from levkas.database.credits import Credits
-from levkas.database.planes import planes_of
+from levkas.database.layout import LayerId, layer_name
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import write_spectral_tiff
-from levkas.database.store import layer_name, write_layer_store
+from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
+from levkas.database.store import write_layer_store
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -57,7 +57,7 @@ class Layer:
     @property
     def stem(self) -> str:
         """``OBJECT_CAMERA`` or ``OBJECT_CAMERA_SETUP``."""
-        return "_".join(part for part in (self.object, self.camera, self.setup) if part)
+        return LayerId(self.object, self.camera, self.setup).stem
 
     def attributes(self, quantity: str) -> dict[str, Any]:
         """Return what the arrays say of themselves; what is unknown is left out."""

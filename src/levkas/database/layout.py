@@ -7,6 +7,40 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
+class LayerId:
+    """Which layer of a database: `setup` is empty for the default one.
+
+    Examples
+    --------
+    >>> layer = LayerId("icon1", "d80", "raking")
+    >>> layer.name, layer.stem
+    ('d80@raking', 'icon1_d80_raking')
+    >>> LayerId.parse("icon1", "d80@raking") == layer
+    True
+    """
+
+    object: str
+    camera: str
+    setup: str = ""
+
+    @classmethod
+    def parse(cls, object: str, name: str) -> LayerId:
+        """Return the layer of an object by its name, ``CAMERA`` or ``CAMERA@SETUP``."""
+        camera, _, setup = name.partition("@")
+        return cls(object, camera, setup)
+
+    @property
+    def name(self) -> str:
+        """``CAMERA`` or ``CAMERA@SETUP``: of Zarr groups, registration records and frames."""
+        return layer_name(self.camera, self.setup)
+
+    @property
+    def stem(self) -> str:
+        """``OBJECT_CAMERA`` or ``OBJECT_CAMERA_SETUP``: how its files begin."""
+        return _stem(self.object, self.camera, self.setup)
+
+
+@dataclass(frozen=True)
 class Places:
     """Paths of one database and of what is kept beside it.
 
@@ -34,7 +68,7 @@ class Places:
 
     def layer(self, name: str, camera: str, setup: str = "", *, kind: str = ".tif") -> Path:
         """Published file of one layer: ``.tif``, ``.flags.tif``, ``.sigma.tif`` or ``.png``."""
-        return self.folder(name) / (_stem(name, camera, setup) + kind)
+        return self.folder(name) / (LayerId(name, camera, setup).stem + kind)
 
     def native(
         self, name: str, camera: str, setup: str, sensor: str, *, kind: str = ".tif"
@@ -55,6 +89,11 @@ class Places:
     def store(self, name: str) -> Path:
         """Zarr store of an object."""
         return self.output / "zarr" / f"{name}.zarr"
+
+
+def layer_name(camera: str, setup: str = "") -> str:
+    """Return the name of a layer within an object: ``CAMERA``, or ``CAMERA@SETUP``."""
+    return f"{camera}@{setup}" if setup else camera
 
 
 def _stem(*parts: str) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.colour.icc import srgb_profile
+from levkas.colour.srgb import srgb_profile
 from levkas.core.files import write_bytes
 
 if TYPE_CHECKING:

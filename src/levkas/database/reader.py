@@ -15,14 +15,15 @@ from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
+from levkas.database.layout import LayerId, layer_name
 from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
-from levkas.database.store import DIMENSIONS, layer_name
+from levkas.database.store import DIMENSIONS
 from levkas.database.tiff_pages import TiffPages, open_pages
 from levkas.readers.text import parse_bounded
 
 if TYPE_CHECKING:
-    from levkas.geometry.pixel_frames import FrameMap
+    from levkas.database.pixel_frames import FrameMap
 
 KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 
@@ -128,7 +129,7 @@ class Object(Mapping[Any, "LayerArray"]):
             One standard deviation of either axis, reference px: nine of ten positions lie within
             2.146 of them. None where the method of registration does not know.
         """
-        from levkas.geometry.pixel_frames import find_position_sigma
+        from levkas.database.pixel_frames import find_position_sigma
 
         values = find_position_sigma(self.path, self.name, camera, setup, band)
         if values is None:
@@ -137,8 +138,8 @@ class Object(Mapping[Any, "LayerArray"]):
         return xarray.DataArray(values, dims=("y", "x"), name="position_sigma", attrs=facts)
 
     def transform(self, source: str, target: str) -> FrameMap:
-        """Return the map between two frames of pixels, as `levkas.geometry.pixel_frames.find_map` does."""
-        from levkas.geometry.pixel_frames import find_map
+        """Return the map between two frames of pixels, as `levkas.database.pixel_frames.find_map` does."""
+        from levkas.database.pixel_frames import find_map
 
         return find_map(self.path, self.name, source, target)
 
@@ -176,7 +177,7 @@ class Origin:
         return array
 
     def _tiff(self, kind: str) -> Path:
-        stem = "_".join(part for part in (self.object, self.camera, self.setup) if part)
+        stem = LayerId(self.object, self.camera, self.setup).stem
         return self.path / "objects" / self.object / (stem + KINDS[kind])
 
 
@@ -204,7 +205,7 @@ class LayerArray(xarray.DataArray):
 
     def transform(self, source: str, target: str) -> FrameMap:
         """Return the map between two frames of pixels of the object, for whole images."""
-        from levkas.geometry.pixel_frames import find_map
+        from levkas.database.pixel_frames import find_map
 
         return find_map(self._beside.path, self._beside.object, source, target)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 from levkas.readers.text import read_json
 from levkas.registration.record import Sigma
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas import __version__
-from levkas.colour.icc import srgb_profile
+from levkas.colour.srgb import srgb_profile
 from levkas.core.files import replacing
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 WAVELENGTHS, METADATA, LABEL, XMP, COPYRIGHT, ARTIST = 65000, 65111, 65001, 700, 33432, 315
 STRIP_BYTES = 1 << 18
 LEVEL = 1
-"""Of the pictures, by zlib."""
+GROUP = 16
+"""Bands that are gathered in one passage over the memory: a line of the cache of float32."""
 AHEAD = 8
 """Planes that are compressed ahead: as many as are gathered at a time."""
 CLASSIC_LIMIT = 4_000_000_000
@@ -228,29 +229,44 @@ def _compressed(
 
 
 def encode_strip(strip: Any) -> bytes:
-    """Predict and deflate one strip, (rows, width)."""
-    from levkas.database.deflating import deflate_rows
-    from levkas.database.predicting import predict_rows
+    """Predict and deflate one strip, (rows, width), as the strips of these files are stored.
 
-    if strip.dtype == np.float32 and strip.dtype.isnative:
-        return deflate_rows(predict_rows(strip))
+    The bytes are those of ISA-L at level 1, or of libdeflate where ISA-L is not installed; decoded
+    values are the same.
+
+    Examples
+    --------
+    >>> import zlib
+    >>> zlib.decompress(encode_strip(np.uint8([[3, 4], [5, 6]])))
+    b'\\x03\\x04\\x05\\x06'
+    """
+    import imagecodecs
+
     if strip.dtype.itemsize > 1:
-        import imagecodecs
-
         predict = "floatpred_encode" if strip.dtype.kind == "f" else "delta_encode"
         strip = getattr(imagecodecs, predict)(strip, axis=-1)
-    return deflate_rows(np.ascontiguousarray(strip).view(np.uint8))
+    data = np.ascontiguousarray(strip).view(np.uint8)
+    try:
+        from isal import isal_zlib
+    except ImportError:
+        return bytes(imagecodecs.deflate_encode(data.tobytes(), level=LEVEL))
+    return bytes(isal_zlib.compress(data, LEVEL))
 
 
 def encode_strips(rows: np.ndarray, start: int, stop: int) -> list[bytes]:
     """Return `encode_strip` of bands `start` to `stop` of some rows, (rows, width, bands)."""
-    from levkas.database.deflating import deflate_rows
-    from levkas.database.planes import turned
-    from levkas.database.predicting import predict_planes
+    return [encode_strip(plane) for plane in _turned(rows, start, stop)]
 
-    if rows.dtype == np.float32 and rows.dtype.isnative:
-        return [deflate_rows(plane) for plane in predict_planes(rows, start, stop)]
-    return [encode_strip(plane) for plane in turned(rows, start, stop)]
+
+def planes_of(values: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the bands of a (height, width, bands) array as planes of their own."""
+    for start in range(0, values.shape[2], GROUP):
+        yield from _turned(values, start, min(start + GROUP, values.shape[2]))
+
+
+def _turned(values: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """Return bands `start` to `stop` of (height, width, bands) as (bands, height, width)."""
+    return np.ascontiguousarray(np.moveaxis(values[:, :, start:stop], 2, 0))
 
 
 def write_stiff(
@@ -275,8 +291,6 @@ def write_stiff(
     ------
     TiffRefused, WriteRefused
     """
-    from levkas.database.planes import planes_of
-
     cube = np.asarray(cube)
     keep = cube.dtype in (np.uint8, np.uint16)
     if cube.ndim != 3 or (cube.dtype.kind != "f" and not keep):

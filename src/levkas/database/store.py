@@ -33,11 +33,6 @@ SLAB_LIMIT, LEAST_ROWS = 128 << 20, 16
 ROOT = {"attributes": {}, "zarr_format": 3, "node_type": "group"}
 
 
-def layer_name(camera: str, setup: str = "") -> str:
-    """Return the name of a layer's group: ``CAMERA``, or ``CAMERA@SETUP``."""
-    return f"{camera}@{setup}" if setup else camera
-
-
 def chunks_of(shape: tuple[int, int, int]) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Choose chunks and shards for a (height, width, bands) array of 4-byte numbers.
 

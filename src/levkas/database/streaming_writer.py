@@ -21,9 +21,8 @@ from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.files import spooling, together
 from levkas.database.catalogue import Entry
 from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
-from levkas.database.planes import GROUP
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import encode_strips, strip_rows, write_encoded_pages
+from levkas.database.spectral_tiff import GROUP, encode_strips, strip_rows, write_encoded_pages
 from levkas.database.store import writing_layer
 
 if TYPE_CHECKING:

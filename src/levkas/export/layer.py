@@ -14,6 +14,7 @@ import numpy as np
 from levkas.core.cube import Band
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
+from levkas.database.layout import LayerId
 
 KINDS = {"values": "", "flags": ".flags", "sigma": ".sigma"}
 
@@ -62,7 +63,7 @@ class ExportLayer:
         """Open a layer; raises TiffRefused."""
         from levkas.database.reader import open_tiff
 
-        stem = "_".join(part for part in (name, camera, setup) if part)
+        stem = LayerId(name, camera, setup).stem
         path = database / "objects" / name / f"{stem}.tif"
         if not path.is_file():
             raise ExportRefused(

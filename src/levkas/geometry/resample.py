@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from math import ceil, nan
+from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.cache_lines import empty
 from levkas.core.machine import count_threads, tile_rows
 from levkas.geometry.pixel_maps import (
     COARSE,
@@ -29,8 +28,10 @@ if TYPE_CHECKING:
 
     Maps = Transform | Sequence[Transform] | PixelMap
 
-KERNELS = {"cubic": (0, 2.0), "lanczos3": (1, 3.0), "linear": (2, 1.0)}
-"""Number and reach, in taps."""
+REACH = 2.0
+"""Of the kernel, source px."""
+LANES = 16
+"""Bands with maps of their own that the kernel takes together."""
 MAP_BYTES = 1 << 28
 BLOCK_BYTES = 1 << 26
 """Most memory of the maps of one block of rows, where no lattice serves."""
@@ -60,11 +61,8 @@ def warp(
     *,
     flags: np.ndarray | None = None,
     variance: np.ndarray | None = None,
-    kernel: str = "cubic",
     rows: tuple[int, int] | None = None,
     held: tuple[int, int] | None = None,
-    fill: float = nan,
-    threads: int | None = None,
     out: Warped | None = None,
 ) -> Warped:
     """Resample a source on a grid, each pixel and band interpolated once.
@@ -79,23 +77,17 @@ def warp(
     shape : (height, width) of the grid
     flags : ndarray, uint8, and variance : ndarray, float32, optional
         As large as `source`. Variance in its unit squared.
-    kernel : str
-        ``"cubic"`` (Keys, a = −0.5: 4 x 4 pixels), ``"lanczos3"`` (6 x 6), ``"linear"``.
     rows : (start, stop), optional
         Grid rows wanted; default all.
     held : (first row, height), optional
         Where `source` is a part of a taller image of that height: `source_rows` says which.
-    fill : float
-        Value and variance where there is nothing.
-    threads : int, optional
-        Default: the processors this process may use.
     out : Warped, optional
         Arrays to write to, C-contiguous, instead of new ones.
 
     Returns
     -------
     warped : Warped
-        Rows `start` to `stop`. The same bytes for any rows, bands taken together, and threads.
+        Rows `start` to `stop`; the same bytes for any rows and threads. NaN where there is nothing.
 
     Raises
     ------
@@ -104,18 +96,19 @@ def warp(
 
     Notes
     -----
+    Cubic convolution, a = −0.5, over 4 x 4 pixels (Keys 1981, doi:10.1109/TASSP.1981.1163711).
+
     Footprint: a pixel of the source covers half a pixel around its centre; what falls outside
-    −0.5 … w − 0.5 is OUTSIDE and `fill`. Taps that the edge of the image cuts off are left out, and
+    −0.5 … w − 0.5 is OUTSIDE and NaN. Taps that the edge of the image cuts off are left out, and
     the others weighted so that a ramp is still met exactly.
 
-    Kernels are exact on a ramp: Lanczos' weights are brought to sum 1 and to their place. Where the
-    grid is coarser than the source, the kernel is widened by the length of a grid step in source
-    pixels, along x and y apart (exact where the axes are parallel, wide enough elsewhere); by all
-    of it from 1.5 px on, not at all below 1.1 px.
+    Where the grid is coarser than the source, the kernel is widened by the length of a grid step in
+    source pixels, along x and y apart (exact where the axes are parallel, wide enough elsewhere); by
+    all of it from 1.5 px on, not at all below 1.1 px. A ramp is met exactly at any scale.
 
     Flags: the pixel that the place lies on hands its flags on; another one that weighs at least
     1/32 of the heaviest hands on its own and NEAR. A pixel that is not there (not finite, OUTSIDE)
-    is left out: what lies on it is OUTSIDE and `fill`; what only touches it is interpolated
+    is left out: what lies on it is OUTSIDE and NaN; what only touches it is interpolated
     linearly from those that are there, and NEAR. Variances add with the squared weights; what
     neighbours have in common by the interpolation is not kept.
 
@@ -127,41 +120,29 @@ def warp(
     >>> warp(ramp, half, (1, 8)).values[0]
     array([0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5], dtype=float32)
     """
-    from levkas import warping_kernels as kernels
-
     flat = source.ndim == 2
-    planes, frame = _planes(kernels, source, flags, variance, held)
+    held_from = _check(source, flags, variance, held)
+    values, marks, noise = _cube(source), _cube(flags), _cube(variance)
+    bands = 1 if flat else source.shape[2]
     given = transforms.bands if isinstance(transforms, PixelMap) else None
     if not isinstance(transforms, PixelMap) and isinstance(transforms, Sequence):
         given = len(transforms)
-    if given not in (None, frame.bands):
-        raise ValueError(f"{given} transforms for a source of {frame.bands} bands")
-    if kernel not in KERNELS:
-        raise ValueError(f"unknown kernel {kernel!r}; known: {', '.join(KERNELS)}")
+    if given not in (None, bands):
+        raise ValueError(f"{given} transforms for a source of {bands} bands")
     start, stop = _checked_rows(rows, shape[0])
-    count = threads or count_threads()
-    warped = _result((stop - start, shape[1], frame.bands), variance is not None, out)
+    warped = _result((stop - start, shape[1], bands), variance is not None, out)
     shared = [a for a in (source, flags, variance) if a is not None]
     for target in (warped.values, warped.flags, warped.variance):
         if target is not None and any(np.may_share_memory(target, a) for a in shared):
             raise ValueError("`out` is in the memory of what is read")
-    if planes.flags.size:
-        _find_suspects(kernels, planes, frame, count)
-    result = kernels.Result(
-        warped.values.reshape(-1),
-        planes.variance[:0] if warped.variance is None else warped.variance.reshape(-1),
-        warped.flags.reshape(-1),
-        start,
-        float(fill),
-    )
+    kernel = _Kernel.of((values, marks, noise), held_from, warped, start)
     absent = sum(
-        _run_lattice(kernels, lattice, shape, planes, frame, result, kernel, (start, stop), count)
-        for lattice in _lattices(transforms, shape)
+        kernel.run(lattice, shape, (start, stop)) for lattice in _lattices(transforms, shape)
     )
     if absent:
         raise ValueError(
-            f"rows {start} to {stop} of the grid need more than the source rows held, {frame.top} to "
-            f"{frame.top + frame.held}; `source_rows` says which"
+            f"rows {start} to {stop} of the grid need more than the source rows held, {held_from[0]} "
+            f"to {held_from[0] + len(source)}; `source_rows` says which"
         )
     return _squeezed(warped) if flat and out is None else warped
 
@@ -182,14 +163,12 @@ def source_rows(
     shape: tuple[int, int],
     rows: tuple[int, int],
     height: int,
-    *,
-    kernel: str = "cubic",
 ) -> tuple[int, int]:
     """Return the source rows, first and one past the last, that grid rows are interpolated from.
 
     Parameters
     ----------
-    transforms, shape, rows, kernel
+    transforms, shape, rows
         As for `warp`.
     height : int
         Of the whole source.
@@ -209,15 +188,11 @@ def source_rows(
     start, stop = _checked_rows(rows, shape[0])
     found = []
     for lattice in pixel_map.lattices:
-        scale = lattice.widest if _is_wide(lattice, kernel) else 1.0
+        scale = lattice.widest if lattice.coarsest > COARSE else 1.0
         least, most = row_reach(lattice, pixel_map.shape, start, stop)
-        found.append(tap_rows(least, most, KERNELS[kernel][1] * scale, height))
+        found.append(tap_rows(least, most, REACH * scale, height))
     found = [(low, high) for low, high in found if low < high]
     return (min(f[0] for f in found), max(f[1] for f in found)) if found else (0, 0)
-
-
-def _is_wide(lattice: Lattice, kernel: str) -> bool:
-    return kernel != "cubic" or lattice.coarsest > COARSE
 
 
 def _checked_rows(rows: tuple[int, int] | None, height: int) -> tuple[int, int]:
@@ -227,14 +202,13 @@ def _checked_rows(rows: tuple[int, int] | None, height: int) -> tuple[int, int]:
     return start, stop
 
 
-def _planes(
-    kernels: Any,
+def _check(
     source: np.ndarray,
     flags: np.ndarray | None,
     variance: np.ndarray | None,
     held: tuple[int, int] | None,
-) -> tuple[Any, Any]:
-    """Check the source arrays and lay them flat."""
+) -> tuple[int, int]:
+    """Check the arrays of the source; return its first row and the height of the whole image."""
     if source.ndim not in (2, 3) or 0 in source.shape:
         raise ValueError(f"source of shape {source.shape}; (h, w) or (h, w, bands) is wanted")
     if source.dtype not in (np.float32, np.uint16, np.uint8):
@@ -244,28 +218,24 @@ def _planes(
             raise ValueError(f"{name} of shape {twin.shape} for a source of {source.shape}")
     if flags is not None and flags.dtype != np.uint8:
         raise ValueError(f"flags of {flags.dtype}; uint8 is wanted")
-    rows, width = source.shape[:2]
-    top, height = (0, rows) if held is None else held
-    if not 0 <= top <= height - rows:
-        raise ValueError(f"{rows} rows from {top} on do not fit in an image of {height} rows")
-    values = source.astype(np.uint16) if source.dtype == np.uint8 else source
-    planes = kernels.Planes(
-        np.ascontiguousarray(values).reshape(-1),
-        np.empty(0, np.float32)
-        if variance is None
-        else np.ascontiguousarray(variance, np.float32).reshape(-1),
-        np.empty(0, np.uint8) if flags is None else np.ascontiguousarray(flags).reshape(-1),
-        np.empty(0 if flags is None else rows * width, np.uint8),
-        np.empty(0 if flags is None else rows * width, np.uint8),
-    )
-    bands = source.shape[2] if source.ndim == 3 else 1
-    return planes, kernels.Frame(top, rows, height, width, bands)
+    top, height = (0, len(source)) if held is None else held
+    if not 0 <= top <= height - len(source):
+        raise ValueError(
+            f"{len(source)} rows from {top} on do not fit in an image of {height} rows"
+        )
+    return top, height
+
+
+def _cube(array: np.ndarray | None) -> np.ndarray | None:
+    if array is None:
+        return None
+    return np.ascontiguousarray(array[..., None] if array.ndim == 2 else array)
 
 
 def _result(shape: tuple[int, int, int], noisy: bool, out: Warped | None) -> Warped:
     if out is None:
-        variance = empty(shape, np.float32) if noisy else None
-        return Warped(empty(shape, np.float32), np.zeros(shape, np.uint8), variance)
+        variance = np.empty(shape, np.float32) if noisy else None
+        return Warped(np.empty(shape, np.float32), np.zeros(shape, np.uint8), variance)
     wanted = [(out.values, np.float32), (out.flags, np.uint8)]
     if noisy != (out.variance is not None):
         raise ValueError("`out` has a variance where none is wanted, or none where one is")
@@ -283,14 +253,76 @@ def _squeezed(warped: Warped) -> Warped:
     return Warped(warped.values[..., 0], warped.flags[..., 0], variance)
 
 
-def _find_suspects(kernels: Any, planes: Any, frame: Any, threads: int) -> None:
-    for find in (kernels.find_suspects, kernels.find_around):
+@dataclass(frozen=True, eq=False)
+class _Kernel:
+    """The compiled loops, and the arrays of one call of `warp` as they take them."""
 
-        def work(start: int, stop: int, find: Callable[..., None] = find) -> int:
-            find(start, stop, planes, frame)
-            return 0
+    loops: Any
+    source: Any
+    result: Any
+    threads: int
 
-        _in_threads(work, (0, frame.held), threads)
+    @classmethod
+    def of(
+        cls,
+        cubes: tuple[Any, Any, Any],
+        held: tuple[int, int],
+        warped: Warped,
+        start: int,
+    ) -> _Kernel:
+        """Take values, flags and variance of the source, the latter two or None."""
+        from levkas.geometry import resample_kernels as loops
+
+        values, flags, variance = cubes
+        threads, no_noise = count_threads(), np.empty((0, 0, 0), np.float32)
+        if values.dtype == np.uint8:
+            values = values.astype(np.uint16)
+        suspect = np.empty((0, 0) if flags is None else values.shape[:2], np.uint8)
+        if flags is not None:
+            _in_threads(
+                lambda low, high: loops.find_suspects(low, high, flags, suspect) or 0,
+                (0, len(flags)),
+                threads,
+            )
+        source = loops.Source(
+            values,
+            no_noise if variance is None else variance.astype(np.float32, copy=False),
+            np.empty((0, 0, 0), np.uint8) if flags is None else flags,
+            suspect,
+            *held,
+        )
+        noise = no_noise if warped.variance is None else warped.variance
+        result = loops.Result(warped.values, noise, warped.flags, start)
+        return cls(loops, source, result, threads)
+
+    def run(self, lattice: Lattice, shape: tuple[int, int], rows: tuple[int, int]) -> int:
+        """Resample the bands of one lattice; return how often a source row was not held."""
+        blocks, exact = [rows], lattice.table is None
+        if exact:
+            chosen = BLOCK_BYTES // (80 * shape[1] * len(lattice.transforms))
+            step = tile_rows(chosen, rows[1] - rows[0])
+            blocks = [(r, min(r + step, rows[1])) for r in range(rows[0], rows[1], step)]
+        return sum(self._run_block(lattice, shape, block, exact) for block in blocks)
+
+    def _run_block(
+        self, lattice: Lattice, shape: tuple[int, int], rows: tuple[int, int], exact: bool
+    ) -> int:
+        table = exact_table(lattice, shape, *rows) if lattice.table is None else lattice.table
+        if table.ndim == 3:
+            table = table[..., None]
+        # Fewer maps than the kernel takes at once: the last one again.
+        maps = max(table.shape[3], LANES) if lattice.count is not None else 1
+        table = table[:, :, :, np.minimum(np.arange(maps), table.shape[3] - 1)]
+        wide = lattice.coarsest > COARSE
+        table = np.ascontiguousarray(table[:, :, : 10 if wide else 8])
+        if wide:
+            table[:, :, 8:] = widths(table[:, :, 8:])
+        nodes = self.loops.Nodes(table, *shape, rows[0], lattice.segment, exact, lattice.widest)
+        args: tuple[Any, ...] = (nodes, self.source, self.result)
+        loop = self.loops.shared_rows
+        if lattice.count is not None:
+            loop, args = self.loops.own_rows, (*args, lattice.first, lattice.count)
+        return _in_threads(lambda low, high: loop(low, high, *args), rows, self.threads)
 
 
 def _in_threads(work: Callable[[int, int], int], rows: tuple[int, int], threads: int) -> int:
@@ -308,45 +340,3 @@ def _in_threads(work: Callable[[int, int], int], rows: tuple[int, int], threads:
         return sum(work(start, min(start + step, rows[1])) for start in starts)
     with ThreadPoolExecutor(threads) as pool:
         return sum(pool.map(lambda start: work(start, min(start + step, rows[1])), starts))
-
-
-def _run_lattice(
-    kernels: Any,
-    lattice: Lattice,
-    shape: tuple[int, int],
-    planes: Any,
-    frame: Any,
-    result: Any,
-    kernel: str,
-    rows: tuple[int, int],
-    threads: int,
-) -> int:
-    """Resample the bands of one lattice; return how many taps were not in memory."""
-    from levkas import wide_kernels
-
-    wide_rows: Callable[..., Any] = wide_kernels.wide_rows
-    wide = _is_wide(lattice, kernel)
-    channels = 10 if wide else 8
-    count = frame.bands if lattice.count is None else lattice.count
-    blocks = [rows]
-    if lattice.table is None:
-        chosen = BLOCK_BYTES // (80 * shape[1] * len(lattice.transforms))
-        step = tile_rows(chosen, rows[1] - rows[0])
-        blocks = [(r, min(r + step, rows[1])) for r in range(rows[0], rows[1], step)]
-    absent = 0
-    for block in blocks:
-        exact = lattice.table is None
-        table = exact_table(lattice, shape, *block) if lattice.table is None else lattice.table
-        table = table[:, :, :channels].copy()
-        if wide:
-            table[:, :, 8:] = widths(table[:, :, 8:])
-        nodes = kernels.Nodes(table, *shape, block[0], lattice.segment, exact)
-        given = (nodes, planes, frame, result, lattice.first, count)
-
-        def work(start: int, stop: int, given: tuple[Any, ...] = given) -> int:
-            if wide:
-                return int(wide_rows(start, stop, *given, KERNELS[kernel][0], lattice.widest))
-            return int(kernels.cubic_rows(start, stop, *given))
-
-        absent += _in_threads(work, block, threads)
-    return absent

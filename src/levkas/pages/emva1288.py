@@ -14,7 +14,7 @@ from levkas.quality.emva1288.facts import describe_levels
 from levkas.quality.emva1288.photon_transfer import PhotonTransfer
 
 if TYPE_CHECKING:
-    from levkas.quality.emva1288.reports import Examination, SensorReport
+    from levkas.quality.emva1288.report import Examination, SensorReport
 
 INKS = ("a", "b", "c", "d")
 OWN_INK = {"R": "b", "G": "c", "B": "a"}

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from levkas.calibration.blocks import block_statistics
 from levkas.calibration.noise_fit import NoiseModel, fit_noise, fit_noise_single
 from levkas.calibration.noise_model import Sensor
 from levkas.calibration.patterns import channel_names, channel_table, split
@@ -28,6 +27,7 @@ from levkas.planning.exposure_levels import (
     snr_at,
 )
 from levkas.planning.full_scale import FullScale, find_full_scale, not_known
+from levkas.quality.emva1288.blocks import block_statistics
 from levkas.readers.frames import Facts, read_facts, read_frame
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels

@@ -21,10 +21,11 @@ from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
 from levkas.database.consistency import stem_of
+from levkas.database.layout import layer_name
 from levkas.database.registrations import read_registration
 from levkas.database.splits import NAME as SPLITS
 from levkas.database.splits import split_objects
-from levkas.database.store import layer_name, write_index
+from levkas.database.store import write_index
 from levkas.publish.publication import PublishRefused
 
 if TYPE_CHECKING:
@@ -212,7 +213,8 @@ def credits_of(path: Path) -> Credits:
 
 def _write_records(publication: Publication, root: Path, name: str, size: tuple[int, int]) -> None:
     """Registration records whose grid is the smaller one; the matches are of native pixels and stay."""
-    from levkas.geometry.transforms import Affine, from_dict
+    from levkas.geometry import from_dict
+    from levkas.geometry.transforms import Affine
 
     for path in sorted((publication.source / f"objects/{name}/registration").glob("*")):
         place = path.relative_to(publication.source).as_posix()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.flags import MARKS
+from levkas.database.layout import layer_name
 from levkas.publish.citation import cite
 from levkas.publish.publication import describe_dataset
 
@@ -107,7 +108,7 @@ def _files(publication: Publication, root: Path) -> str:
 
 def _reading(entries: tuple[Entry, ...]) -> str:
     first = entries[0]
-    layer = f"{first.camera}@{first.setup}" if first.setup else first.camera
+    layer = layer_name(first.camera, first.setup)
     key = f'"{first.camera}", "{first.setup}"' if first.setup else f'"{first.camera}"'
     return f"""## How to read it
 

@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from levkas.colour.icc import srgb_profile
+from levkas.colour.srgb import srgb_profile
 
 TILE = 512
 QUALITY = 90

@@ -16,9 +16,9 @@ MOST_SAMPLES = 2_000_000_000
 """Samples of one frame; a file that declares more is damaged or not an image."""
 LONGEST_SIDE = 500_000
 FREE_BYTES = 64 << 20
-"""What a file may expand to whatever its ratio: constant dark frames compress very well."""
+"""Bytes that a file may expand to at any ratio: constant dark frames compress very well."""
 SMALL_SAMPLES = 32 << 20
-"""What may be as constant as it will: darks of 32 megapixels that are nothing but zeros."""
+"""Samples that may have any ratio: darks of 32 megapixels can be nothing but zeros."""
 LARGEST_EXPANSION = 50
 """Bytes of a larger frame from one stored byte; noise of one code compresses to a tenth, and PackBits goes to 64 to 1."""
 IN_WORK = 8

@@ -1,13 +1,19 @@
-"""Registration: which pixel of which band of which camera shows which point of the reference."""
+"""Registration: which pixel of which band of which camera shows which point of the reference.
+
+A method is a row of `levkas.campaign.methods.METHODS`: the model of its options, and a function of a `Request`
+and these options that returns a `Registration`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.campaign.methods import DEFAULT_METHOD, METHODS, Method
 from levkas.registration.bands import BandImage
 from levkas.registration.record import (
     Matches,
@@ -16,24 +22,27 @@ from levkas.registration.record import (
     Trace,
     Verdict,
 )
+from levkas.registration.request import Request
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from levkas.registration.manual_points import ManualPoints
 
-METHODS: dict[str, tuple[str, str]] = {
+#: Module and function of the built-in methods, imported when first used.
+BUILT_IN = {
     "levkas": ("levkas.registration.levkas", "register_levkas"),
     "mirhashemi2019": ("levkas.registration.mirhashemi2019", "register_mirhashemi2019"),
 }
-DEFAULT_METHOD = "levkas"
+#: Fields of the request that are given by name.
+FURTHER = {"target_region", "align", "reference_transforms", "reference_sigma", "prepared"}
 
 __all__ = [
     "METHODS",
     "BandImage",
     "Matches",
+    "Method",
     "Registration",
     "RegistrationRefused",
+    "Request",
     "Trace",
     "Verdict",
     "register",
@@ -46,10 +55,7 @@ def register(
     *,
     reference_band: str,
     method: str = DEFAULT_METHOD,
-    reject: float | None = None,
-    stop: float = 1.0,
     region: Sequence[float] | None = None,
-    rng: np.random.Generator | None = None,
     given: Mapping[str, ManualPoints] | None = None,
     **options: Any,
 ) -> Registration:
@@ -65,22 +71,19 @@ def register(
         Label of the band of `reference` that defines reference px.
     method : str
         A key of `METHODS`.
-    reject, stop : float, reference px
-        T1 (None: the method's default) and T2 of the paper.
     region : (x, y, width, height), reference px, optional
         Where the object lies; nothing outside is used or judged.
-    rng : numpy.random.Generator, optional
-        For what is drawn at random; a fixed seed without it.
-    given : mapping of sensor name to Given, optional
+    given : mapping of sensor name to ManualPoints, optional
         Pairs given by hand: added and pinned ones are never removed, deleted ones never used, check
         points are measured into ``errors["check_points"]``, each by the band that it was placed in.
     **options
-        Of the method.
+        Of the method, as campaign.toml names them; None stands for a default. Further fields of the
+        `Request` are taken too, e.g. `reference_transforms`.
 
     Returns
     -------
     registration : Registration
-        With the verdict ``"refuse"`` where there is an answer that cannot be believed.
+        With the verdict ``"refuse"`` where there is an answer that cannot be relied on.
 
     Raises
     ------
@@ -88,29 +91,31 @@ def register(
         Where there is no answer at all, or an argument is wrong.
     """
     from levkas.core.machine import steady_libraries
-    from levkas.registration.arguments import check_arguments
+    from levkas.registration.request import check_request, read_options
 
-    check_arguments(reference, target, reference_band, method, METHODS, reject, stop, region)
-    module, name = METHODS[method]
-    run: Callable[..., Registration] = getattr(import_module(module), name)
     given = {name: pairs for name, pairs in (given or {}).items() if pairs}
-    if given:
-        options["given"] = given
+    further = {name: options.pop(name) for name in FURTHER & options.keys()}
+    asked = Request(reference, target, reference_band, region=region, given=given, **further)
+    check_request(asked, method, METHODS)
+    read = read_options(METHODS[method].options, options)
+    run = _function(method)
     with steady_libraries():
-        found = run(
-            reference,
-            target,
-            reference_band=reference_band,
-            reject=reject,
-            stop=stop,
-            region=region,
-            rng=rng,
-            **options,
-        )
-    return _checked(found, target, given)
+        found = run(asked, read)
+    return _with_checks(found, target, given)
 
 
-def _checked(
+def _function(method: str) -> Callable[[Request, Any], Registration]:
+    """Return the function of a method; of a built-in one it is imported now."""
+    if method not in BUILT_IN:
+        row = METHODS[method].register
+        assert row is not None, f"the method {method!r} has no function"
+        return row
+    module, name = BUILT_IN[method]
+    found: Callable[[Request, Any], Registration] = getattr(import_module(module), name)
+    return found
+
+
+def _with_checks(
     found: Registration, target: Sequence[BandImage], given: Mapping[str, ManualPoints]
 ) -> Registration:
     """Measure every check point by the map of the band in which it was placed."""
@@ -142,5 +147,6 @@ def _checked(
         ]
     if not report:
         return found
-    told = {**found.errors, "check_points": report}
-    return replace(found, matches=matches, others=others, errors=told)
+    return replace(
+        found, matches=matches, others=others, errors={**found.errors, "check_points": report}
+    )

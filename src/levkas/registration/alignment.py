@@ -17,9 +17,11 @@ from levkas.registration.record import RegistrationRefused
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-REJECT_SHARE = 1 / 16
-STOP_PX = 1.0
+#: Share of the diagonal beyond which matches are cut, and largest error, px, that is kept.
+REJECT_SHARE, STOP_PX = 1 / 16, 1.0
+#: Matches that a model needs.
 LEAST_MATCHES = {"rigid": 8, "affine": 12}
+#: Share of a resampled pixel that has to be valid.
 EDGE = 0.999
 
 
@@ -154,7 +156,7 @@ def _measure(first: list[BandImage], other: list[BandImage], model: str) -> Affi
 
 
 def _rigid(source: np.ndarray, target: np.ndarray) -> Affine:
-    """Return the rotation and shift of `source` to `target` by least squares (Kabsch 1976)."""
+    """Return the rotation and shift of `source` to `target` by least squares ([kabsch1976]_)."""
     a, b = source - source.mean(0), target - target.mean(0)
     u, _, vt = np.linalg.svd(a.T @ b)
     turn = (u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T

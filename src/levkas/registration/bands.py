@@ -1,6 +1,6 @@
 """Bands as registration sees them: single images, averages, contrast stretches, the object's outline.
 
-Dense registration compares square roots of the bands (noise becomes even, [Anscombe1948]_) with small
+Dense registration compares square roots of the bands (noise becomes even, [anscombe1948]_) with small
 holes inpainted; key points are looked for in averages over bands.
 """
 

@@ -1,14 +1,16 @@
-"""The bands of one camera against its base map: low-order fields, smooth in wavelength.
+"""Lateral chromatic aberration: the bands of one camera against its base map.
 
-A lens magnifies every wavelength a little differently, a filter wheel shifts every band by its
-own wedge. Each band gets the same few displacement fields, shift and magnification freely, others at
-a price; their amounts are drawn to what the neighbouring wavelengths say as far as data allow.
+A lens magnifies every wavelength a little differently, a filter wheel shifts every band by its own wedge.
+Each band is displaced by the same few fields, shift and magnification freely, others with a prior that
+they are small. The amounts of each field are a Gaussian process over wavelength ([rasmussen2006]_): a constant,
+a squared exponential and a part of each band's own, with scales of the highest marginal likelihood.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numba import njit
@@ -18,9 +20,37 @@ from levkas.geometry.transforms import Polynomial, design_matrix
 from levkas.registration.local_shifts import WindowShifts
 from levkas.registration.models import inflate_covariance
 
-BLOCKS = 8
-LEAST_WINDOWS = 12
-LENGTHS_NM = (80.0, 200.0, 500.0)
+
+@dataclass(frozen=True)
+class ChromaticSettings:
+    """Constants of the chromatic shifts.
+
+    Parameters
+    ----------
+    blocks : int
+        Across the longer side, in which the gradients of windows are summed.
+    least_windows : int
+        Of a band; with fewer it takes its shift from the other bands.
+    rounds : int
+        Of re-weighting windows.
+    lengths : tuple of float, nm
+        Correlation lengths over wavelength that are tried.
+    smooth, own : tuple of float
+        Variances of the smooth part and of each band's own, in units of the amounts' mean square.
+    least_bands : int
+        Of different wavelengths from which amounts are smoothed.
+    """
+
+    blocks: int = 8
+    least_windows: int = 12
+    rounds: int = 6
+    lengths: tuple[float, ...] = (80.0, 200.0, 500.0)
+    smooth: tuple[float, ...] = (0.0, 1.0, 10.0)
+    own: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0)
+    least_bands: int = 4
+
+
+SETTINGS = ChromaticSettings()
 
 # Columns of a cubic polynomial: 1 u v uu uv vv uuu uuv uvv vvv; rows below are (x′, y′) of each.
 _FIELDS: list[tuple[str, list[dict[tuple[int, int], int]]]] = [
@@ -164,7 +194,7 @@ def _system(
     """
     count = len(earlier)
     used = np.trace(windows.information, axis1=1, axis2=2) > 0
-    if used.sum() < LEAST_WINDOWS:
+    if used.sum() < SETTINGS.least_windows:
         return np.zeros((count, count)), np.zeros(count)
     design = design[:, used]
     shift = windows.shift if common is None else windows.shift - common
@@ -184,7 +214,7 @@ def _reweighted(
     size = _size("similarity")
     lean = np.ascontiguousarray(design[..., :size])
     current, residual = information, goal
-    for _ in range(6):
+    for _ in range(SETTINGS.rounds):
         residual = goal - (lean @ _solve(*_normal(lean, current, goal, lean.shape[2]))).T
         floored, weights = inflate_covariance(residual, information)
         current = floored * weights[:, None, None]
@@ -227,8 +257,8 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def _blocks(points: np.ndarray) -> np.ndarray:
     low, high = points.min(0), points.max(0)
-    block = ((points - low) / max(float((high - low).max()) / BLOCKS, 1e-9)).astype(int)
-    return np.asarray(block[:, 0] * (BLOCKS + 1) + block[:, 1])
+    block = ((points - low) / max(float((high - low).max()) / SETTINGS.blocks, 1e-9)).astype(int)
+    return np.asarray(block[:, 0] * (SETTINGS.blocks + 1) + block[:, 1])
 
 
 def _amounts(
@@ -266,13 +296,13 @@ def _smooth(
     apart: np.ndarray,
     price: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw each amount to what the other bands say: Gaussian process, its scales from the data.
+    """Smooth each amount over the bands by a Gaussian process, its scales from the data.
 
     `measured` are amounts seen against predictions: ``apart @ amounts``; a `price` is the inverse of
     the variance that is expected of a field. Returns the amounts and their variances.
     """
     places = np.asarray(wavelengths, float)
-    smooth = np.isfinite(places).all() and len(np.unique(places)) >= 4
+    smooth = np.isfinite(places).all() and len(np.unique(places)) >= SETTINGS.least_bands
     result, doubts = np.zeros_like(measured), np.zeros_like(measured)
     for column in range(measured.shape[1]):
         known = np.isfinite(variances[:, column])
@@ -291,6 +321,11 @@ def _smooth(
 def _posterior(
     y: np.ndarray, noise: np.ndarray, seen: np.ndarray, places: np.ndarray | None, price: float
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and variance of the amounts, (bands,), given ``y = seen @ amounts`` with variances `noise`.
+
+    Algorithm 2.1 of [rasmussen2006]_ for each combination of scales; that of the highest marginal
+    likelihood is taken.
+    """
     bands = seen.shape[1]
     plain = np.linalg.lstsq(seen, y, rcond=1e-3)[0]
     size = max(float(np.mean(plain**2)), float(np.median(noise)), 1e-10)
@@ -299,22 +334,20 @@ def _posterior(
     common = (1 if price > 0 else 100) * size * np.ones((bands, bands))
     bends = [np.zeros((bands, bands))]
     if places is not None:
-        bends = [np.exp(-0.5 * ((places[:, None] - places) / nm) ** 2) for nm in LENGTHS_NM]
-    best, answer, left = -np.inf, plain, np.full(bands, size)
-    for bend in bends:
-        for smooth in (0.0, 1.0, 10.0) if places is not None else (0.0,):
-            for rough in (0.0, 0.01, 0.1, 1.0):
-                prior = common + size * (smooth * bend + rough * np.eye(bands))
-                total = seen @ prior @ seen.T + np.diag(noise)
-                try:
-                    factor = np.linalg.cholesky(total)
-                except np.linalg.LinAlgError:
-                    continue
-                white = np.linalg.solve(factor, y)
-                likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
-                if likelihood > best:
-                    best = likelihood
-                    answer = prior @ seen.T @ np.linalg.solve(factor.T, white)
-                    told = np.linalg.solve(factor, seen @ prior)
-                    left = np.maximum(np.diag(prior) - (told**2).sum(0), 0.0)
-    return answer, left
+        bends = [np.exp(-0.5 * ((places[:, None] - places) / nm) ** 2) for nm in SETTINGS.lengths]
+    smooths = SETTINGS.smooth if places is not None else (0.0,)
+    best, mean, variance = -np.inf, plain, np.full(bands, size)
+    for bend, smooth, own in product(bends, smooths, SETTINGS.own):
+        prior = common + size * (smooth * bend + own * np.eye(bands))
+        try:
+            factor = np.linalg.cholesky(seen @ prior @ seen.T + np.diag(noise))
+        except np.linalg.LinAlgError:
+            continue
+        white = np.linalg.solve(factor, y)
+        likelihood = -0.5 * (white @ white) - np.log(np.diag(factor)).sum()
+        if likelihood > best:
+            best = likelihood
+            mean = prior @ seen.T @ np.linalg.solve(factor.T, white)
+            known = np.linalg.solve(factor, seen @ prior)
+            variance = np.maximum(np.diag(prior) - (known**2).sum(0), 0.0)
+    return mean, variance

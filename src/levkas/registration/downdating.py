@@ -1,4 +1,4 @@
-"""The kernel under `outliers`: a least-squares fit that is updated when its worst pair leaves.
+"""Downdating: a least-squares fit that is updated when its worst pair leaves; the kernel of `outliers`.
 
 With orthonormal rows q of the design, G = Σ q qᵀ over the pairs that are kept, z = G⁻¹ q_j and
 h = q_j·z of the pair j that leaves,
@@ -15,11 +15,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+#: Errors that differ by less, px, are equal.
 TIE_PX = 1e-9
-ROUNDS = 1024
-HOT = 512
-LARGEST_INVERSE = 50.0
-LEAST_FREEDOM = 1e-3
+#: Rounds after which the fit is factored anew, pairs that are followed.
+ROUNDS, HOT = 1024, 512
+#: Growth of the inverse, and freedom of a pair in the fit, at which it is factored anew.
+LARGEST_INVERSE, LEAST_FREEDOM = 50.0, 1e-3
 
 
 @njit(cache=True, nogil=True)

@@ -1,6 +1,6 @@
 """Features: key points and descriptors of grey pictures.
 
-Two kinds of users share one SIFT ([Lowe2004]_). The paper's method picks a detector from `DETECTORS`, in which
+Two kinds of users share one SIFT ([lowe2004]_). The paper's method picks a detector from `DETECTORS`, in which
 a row is all that a new kind needs. The default method finds SIFT of several grey pictures of a camera, each
 when it is first needed (`CameraFeatures`): contrast inversion and mirroring permute the entries of a
 descriptor, so that all four cases cost one detection. Where contrast inverts in some places and not in
@@ -162,7 +162,7 @@ def _strongest(found: KeyPoints, shape: tuple[int, ...], limit: int) -> np.ndarr
 def sift(
     picture: np.ndarray, *, contrast: float = SETTINGS.contrast, root: bool = True
 ) -> KeyPoints:
-    """SIFT of [Lowe2004]_; RootSIFT ([Arandjelovic2012]_) with `root`.
+    """SIFT of [lowe2004]_; RootSIFT ([arandjelovic2012]_) with `root`.
 
     Parameters
     ----------
@@ -192,20 +192,20 @@ def _whole(found: KeyPoints, descriptors: np.ndarray) -> KeyPoints:
 
 
 def kaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
-    """KAZE ([Alcantarilla2012]_); in OpenCV 4, and in OpenCV 5 only with its extra modules."""
+    """KAZE ([alcantarilla2012]_); in OpenCV 4, and in OpenCV 5 only with its extra modules."""
     finder = _opencv("KAZE_create", "kaze")(threshold=contrast)
     found = _gather(*finder.detectAndCompute(picture, None), width=64)
     return _whole(found, found.descriptors)
 
 
 def akaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
-    """AKAZE ([Alcantarilla2013]_), binary descriptors; in OpenCV as `kaze` is."""
+    """AKAZE ([alcantarilla2013]_), binary descriptors; in OpenCV as `kaze` is."""
     finder = _opencv("AKAZE_create", "akaze")(threshold=contrast)
     return _gather(*finder.detectAndCompute(picture, None), width=61)
 
 
 def orb(picture: np.ndarray, *, contrast: int = 5) -> KeyPoints:
-    """ORB ([Rublee2011]_), binary descriptors; in every OpenCV. `contrast` is the threshold of FAST, grey levels."""
+    """ORB ([rublee2011]_), binary descriptors; in every OpenCV. `contrast` is the threshold of FAST, grey levels."""
     finder = _opencv("ORB_create", "orb")(
         nfeatures=SETTINGS.orb_points, fastThreshold=contrast, scaleFactor=1.2, nlevels=8
     )

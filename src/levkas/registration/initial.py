@@ -1,6 +1,6 @@
 """Initial transform: scale 0.2 to 5, any rotation, mirrored or with inverted contrast.
 
-Key points that are each other's most alike give most sensors a homography by MAGSAC++ ([Barath2020]_). Where too
+Key points that are each other's most alike give most sensors a homography by MAGSAC++ ([barath2020]_). Where too
 few of these agree, every key point is matched with the few most alike ones, edges are looked at too, and
 what agrees in place, size and direction is sought among thousands of matches by pose clustering. Matches near
 that transform refine it to a cubic polynomial. Pairs given by hand start the search where key points
@@ -450,7 +450,7 @@ def _fit_similarity(p: np.ndarray, q: np.ndarray, mirrored: bool) -> Affine:
 
 
 def _fit_homography(p: np.ndarray, q: np.ndarray) -> Homography | None:
-    """Direct linear transform on centred, scaled coordinates ([Hartley1997]_); None where none is determined."""
+    """Direct linear transform on centred, scaled coordinates ([hartley1997]_); None where none is determined."""
 
     def frame(points: np.ndarray) -> np.ndarray:
         centre = points.mean(0)

@@ -16,7 +16,8 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
-from levkas.geometry.transforms import Affine, Composed, Transform, from_dict
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Affine, Composed, Transform
 from levkas.registration.chromatic import ChromaticShifts
 from levkas.registration.depth_step import depth_step_of
 from levkas.registration.model_selection import (

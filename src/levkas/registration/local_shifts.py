@@ -1,4 +1,4 @@
-"""Dense refinement: a linear prediction plus a shift, window by window, from sums over cells.
+"""Local shifts: Lucas-Kanade ([baker2004]_) with linear appearance variation ([hager1998]_), window by window.
 
 In a window the warped target band is T(x) = b + r·x + Σ g_k R_k(x) + e·∇P(x), with predictors R_k
 (images of the reference in its own frame), P = Σ g_k R_k, and e the shift that is looked for.
@@ -17,8 +17,11 @@ import numpy as np
 from levkas.core.threads import in_threads
 from levkas.registration import local_shifts_kernel as kernels
 
+#: Side of a cell, px; a window is three cells wide.
 CELL_PX = 16
+#: Of the gains, as a share of the predictors' energy.
 RIDGE = 1e-4
+#: Share of a window that has to be valid.
 LEAST_COVER = 0.6
 
 
@@ -77,7 +80,7 @@ class Predictor:
         in_threads(
             kernels.sum_windows,
             self._rows,
-            *(self._cells, self.counts, self.cell, LEAST_COVER, *self._windows),
+            *(self._cells, self.counts, self.cell, LEAST_COVER, self._windows),
         )
 
     @property
@@ -102,12 +105,15 @@ class Predictor:
         in_threads(kernels.count_cover, rows, target, self._known, cell, number)
         slots, lines, partial = self._products(target, number)
         shift, r2 = np.zeros((rows, cols, 2)), np.zeros((rows, cols))
-        info, lean = np.zeros((rows, cols, 2, 2)), np.zeros((rows, cols, k, k))
+        info, sensitivity = np.zeros((rows, cols, 2, 2)), np.zeros((rows, cols, k, k))
         in_threads(
             kernels.solve_windows,
             rows,
-            *(lines, number, slots, partial, self._cells, self.counts, *self._windows),
-            *(cell, ridge, LEAST_COVER, shift, info, r2, lean),
+            self._cells,
+            (lines, number, slots, partial),
+            (self.counts, *self._windows),
+            (cell, ridge, LEAST_COVER),
+            (shift, info, r2, sensitivity),
         )
         x, y = np.meshgrid(np.arange(cols), np.arange(rows))
         centres = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * (cell * self.step) - 0.5
@@ -116,7 +122,7 @@ class Predictor:
             shift.reshape(-1, 2) * self.step,
             info.reshape(-1, 2, 2) / self.step**2,
             r2.reshape(-1),
-            lean.reshape(-1, k, k),
+            sensitivity.reshape(-1, k, k),
         )
 
     def _products(
@@ -131,6 +137,6 @@ class Predictor:
         in_threads(
             kernels.sum_products,
             self._rows,
-            *(target, self._images, self._known, self.cell, number, slots, lines, partial),
+            *(target, self._images, self._known, self.cell, (number, slots), (lines, partial)),
         )
         return slots, lines, partial

@@ -119,12 +119,14 @@ def count_cover(start, stop, target, known, cell, number):  # type: ignore[no-un
 
 
 @njit(nogil=True, cache=True)
-def sum_products(start, stop, target, images, known, cell, number, slots, lines, partial):  # type: ignore[no-untyped-def]
+def sum_products(start, stop, target, images, known, cell, cover, out):  # type: ignore[no-untyped-def]
     """Sums of the target's products, its square last; of all products anew in partial cells.
 
     Columns side by side, the rows of a cell one by one, these in single precision: as if the
     target had noise of 1e-7.
     """
+    number, slots = cover
+    lines, partial = out
     k, h, w = images.shape
     sums = np.empty((3, w), np.float32)
     for r in range(start, stop):
@@ -267,11 +269,12 @@ def _free(g, d, r, c, n, gram, mixed, ramp):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def sum_windows(start, stop, cells, counts, cell, cover, able, gram, mixed, ramp):  # type: ignore[no-untyped-def]
+def sum_windows(start, stop, cells, counts, cell, cover, out):  # type: ignore[no-untyped-def]
     """Sums of every 3 x 3 window of cells under tent weights, without bias and ramp.
 
-    `able` is left at the weighted number of pixels, and at 0 where a window is of no use.
+    `out` is (able, gram, mixed, ramp); `able` is left at the weighted number of pixels, and at 0 where a window is of no use.
     """
+    able, gram, mixed, ramp = out
     rows, cols = counts.shape
     d = cells.shape[2]
     g = np.empty((d, d))
@@ -292,15 +295,9 @@ def sum_windows(start, stop, cells, counts, cell, cover, able, gram, mixed, ramp
 
 
 @njit(cache=True)
-def _gauss_newton(g, t, k, ridge, total, gains, answer, lean, work):  # type: ignore[no-untyped-def]
-    """Fit gains and shift; answer holds e, the Schur complement (3) and what is left; False if ill.
-
-    g: sums (3k, 3k) of predictors and derivatives, t: their sums with the target, (3k,). The
-    gains' own block does not change with the shift: it is factored once, as L with the
-    reciprocals of its diagonal, and every round borders it by two rows.
-    """
-    m = 3 * k
-    factor, forward, border, grad, right = work
+def _factor_gains(g, t, ridge, factor, forward):  # type: ignore[no-untyped-def]
+    """Factor the gains' block as L with the reciprocals of its diagonal, and solve L forward = t."""
+    k = len(forward)
     energy = 0.0
     for a in range(k):
         energy += g[a, a]
@@ -319,38 +316,68 @@ def _gauss_newton(g, t, k, ridge, total, gains, answer, lean, work):  # type: ig
         for n in range(i):
             value -= factor[i, n] * forward[n]
         forward[i] = value * factor[i, i]
-    _backward(factor, forward, k, gains)
-    for _ in range(3):
-        for axis in range(2):
-            line = grad[axis]
-            line[:] = 0.0
-            value = 0.0
-            for a in range(k):
-                gain, row = gains[a], g[(1 + axis) * k + a]
-                for c in range(m):
-                    line[c] += gain * row[c]
-                value += gain * t[(1 + axis) * k + a]
-            right[axis] = value
-            for i in range(k):
-                value = line[i]
-                for n in range(i):
-                    value -= factor[i, n] * border[axis, n]
-                border[axis, i] = value * factor[i, i]
-        # What the shift's own block keeps once the gains are out of it.
-        xx = xy = yy = sxx = sxy = syy = 0.0
+    return True
+
+
+@njit(cache=True)
+def _border_shift(g, t, gains, factor, border, grad, right):  # type: ignore[no-untyped-def]
+    """Fill the two rows of the shift: sums of the prediction's gradient, and their part beside the gains."""
+    k = len(gains)
+    for axis in range(2):
+        line = grad[axis]
+        line[:] = 0.0
+        value = 0.0
         for a in range(k):
-            xx += gains[a] * grad[0, k + a]
-            xy += gains[a] * grad[1, k + a]
-            yy += gains[a] * grad[1, 2 * k + a]
-            sxx += border[0, a] * border[0, a]
-            sxy += border[1, a] * border[0, a]
-            syy += border[1, a] * border[1, a]
-        tiny = 1e-9 * (xx + yy) + 1e-300
-        xx += tiny
-        yy += tiny
-        p2 = xx - sxx
-        q = xy - sxy
-        r2 = yy - syy - q * q / p2 if p2 > 0.0 else 0.0
+            gain, row = gains[a], g[(1 + axis) * k + a]
+            for c in range(3 * k):
+                line[c] += gain * row[c]
+            value += gain * t[(1 + axis) * k + a]
+        right[axis] = value
+        for i in range(k):
+            value = line[i]
+            for n in range(i):
+                value -= factor[i, n] * border[axis, n]
+            border[axis, i] = value * factor[i, i]
+
+
+@njit(cache=True)
+def _schur_complement(gains, border, grad):  # type: ignore[no-untyped-def]
+    """Return what the shift's own block keeps once the gains are out of it: xx, xy, and yy less xy²/xx; its trace."""
+    k = len(gains)
+    xx = xy = yy = sxx = sxy = syy = 0.0
+    for a in range(k):
+        xx += gains[a] * grad[0, k + a]
+        xy += gains[a] * grad[1, k + a]
+        yy += gains[a] * grad[1, 2 * k + a]
+        sxx += border[0, a] * border[0, a]
+        sxy += border[1, a] * border[0, a]
+        syy += border[1, a] * border[1, a]
+    tiny = 1e-9 * (xx + yy) + 1e-300
+    xx += tiny
+    yy += tiny
+    p2 = xx - sxx
+    q = xy - sxy
+    r2 = yy - syy - q * q / p2 if p2 > 0.0 else 0.0
+    return p2, q, r2, xx + yy
+
+
+@njit(cache=True)
+def _gauss_newton(g, t, ridge, total, answer, sensitivity, work):  # type: ignore[no-untyped-def]
+    """Fit gains and shift; answer holds e, the Schur complement (3) and what is left; False if ill.
+
+    g: sums (3k, 3k) of predictors and derivatives, t: their sums with the target, (3k,). The
+    gains' own block does not change with the shift: it is factored once, and every round borders
+    it by two rows.
+    """
+    gains, factor, forward, border, grad, right = work
+    k = len(gains)
+    if not _factor_gains(g, t, ridge, factor, forward):
+        return False
+    _backward(factor, forward, k, gains)
+    ex = ey = p2 = q = r2 = energy = 0.0
+    for _ in range(3):
+        _border_shift(g, t, gains, factor, border, grad, right)
+        p2, q, r2, energy = _schur_complement(gains, border, grad)
         if not (p2 > 0.0 and r2 > 0.0):
             return False
         left_x, left_y = right[0], right[1]
@@ -370,7 +397,7 @@ def _gauss_newton(g, t, k, ridge, total, gains, answer, lean, work):  # type: ig
     for a in range(k):
         for b in range(k):
             value = grad[0, k + b] + grad[1, 2 * k + b]
-            lean[a, b] = gains[a] * value / (xx + yy)
+            sensitivity[a, b] = gains[a] * value / energy
     return True
 
 
@@ -385,73 +412,99 @@ def _backward(factor, forward, k, out):  # type: ignore[no-untyped-def]
         out[i] = value * factor[i, i]
 
 
-@njit(nogil=True, cache=True)
-def solve_windows(  # type: ignore[no-untyped-def]
-    start, stop, lines, number, slots, partial, cells, counts, able, gram, mixed, ramp,
-    cell, ridge, cover, shift, info, r2, lean,
-):  # fmt: skip
-    """Shift, information, r² and leaning of every window whose cells the target covers enough."""
+@njit(cache=True)
+def _sum_target(r, c, cell, counts, number, lines, line):  # type: ignore[no-untyped-def]
+    """Sum the target's products of a window's cells; return pixels, pixels if all were known, and whether they are."""
     rows, cols = number.shape
-    d, k = cells.shape[2], lean.shape[2]
-    g = np.empty((d, d))
+    n, full, whole = 0.0, 0.0, True
+    line[:] = 0.0
+    for a in range(max(r - 1, 0), min(r + 2, rows)):
+        for b in range(max(c - 1, 0), min(c + 2, cols)):
+            weight = _tent(r, c, a, b)
+            full += weight * cell * cell
+            whole = whole and number[a, b] == counts[a, b]
+            if number[a, b] > 0:
+                n += weight * number[a, b]
+                line += weight * lines[a, b]
+    return n, full, whole
+
+
+@njit(cache=True)
+def _sum_partial(r, c, cells, number, slots, partial, g):  # type: ignore[no-untyped-def]
+    """Sum the predictors' products of a window whose cells the target covers in part."""
+    rows, cols = number.shape
+    g[:] = 0.0
+    for a in range(max(r - 1, 0), min(r + 2, rows)):
+        for b in range(max(c - 1, 0), min(c + 2, cols)):
+            if number[a, b] > 0:
+                weight = _tent(r, c, a, b)
+                slot = slots[a, b]
+                g += weight * (cells[a, b] if slot < 0 else partial[slot])
+
+
+@njit(cache=True)
+def _free_target(r, c, line, factor, mix, t):  # type: ignore[no-untyped-def]
+    """Centre the target's sums and take bias and ramp out of them; return what is left of its square."""
+    d = len(line) - 1
+    slope = np.empty(3)
+    line[1] -= (c + 0.5) * line[0]
+    line[2] -= (r + 0.5) * line[0]
+    _substitute(factor, 3, line, slope)
+    for j in range(d - 3):
+        t[j] = line[3 + j] - (slope[0] * mix[0, j] + slope[1] * mix[1, j] + slope[2] * mix[2, j])
+    return line[d] - (line[0] * slope[0] + line[1] * slope[1] + line[2] * slope[2])
+
+
+@njit(nogil=True, cache=True)
+def solve_windows(start, stop, cells, band, windows, limits, out):  # type: ignore[no-untyped-def]
+    """Fit every window whose cells the target covers enough.
+
+    Parameters
+    ----------
+    start, stop : int
+        Rows of windows.
+    cells : (rows, columns, d, d)
+        Of `sum_squares`.
+    band : (lines, number, slots, partial)
+        Of `sum_products` and `count_cover`.
+    windows : (counts, able, gram, mixed, ramp)
+        Of `sum_squares` and `sum_windows`.
+    limits : (cell, ridge, cover)
+    out : (shift, information, r2, sensitivity)
+        Filled where a window can be fitted.
+    """
+    lines, number, slots, partial = band
+    counts, able, gram, mixed, ramp = windows
+    cell, ridge, cover = limits
+    shift, info, r2, sensitivity = out
+    d, k = cells.shape[2], sensitivity.shape[2]
+    g, line, t = np.empty((d, d)), np.empty(d + 1), np.empty(d - 3)
     own_gram, own_mixed, own_ramp = np.empty((d - 3, d - 3)), np.empty((3, d - 3)), np.empty((3, 3))
-    line, t, slope = np.empty(d + 1), np.empty(d - 3), np.empty(3)
-    answer, gains, here = np.empty(6), np.empty(k), np.empty((k, k))
+    answer, here = np.empty(6), np.empty((k, k))
     work = (
-        np.empty((k, k)),
-        np.empty(k),
-        np.empty((2, k)),
-        np.empty((2, d - 3)),
+        np.empty(k), np.empty((k, k)), np.empty(k), np.empty((2, k)), np.empty((2, d - 3)),
         np.empty(2),
-    )
+    )  # fmt: skip
     for r in range(start, stop):
-        for c in range(cols):
-            n, full, whole = 0.0, 0.0, True
-            line[:] = 0.0
-            for a in range(max(r - 1, 0), min(r + 2, rows)):
-                for b in range(max(c - 1, 0), min(c + 2, cols)):
-                    weight = _tent(r, c, a, b)
-                    full += weight * cell * cell
-                    whole = whole and number[a, b] == counts[a, b]
-                    if number[a, b] > 0:
-                        n += weight * number[a, b]
-                        line += weight * lines[a, b]
+        for c in range(number.shape[1]):
+            n, full, whole = _sum_target(r, c, cell, counts, number, lines, line)
             if n < cover * full or n < 3 * (k + 5):
                 continue
+            sums, mix, factor = own_gram, own_mixed, own_ramp
             if whole:
                 if able[r, c] == 0.0:
                     continue
                 sums, mix, factor = gram[r, c], mixed[r, c], ramp[r, c]
             else:
-                g[:] = 0.0
-                for a in range(max(r - 1, 0), min(r + 2, rows)):
-                    for b in range(max(c - 1, 0), min(c + 2, cols)):
-                        if number[a, b] > 0:
-                            weight = _tent(r, c, a, b)
-                            slot = slots[a, b]
-                            g += weight * (cells[a, b] if slot < 0 else partial[slot])
+                _sum_partial(r, c, cells, number, slots, partial, g)
                 if not _free(g, d, r, c, n, own_gram, own_mixed, own_ramp):
                     continue
-                sums, mix, factor = own_gram, own_mixed, own_ramp
-            line[1] -= (c + 0.5) * line[0]
-            line[2] -= (r + 0.5) * line[0]
-            _substitute(factor, 3, line, slope)
-            total = line[d] - (line[0] * slope[0] + line[1] * slope[1] + line[2] * slope[2])
-            for j in range(d - 3):
-                t[j] = line[3 + j] - (
-                    slope[0] * mix[0, j] + slope[1] * mix[1, j] + slope[2] * mix[2, j]
-                )
-            if not (
-                total > 1e-12 * n
-                and _gauss_newton(sums, t, k, ridge, total, gains, answer, here, work)
-            ):
+            total = _free_target(r, c, line, factor, mix, t)
+            if not (total > 1e-12 * n and _gauss_newton(sums, t, ridge, total, answer, here, work)):
                 continue
             noise = max(answer[5], 1e-9 * total) / max(n - k - 5, 1.0)
-            shift[r, c, 0] = answer[0]
-            shift[r, c, 1] = answer[1]
-            info[r, c, 0, 0] = answer[2] / noise
-            info[r, c, 0, 1] = answer[3] / noise
-            info[r, c, 1, 0] = answer[3] / noise
-            info[r, c, 1, 1] = answer[4] / noise
+            shift[r, c, 0], shift[r, c, 1] = answer[0], answer[1]
+            info[r, c, 0, 0], info[r, c, 1, 1] = answer[2] / noise, answer[4] / noise
+            info[r, c, 0, 1] = info[r, c, 1, 0] = answer[3] / noise
             r2[r, c] = 1.0 - answer[5] / total
-            lean[r, c] = here
+            sensitivity[r, c] = here

@@ -16,7 +16,7 @@ from levkas.core.problems import Problem
 from levkas.registration.features import KeyPoints, invert_descriptors, mirror_descriptors
 from levkas.registration.record import RegistrationRefused
 
-#: Largest ratio of nearest to second nearest distance ([Lowe2004]_ §7.1): one to one, and mutual.
+#: Largest ratio of nearest to second nearest distance ([lowe2004]_ §7.1): one to one, and mutual.
 RATIO, MUTUAL_RATIO = 0.9, 0.92
 #: Candidates of every key point where matches are sought widely.
 WIDELY = 3

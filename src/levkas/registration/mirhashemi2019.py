@@ -16,7 +16,6 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial, Transform
 from levkas.registration.alignment import align_sensors, camera_grey
-from levkas.registration.arguments import check_thresholds
 from levkas.registration.bands import BandImage, area_average, stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.manual_points import ManualPoints, MarkedMatches
@@ -41,6 +40,9 @@ from levkas.registration.window_matching import CheckWindows, search_windows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from levkas.campaign.methods import PaperOptions
+    from levkas.registration.request import Request
 
 REASONS = {-1: "", 0: "farther than `reject` under scale alone"}
 
@@ -109,94 +111,53 @@ class AlignedCamera:
         return self.values.shape[1], self.values.shape[0]
 
 
-def register_mirhashemi2019(
-    reference: Sequence[BandImage],
-    target: Sequence[BandImage],
-    *,
-    reference_band: str,
-    reject: float | None = None,
-    stop: float = 1.0,
-    region: Sequence[float] | None = None,
-    rng: np.random.Generator | None = None,
-    target_region: Sequence[float] | None = None,
-    align: Mapping[str, Any] | None = None,
-    order: int = 3,
-    detector: str = "sift",
-    matching: str = "mutual-ratio",
-    ratio: float = RATIO,
-    given: Mapping[str, ManualPoints] | None = None,
-) -> Registration:
+def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registration:
     """Register one camera by the paper's method.
 
-    Parameters
-    ----------
-    reference, target, reference_band, stop, rng
-        As `levkas.registration.register` takes them.
-    reject : float, reference px, optional
-        T1; without it 1/16 of the reference's diagonal, which is the paper's 108 px for 1392x1040.
-    region, target_region : (x, y, width, height), optional
-        Where the object lies in reference px, and in native px of the target's first sensor; the
-        paper crops both. Scale alone maps one to the other where both are given, else the frames.
-    align : mapping of sensor name to (2, 3) matrix or Transform, optional
-        Of a target with several sensors: first sensor's px → this sensor's; measured without it.
-    order : int
-        Of the polynomial.
-    detector, matching : str
-        Keys of `features.DETECTORS` and `matching.METHODS`.
-    ratio : float
-        Largest ratio of nearest to second nearest descriptor.
-    given : mapping of sensor name to Given, optional
-        Pairs by hand; those of the target's first sensor are used.
-
-    Returns
-    -------
-    registration : Registration
+    Of pairs given by hand those of the target's first sensor are used.
 
     Raises
     ------
     RegistrationRefused
         Where no polynomial can be fitted at all; with the trace so far.
     """
-    problems = check_thresholds(reject, stop)
-    if problems:
-        raise RegistrationRefused(*problems)
-    sensor = next(image.sensor for image in reference if image.label == reference_band)
-    if target is reference:
-        return _own(reference, sensor, align)
-    ours = AlignedCamera.of(reference, sensor, None)
-    theirs = AlignedCamera.of(target, target[0].sensor, align)
-    reject = (
-        float(np.hypot(*ours.size)) * SETTINGS.reject_share if reject is None else float(reject)
-    )
-    scale = scale_only(ours.size, theirs.size, region, target_region)
-    hand = (given or {}).get(theirs.sensor, ManualPoints())
+    named = (image.sensor for image in request.reference if image.label == request.reference_band)
+    sensor = next(named)
+    if request.is_own:
+        return _own(request.reference, sensor, request.align)
+    ours = AlignedCamera.of(request.reference, sensor, None)
+    theirs = AlignedCamera.of(request.target, request.target[0].sensor, request.align)
+    reject = options.reject or float(np.hypot(*ours.size)) * SETTINGS.reject_share
+    stop, order = options.stop or 1.0, options.order or 3
+    kind: dict[str, Any] = {
+        "detector": options.detector or "sift",
+        "matching": options.matching or "mutual-ratio",
+        "ratio": options.ratio or RATIO,
+    }
+    region = request.region
+    inside = request.target_region
+    scale = scale_only(ours.size, theirs.size)
+    if region is not None and inside is not None:
+        scale = _scale_of_regions(region, inside)
+    hand = request.given.get(theirs.sensor, ManualPoints())
     matched = find_matches(
-        ours, theirs, scale, region, target_region,
-        detector=detector, matching=matching, ratio=ratio, no_matches_are_valid=len(hand.fixed) > 0,
-    )  # fmt: skip
+        ours, theirs, scale, (region, inside), may_be_none=len(hand.fixed) > 0, **kind
+    )
     found = hand.mark(matched.reference, matched.target)
     cleaned = clean(
         found.target, found.reference, scale=scale, reject=reject, stop=stop,
         size=ours.size, target_size=theirs.size, order=order,
         pinned=found.fixed, dropped=found.dropped,
     )  # fmt: skip
-    matches = _describe(found, cleaned, stop)
-    transform = Inverse(cleaned.model)
+    matches, transform = _describe(found, cleaned, stop), Inverse(cleaned.model)
     evidence = Evidence(
-        transform=transform,
-        matches=matches,
-        reference=(ours.values, ours.valid),
-        target=(theirs.values, theirs.valid),
-        region=None if region is None else tuple(region),
-        scale=scale,
-        reject=reject,
-        stop=stop,
-        order=order,
-    )
+        transform, matches, (ours.values, ours.valid), (theirs.values, theirs.valid),
+        None if region is None else tuple(region), scale, reject, stop, order,
+    )  # fmt: skip
     return Registration(
         method="mirhashemi2019",
         transforms=_spread(theirs, transform),
-        verdict=judge(evidence, rng),
+        verdict=judge(evidence),
         errors=_statistics(matches),
         matches=matches,
         trace=cleaned.trace,
@@ -207,35 +168,24 @@ def register_mirhashemi2019(
             "parameters": 2 * len(cleaned.model.coefficients),
             "reject": reject,
             "stop": stop,
-            "detector": detector,
-            "matching": matching,
-            "ratio": ratio,
+            **kind,
             "sensors": {name: t.to_dict() for name, t in theirs.alignments.items()},
         },
     )
 
 
-def scale_only(
-    size: tuple[int, int],
-    target_size: tuple[int, int],
-    region: Sequence[float] | None = None,
-    target_region: Sequence[float] | None = None,
-) -> Affine:
-    """Return the scale-only map target → reference: one scale, centre upon centre.
-
-    Parameters
-    ----------
-    size, target_size : (width, height)
-    region, target_region : (x, y, width, height), optional
-        The object in either picture; used where both are given.
+def scale_only(size: tuple[int, int], target_size: tuple[int, int]) -> Affine:
+    """Return the scale-only map target → reference of two frames (width, height): one scale, centre upon centre.
 
     Examples
     --------
     >>> scale_only((100, 80), (200, 160))(np.array([[0.5, 0.5], [199.5, 159.5]]))
     array([[ 0. ,  0. ], [99.5, 79.5]])
     """
-    if region is None or target_region is None:
-        region, target_region = (0, 0, *size), (0, 0, *target_size)
+    return _scale_of_regions((0, 0, *size), (0, 0, *target_size))
+
+
+def _scale_of_regions(region: Sequence[float], target_region: Sequence[float]) -> Affine:
     ours, theirs = np.array(region, float), np.array(target_region, float)
     scale = float(np.sqrt(np.prod(ours[2:] / theirs[2:])))
     shift = (ours[:2] + ours[2:] / 2 - 0.5) - scale * (theirs[:2] + theirs[2:] / 2 - 0.5)
@@ -246,21 +196,20 @@ def find_matches(
     ours: AlignedCamera,
     theirs: AlignedCamera,
     scale: Affine,
-    region: Sequence[float] | None,
-    target_region: Sequence[float] | None,
+    regions: tuple[Sequence[float] | None, Sequence[float] | None],
     *,
     detector: str,
     matching: str,
     ratio: float,
-    no_matches_are_valid: bool = False,
+    may_be_none: bool = False,
 ) -> Matches:
     """Match key points of the grey pictures, a finer target brought to the reference's sampling."""
     most = [min(1.0, float(np.sqrt(SETTINGS.most_px / c.values.size))) for c in (ours, theirs)]
-    a, back_a = _key_points(ours, region, most[0], detector)
+    a, back_a = _key_points(ours, regions[0], most[0], detector)
     matched = float(scale.matrix[0, 0]) * most[0]
-    b, back_b = _key_points(theirs, target_region, min(matched, most[1]), detector)
+    b, back_b = _key_points(theirs, regions[1], min(matched, most[1]), detector)
     rows, columns, _ = match(a, b, matching=matching, ratio=ratio)
-    if not len(rows) and not no_matches_are_valid:
+    if not len(rows) and not may_be_none:
         raise _no_matches(a, b)
     return Matches.of(back_a(a.points[rows]), back_b(b.points[columns]))
 
@@ -402,12 +351,12 @@ class Evidence:
         return (self.order + 1) * (self.order + 2) // 2
 
 
-def judge(evidence: Evidence, rng: np.random.Generator | None = None) -> Verdict:
-    """Decide whether a registration on matches is accepted; `rng` draws the random pairings."""
-    return judge_matches(measure(evidence, rng))
+def judge(evidence: Evidence) -> Verdict:
+    """Decide whether a registration on matches is accepted."""
+    return judge_matches(measure(evidence))
 
 
-def measure(evidence: Evidence, rng: np.random.Generator | None = None) -> dict[str, Any]:
+def measure(evidence: Evidence) -> dict[str, Any]:
     """Return all numbers that the rules look at, by name."""
     matches = evidence.matches
     search = search_windows(
@@ -424,7 +373,7 @@ def measure(evidence: Evidence, rng: np.random.Generator | None = None) -> dict[
         "terms": evidence.terms,
         "stop": evidence.stop,
         "tolerance": tolerance,
-        **measure_chance(evidence, rng or np.random.default_rng(SETTINGS.seed)),
+        **measure_chance(evidence, np.random.default_rng(SETTINGS.seed)),
         **measure_held_out(evidence),
         **measure_shape(evidence.overlap),
         **measure_windows(checks),

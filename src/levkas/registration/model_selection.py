@@ -2,7 +2,7 @@
 
 From a similarity to a quintic, with a lens, a spline and a step in depth. A model is fitted to the shifts of
 windows, each with its own 2 x 2 information, by re-weighted least squares. It is judged on spatial blocks
-that it was not fitted to ([Roberts2017]_): neighbouring windows err alike, so that single windows left out
+that it was not fitted to ([roberts2017]_): neighbouring windows err alike, so that single windows left out
 are no independent evidence. A richer model is taken only where it predicts those blocks better.
 """
 
@@ -280,10 +280,10 @@ class SelectedModel:
     def sigma(self, points: np.ndarray) -> np.ndarray:
         """Return one standard deviation of either axis at `points`, (n,), reference px.
 
-        Delete-a-group jackknife over the folds ([Kott2001]_): it sees errors that whole blocks share,
+        Delete-a-group jackknife over the folds ([kott2001]_): it sees errors that whole blocks share,
         which residuals of single windows do not. Without a share f of the information, a map moves by
         f / (1 - f) of its variance. Where windows cannot tell which model is right, the spread between
-        models is added ([Buckland1997]_): a stiff model is steady where it is wrong.
+        models is added ([buckland1997]_): a stiff model is steady where it is wrong.
         """
         if not self.folds:
             return np.full(len(points), np.nan)

@@ -1,4 +1,4 @@
-"""Fitting one model of a position to displacements that are known in one direction better than another."""
+"""Models of a map, fitted to shifts that are known in one direction better than another."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def fit_similarity(observations: Observations) -> Affine:
 
 
 def fit_projective(observations: Observations, *, lens: bool) -> Transform:
-    """Fit a homography, with Brown's radial and tangential terms if `lens`, by Gauss-Newton."""
+    """Fit a homography, with the radial and tangential terms of [brown1966]_ if `lens`, by Gauss-Newton."""
     centre, spread = frame_of(observations.points)
     out_centre, out_spread = frame_of(observations.target)
     affine = fit_polynomial(observations, 1)

@@ -14,7 +14,6 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Polynomial, design_matrix, frame_of
-from levkas.registration.arguments import check_thresholds
 from levkas.registration.downdating import (
     fit_rows,
     orthonormalise,
@@ -22,6 +21,7 @@ from levkas.registration.downdating import (
     solve_triangular,
 )
 from levkas.registration.record import RegistrationRefused, Trace
+from levkas.registration.request import check_thresholds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -1,9 +1,9 @@
-"""What sets the bands of one camera apart, learnt from several captures of it at once.
+"""Chromatic shifts of the bands of one camera, pooled over several captures of it.
 
 Lateral colour belongs to the lens and to the filters, not to the painting. Every capture measures the
 same amounts with its own errors; how much they really differ from capture to capture (a filter that is
 put in anew, another focus) shows in them as well. Each capture is then drawn to what the others say, as
-far as they agree: a meta-analysis with random effects (DerSimonian, Laird 1986), pooled over the bands.
+far as they agree: a meta-analysis with random effects ([dersimonian1986]_), pooled over the bands.
 """
 
 from __future__ import annotations

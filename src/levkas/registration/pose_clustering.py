@@ -1,4 +1,6 @@
-"""Which of many doubtful matches agree on one similarity: pairs of them propose, all of them vote.
+"""Pose clustering: which of many doubtful matches agree on one similarity ([stockman1987]_).
+
+Pairs of matches propose similarities, and all matches vote.
 
 A key point knows its size and its direction. Two matches determine a similarity, and most pairs of
 wrong ones contradict the sizes and directions of their own key points; so do most wrong matches that
@@ -11,13 +13,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-MOST_MATCHES = 8000
-MOST_PROPOSING = 500
-MOST_PROPOSALS = 6000
-GROWTH = 1.5
-TURN = np.deg2rad(20)
-LEAST_APART = 0.05
-REACH = 0.025
+#: Matches that vote, the most similar ones; matches of which pairs propose; pairs that are tried.
+MOST_MATCHES, MOST_PROPOSING, MOST_PROPOSALS = 8000, 500, 6000
+#: Factor of size, and angle, by which a key point may differ from a similarity.
+GROWTH, TURN = 1.5, np.deg2rad(20)
+#: Shares of the reference's longer side: least distance of a pair, and how far a vote may lie off.
+LEAST_APART, REACH = 0.05, 0.025
+#: Places that have to agree.
 LEAST_VOTES = 8
 
 
@@ -58,8 +60,8 @@ def find_pose_cluster(
     chosen = np.sort(np.argsort(-likeness, kind="stable")[:MOST_MATCHES])
     p, q = (np.ascontiguousarray(places[chosen] @ (1, 1j)) for places in (reference, target))
     own = growth[chosen] * np.exp(1j * np.deg2rad(turn[chosen]))
-    friends = _count_friends(p, q, own, LEAST_APART * side)
-    proposing = np.sort(np.argsort(-friends, kind="stable")[:MOST_PROPOSING])
+    compatible = _count_compatible(p, q, own, LEAST_APART * side)
+    proposing = np.sort(np.argsort(-compatible, kind="stable")[:MOST_PROPOSING])
     first, second = _pair_up(p, q, own, proposing, LEAST_APART * side)
     if not len(first):
         return None
@@ -87,9 +89,9 @@ def _alike(ratio):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def _count_friends(p, q, own, apart):  # type: ignore[no-untyped-def]
-    """Return with how many others each match makes a similarity that both believe in."""
-    friends = np.zeros(len(p), np.int64)
+def _count_compatible(p, q, own, apart):  # type: ignore[no-untyped-def]
+    """Return with how many others each match makes a similarity that fits both."""
+    compatible = np.zeros(len(p), np.int64)
     for i in range(len(p)):
         for j in range(i):
             span = p[j] - p[i]
@@ -97,14 +99,14 @@ def _count_friends(p, q, own, apart):  # type: ignore[no-untyped-def]
                 continue
             factor = (q[j] - q[i]) / span
             if _alike(factor / own[i]) and _alike(factor / own[j]):
-                friends[i] += 1
-                friends[j] += 1
-    return friends
+                compatible[i] += 1
+                compatible[j] += 1
+    return compatible
 
 
 @njit(nogil=True, cache=True)
 def _pair_up(p, q, own, among, apart):  # type: ignore[no-untyped-def]
-    """Return pairs of matches, evenly drawn, that make a similarity that both believe in."""
+    """Return pairs of matches, evenly drawn, that make a similarity that fits the size and direction of both."""
     every = 1
     first, second = np.empty(MOST_PROPOSALS, np.int64), np.empty(MOST_PROPOSALS, np.int64)
     n = seen = 0

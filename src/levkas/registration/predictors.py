@@ -1,4 +1,4 @@
-"""What the reference would look like in any band: its registered bands, condensed.
+"""Predictors: principal components of the reference's bands, from which any band is predicted.
 
 A painting has few pigments in any one place, so that a handful of images span what every band
 shows there. A target band is predicted as their linear combination, with gains of its own in each
@@ -20,10 +20,13 @@ from levkas.registration.bands import SAMPLED_PX
 from levkas.registration.local_shifts import RIDGE, Predictor, WindowShifts
 from levkas.registration.sampling import highpass, reduce, warp
 
+#: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
+#: Share of the largest eigenvalue below which a component is left out.
 LEAST_SHARE = 1e-6
+#: Rows that are mixed at once.
 LINES = 32
-#: Light that far beyond the outermost of some bands is predicted by them as well as what lies between.
+#: Light so far, nm, beyond the outermost of at least three bands is predicted as well as what lies between.
 NEAR_NM, LEAST_BANDS = 20.0, 3
 
 

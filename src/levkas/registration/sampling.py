@@ -1,4 +1,4 @@
-"""Seeing images in one frame: warped through a smoothing spline, averaged, freed of slow parts."""
+"""Resampling for the comparison of windows: a smoothing B-spline, block means, a high-pass filter."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ import numpy as np
 from numba import njit
 
 from levkas.core.threads import in_threads
-from levkas.lanes import fma, look
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
-HELPERS = "2f84df1f9667906e"
-"""Digest of what is inlined from other files: numba keeps machine code as long as this file is the same."""
-
+#: The map is evaluated at every such px and interpolated between.
 LATTICE_PX = 8
+#: Standard deviation of the local mean that a high-pass filter subtracts, px.
 HIGHPASS_PX = 3.0
 
 
@@ -83,22 +81,14 @@ def _warp_span(image, h, w, near, far, out):  # type: ignore[no-untyped-def]
         if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
             continue
         x0, y0 = int(x), int(y)
-        u0, u1, u2, u3 = _spline_weights(np.float32(x - x0))
-        v0, v1, v2, v3 = _spline_weights(np.float32(y - y0))
-        a = (y0 - 1) * w + x0 - 1
-        b, c, d = a + w, a + 2 * w, a + 3 * w
-        first = _column(image, a, b, c, d, v0, v1, v2, v3)
-        second = _column(image, a + 1, b + 1, c + 1, d + 1, v0, v1, v2, v3)
-        third = _column(image, a + 2, b + 2, c + 2, d + 2, v0, v1, v2, v3)
-        fourth = _column(image, a + 3, b + 3, c + 3, d + 3, v0, v1, v2, v3)
-        out[j] = fma(u0, first, fma(u1, second, fma(u2, third, u3 * fourth)))
-
-
-@njit(inline="always")
-def _column(image, a, b, c, d, v0, v1, v2, v3):  # type: ignore[no-untyped-def]
-    return fma(
-        v0, look(image, a), fma(v1, look(image, b), fma(v2, look(image, c), v3 * look(image, d)))
-    )
+        u = _spline_weights(np.float32(x - x0))
+        v = _spline_weights(np.float32(y - y0))
+        total = np.float32(0.0)
+        for r in range(4):
+            p = (y0 - 1 + r) * w + x0 - 1
+            line = u[0] * image[p] + u[1] * image[p + 1]
+            total += v[r] * (line + (u[2] * image[p + 2] + u[3] * image[p + 3]))
+        out[j] = total
 
 
 @njit(inline="always")

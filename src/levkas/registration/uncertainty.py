@@ -1,7 +1,7 @@
 """Uncertainty of the position of every point: one standard deviation, band by band.
 
 Four variances are added: that of the base map by a delete-a-group jackknife over spatial folds
-([Kott2001]_), the spread between models that predict held-out blocks nearly as well ([Buckland1997]_), that
+([kott2001]_), the spread between models that predict held-out blocks nearly as well ([buckland1997]_), that
 of the band's chromatic shift, and that of the reference's own bands, from which this one was predicted.
 """
 

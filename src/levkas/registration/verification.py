@@ -3,7 +3,7 @@
 Dense registration compares windows at most a pixel or two around where a map already is: it says little of
 a map that is wholly wrong. Three things are measured of it. A *permutation test*: windows are predicted
 better than those of a picture rolled by a third of the frame, which cannot match (as ASHLAR does with
-correlations, [Muhlich2022]_). *Free windows*: windows of the picture that the reference predicts for a band
+correlations, [muhlich2022]_). *Free windows*: windows of the picture that the reference predicts for a band
 are searched 12 px around, and most of those that are found have to lie where the map puts them. *Shape*:
 the map neither folds nor stretches over what both pictures show.
 """

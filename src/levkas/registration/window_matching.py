@@ -1,7 +1,7 @@
 """Window matching: windows of one picture searched in another around where a map puts them.
 
 Every window of the reference is searched near its place under the map by normalised cross-correlation
-([Lewis1995]_). The height of the peak says whether it was found, its place how far the map is off. Which
+([lewis1995]_). The height of the peak says whether it was found, its place how far the map is off. Which
 height is chance is measured on the same pair, with windows searched where they cannot be.
 """
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.geometry.transforms import Inverse, Transform, from_dict
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Inverse, Transform
 from levkas.workbench import maps
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
 from levkas.workbench.operations import refused

@@ -16,6 +16,7 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
+from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 from levkas.readers.text import read_json
@@ -67,9 +68,9 @@ class Library:
         return {view.key: view for capture in captures for view in self._views_of(capture)}
 
     def _views_of(self, capture: Capture) -> list[SensorView]:
-        # The paper's method fits one map for all sensors of a camera: pairs of the first one alone.
-        method = self.campaign.registration_of(capture.camera).get("method", "levkas")
-        sensors = capture.sensors if method == "levkas" else capture.sensors[:1]
+        # A method that fits one map for all sensors of a camera has pairs of the first one alone.
+        method = method_of(self.campaign.registration_of(capture.camera))
+        sensors = capture.sensors if method.per_sensor else capture.sensors[:1]
         views = [SensorView(capture, sensor) for sensor in sensors]
         if capture.camera != self.campaign.reference.camera or capture.setup:
             return views

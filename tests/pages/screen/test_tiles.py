@@ -79,6 +79,7 @@ def test_neighbouring_tiles_overlap_by_a_pixel_on_each_side():
     assert [tiles[column, 0].shape[1] for column in range(3)] == [TILE_PX + 1, TILE_PX + 2, 81]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("illuminant", ILLUMINANTS)
 def test_the_white_of_a_light_and_its_table_are_those_of_colour_science(illuminant):
     import colour

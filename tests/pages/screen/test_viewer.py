@@ -9,8 +9,8 @@ from PIL import Image
 
 from levkas.core.cube import Flag
 from levkas.core.flags import MARKS
+from levkas.database.pixel_frames import find_map
 from levkas.database.tiff_pages import open_pages
-from levkas.geometry.pixel_frames import find_map
 from levkas.publish.viewer.pictures import shown_band
 
 from .database import CAMERAS
@@ -368,6 +368,7 @@ def test_what_can_be_pressed_has_a_name_for_screen_readers(browser, address, nam
     assert page.locator("main").count() == 1 and page.locator("h1").count() == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["index.html", "viewer/objects/icon1/index.html"])
 def test_light_and_dark_have_text_that_can_be_read(browser, address, name):
     for scheme in ("light", "dark"):

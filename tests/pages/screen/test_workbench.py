@@ -153,6 +153,7 @@ def test_both_pictures_show_the_same_place(bench, correctable):
     assert min(abs(turn + 6), abs(turn - 354)) < 0.5
 
 
+@pytest.mark.slow
 def test_the_view_stays_in_its_place_while_panes_change_their_size(bench):
     page, _ = bench
     page.keyboard.press("2")
@@ -307,6 +308,7 @@ def test_curtain_flicker_difference_checker_and_red_cyan_show_both_pictures(benc
     page.wait_for_function("!levkasWorkbench.stage.flicker.running")
 
 
+@pytest.mark.slow
 def test_the_overlay_follows_a_pair_while_it_is_dragged(bench):
     page, server = bench
     choose_worst(page)
@@ -389,6 +391,7 @@ def test_the_maps_are_laid_over_the_reference_where_there_are_any(bench):
     assert page.locator("#layer option[value=sigma]").is_disabled()
 
 
+@pytest.mark.slow
 def test_everything_has_a_name_and_the_keyboard_is_enough(bench):
     page, _ = bench
     nameless = page.evaluate(

@@ -8,10 +8,10 @@ from typer.testing import CliRunner
 
 from levkas.cli import app
 from levkas.quality.comparison import COMPARED, compare
-from levkas.quality.comparison.captures import ComparisonRefused
-from levkas.quality.comparison.methods import Method
-from levkas.quality.comparison.running import Layer, Row, chosen_methods
+from levkas.quality.comparison.methods import ComparedMethod
+from levkas.quality.comparison.running import ComparedLayer, ComparedRow, chosen_methods
 from levkas.quality.comparison.table import Comparison
+from levkas.quality.evaluation.native_layers import ComparisonRefused
 
 run = CliRunner().invoke
 
@@ -75,7 +75,7 @@ def test_a_method_that_takes_too_long_is_stopped_and_said(database):
 
 def test_a_package_that_is_not_there_is_said_and_its_row_left_out(monkeypatch):
     monkeypatch.setitem(
-        COMPARED, "elsewhere", Method("Elsewhere", "m", "f", "no_such_package", "nowhere")
+        COMPARED, "elsewhere", ComparedMethod("Elsewhere", "m", "f", "no_such_package", "nowhere")
     )
     methods, problems = chosen_methods(["levkas", "elsewhere"])
     assert methods == ["levkas"] and "nowhere is not installed" in problems[0].message
@@ -97,7 +97,7 @@ def test_a_summary_leaves_failures_out_of_errors_and_counts_them():
             "seconds": 1.0,
             "ssim": None,
         }
-        return Row(Layer("icon1", layer), "levkas", facts)
+        return ComparedRow(ComparedLayer("icon1", layer), "levkas", facts)
 
     one = Comparison([row("a", 0.1), row("b", 0.3), row("c", 9.0, "lost")]).summary()[0]
     assert one["error_mean"] == pytest.approx(0.2) and one["error_max"] == pytest.approx(0.6)

@@ -7,13 +7,14 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from levkas.geometry.transforms import Affine
-from levkas.quality.comparison.answer import NoAnswer
-from levkas.quality.comparison.dual_bootstrap import gdbicp_quadratic, gdbicp_radial
-from levkas.quality.comparison.features import opencv_sift_magsac
-from levkas.quality.comparison.growing import LADDERS
-from levkas.quality.comparison.intensities import opencv_ecc
-from levkas.quality.comparison.pairs import Pair
-from levkas.quality.comparison.structures import find_structures
+from levkas.quality.comparison.methods import find_peers
+from levkas.quality.comparison.opencv import opencv_ecc, opencv_sift_magsac
+from levkas.quality.comparison.pairs import NoAnswer, Pair
+
+find_peers()
+from levkas_peers.dual_bootstrap import gdbicp_quadratic, gdbicp_radial  # noqa: E402
+from levkas_peers.growing import LADDERS  # noqa: E402
+from levkas_peers.structures import find_structures  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -47,7 +48,7 @@ def planted(name):
 
 def pair(function, seed=1, other=None):
     """The reference and a target in which reference points lie where `function` puts them."""
-    from levkas.quality.comparison.fields import AnyMap
+    from levkas.quality.comparison.pairs import AnyMap
 
     big = painting(seed)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
@@ -87,7 +88,7 @@ def test_a_planted_map_is_found_between_pictures_of_another_gain(name, method):
 
 
 def test_another_painting_is_not_aligned(monkeypatch):
-    monkeypatch.setattr("levkas.quality.comparison.dual_bootstrap.MOST_STARTS", 6)
+    monkeypatch.setattr("levkas_peers.dual_bootstrap.MOST_STARTS", 6)
     with pytest.raises(NoAnswer, match="none of 6 starts"):
         gdbicp_radial(pair(planted("radial"), other=99))
 

@@ -76,7 +76,11 @@ def check(channels):
 
 @pytest.mark.parametrize(
     ("darks", "whites"),
-    [((0.1, 10.0), (10.0,)), ((0.1, 4.0), (10.0,)), ((0.1, 1.0, 10.0), (0.1, 1.0, 10.0))],
+    [
+        pytest.param((0.1, 10.0), (10.0,), marks=pytest.mark.slow),
+        ((0.1, 4.0), (10.0,)),
+        ((0.1, 1.0, 10.0), (0.1, 1.0, 10.0)),
+    ],
     ids=["its own", "none of its own", "a series"],
 )
 def test_the_dark_current_is_neither_gain_nor_prnu(tmp_path, darks, whites):

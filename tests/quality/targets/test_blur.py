@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
-from levkas.quality.image_quality.noise_correlation import find_preblur
+from levkas.quality.targets.patches import find_preblur
 
 
 def test_white_noise_is_never_taken_for_blur():

@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 
 from levkas.core.cube import Band, Cube, Flag
-from levkas.quality.image_quality.indicators import compare_colours, delta_e_2000, lab_of, rate
 from levkas.quality.targets.charts import (
     CHARTS,
     ChartRefused,
@@ -13,6 +12,7 @@ from levkas.quality.targets.charts import (
     place_patches,
     reference_of,
 )
+from levkas.quality.targets.indicators import compare_colours, delta_e_2000, lab_of, rate
 from levkas.quality.targets.locating import locate_chart
 from levkas.quality.targets.measuring import measure, sight
 from levkas.quality.targets.patches import measure_patches

@@ -4,8 +4,8 @@ import pytest
 from levkas.core.cube import Flag
 from levkas.quality.image_quality.dynamic_range import scene_ranges, sensor_stops
 from levkas.quality.image_quality.glare import Glare, find_glare, flag_glare, mark_glare
+from levkas.quality.image_quality.light import choose_places
 from levkas.quality.image_quality.sharpness import band_sharpness, edge_blur
-from levkas.quality.targets.places import choose_places
 
 
 def painting(seed=1, shape=(60, 80, 3)):

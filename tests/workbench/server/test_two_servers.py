@@ -53,6 +53,7 @@ def place(number):
     return [10.0 + 3 * number, 20.0 + number, 15.0 + 2 * number, 30.0 + number]
 
 
+@pytest.mark.slow
 def test_nothing_that_was_acknowledged_is_lost_between_two_servers_and_an_editor(folder, servers):
     """60 edits of each, in threads; by hand a comment and a pair come into the file meanwhile."""
     lost, started = [], threading.Barrier(3)

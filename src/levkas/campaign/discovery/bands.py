@@ -29,7 +29,7 @@ NEAREST_NM = 0.5
 def bands_of_mosaic(
     camera: Camera, pattern: Rows | None, names: Sequence[str] | None, facts: Facts | None
 ) -> tuple[Rows, tuple[Band, ...]]:
-    """Channels of a mosaic, and its pattern with their names in place of letters.
+    """Return the channels of a mosaic, and its pattern with their names in place of letters.
 
     Names are those of red, green, blue in this order where the pattern has these letters, else of
     the channels in the order in which the pattern first shows them.
@@ -68,7 +68,7 @@ def bands_of_mosaic(
 def bands_in_file(
     camera: Camera, sensor: SensorKeys | None, facts: Facts, *, pages: bool = False
 ) -> tuple[Band, ...]:
-    """Bands of a file that holds them all: a cube, a photograph, a sensor without a mosaic.
+    """Return the bands of a file that holds them all: a cube, a photograph, a sensor without a mosaic.
 
     Declared names and wavelengths go before the header's; counts must agree.
 

@@ -1,4 +1,4 @@
-"""What was found of a campaign: frames, sensors, captures."""
+"""Records of captures: frames, sensors, captures, refusals."""
 
 from __future__ import annotations
 

@@ -323,7 +323,7 @@ def _without_data_of_headers(found: list[FoundFile]) -> list[FoundFile]:
 
 @dataclass
 class FileIndex:
-    """What is known while the captures of a campaign are looked for."""
+    """Frames of a campaign by camera and setup, with facts, targets and bands that are looked up once."""
 
     campaign: Campaign
     folders: FolderListings
@@ -441,7 +441,7 @@ def _find_frames(
 def _patterns_of_sensor(
     camera: Camera, sensor: str, files: Sequence[str] | None = None, setup: str = ""
 ) -> list[Pattern]:
-    """Patterns of one sensor: a setup's `files`, else its own, else the camera's."""
+    """Return the patterns of one sensor: a setup's `files`, else its own, else the camera's."""
     own = next((s.files for s in camera.sensors if s.name == sensor), ())
     patterns = [Pattern.parse(text) for text in files or own or camera.files]
     if sensor:
@@ -450,7 +450,7 @@ def _patterns_of_sensor(
 
 
 def declared_targets(campaign: Campaign) -> tuple[str, ...]:
-    """Every value of {target} that campaign.toml knows."""
+    """Return every value of {target} that campaign.toml knows."""
     targets = campaign.targets
     own = [n for c in campaign.cameras.values() for n in (*(c.dark or ()), *(c.white or ()))]
     white = targets.white.names if targets.white else ()

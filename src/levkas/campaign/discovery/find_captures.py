@@ -128,7 +128,7 @@ def find_charts(
 
 
 def _objects(index: FileIndex) -> list[str]:
-    """Objects as declared; else every target that is nothing else, whichever camera saw it."""
+    """Return the declared objects; else every target without another role, of any camera."""
     campaign = index.campaign
     if campaign.targets.objects:
         return list(campaign.targets.objects)
@@ -141,7 +141,7 @@ def _objects(index: FileIndex) -> list[str]:
 
 
 def _no_objects(index: FileIndex) -> Refused:
-    """Why a campaign is empty: a folder, a pattern, or names that are all templates."""
+    """Return the refusal of an empty campaign: a folder, a pattern, or names that are all templates."""
     reference = index.campaign.reference.camera
     found = index.frames[reference, ""]
     if (reference, "") in index.broken:
@@ -213,7 +213,7 @@ def _require_frames(index: FileIndex, name: str, camera: str, setup: str) -> Non
 
 
 def _no_frames(index: FileIndex, camera: str, setup: str, what: str, target: str | None) -> Problem:
-    """No file fits: show the pattern, and the names that came nearest."""
+    """Return the problem of a pattern that no file fits, with the nearest names."""
     patterns = patterns_of(index, camera, setup)
     wanted = patterns[0].with_value("target", target) if target else patterns[0]
     folder, names = nearest(index.campaign.root, wanted, folders=index.folders)

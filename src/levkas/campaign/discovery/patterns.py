@@ -84,7 +84,7 @@ class ChoicePiece:
 
     @cached_property
     def lengths(self) -> tuple[int, ...]:
-        """How long they are, in their order."""
+        """Lengths of the values, in their order."""
         return tuple(dict.fromkeys(map(len, self.values)))
 
 
@@ -107,7 +107,7 @@ def end_of_name(text: str, start: int) -> int:
 
 PieceKind = LiteralPiece | TextPiece | NumberPiece | ChoicePiece | FoldersPiece
 Piece = tuple[PieceKind, str]
-"""What it matches, and the name of the placeholder; empty for none."""
+"""The matching rule, and the name of the placeholder; empty for none."""
 
 
 def match_pieces(pieces: Sequence[Piece], text: str) -> dict[str, str] | None:
@@ -369,7 +369,7 @@ def exposure_unit(pattern: str) -> str:
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
-    """Sort key that puts 9 before 10.
+    """Return a sort key that puts 9 before 10.
 
     >>> sorted(["b10", "b9", "a"], key=natural)
     ['a', 'b9', 'b10']
@@ -465,7 +465,7 @@ def _literal(text: str, last: bool) -> str:
 
 
 def _alternatives(values: tuple[str, ...], before: list[str], after: list[str]) -> str:
-    """Known values, longest first; beside a wildcard ``icon1`` is no part of ``icon10``."""
+    """Return an expression for known values, longest first; beside a wildcard ``icon1`` is no part of ``icon10``."""
     body = "|".join(re.escape(v) for v in _longest_first(values))
     start = r"(?<![^\W_])" if _beside(before) else ""
     stop = r"(?![^\W_])" if _beside(after) else ""

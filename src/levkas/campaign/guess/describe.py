@@ -102,8 +102,8 @@ def describe_camera(
     group : CameraGroup
     samples : Samples
         Decodes a few of its frames.
-    warmth : mapping, optional
-        As `levkas.campaign.guess.pixels.find_warmth` gives it.
+    warmth : mapping of object to float
+        As `levkas.campaign.guess.appearance.find_warmth` returns it.
     """
     files, notes = find_patterns(group.frames), CameraNotes(about=list(group.notes))
     keys = {"kind": _kind(group, files, samples)}
@@ -153,7 +153,7 @@ def _setup(frames: Sequence[NamedFile], kind: str) -> Guess:
 
 
 def _kind(group: CameraGroup, files: FilePatterns, samples: Samples) -> Guess:
-    """What kind of camera it is, from names first, then headers, then numbers."""
+    """Return the kind of camera, from names first, then headers, then pixel statistics."""
     first = group.objects[0]
     facts, channels, templates = first.facts, first.file.channels, group.of_role("dark", "white")
     if files.sensors:

@@ -40,7 +40,7 @@ class CaptureFile:
 
     @property
     def signature(self) -> tuple[object, ...]:
-        """What all frames of one sensor share: size (of a scan the width), channels, type of number."""
+        """Common facts of one sensor's frames: size (of a scan the width), channels, type of number."""
         shape = self.facts.shape
         if self.facts.kind == "envi":
             return ("envi", shape[1], shape[2], self.facts.dtype)

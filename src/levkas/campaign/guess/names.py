@@ -58,7 +58,7 @@ class NamedFile:
 
     @property
     def facts(self) -> Facts:
-        """What the header declares."""
+        """Facts of the header."""
         return self.file.facts
 
     @property
@@ -98,7 +98,7 @@ class NamedFile:
 
 
 def _tokens_of_folder(name: str) -> tuple[Token, ...]:
-    """A folder is one word, but for a wavelength, an exposure, or the number of a sensor."""
+    """Return a folder as one word, but for a wavelength, an exposure, or the number of a sensor."""
     if name == TARGET:
         return (Token(TARGET, "", "target"),)
     tokens = tokens_of(name)

@@ -176,7 +176,7 @@ def block_means(values: np.ndarray, side: int) -> np.ndarray:
 
 
 def _texture(values: np.ndarray) -> float:
-    """Median absolute difference of sensels 60 apart, a multiple of every tile's side, within a block."""
+    """Return the median absolute difference of sensels 60 apart, a multiple of every tile's side, within a block."""
     step = 60 if min(values.shape) > 180 else 2
     across = np.abs(values[:, step:] - values[:, :-step])
     return float(np.median(across)) if across.size else 0.0

@@ -34,14 +34,14 @@ from levkas.core.problems import Problem, Refused
 
 WIDTH = 100
 COLUMN = 53
-"""Where comments begin, beside keys that leave them the place."""
+"""Column of the comments beside short keys."""
 GREEN_NM = 550.0
-"""Where eyes and lenses are at their best; the reference band of the paper."""
+"""Eyes and lenses are at their best here; the reference band of the paper."""
 VISIBLE_NM, NEAR_NM = (400.0, 720.0), 30.0
 PHOTOGRAPHS = r"(.*[-_ ])?(photo|photograph|foto|vis|visible|rgb|color|colour)([-_ ].*)?"
 """Names of cameras that took the picture as one sees it."""
 RANKS = {"bands": 4, "mosaic": 3, "cube": 2, "sensors": 2, "image": 1}
-"""Which kinds make the better reference: a sharp frame a band, then a sharp mosaic."""
+"""Fitness of kinds as the reference: a sharp frame a band, then a sharp mosaic."""
 MOST_LISTED = 6
 UNKNOWN_WHITE = "what the white board reflects: 1 is taken"
 
@@ -368,7 +368,7 @@ def _table(keys: dict[str, Guess]) -> Iterator[str]:
 
 
 def _aligned(line: str, why: str) -> Iterator[str]:
-    """A key with its comment beside it, or above where it is long."""
+    """Yield a key with its comment beside it, or above where it is long."""
     if not why:
         yield line
     elif len(line) < COLUMN and COLUMN + 2 + len(why) <= WIDTH + 10:

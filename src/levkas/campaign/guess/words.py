@@ -46,7 +46,7 @@ GENERIC = _words("""
 PREFIXES = _words(
     "img dsc dscf dscn p mg im image frame capture scan shot pict cimg sam raw file pic"
 )
-"""What cameras write before their running number."""
+"""Prefixes that cameras write before their running number."""
 TARGET = "{target}"
 TYPED = ("time", "wavelength", "exposure")
 """Kinds of tokens with a unit or a date."""

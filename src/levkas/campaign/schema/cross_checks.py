@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from levkas.campaign.discovery.patterns import Pattern
+from levkas.campaign.methods import DEFAULT_METHOD, METHODS, owners_of
 from levkas.campaign.schema.tables import (
-    ONLY_OF_THE_PAPER,
-    THRESHOLDS,
+    OPTIONS,
     CameraKeys,
     Document,
     Range,
@@ -245,74 +245,76 @@ def _setups(document: Document) -> Iterator[Problem]:
 def _registration(document: Document) -> Iterator[Problem]:
     common = document.registration
     own = {name: camera.registration for name, camera in document.cameras.items()}
-    methods = {name: keys.method or common.method or "levkas" for name, keys in own.items()}
+    methods = _methods_of(document)
     if common.use is not None and not any((common.points, *(k.points for k in own.values()))):
         yield value_problem("registration.use", "there are no points to use", common.use)
-    if "mirhashemi2019" not in methods.values():
-        yield from _of_the_paper("registration", common)
-    if common.joint and "levkas" not in methods.values():
-        yield _not_joint("registration.joint")
+    shared = common.method or DEFAULT_METHOD
+    yield from _foreign_options("registration", common, {shared, *methods.values()}, shared)
+    if common.joint and not any(METHODS[name].joint for name in methods.values()):
+        yield _not_joint("registration.joint", shared)
     for name, keys in own.items():
-        if keys.joint and methods[name] != "levkas":
-            yield _not_joint(f"cameras.{name}.registration.joint")
-        if methods[name] != "mirhashemi2019":
-            yield from _of_the_paper(f"cameras.{name}.registration", keys)
+        method, where = methods[name], f"cameras.{name}.registration"
+        if keys.joint and not METHODS[method].joint:
+            yield _not_joint(f"{where}.joint", method)
+        yield from _foreign_options(where, keys, {method}, method)
         if keys.use is not None and (keys.points or common.points) is None:
-            yield value_problem(
-                f"cameras.{name}.registration.use", "there are no points to use", keys.use
-            )
+            yield value_problem(f"{where}.use", "there are no points to use", keys.use)
         reject, stop = keys.reject or common.reject, keys.stop or common.stop or 1.0
         if reject is not None and reject <= stop:
-            where = f"cameras.{name}.registration" if keys.declared() else "registration"
+            table = where if keys.declared() else "registration"
             yield value_problem(
-                f"{where}.reject", "reject is not above stop", reject, f"> {stop:g} px"
+                f"{table}.reject", "reject is not above stop", reject, f"> {stop:g} px"
             )
 
 
-def _not_joint(where: str) -> Problem:
+def _methods_of(document: Document) -> dict[str, str]:
+    """Return the name of each camera's method."""
+    common = document.registration.method or DEFAULT_METHOD
+    return {name: c.registration.method or common for name, c in document.cameras.items()}
+
+
+def _not_joint(where: str, method: str) -> Problem:
+    able = next(name for name, row in METHODS.items() if row.joint)
     return value_problem(
         where,
-        "the method 'mirhashemi2019' adjusts no captures together",
+        f"the method {method!r} adjusts no captures together",
         "true",
-        fix='Take it out, or write method = "levkas".',
+        fix=f'Take it out, or write method = "{able}".',
     )
 
 
-def _of_the_paper(where: str, keys: RegistrationKeys) -> Iterator[Problem]:
-    for key in ONLY_OF_THE_PAPER:
-        if getattr(keys, key) is not None:
+def _foreign_options(
+    where: str, keys: RegistrationKeys, methods: Collection[str], method: str
+) -> Iterator[Problem]:
+    """Yield the options of a table that none of `methods` has; `method` is the one that it is written for."""
+    known = {option for name in methods for option in METHODS[name].options.model_fields}
+    for option in OPTIONS:
+        if option not in known and getattr(keys, option) is not None:
             yield value_problem(
-                f"{where}.{key}",
-                f"the method 'levkas' has no `{key}`",
-                getattr(keys, key),
-                fix='Take it out, or write method = "mirhashemi2019".',
+                f"{where}.{option}",
+                f"the method {method!r} has no `{option}`",
+                getattr(keys, option),
+                fix=f'Take it out, or write method = "{owners_of(option)[0]}".',
             )
 
 
 def find_ineffective(document: Document) -> Iterator[str]:
-    """Yield what is accepted and changes nothing: thresholds of the paper's method where that is not used.
-
-    `reject` and `stop` have been taken under either method from the first, and stay so.
-    """
-    common = document.registration
-    own = {name: camera.registration for name, camera in document.cameras.items()}
-    methods = {name: keys.method or common.method or "levkas" for name, keys in own.items()}
-    tables = {
-        f"cameras.{name}.registration": own[name] for name in own if methods[name] == "levkas"
-    }
-    if "mirhashemi2019" not in methods.values():
-        tables = {"registration": common, **tables}
-    for where, keys in tables.items():
-        for key in THRESHOLDS:
-            if getattr(keys, key) is not None:
-                yield f"campaign.toml: {without_effect(f'{where}.{key}')}"
+    """Yield options that are accepted and change nothing under the methods that the cameras use."""
+    methods = _methods_of(document)
+    tables = {"registration": (document.registration, set(methods.values()))}
+    for name, camera in document.cameras.items():
+        tables[f"cameras.{name}.registration"] = (camera.registration, {methods[name]})
+    for where, (keys, used) in tables.items():
+        ineffective = set.intersection(*(set(METHODS[name].ineffective) for name in used))
+        for option in OPTIONS:
+            if option in ineffective and getattr(keys, option) is not None:
+                yield f"campaign.toml: {without_effect(f'{where}.{option}')}"
 
 
 def without_effect(field: str) -> str:
-    """Return the warning about a threshold that the default method does not have."""
-    return (
-        f'{field} has no effect under the default method; it belongs to method = "mirhashemi2019"'
-    )
+    """Return the warning about an option that the default method accepts and does not use."""
+    owner = owners_of(field.rpartition(".")[2])[0]
+    return f'{field} has no effect under the default method; it belongs to method = "{owner}"'
 
 
 def _files(document: Document, root: Path) -> Iterator[Problem]:

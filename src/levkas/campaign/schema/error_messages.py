@@ -1,4 +1,4 @@
-"""What the schema found wrong with campaign.toml, in words of ours, with the key that was meant."""
+"""Turn findings of the schema into problems in our words, with the closest known key."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from levkas.campaign.schema.tables import Document
 from levkas.core.problems import Problem
 
 MOST_PROBLEMS = 100
-"""That one report lists; a file with more is not of the kind that was looked for."""
+"""Problems that one report lists; a file with more is probably another kind of file."""
 PHRASES = {
     "^Value error, ": "",
     "^(Input|Tuple|Dictionary|String) should ": "",
@@ -93,7 +93,7 @@ def _must(message: str) -> str:
 
 
 def _without_echoes(problems: list[Problem]) -> list[Problem]:
-    """A required key that was only misspelt is not also missing."""
+    """Leave out required keys that are only misspelt."""
     spelt = {(_table(p), p.fix) for p in problems if p.fix}
     return [
         p
@@ -108,7 +108,7 @@ def _table(problem: Problem) -> str:
 
 
 def _at(record: dict[str, Any], where: list[int | str]) -> Any:
-    """The table at a place of a record."""
+    """Return the table at a place of a record."""
     place: Any = record
     for step in where:
         place = place[step]
@@ -116,7 +116,7 @@ def _at(record: dict[str, Any], where: list[int | str]) -> Any:
 
 
 def _named(record: dict[str, Any], where: list[int | str]) -> str:
-    """Dotted name of a key; an item of a list of tables by its name."""
+    """Return the dotted name of a key; an item of a list of tables by its name."""
     names, place = [], record
     for step in where:
         inner: Any = None
@@ -131,7 +131,7 @@ def _named(record: dict[str, Any], where: list[int | str]) -> str:
 
 
 def _known_keys(where: list[int | str], document: type[BaseModel]) -> list[str]:
-    """Keys that the schema knows at a place such as ``["cameras", "nir"]``."""
+    """Return the keys that the schema knows at a place such as ``["cameras", "nir"]``."""
     model: Any = document
     is_name = False
     for step in where:
@@ -146,7 +146,7 @@ def _is_dict(field: Any) -> bool:
 
 
 def _model_in(annotation: Any) -> Any:
-    """The table inside an annotation such as ``dict[str, Camera]`` or ``GridKeys | None``."""
+    """Return the table inside an annotation such as ``dict[str, Camera]`` or ``GridKeys | None``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     inner = (_model_in(part) for part in getattr(annotation, "__args__", ()))

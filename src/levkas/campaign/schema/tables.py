@@ -5,8 +5,17 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    create_model,
+)
 
+from levkas.campaign.methods import METHODS
 from levkas.campaign.schema.values import (
     Address,
     Align,
@@ -82,7 +91,7 @@ def _creator(value: Any) -> Any:
 
 
 class ReferenceKeys(Table):
-    """What all else is registered to."""
+    """The band that all others are registered to."""
 
     camera: Text
     band: Text | None = None
@@ -109,33 +118,42 @@ class GridKeys(Table):
     size: Size | None = None
 
 
-class RegistrationKeys(Table):
-    """How cameras are registered; errors in reference pixels."""
+class MethodKey(Table):
+    """The key that names the registration method."""
 
-    method: Literal["levkas", "mirhashemi2019"] | None = None
-    reject: Annotated[Number, Field(gt=0)] | None = None
-    stop: Annotated[Number, Field(gt=0)] | None = None
-    ratio: Annotated[Number, Field(gt=0, le=1)] | None = None
-    order: Annotated[Whole, Field(ge=1, le=5)] | None = None
-    detector: Literal["sift", "orb", "kaze", "akaze"] | None = None
-    matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
+    method: Literal[tuple(METHODS)] | None = None  # type: ignore[valid-type]
+
+
+class PointsKeys(Table):
+    """Control points, and captures that are adjusted together."""
+
     points: Annotated[Text, Field(min_length=1)] | None = None
     use: Literal["check", "seeds"] | None = None
     joint: Switch | None = None
+
+
+def _options() -> dict[str, Any]:
+    """Return the options of all methods as fields of a table."""
+    fields: dict[str, Any] = {}
+    for method in METHODS.values():
+        for name, field in method.options.model_fields.items():
+            fields.setdefault(name, (field.annotation, None))
+    return fields
+
+
+OptionKeys: Any = create_model("OptionKeys", __base__=MethodKey, **_options())
+
+
+class RegistrationKeys(PointsKeys, OptionKeys):  # type: ignore[misc]
+    """Registration of cameras; errors in reference pixels."""
 
     def declared(self) -> dict[str, Any]:
         """Return the declared values, by key."""
         return {key: value for key, value in self if value is not None}
 
 
-ONLY_OF_THE_PAPER = ("ratio", "order", "detector", "matching")
-"""Keys of [registration] that only the method "mirhashemi2019" has."""
-THRESHOLDS = ("reject", "stop")
-"""Keys of [registration] that the method "levkas" takes and does not need: T1 and T2 of the paper."""
-OF_THE_POINTS = ("points", "use")
-"""Keys of [registration] for the control points: where they are, and their use."""
-OF_THE_RIG = ("joint",)
-"""Keys of [registration] for captures that are adjusted together."""
+OPTIONS = tuple(name for name in OptionKeys.model_fields if name != "method")
+"""Keys of [registration] that are options of a method."""
 
 
 class SensorKeys(Table):
@@ -192,7 +210,7 @@ class White(Table):
 
 
 class TargetKeys(Table):
-    """What the values of {target} mean."""
+    """Roles of the values of {target}."""
 
     dark: Names = ()
     white: Annotated[White, BeforeValidator(_white)] | None = None
@@ -273,7 +291,7 @@ Move = tuple[Place, Place, Place, Place, Place, Place, Place, Place]
 
 
 class FrameKeys(Table):
-    """What was corrected of one camera, under one lighting, for one object.
+    """Corrections of one camera, under one lighting, for one object.
 
     Pairs are (reference x, reference y, target x, target y); a move is a pair and the pair that
     takes its place.
@@ -291,7 +309,7 @@ class FrameKeys(Table):
 
 
 class ObjectKeys(Table):
-    """What was corrected of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
+    """Corrections of one object, by frame name: CAMERA, CAMERA@SETUP, CAMERA:BAND."""
 
     cameras: dict[str, FrameKeys] = Field(default={})
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.geometry.pixel_frames import Frame, MappingRefused, Pixels, Records
+from levkas.database.pixel_frames import Frame, MappingRefused, Pixels, Records
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write

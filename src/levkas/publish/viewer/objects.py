@@ -14,11 +14,11 @@ from levkas.campaign.schema.toml import read_toml
 from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
+from levkas.database.layout import LayerId, layer_name
+from levkas.database.pixel_frames import Frame
 from levkas.database.registrations import read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
-from levkas.database.store import layer_name
 from levkas.database.tiff_pages import open_pages
-from levkas.geometry.pixel_frames import Frame
 from levkas.pages.page import DECISIONS
 from levkas.publish.viewer.lattice import write_lattices
 from levkas.publish.viewer.pages import address, worst
@@ -77,7 +77,7 @@ class Item:
 
     def tiff(self, camera: str, setup: str) -> Path:
         """Path of a layer's TIFF."""
-        stem = "_".join(part for part in (self.name, camera, setup) if part)
+        stem = LayerId(self.name, camera, setup).stem
         return self.folder / f"{stem}.tif"
 
 
@@ -88,7 +88,7 @@ def _told(item: Item, key: str) -> bool:
 def find_items(database: Path) -> list[Item]:
     """Return the objects of a database in order, each with its layers, the reference's first."""
     from levkas.database.catalogue import NAME, read_catalogue
-    from levkas.geometry.pixel_frames import parse_frame
+    from levkas.database.pixel_frames import parse_frame
 
     found: dict[str, list[tuple[str, str]]] = {}
     if (database / NAME).is_file():

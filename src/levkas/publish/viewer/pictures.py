@@ -14,8 +14,8 @@ import numpy as np
 from levkas.colour.srgb import encode_srgb, find_rendering
 from levkas.core.cube import Band
 from levkas.core.flags import MARKS
+from levkas.database.pixel_frames import Frame, Records
 from levkas.database.tiff_pages import open_pages
-from levkas.geometry.pixel_frames import Frame, Records
 from levkas.publish.viewer.relighting import ILLUMINANTS, relighting_matrix
 
 if TYPE_CHECKING:

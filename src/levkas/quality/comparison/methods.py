@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
+from pathlib import Path
 
 
 @dataclass(frozen=True)
-class Method:
+class ComparedMethod:
     """One row of the comparison.
 
     Parameters
@@ -30,9 +32,14 @@ class Method:
     distribution: str = ""
 
     @property
-    def missing(self) -> bool:
-        """True where the package that the method needs is not installed."""
-        return bool(self.package) and find_spec(self.package) is None
+    def missing(self) -> str:
+        """What the method needs and is not there, for a message; empty where it can run."""
+        if self.package and find_spec(self.package) is None:
+            return f"{self.distribution} is not installed"
+        folder = self.module.partition(".")[0]
+        if folder and find_spec(folder) is None:
+            return f"{folder} is part of the repository alone"
+        return ""
 
     @property
     def version(self) -> str:
@@ -43,27 +50,35 @@ class Method:
             return ""
 
 
-_HERE = "levkas.quality.comparison."
-COMPARED: dict[str, Method] = {
-    "levkas": Method("Levkas"),
-    "mirhashemi2019": Method("Mirhashemi 2019"),
-    "surf-projective": Method(
-        "SURF, projective", _HERE + "features", "surf_projective", "mahotas", "mahotas"
+_OURS, _PEERS = "levkas.quality.comparison.opencv", "levkas_peers."
+COMPARED: dict[str, ComparedMethod] = {
+    "levkas": ComparedMethod("Levkas"),
+    "mirhashemi2019": ComparedMethod("Mirhashemi 2019"),
+    "surf-projective": ComparedMethod(
+        "SURF, projective", _PEERS + "surf", "surf_projective", "mahotas", "mahotas"
     ),
-    "gdbicp-quadratic": Method(
-        "GDB-ICP, quadratic", _HERE + "dual_bootstrap", "gdbicp_quadratic"
+    "gdbicp-quadratic": ComparedMethod(
+        "GDB-ICP, quadratic", _PEERS + "dual_bootstrap", "gdbicp_quadratic"
     ),
-    "gdbicp-radial": Method(
-        "GDB-ICP, homography and radial", _HERE + "dual_bootstrap", "gdbicp_radial"
+    "gdbicp-radial": ComparedMethod(
+        "GDB-ICP, homography and radial", _PEERS + "dual_bootstrap", "gdbicp_radial"
     ),
-    "opencv-sift-magsac": Method(
-        "OpenCV SIFT, MAGSAC", _HERE + "features", "opencv_sift_magsac", "cv2",
-        "opencv-python-headless",
+    "opencv-sift-magsac": ComparedMethod(
+        "OpenCV SIFT, MAGSAC", _OURS, "opencv_sift_magsac", "cv2", "opencv-python-headless"
     ),
-    "opencv-ecc": Method(
-        "OpenCV ECC", _HERE + "intensities", "opencv_ecc", "cv2", "opencv-python-headless"
+    "opencv-ecc": ComparedMethod(
+        "OpenCV ECC", _OURS, "opencv_ecc", "cv2", "opencv-python-headless"
     ),
-    "elastix": Method("elastix", _HERE + "intensities", "elastix", "itk", "itk-elastix"),
-    "simpleitk": Method("SimpleITK", _HERE + "intensities", "simpleitk", "SimpleITK", "simpleitk"),
-    "ants": Method("ANTs SyN", _HERE + "intensities", "ants", "ants", "antspyx"),
-}  # fmt: skip
+    "elastix": ComparedMethod("elastix", _PEERS + "intensities", "elastix", "itk", "itk-elastix"),
+    "simpleitk": ComparedMethod(
+        "SimpleITK", _PEERS + "intensities", "simpleitk", "SimpleITK", "simpleitk"
+    ),
+    "ants": ComparedMethod("ANTs SyN", _PEERS + "intensities", "ants", "ants", "antspyx"),
+}
+
+
+def find_peers() -> None:
+    """Let `levkas_peers` be imported where this is a checkout: its folder is `benchmarks/peers`."""
+    folder = Path(__file__).parents[4] / "benchmarks" / "peers"
+    if folder.is_dir() and str(folder) not in sys.path:
+        sys.path.append(str(folder))

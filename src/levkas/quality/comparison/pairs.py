@@ -1,13 +1,14 @@
-"""What every compared method is given: one grey picture of either camera, and a start by scale alone."""
+"""Input and output of a compared method: a grey picture of either camera, a start by scale alone, a map."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from levkas.geometry.transforms import Affine
+from levkas.geometry.transforms import Affine, invert
 from levkas.registration.bands import area_average
 from levkas.registration.mirhashemi2019 import AlignedCamera, scale_only
 
@@ -75,7 +76,7 @@ def pair_of(
     Returns
     -------
     pair : Pair
-    target : Camera
+    target : AlignedCamera
         With the alignment of every sensor.
     """
     sensor = next(image.sensor for image in reference if image.label == reference_band)
@@ -118,3 +119,59 @@ def _cut(region: Sequence[float] | None, size: tuple[int, int]) -> tuple[int, in
     x, y, w, h = (round(float(v)) for v in region or (0, 0, *size))
     left, top = min(max(x, 0), size[0] - 1), min(max(y, 0), size[1] - 1)
     return left, top, min(x + w, size[0]) - left, min(y + h, size[1]) - top
+
+
+Decision = Literal["accept", "warn", "refuse", "none"]
+
+
+class NoAnswer(Exception):
+    """The method gives no map for this pair; the text says why."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A map and what its method says of it.
+
+    Parameters
+    ----------
+    found : callable
+        (n, 2) px of the pair's reference → px of its target.
+    note : str
+        Matches kept, final cost, and the like.
+    decision : {"accept", "warn", "refuse", "none"}
+        ``"none"``: the method has no opinion of its own result.
+    """
+
+    found: Callable[[np.ndarray], np.ndarray]
+    note: str = ""
+    decision: Decision = "none"
+
+
+STEP_PX = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class AnyMap:
+    """A function of points as a `Transform`: differentiated by differences, inverted by Newton."""
+
+    function: Callable[[np.ndarray], np.ndarray]
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return self.function(np.asarray(points, float))
+
+    def jacobian(self, points: np.ndarray) -> np.ndarray:
+        """Return d(x′, y′)/d(x, y), (n, 2, 2), by differences over a pixel."""
+        points = np.asarray(points, float)
+        columns = [
+            (self(points + step) - self(points - step)) / (2 * STEP_PX)
+            for step in np.eye(2) * STEP_PX
+        ]
+        return np.stack(columns, axis=2)
+
+    def inverse(self, points: np.ndarray) -> np.ndarray:
+        """Map target points back; NaN where Newton does not converge."""
+        return invert(self, points, np.asarray(points, float))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Refuse: a function cannot be stored."""
+        raise NotImplementedError("a map of another program is not stored")

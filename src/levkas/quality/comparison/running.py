@@ -18,9 +18,9 @@ from levkas.core.machine import count_threads
 from levkas.core.ownership import OwnFiles
 from levkas.core.problems import Problem
 from levkas.database.registrations import read_registration, read_registrations
-from levkas.quality.comparison.captures import ComparisonRefused
-from levkas.quality.comparison.methods import COMPARED
+from levkas.quality.comparison.methods import COMPARED, find_peers
 from levkas.quality.comparison.trial import Trial
+from levkas.quality.evaluation.native_layers import ComparisonRefused
 
 Checks = Mapping[tuple[str, str, str], np.ndarray]
 TIME_LIMIT_S = 600.0
@@ -31,7 +31,7 @@ THREADS_OF = (
 
 
 @dataclass(frozen=True)
-class Layer:
+class ComparedLayer:
     """One camera under one setup of one object.
 
     Parameters
@@ -48,10 +48,10 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparedRow:
     """What one method did on one layer; `facts` is what `levkas.quality.comparison.trial` says."""
 
-    layer: Layer
+    layer: ComparedLayer
     method: str
     facts: dict[str, Any]
     map: str = ""
@@ -95,12 +95,12 @@ class Row:
         }
 
 
-def layers_of(database: Path) -> list[Layer]:
+def layers_of(database: Path) -> list[ComparedLayer]:
     """Return the layers that were registered to another camera."""
     layers = []
     for path, record in read_registrations(database):
         if record["camera"] != record["reference"]["camera"] or record.get("setup"):
-            layers.append(Layer(path.parents[1].name, path.stem))
+            layers.append(ComparedLayer(path.parents[1].name, path.stem))
     if not layers:
         raise ComparisonRefused(
             Problem(
@@ -130,18 +130,20 @@ def chosen_methods(names: Sequence[str]) -> tuple[list[str], list[Problem]]:
                 expected=", ".join(COMPARED),
             )
         )
+    find_peers()
     wanted = list(names) or list(COMPARED)
-    missing = [
+    lacking = {name: COMPARED[name].missing for name in wanted}
+    problems = [
         Problem(
             "E_MISSING",
-            f"{COMPARED[name].title} is left out: {COMPARED[name].distribution} is not installed",
+            f"{COMPARED[name].title} is left out: {why}",
             field=name,
-            fix="Install it: pip install 'levkas[peers]', or make peers.",
+            fix="Run `make compare` in a checkout of the repository: it installs what is compared.",
         )
-        for name in wanted
-        if COMPARED[name].missing
+        for name, why in lacking.items()
+        if why
     ]
-    return [name for name in wanted if not COMPARED[name].missing], missing
+    return [name for name in wanted if not lacking[name]], problems
 
 
 def run_rows(
@@ -153,7 +155,7 @@ def run_rows(
     objects: Sequence[str] = (),
     output: OwnFiles | None,
     time_limit_s: float = TIME_LIMIT_S,
-) -> Iterator[Row]:
+) -> Iterator[ComparedRow]:
     """Yield a row a layer and method, in that order; SSIM maps are drawn into `output`."""
     layers = [one for one in layers_of(database) if not objects or one.object in objects]
     done, total = 0, len(layers) * len(methods)
@@ -173,10 +175,10 @@ def run_rows(
                 output.keep(page)
             drawn = name if page and page.is_file() and not facts.get("failure") else ""
             done += 1
-            yield Row(layer, method, facts, drawn, done, total)
+            yield ComparedRow(layer, method, facts, drawn, done, total)
 
 
-def _of_layer(database: Path, layer: Layer, checks: Checks) -> dict[str, list[list[float]]]:
+def _of_layer(database: Path, layer: ComparedLayer, checks: Checks) -> dict[str, list[list[float]]]:
     """Check points of a layer by band; those of no band are of the camera's reference channel."""
     path = database / "objects" / layer.object / "registration" / f"{layer.name}.json"
     channel = str((read_registration(path).get("target") or {}).get("band", ""))
@@ -194,7 +196,7 @@ def _in_a_child(trial: Trial, limit_s: float) -> dict[str, Any]:
     try:
         with tempfile.TemporaryDirectory() as scratch:
             done = subprocess.run(
-                [sys.executable, "-m", "levkas.quality.comparison.child"],
+                [sys.executable, "-m", "levkas.quality.comparison.trial"],
                 input=json.dumps(asdict(trial)), text=True, capture_output=True, cwd=scratch,
                 timeout=limit_s, env={**os.environ, **settings}, check=False,
             )  # fmt: skip

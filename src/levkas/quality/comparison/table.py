@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.quality.comparison.methods import COMPARED
-from levkas.quality.comparison.running import Row
+from levkas.quality.comparison.running import ComparedRow
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Comparison:
         Methods that could not run.
     """
 
-    rows: Sequence[Row]
+    rows: Sequence[ComparedRow]
     problems: Sequence[Problem] = field(default=())
 
     @property
@@ -39,7 +39,7 @@ class Comparison:
         """Layers in order."""
         return list(dict.fromkeys(str(row.layer) for row in self.rows))
 
-    def row(self, layer: str, method: str) -> Row | None:
+    def row(self, layer: str, method: str) -> ComparedRow | None:
         """Return the row of a layer and method."""
         return next((r for r in self.rows if (str(r.layer), r.method) == (layer, method)), None)
 
@@ -117,7 +117,7 @@ def compare(
     output: str | Path | None = None,
     overwrite: bool = False,
     time_limit_s: float | None = None,
-    draw: Callable[[Iterable[Row]], list[Row]] = list,
+    draw: Callable[[Iterable[ComparedRow]], list[ComparedRow]] = list,
 ) -> Comparison:
     """Compare methods of registration on the layers of a database.
 
@@ -134,7 +134,8 @@ def compare(
     objects : sequence of str
         Only these; all without.
     output : path, optional
-        Folder for comparison.html, comparison.json and the SSIM maps. Other files in it stay.
+        Folder for the SSIM maps. Other files in it stay. `levkas.pages.comparison.write_page`
+        writes the page beside them.
     overwrite : bool
         Whether files may be replaced there that no comparison wrote, or that were changed since.
     time_limit_s : float, optional
@@ -165,5 +166,4 @@ def compare(
         output=where,
         time_limit_s=time_limit_s or TIME_LIMIT_S,
     )
-    comparison = Comparison(draw(rows), problems)
-    return comparison
+    return Comparison(draw(rows), problems)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import sys
 import time
 from contextlib import suppress
@@ -12,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.geometry.transforms import Composed, from_dict
-from levkas.quality.comparison.answer import NoAnswer
-from levkas.quality.comparison.captures import Capture, read_capture
-from levkas.quality.comparison.fields import AnyMap
+from levkas.core.problems import Refused
+from levkas.geometry import from_dict
+from levkas.geometry.transforms import Composed
 from levkas.quality.comparison.methods import COMPARED
-from levkas.quality.comparison.pairs import pair_of, spread
+from levkas.quality.comparison.pairs import AnyMap, NoAnswer, pair_of, spread
+from levkas.quality.evaluation.native_layers import NativeLayer, read_native_layer
 from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
@@ -61,8 +63,8 @@ def run_trial(trial: Trial) -> dict[str, Any]:
     record = read_json(folder / f"{trial.layer}.json")
     camera, setup = record["camera"], record.get("setup", "")
     base = record["reference"]
-    reference = read_capture(database, trial.object, base["camera"], "")
-    target = read_capture(database, trial.object, camera, setup)
+    reference = read_native_layer(database, trial.object, base["camera"], "")
+    target = read_native_layer(database, trial.object, camera, setup)
     own = read_json(folder / f"{base['camera']}.json")
     ours, theirs = reference.images(), target.images()
     method = COMPARED[trial.method]
@@ -128,10 +130,13 @@ def _given(
     """What the method is given; made before the clock runs, and compiled code has been loaded."""
     if COMPARED[name].module:
         return pair_of(ours, theirs, band, region)
-    options: dict[str, Any] = {"reference_band": band, "method": name, "region": region}
-    if name == "levkas":
-        maps = {k: from_dict(b["transform"]) for k, b in own["bands"].items()}
-        options["reference_transforms"] = maps
+    maps = {k: from_dict(b["transform"]) for k, b in own["bands"].items()}
+    options: dict[str, Any] = {
+        "reference_band": band,
+        "method": name,
+        "region": region,
+        "reference_transforms": maps,
+    }
     _load(name)
     return ours, theirs, options
 
@@ -191,7 +196,7 @@ def _errors(trial: Trial, record: dict[str, Any], maps: dict[str, Map]) -> list[
 
 
 def _similarity(
-    trial: Trial, record: dict[str, Any], target: Capture, maps: dict[str, Map]
+    trial: Trial, record: dict[str, Any], target: NativeLayer, maps: dict[str, Map]
 ) -> float | None:
     """SSIM of the mean of the registered bands against the reference's published layer."""
     from levkas.database.grey import grey_of, read_grey
@@ -220,3 +225,18 @@ def _similarity(
         shown = np.nan_to_num(np.clip(full, 0, 1) * 255).astype(np.uint8)
         write_preview(trial.map, shown, description="SSIM, 0 to 1")
     return None if np.isnan(score) else float(score)
+
+
+def main() -> None:
+    """Read a trial as JSON, run it, print its row as the last line."""
+    out = os.dup(1)
+    os.dup2(2, 1)  # what a library prints must not stand in the answer
+    try:
+        row = run_trial(Trial(**json.load(sys.stdin)))
+    except (Refused, ImportError) as error:
+        row = {"failure": f"{type(error).__name__}: {error}"}
+    os.write(out, (json.dumps(row) + "\n").encode())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-"""What the cameras of a campaign are: raw facts of frames, photon transfer of sensors."""
+"""Characterisation of cameras after EMVA 1288: facts of frames, photon transfer, linearity, steadiness of the light."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from levkas.quality.emva1288.reports import Examination
+    from levkas.quality.emva1288.report import Examination
 
 
 def examine_with_seed(
@@ -16,6 +16,6 @@ def examine_with_seed(
     """Do as `examining.examine` does, with a generator of random numbers made from a seed."""
     import numpy as np
 
-    from levkas.quality.emva1288.examining import examine
+    from levkas.quality.emva1288.examine import examine
 
     return examine(path, cameras=cameras, rng=np.random.default_rng(seed))

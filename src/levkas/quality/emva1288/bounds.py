@@ -1,4 +1,4 @@
-"""What one shot of everything still tells: bounds, from noise in space where noise over time is not to be had.
+"""Bounds from one shot of everything: noise in space bounds noise over time.
 
 The spread within small blocks of a flat, lit surface holds shot noise, read-out noise, PRNU and texture at once, so
 that it bounds each of them; two shots would part them.
@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from levkas.calibration.blocks import Blocks
-from levkas.calibration.estimates import DarkModel
-from levkas.quality.emva1288.photon_transfer import Dark, model_darks
+from levkas.quality.emva1288.blocks import Blocks
+from levkas.quality.emva1288.darks import Dark, DarkModel, model_darks
 
 LIT = (0.15, 0.9)
 """Of saturation, above dark: where a white says something of noise and PRNU."""

@@ -19,7 +19,7 @@ DIM = 0.02  # of the brightest cells: darker ones tell only noise
 
 
 @dataclass
-class Light:
+class CellMeans:
     """What each shot of a stack saw in cells, filled while frames pass by.
 
     Examples
@@ -88,7 +88,7 @@ def measure_drift(cells: np.ndarray, dark: float | np.ndarray = 0.0) -> Drift | 
     Parameters
     ----------
     cells : ndarray, (shots, cells)
-        Mean counts, from `Light`; in the order in which they were taken.
+        Mean counts, from `CellMeans`; in the order in which they were taken.
     dark : float or ndarray, (cells,)
         Counts without light.
 

@@ -1,4 +1,4 @@
-"""Raw facts: what frames are before anything is done to them, from headers and from their codes."""
+"""Facts of raw frames, from their headers and their codes."""
 
 from __future__ import annotations
 

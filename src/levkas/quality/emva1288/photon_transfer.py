@@ -1,4 +1,4 @@
-"""Photon transfer: what a sensor is, from darks and lit stacks, in the terms of EMVA 1288.
+"""Photon transfer: gain, noise, PRNU and full well of a sensor from darks and lit stacks, after EMVA 1288.
 
 Noise over time grows with the light, var = K·(mean − dark) + var of the dark, so that its slope K is
 counts per electron and turns all else into electrons. What stays from shot to shot is fixed pattern:
@@ -12,17 +12,20 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from levkas.calibration.blocks import Blocks
-from levkas.calibration.clipping import DarkLevel
 from levkas.calibration.code_spacing import Levels
-from levkas.calibration.estimates import SLOPE_TO, DarkModel, Moved, estimate
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem
+from levkas.quality.emva1288.blocks import Blocks
+from levkas.quality.emva1288.darks import Dark, DarkModel, DrawnDark, model_darks
 
 DRAWS = 200
 LEAST_QUANTISED = 0.24  # counts²: below it EMVA 1288 takes rounding for the noise
 FEWEST_BLOCKS = 8
 POINTS = 24
+SLOPE_TO = 0.7  # of saturation: EMVA 1288's range for the gain
+PRNU_RANGE = (0.15, 0.9)
+LINE_RANGE = (0.05, 0.95)
+ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -39,54 +42,6 @@ class Interval:
 
     def __str__(self) -> str:
         return f"{self.value:.4g} ({self.low:.4g}–{self.high:.4g})"
-
-
-@dataclass(frozen=True)
-class Dark:
-    """Counts without light at one exposure.
-
-    Parameters
-    ----------
-    level, temporal, fixed : ndarray, (blocks,), or float
-        Mean, variance of one shot with rounding, variance from sensel to sensel; NaN if not known.
-    exposure_s : float, optional
-    errors : tuple of float
-        Standard errors of the three where they are no blocks.
-    spread : ndarray, (blocks,), or float
-        Of a single shot: variance from sensel to sensel, noise over time included.
-    band : str, optional
-        Of a tunable filter; None: it serves all.
-    """
-
-    level: np.ndarray | float
-    temporal: np.ndarray | float
-    fixed: np.ndarray | float
-    exposure_s: float | None = None
-    errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    spread: np.ndarray | float = float("nan")
-    band: str | None = None
-
-    @classmethod
-    def of_blocks(cls, blocks: Blocks) -> Dark:
-        """Return a dark that was not clipped, without the blocks that hold hot sensels."""
-        sound = np.where(np.isfinite(blocks.spatial), 0.0, np.nan)
-        fixed = blocks.spatial - blocks.temporal / blocks.shots
-        spread = blocks.spatial if blocks.shots == 1 else float("nan")
-        level, temporal = blocks.mean + sound, blocks.temporal + sound
-        return cls(level, temporal, fixed, blocks.exposure_s, spread=spread, band=blocks.band)
-
-    @classmethod
-    def of_clipped(cls, level: DarkLevel, exposure_s: float | None = None) -> Dark:
-        """Return a dark that was clipped and fitted as censored; of a single shot the noise over time stays open."""
-        if np.isnan(level.fixed):
-            spread = level.noise**2 + 1 / 12
-            return cls(level.black, np.nan, np.nan, exposure_s, (level.black_error, 0, 0), spread)
-        errors = (
-            level.black_error,
-            2 * level.noise * level.noise_error,
-            2 * level.fixed * level.fixed_error,
-        )
-        return cls(level.black, level.noise**2 + 1 / 12, level.fixed**2, exposure_s, errors)
 
 
 @dataclass(frozen=True)
@@ -215,11 +170,6 @@ def measure_sensor(
     return PhotonTransfer(**given, levels=len(lit), notes=notes, points=points)  # type: ignore[arg-type]
 
 
-def model_darks(darks: Sequence[Dark]) -> DarkModel:
-    """Return the level and fixed pattern without light over exposures, of all blocks alike."""
-    return DarkModel([Moved(dark, np.ones(np.size(dark.level)), np.zeros(3)) for dark in darks])
-
-
 def without_full_scale(found: PhotonTransfer) -> PhotonTransfer:
     """Leave out what hangs on the code at which a sensel is full, where nobody declares it."""
     told = tuple(note for note in found.notes if not note.startswith("no shot saturates"))
@@ -283,7 +233,13 @@ def _seconds(times: Sequence[float]) -> str:
 
 
 def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> None:
-    """Refuse stacks that cannot tell a gain, with what to capture instead."""
+    """Refuse stacks from which no gain follows, with what to capture instead."""
+    _check_stacks(darks, lit)
+    _check_light(darks, [b for b in lit if b.shots > 1], saturation)
+
+
+def _check_stacks(darks: Sequence[Dark], lit: Sequence[Blocks]) -> None:
+    """Refuse where a dark or a repeated shot is missing, or sizes differ."""
     if not darks:
         raise _refusal(
             "E_TEMPLATE_MISSING",
@@ -302,8 +258,7 @@ def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> N
             "as many blocks in each",
             "Capture all in one mode; crops of other sessions do not fit.",
         )
-    repeated = [b for b in lit if b.shots > 1]
-    if not repeated:
+    if not any(b.shots > 1 for b in lit):
         raise _refusal(
             "E_SHOTS",
             "noise over time cannot be told from one shot of each scene",
@@ -311,6 +266,10 @@ def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> N
             "two shots or more of one scene, nothing moved between them",
             "Capture the white twice or more at one exposure, and two darks.",
         )
+
+
+def _check_light(darks: Sequence[Dark], repeated: Sequence[Blocks], saturation: float) -> None:
+    """Refuse repeated stacks without enough blocks between dark and saturation."""
     dark = float(np.nanmean(darks[0].level)) if np.any(np.isfinite(darks[0].level)) else np.nan
     means = np.concatenate([b.mean for b in repeated])
     if means.size < FEWEST_BLOCKS:
@@ -350,3 +309,139 @@ def _check(darks: Sequence[Dark], lit: Sequence[Blocks], saturation: float) -> N
 
 def _refusal(code: str, message: str, found: object, expected: str, fix: str) -> CalibrationRefused:
     return CalibrationRefused(Problem(code, message, found=found, expected=expected, fix=fix))
+
+
+def estimate(
+    darks: Sequence[Dark],
+    whites: Sequence[Blocks],
+    scenes: Sequence[Blocks],
+    saturation: float,
+    rounding: Levels,
+    weights: np.ndarray,
+    shift: np.ndarray,
+) -> dict[str, float]:
+    """Return every number from blocks drawn `weights` times, fitted darks moved by their errors."""
+    model = DarkModel([DrawnDark(dark, weights, s) for dark, s in zip(darks, shift, strict=True)])
+    first, room = model.first, saturation - model.black
+    quiet = first.temporal - float(rounding.quantisation(first.level))
+    gain, quiet, told = _gain([*whites, *scenes], model, room, quiet, rounding, weights)
+    read = max(quiet - gain * (first.level - model.black), 0.0)  # shot noise of the dark current
+    dark_noise = np.sqrt(read) / gain if told else np.nan
+    full_well = room / gain
+    prnu = _prnu(whites, model, room, (gain, quiet), rounding, weights)
+    least = np.sqrt(dark_noise**2 + 0.25) + 0.5
+    return {
+        "gain": gain,
+        "black": model.black,
+        "dark_noise": dark_noise,
+        "dark_current": model.current / gain,
+        "dsnu": np.sqrt(max(first.fixed, 0.0)) / gain if np.isfinite(first.fixed) else np.nan,
+        "prnu": prnu,
+        "full_well": full_well,
+        "linearity_error": _linearity(whites, model, room, weights),
+        "dynamic_range": full_well / least,
+        "snr": np.sqrt(max(full_well, 0.0)),
+        "dark_variance": first.temporal,
+    }
+
+
+def _gain(
+    lit: Sequence[Blocks],
+    model: DarkModel,
+    room: float,
+    quiet: float,
+    rounding: Levels,
+    weights: np.ndarray,
+) -> tuple[float, float, bool]:
+    """Return the slope of variance over signal, its intercept, and whether that is told by dark or lit stacks.
+
+    The line goes through the first dark's own point: its level and `quiet`. Dark current that a stack gathered
+    beyond that has shot noise as light has, and counts as signal here.
+    """
+    rows = []
+    for b in (b for b in lit if b.shots > 1):
+        signal = model.signal(b) + model.dark_signal(b)
+        variance = b.temporal - rounding.quantisation(b.mean)
+        used = np.isfinite(signal + variance) & (signal < SLOPE_TO * room) & (weights > 0)
+        freedom = np.full(used.sum(), b.shots - 1.0) * weights[used]
+        rows.append((signal[used], variance[used], freedom, rounding.quantisation(b.mean)[used]))
+    x, y, freedom, rounded = (np.concatenate(part) for part in zip(*rows, strict=True))
+    known = np.isfinite(quiet)
+    if not known:
+        free = _line(x, y, freedom, rounded, None)
+        # One shot of a dark spreads by its noise over time and its pattern: no less than the noise.
+        quiet = float(np.clip(free[1], 0.0, np.fmin(model.first.spread, np.inf)))
+        if quiet == free[1]:
+            return *free, True
+    return *_line(x, y, freedom, rounded, quiet), known
+
+
+def _line(
+    x: np.ndarray, y: np.ndarray, freedom: np.ndarray, rounded: np.ndarray, start: float | None
+) -> tuple[float, float]:
+    """Return slope and intercept of variances y on signals x, weighted by 1/variance²; `start` holds the intercept."""
+    gain, intercept = 0.0, start or 0.0
+    expected = np.maximum(y.mean() * np.ones_like(y), 1e-9)
+    for _ in range(ROUNDS):
+        w = freedom / expected**2
+        if start is not None:
+            gain = float(np.sum(w * x * (y - start)) / np.sum(w * x * x))
+        else:
+            root = np.sqrt(w)
+            design = np.stack([x, np.ones_like(x)], 1) * root[:, None]
+            gain, intercept = (float(v) for v in np.linalg.lstsq(design, y * root, rcond=None)[0])
+        expected = np.maximum(gain * np.maximum(x, 0) + intercept + rounded, 1 / 12)
+    return gain, intercept
+
+
+def _prnu(
+    whites: Sequence[Blocks],
+    model: DarkModel,
+    room: float,
+    dark: tuple[float, float],
+    rounding: Levels,
+    weights: np.ndarray,
+) -> float:
+    """Return the spread of the response, the temporal share and the dark's own pattern taken out."""
+    gain, quiet = dark
+    above, below = 0.0, 0.0
+    for b in whites:
+        signal = model.signal(b)
+        over_time = b.temporal
+        if b.shots == 1:
+            seen = signal + model.dark_signal(b)
+            over_time = gain * seen + quiet + rounding.quantisation(b.mean)
+        fixed = b.spatial - over_time / b.shots - model.fixed(b)
+        used = np.isfinite(signal + fixed)
+        used &= (signal > PRNU_RANGE[0] * room) & (signal < PRNU_RANGE[1] * room)
+        above += float(np.sum(weights[used] * fixed[used]))
+        below += float(np.sum(weights[used] * signal[used] ** 2))
+    return float(np.sqrt(max(above, 0.0) / below)) if below > 0 else float("nan")
+
+
+def _linearity(
+    whites: Sequence[Blocks],
+    model: DarkModel,
+    room: float,
+    weights: np.ndarray,
+) -> float:
+    """Return the rms deviation of whites from the line Σ(Δy/y)² → least over 5–95 % of saturation."""
+    timed = [b for b in whites if b.exposure_s]
+    if len({b.exposure_s for b in timed}) < 3:
+        return float("nan")
+    signals = [model.signal(b) for b in timed]
+    inside = [np.isfinite(s) & (s < LINE_RANGE[1] * room) for s in signals]
+    chosen = [i for i, ok in enumerate(inside) if ok.mean() > 0.5]
+    if len(chosen) < 3:
+        return float("nan")
+    common = np.all([inside[i] for i in chosen], axis=0) & (weights > 0)
+    if not common.any():
+        return float("nan")
+    y = np.array([np.average(signals[i][common], weights=weights[common]) for i in chosen])
+    t = np.array([timed[i].exposure_s for i in chosen], float)
+    used = y > LINE_RANGE[0] * room
+    if len(set(t[used])) < 3:
+        return float("nan")
+    design = np.stack([t[used], np.ones(used.sum())], 1) / y[used, None]
+    solved = np.linalg.lstsq(design, np.ones(used.sum()), rcond=None)[0]
+    return float(np.sqrt(np.mean((design @ solved - 1) ** 2)))

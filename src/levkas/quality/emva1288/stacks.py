@@ -1,31 +1,39 @@
-"""The stacks of one sensor of a campaign, reduced to blocks as the frames pass by."""
+"""Reduction of the frames of a campaign to the stacks of each sensor: areas, line scanners, single shots.
+
+Of a line scanner every line of dark and white is a shot of all samples and bands. Where a tunable filter has
+one shot of everything, other bands and other exposures of a scene stand in for repeats.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.calibration.blocks import Blocks
 from levkas.calibration.code_spacing import MOST_CODES, count_codes, find_levels
 from levkas.calibration.linearity import RECIPROCAL, Linearity, check_linearity
-from levkas.calibration.sensor_context import SensorContext, exposure_of
-from levkas.calibration.templates import average
-from levkas.quality.emva1288.dark_levels import (
+from levkas.calibration.sensor_context import SensorContext, exposure_of, read_cube
+from levkas.calibration.templates import Template, average
+from levkas.quality.emva1288.blocks import SIDE, Blocks, block_statistics, cut_blocks, pair_blocks
+from levkas.quality.emva1288.darks import Dark, model_darks
+from levkas.quality.emva1288.drift import CellMeans, Drift, measure_drift
+from levkas.quality.emva1288.sensor_stacks import (
+    Key,
+    SensorStacks,
+    by_exposure,
     level_under,
     measure_dark,
     put_black,
     put_darks,
+    reduce_stack,
 )
-from levkas.quality.emva1288.drift import Light, measure_drift
-from levkas.quality.emva1288.gathered import Sensor, by_exposure, reduce_stack
-from levkas.quality.emva1288.line_stacks import gather_lines
-from levkas.quality.emva1288.stand_ins import add_stand_ins
 from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
+    from levkas.calibration.templates import Template
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
 
@@ -33,8 +41,8 @@ MOST_BANDS = 5  # of a tunable filter: the sensor behind it is the same
 MOST_SCENES = 3
 
 
-def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iterator[Sensor]:
-    """Yield what the frames of each sensor of a camera tell, one sensor at a time.
+def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iterator[SensorStacks]:
+    """Yield the stacks of each sensor of a camera, one sensor at a time.
 
     Parameters
     ----------
@@ -53,7 +61,7 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
         facts = read_facts(frames.object[0].path)
         # Nothing is kept from one reading to the next: there is no shelf.
         bench = SensorContext(campaign, campaign.cameras[camera], frames, facts, None)
-        sensor = Sensor(camera, frames.name, bench)
+        sensor = SensorStacks(camera, frames.name, bench)
         if campaign.cameras[camera].kind == "cube":
             gather_lines(sensor, frames)
         else:
@@ -62,7 +70,7 @@ def gather(campaign: Campaign, captures: Sequence[Capture], camera: str) -> Iter
 
 
 def _gather_frames(
-    sensor: Sensor, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
+    sensor: SensorStacks, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
 ) -> None:
     bands, bench = _chosen_bands(frames), sensor.bench
     darks = by_exposure(f for f in frames.dark if f.band in (None, *bands))
@@ -99,10 +107,10 @@ def _chosen_bands(frames: SensorFrames) -> list[str | None]:
 
 
 def _lit(
-    sensor: Sensor, name: str, shots: Sequence[FrameRef]
+    sensor: SensorStacks, name: str, shots: Sequence[FrameRef]
 ) -> tuple[dict[str, Blocks], np.ndarray]:
     """Reduce one lit stack, and count its codes."""
-    bench, light, time = sensor.bench, Light(), exposure_of(shots[0])
+    bench, light, time = sensor.bench, CellMeans(), exposure_of(shots[0])
     histogram = np.zeros(MOST_CODES, np.int64)
 
     def counted() -> Iterator[np.ndarray]:
@@ -123,7 +131,7 @@ def _lit(
 
 
 def _scaling(
-    sensor: Sensor,
+    sensor: SensorStacks,
     objects: Sequence[tuple[str, tuple[FrameRef, ...]]],
     bands: Sequence[str | None],
     *,
@@ -160,3 +168,268 @@ def _no_scaling(series: str, found: Linearity) -> str:
         f"{series}: counts do not scale between exposures, {100 * found.rms:.1f} % rms, worst {100 * found.worst:+.1f} % "
         f"at {found.worst_at_s:g} s and {found.worst_level:.0f} counts: take object and white at one time"
     )
+
+
+CHANNEL = "all"
+THIN = 4
+"""Side, sensels, of a block where there are fewer than 16 bands."""
+MOST_PAIRS = 64
+"""Pairs of neighbouring lines of a mirror scanner's white that are looked at."""
+
+
+def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
+    """A line scanner: each line of dark and white is a shot of all samples and bands.
+
+    A push-broom camera looks at one place of the white all the time. A mirror leads the view over the board, so
+    that each line has other light; two neighbouring ones, brought to one level block by block, stand in for
+    repeats: the sensels of (sample, band) are the same in both.
+    """
+    mirror = sensor.bench.camera.scan == "mirror"
+    for shots in by_exposure(frames.dark).values():
+        stack, side, _ = _averaged(sensor, shots)
+        found = block_statistics(stack, clipped=True, side=side)[""]
+        sensor.darks.setdefault(CHANNEL, []).append(Dark.of_blocks(found))
+    for (_, time), shots in by_exposure(frames.white).items():
+        stack, side, light = _averaged(sensor, shots)
+        level = level_under(sensor, None, time)
+        drift = measure_drift(light.cells, level)
+        if drift is not None and not mirror:
+            label = f"white {f'{time:g} s' if time else ''}".strip()
+            sensor.light.append((f"{label}, line by line", drift))
+        sensor.whites.setdefault(CHANNEL, []).append(
+            _white_of(sensor, shots, stack, side, drift, level)
+        )
+    if frames.white:
+        sensor.levels = find_levels(_codes_of(frames.white))
+    sensor.notes.append(
+        "mirror scanner: neighbouring lines of the white stand in for shots, and texture of the board counts as "
+        "noise; drift and flicker of the lamp cannot be told from the unevenness of its light"
+        if mirror
+        else "line scanner: every line is a shot; texture of the white board counts as noise"
+    )
+
+
+def _averaged(sensor: SensorStacks, shots: Sequence[FrameRef]) -> tuple[Template, int, CellMeans]:
+    """Average all lines of some cubes of one exposure; return them, the side of their blocks, and the light."""
+    light, time = CellMeans(), exposure_of(shots[0])
+    lines = (line for frame in shots for line in read_cube(frame))
+    full = sensor.bench.saturation
+    stack = average(light.watch(lines), saturation=full, exposure_s=time)
+    sensor.reached |= bool(np.mean(stack.saturated) > 1e-3)
+    return *_laid_out(stack), light
+
+
+def _white_of(
+    sensor: SensorStacks,
+    shots: Sequence[FrameRef],
+    stack: Template,
+    side: int,
+    drift: Drift | None,
+    level: float,
+) -> Blocks:
+    """Reduce the white; the spread is told along the samples, of a mirror scanner's mean over the board."""
+    mirror = sensor.bench.camera.scan == "mirror"
+    found = block_statistics(stack, drift=drift, dark=level, side=side)[""]
+    centre, darks = found.mean - level, sensor.darks.get(CHANNEL, [])
+    fixed = model_darks(darks).fixed(found) if darks else 0.0
+    pairs = [_pair(sensor, *two, level) for two in _neighbours(shots)] if mirror else []
+    if not pairs:
+        noise = np.nan_to_num(found.temporal) / stack.count + fixed
+        spatial = _spread_along_samples(stack.mean - level, centre, noise, side)
+        temporal = np.full_like(centre, np.nan) if mirror else found.temporal
+        return replace(found, temporal=temporal, spatial=spatial)
+    # Each pair has noise of its own level: per signal they can be put together.
+    with np.errstate(invalid="ignore"):
+        each = np.stack([pair.temporal for pair in pairs])
+        known = np.isfinite(each)
+        count = known.sum(0)
+        sums = [
+            np.where(known, part, 0).sum(0) / np.maximum(count, 1)
+            for part in (each, np.stack([pair.mean for pair in pairs]))
+        ]
+    temporal, mean = (np.where(count > 0, part, np.nan) for part in sums)
+    scale = mean / centre  # the spread belongs to the mean of all lines
+    noise = temporal / scale / stack.count + fixed
+    spatial = _spread_along_samples(stack.mean - level, centre, noise, side)
+    return Blocks(mean + level, temporal, spatial * scale**2, stack.count, stack.exposure_s)
+
+
+def _neighbours(shots: Sequence[FrameRef]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield pairs of neighbouring lines, (samples, bands), evenly over all cubes of the white."""
+    most = max(1, MOST_PAIRS // len(shots))
+    for frame in shots:
+        cube = read_cube(frame)
+        if len(cube) < 2:
+            continue
+        starts = np.unique(np.linspace(0, len(cube) - 2, most).round().astype(int))
+        for k in starts.tolist():
+            yield cube[k], cube[k + 1]
+
+
+def _pair(sensor: SensorStacks, first: np.ndarray, second: np.ndarray, level: float) -> Blocks:
+    full = sensor.bench.saturation
+    a, side = _laid_out(average([first], saturation=full))
+    b, _ = _laid_out(average([second], saturation=full))
+    return pair_blocks(a, b, dark=(level, level), side=side)
+
+
+def _codes_of(shots: Sequence[FrameRef]) -> np.ndarray:
+    """Count the codes of some cubes."""
+    histogram = np.zeros(MOST_CODES, np.int64)
+    for frame in shots:
+        cube = read_cube(frame)
+        if cube.dtype in (np.uint8, np.uint16):
+            histogram += count_codes([cube])
+    return histogram
+
+
+def _laid_out(stack: Template) -> tuple[Template, int]:
+    """Return a line, (samples, bands), as a plane to cut into blocks, and the side of these.
+
+    A block of 16 x 16 sensels wants 16 bands. Of fewer, each block is 16 neighbouring samples of one band, laid in
+    four rows of four.
+    """
+    samples, bands = stack.mean.shape
+    if bands >= SIDE:
+        return stack, SIDE
+    rows = samples // THIN
+
+    def laid(array: np.ndarray) -> np.ndarray:
+        folded = array[: rows * THIN].reshape(rows, THIN, bands)
+        return np.ascontiguousarray(folded.transpose(0, 2, 1)).reshape(rows, bands * THIN)
+
+    variance = None if stack.variance is None else laid(stack.variance)
+    marks = laid(stack.saturated), laid(stack.black)
+    return Template(laid(stack.mean), variance, stack.count, *marks, stack.exposure_s), THIN
+
+
+def _spread_along_samples(
+    mean: np.ndarray, centre: np.ndarray, noise: np.ndarray, side: int
+) -> np.ndarray:
+    """Return the variance of the white about a line along the samples, block by block, (n,).
+
+    Along the bands the white is a spectrum, not an even surface: each band is fitted by itself. What grows with
+    the light is brought from the bands' own levels to the block's.
+
+    Parameters
+    ----------
+    mean : ndarray, (samples, bands)
+        Counts above dark, or laid out.
+    centre, noise : ndarray, (n,)
+        Mean of each block, and the part of its variance that is no response: noise over time, dark pattern.
+    side : int
+        Of a block.
+    """
+    ramp = np.arange(SIDE) - (SIDE - 1) / 2
+    pixels = cut_blocks(mean, side).astype(np.float64).reshape(-1, SIDE, side * side // SIDE)
+    level = pixels.mean(1)
+    slope = np.einsum("s,nsb->nb", ramp, pixels) / (ramp @ ramp)
+    rest = pixels - level[:, None] - ramp[None, :, None] * slope[:, None]
+    spread = np.sum(rest**2, axis=(1, 2)) / ((SIDE - 2) * level.shape[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = (spread - noise) * centre**2 / np.mean(level**2, axis=1) + noise
+    return np.where(np.isfinite(spread), spread, np.nan)
+
+
+MOST_STAND_INS = 5
+
+
+def add_stand_ins(
+    sensor: SensorStacks, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
+) -> None:
+    """Pair single frames of a tunable filter where no lit stack has two shots, and say so.
+
+    Whites of neighbouring bands, exposures of the first object, and darks of two bands become stacks of two
+    shots in `sensor`. What only true repeats can tell, the lamp's drift and flicker, is left out.
+    """
+    lit = [b for kind in (sensor.whites, sensor.scenes) for many in kind.values() for b in many]
+    if sensor.bench.camera.kind != "bands" or any(b.shots > 1 for b in lit):
+        return
+    told = [
+        (_pair_darks(sensor, frames), "darks of two bands"),
+        (_pair_whites(sensor, frames), "whites of neighbouring bands"),
+        (_pair_exposures(sensor, frames, objects), "exposures of one scene"),
+    ]
+    used = [name for count, name in told if count]
+    if used:
+        sensor.notes.append(
+            f"one shot of everything: {', '.join(used)} stand in for repeats; the sensor's fixed pattern is "
+            "taken for the same in both. Drift and flicker of the lamp need two shots or more of one scene"
+        )
+
+
+def _pair_darks(sensor: SensorStacks, frames: SensorFrames) -> int:
+    """Let the darks of two bands of one time be the two shots of a dark."""
+    kept = sensor.darks.get("", [])
+    if not kept or np.isfinite(kept[0].temporal).any():
+        return 0
+    groups = [shots[0] for shots in by_exposure(frames.dark).values()]
+    alike = [f for f in groups if f.exposure_s == groups[0].exposure_s]
+    if len(alike) < 2:
+        return 0
+    first, second = (sensor.bench.average([f]) for f in alike[:2])
+    blocks = pair_blocks(
+        first, second, pattern=sensor.bench.sensor.pattern, scaled=False, clipped=True
+    )
+    sensor.darks[""][0] = Dark.of_blocks(blocks)
+    return 1
+
+
+def _pair_whites(sensor: SensorStacks, frames: SensorFrames) -> int:
+    shots = [group[0] for (band, _), group in by_exposure(frames.white).items() if band]
+    pairs = list(pairwise(shots))
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(MOST_STAND_INS, len(pairs))).round())
+    for i in chosen.astype(int).tolist():
+        _add(sensor, frames, sensor.whites, pairs[i])
+    return len(chosen)
+
+
+def _pair_exposures(
+    sensor: SensorStacks, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
+) -> int:
+    made = 0
+    for _, taken in objects[:1]:
+        groups: dict[str | None, list[FrameRef]] = {}
+        for (band, time), shots in by_exposure(taken).items():
+            if time:
+                groups.setdefault(band, []).append(shots[0])
+        several = [g for g in groups.values() if len(g) > 1]
+        chosen = np.unique(
+            np.linspace(0, len(several) - 1, min(MOST_STAND_INS, len(several))).round()
+        )
+        for i in chosen.astype(int).tolist():
+            for pair in pairwise(several[i]):
+                _add(sensor, frames, sensor.scenes, pair)
+                made += 1
+    return made
+
+
+def _add(
+    sensor: SensorStacks,
+    frames: SensorFrames,
+    kind: dict[str, list],  # type: ignore[type-arg]
+    pair: tuple[FrameRef, FrameRef],
+) -> None:
+    """Add the blocks of a pair, with the counts without light that belong to both."""
+    first, second = (sensor.bench.average([frame]) for frame in pair)
+    dark = _level(sensor, frames, pair[0]), _level(sensor, frames, pair[1])
+    blocks = pair_blocks(first, second, dark=dark, pattern=sensor.bench.sensor.pattern)
+    # The time is left out: between two exposures there is none.
+    kind.setdefault("", []).append(
+        replace(blocks, mean=blocks.mean + blocks.level, exposure_s=None)
+    )
+
+
+def _level(sensor: SensorStacks, frames: SensorFrames, frame: FrameRef) -> float:
+    """Return the counts without light of a frame: of its own dark, else of others brought to its exposure."""
+    darks, time = by_exposure(frames.dark), exposure_of(frame)
+    wanted: list[Key] = [(frame.band, time), (frame.band, None), (None, time), (None, None)]
+    own = next((darks[key] for key in wanted if key in darks), None)
+    if own is None:
+        return level_under(sensor, frame.band, time)
+    return _middle(sensor.bench.average(own[:1]))
+
+
+def _middle(dark: Template) -> float:
+    """Return the mean of what is no hot sensel."""
+    return float(np.mean(dark.mean[dark.mean <= np.quantile(dark.mean, 0.995)]))

@@ -11,8 +11,9 @@ import numpy as np
 
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
+from levkas.database.layout import layer_name
 from levkas.database.registrations import read_registrations
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import (
     BandError,
     Truth,
@@ -204,7 +205,7 @@ def _assess_layer(
     maps: Path | None,
 ) -> dict[str, Any]:
     name, camera, setup = record["object"], record["camera"], record.get("setup", "")
-    layer = f"{camera}@{setup}" if setup else camera
+    layer = layer_name(camera, setup)
     decision = record["verdict"]["decision"]
     truth = read_truth(truth_folder, name, camera)
     own = _by_band(checks, record, layer)

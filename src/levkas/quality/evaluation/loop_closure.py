@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from glob import escape
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas.database.registrations import read_registrations
-from levkas.geometry.transforms import from_dict
+from levkas.geometry import from_dict
+from levkas.registration import RegistrationRefused, register
 
 if TYPE_CHECKING:
-    from levkas.quality.evaluation.loops import View
+    from levkas.geometry.transforms import Transform
+    from levkas.registration.bands import BandImage
 
 
 def close_database(database: Path) -> list[dict[str, Any]]:
@@ -23,10 +30,9 @@ def close_database(database: Path) -> list[dict[str, Any]]:
     Returns
     -------
     loops : list of dict
-        ``object``, and what `levkas.quality.evaluation.loops.Loop.to_dict` says; setups other than the
+        ``object``, and what `levkas.quality.evaluation.loop_closure.Loop.to_dict` says; setups other than the
         default and layers that were refused take no part.
     """
-    from levkas.quality.evaluation.loops import close_loops, points_on
 
     found = []
     for folder in sorted(database.glob("objects/*/registration")):
@@ -53,20 +59,19 @@ def close_database(database: Path) -> list[dict[str, Any]]:
     return found
 
 
-def _view(database: Path, name: str, record: dict[str, Any]) -> View | None:
+def _view(database: Path, name: str, record: dict[str, Any]) -> LoopView | None:
     """Read the sensor of a camera that holds its reference channel; None where it is not kept."""
-    from levkas.quality.comparison.captures import ComparisonRefused, read_capture
-    from levkas.quality.evaluation.loops import View
+    from levkas.quality.evaluation.native_layers import ComparisonRefused, read_native_layer
 
     camera, band = record["camera"], record["target"]["band"]
     try:
-        images = read_capture(database, name, camera, "").images()
+        images = read_native_layer(database, name, camera, "").images()
     except ComparisonRefused:
         return None
     sensor = next((image.sensor for image in images if image.label == band), None)
     transform = from_dict(record["bands"][band]["transform"])
     mates = [image for image in images if image.sensor == sensor]
-    return View(camera, mates, band, transform) if mates else None
+    return LoopView(camera, mates, band, transform) if mates else None
 
 
 def tell(loops: list[dict[str, Any]]) -> str:
@@ -79,3 +84,137 @@ def tell(loops: list[dict[str, Any]]) -> str:
         else:
             lines.append(f"{name:44} {one['mean']:8.3f} {one['p95']:8.3f} {one['max']:8.3f}")
     return "\n".join(lines)
+
+
+GRID = (25, 19)
+
+
+@dataclass(frozen=True)
+class LoopView:
+    """One camera in a loop.
+
+    Parameters
+    ----------
+    name : str
+    images : sequence of BandImage
+        Bands of one sensor.
+    band : str
+        The band whose map is followed.
+    transform : Transform
+        Reference px → native px of that band, from its own registration.
+    """
+
+    name: str
+    images: Sequence[BandImage]
+    band: str
+    transform: Transform
+
+
+@dataclass(frozen=True)
+class Loop:
+    """How far reference → first → second → reference comes back from where it began, reference px.
+
+    `verdict` is that of the registration that closes the loop. `error` holds one distance a point that all
+    see; empty, with the reason, where the pair that closes the loop is refused.
+    """
+
+    first: str
+    second: str
+    error: np.ndarray
+    refused: str = ""
+    verdict: str = "refuse"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready record."""
+        known = len(self.error) > 0
+        return {
+            "first": self.first,
+            "second": self.second,
+            "points": len(self.error),
+            "mean": float(self.error.mean()) if known else None,
+            "p95": float(np.percentile(self.error, 95)) if known else None,
+            "max": float(self.error.max()) if known else None,
+            "verdict": self.verdict,
+            "refused": self.refused or None,
+        }
+
+
+def close_loops(views: Sequence[LoopView], points: np.ndarray) -> Iterator[Loop]:
+    """Register every pair of cameras by itself, and follow points around.
+
+    Parameters
+    ----------
+    views : sequence of View
+        The cameras that are not the reference.
+    points : ndarray, (n, 2), reference px
+
+    Yields
+    ------
+    loop : Loop
+        A pair, in the order of `views`.
+
+    Notes
+    -----
+    Nothing of the way through the reference is told to the registration that closes the loop: not
+    its start, not its bands. Errors that all three share do not show. A pair is registered both ways,
+    and the one that its own sigma is less of closes the loop.
+    """
+    for one, other in combinations(views, 2):
+        ways = [_register(one, other, points), _register(other, one, points)]
+        known = [way for way in ways if not way.refused]
+        if not known:
+            yield Loop(one.name, other.name, np.empty(0), ways[0].refused)
+            continue
+        best = min(known, key=lambda way: way.sigma)
+        start = one.transform(points)
+        end = best.map(start) if best.leader is one else best.map.inverse(start)
+        seen = _on(one, start) & _on(other, end)
+        miss = np.linalg.norm(other.transform.inverse(end[seen]) - points[seen], axis=1)
+        yield Loop(one.name, other.name, miss[np.isfinite(miss)], verdict=best.verdict)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """One camera of a pair registered to the other one, `leader`; `sigma` in reference px."""
+
+    leader: LoopView
+    map: Transform
+    sigma: float = np.inf
+    verdict: str = "refuse"
+    refused: str = ""
+
+
+def _register(leader: LoopView, led: LoopView, points: np.ndarray) -> _Way:
+    try:
+        found = register(leader.images, led.images, reference_band=leader.band)
+    except RegistrationRefused as refused:
+        return _Way(leader, leader.transform, refused=str(refused))
+    if found.verdict.decision == "refuse":
+        return _Way(leader, leader.transform, refused=found.verdict.reasons[0])
+    places = leader.transform(points)
+    seen = _on(leader, places)
+    scale = np.sqrt(np.abs(np.linalg.det(leader.transform.jacobian(points[seen]))))
+    sigma = found.sigma[led.band](places[seen]) / scale
+    told = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else np.inf
+    return _Way(leader, found.transforms[led.band], told, found.verdict.decision)
+
+
+def _on(view: LoopView, places: np.ndarray) -> np.ndarray:
+    """Tell which places lie on valid px of the view's band."""
+    valid = next(image.valid for image in view.images if image.label == view.band)
+    known = np.isfinite(places).all(1)
+    x, y = np.rint(np.where(known[:, None], places, -9)).astype(int).T
+    inside = (x >= 0) & (y >= 0) & (x < valid.shape[1]) & (y < valid.shape[0])
+    inside[inside] &= valid[y[inside], x[inside]]
+    return inside
+
+
+def points_on(image: BandImage, shape: tuple[int, int] = GRID) -> np.ndarray:
+    """Return points all over the object that an image shows, (n, 2): its background says nothing."""
+    from levkas.registration.bands import segment_foreground, sqrt_images
+
+    x, y = (np.linspace(0.02, 0.98, k) * (n - 1) for k, n in zip(shape, image.size, strict=True))
+    points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    within = segment_foreground(sqrt_images([image])[image.label])
+    column, row = np.rint(points).astype(int).T
+    return points[within[row, column]]

@@ -1,4 +1,4 @@
-"""What captures are worth: noise, range, glare, light, focus, charts; arrays in, numbers out."""
+"""Colour charts and image quality: noise, range, glare, light, focus; arrays in, numbers out."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "CHARTS": "charts",
-    "ChartRefused": "charts",
-    "chart_of": "charts",
-    "reference_of": "charts",
-    "place_patches": "charts",
-    "locate_chart": "locating",
-    "measure_patches": "patches",
-    "noise_planes": "patches",
-    "find_preblur": "levkas.quality.image_quality.noise_correlation",
-    "light_field": "levkas.quality.image_quality.light",
-    "band_sharpness": "levkas.quality.image_quality.sharpness",
-    "scene_ranges": "levkas.quality.image_quality.dynamic_range",
-    "sensor_stops": "levkas.quality.image_quality.dynamic_range",
-    "find_glare": "levkas.quality.image_quality.glare",
-    "choose_places": "places",
-    "delta_e_2000": "levkas.quality.image_quality.indicators",
+    "CHARTS": "targets.charts",
+    "ChartRefused": "targets.charts",
+    "chart_of": "targets.charts",
+    "reference_of": "targets.charts",
+    "place_patches": "targets.charts",
+    "locate_chart": "targets.locating",
+    "measure_patches": "targets.patches",
+    "noise_planes": "targets.patches",
+    "find_preblur": "targets.patches",
+    "light_field": "image_quality.light",
+    "band_sharpness": "image_quality.sharpness",
+    "scene_ranges": "image_quality.dynamic_range",
+    "sensor_stops": "image_quality.dynamic_range",
+    "find_glare": "image_quality.glare",
+    "choose_places": "image_quality.light",
+    "delta_e_2000": "targets.indicators",
 }
 __all__ = sorted(_HOMES)
 
@@ -29,4 +29,4 @@ __all__ = sorted(_HOMES)
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'levkas.quality.targets' has no attribute {name!r}")
-    return getattr(import_module(f"levkas.quality.targets.{_HOMES[name]}"), name)
+    return getattr(import_module(f"levkas.quality.{_HOMES[name]}"), name)

@@ -110,7 +110,7 @@ def chart_of(name: str) -> Chart:
     )
 
 
-class Reference(NamedTuple):
+class ChartReference(NamedTuple):
     """Reflectances of a chart's patches.
 
     `wavelengths` (m,) nm, `spectra` (n, m), `source` for captions, and what was mended in `note`.
@@ -130,7 +130,7 @@ class Reference(NamedTuple):
         return np.where(inside, np.array(rows), np.nan)
 
 
-def reference_of(chart: Chart) -> Reference | None:
+def reference_of(chart: Chart) -> ChartReference | None:
     """Return the published spectra of a chart: BabelColor's average of 30; of the SG there are none."""
     if chart.rows != 4:
         return None
@@ -139,10 +139,10 @@ def reference_of(chart: Chart) -> Reference | None:
 
     patches = list(SDS_COLOURCHECKERS["BabelColor Average"].values())
     spectra = np.array([sd.values for sd in patches])
-    return Reference(np.asarray(patches[0].wavelengths, float), spectra, "BabelColor average")
+    return ChartReference(np.asarray(patches[0].wavelengths, float), spectra, "BabelColor average")
 
 
-def parse_reference(text: str, chart: Chart, *, file: str = "") -> Reference:
+def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReference:
     """Read a chart's spectra from CSV: wavelength in nm, then a column a patch.
 
     Parameters
@@ -178,7 +178,7 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> Reference:
         raise _bad_reference(file, "wavelengths that are none or not distinct", "each once, in nm")
     spectra = table[:, 1:].T[[names.index(patch) for patch in chart.patches]]
     spectra = spectra / 100 if spectra.max() > 2 else spectra
-    return Reference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV", note)
+    return ChartReference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV", note)
 
 
 def _mended(names: list[str], chart: Chart) -> tuple[list[str], str]:

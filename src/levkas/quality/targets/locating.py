@@ -1,4 +1,4 @@
-"""Where a chart lies in a cube: found by OpenCV's `mcc`, and believed only where its patches agree."""
+"""Location of a chart in a cube by OpenCV's `mcc`, verified by the rank correlation of its patches."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.quality.targets.charts import (
     Chart,
+    ChartReference,
     ChartRefused,
-    Reference,
     pixels_of,
     place_patches,
     turned_corners,
@@ -43,7 +43,7 @@ def locate_chart(
     values: np.ndarray,
     wavelengths: np.ndarray,
     chart: Chart,
-    reference: Reference | None = None,
+    reference: ChartReference | None = None,
     *,
     corners: np.ndarray | None = None,
 ) -> Located:
@@ -144,7 +144,7 @@ def patch_means(values: np.ndarray, areas: np.ndarray) -> np.ndarray:
 
 
 def rank_agreement(
-    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: Reference | None
+    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: ChartReference | None
 ) -> float:
     """Return the rank correlation of patches with what is published, -1 … 1.
 

@@ -1,4 +1,4 @@
-"""A chart measured: where it was seen, signal and noise of its patches, blur, colours, indicators."""
+"""Measurement of a chart: signal and noise of its patches, blur, colours, indicators."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
     Chart,
+    ChartReference,
     ChartRefused,
-    Reference,
     place_patches,
     turned_corners,
 )
@@ -20,9 +20,9 @@ from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patche
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from levkas.quality.image_quality.indicators import Colours, Row
-    from levkas.quality.image_quality.noise_correlation import Preblur
+    from levkas.quality.targets.indicators import Colours, IndicatorRow
     from levkas.quality.targets.locating import Located
+    from levkas.quality.targets.patches import Preblur
 
 NEAR = 0.5
 """How far, in pitches, one sensor of a camera may see a chart from where another does."""
@@ -42,7 +42,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class ChartMeasure:
-    """What a chart says of one camera under one setup.
+    """Measurement of a chart by one camera under one setup.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class ChartMeasure:
     table: PatchTable
     preblurs: tuple[Preblur | None, ...]
     colours: Colours | None = None
-    rows: tuple[Row, ...] = ()
+    rows: tuple[IndicatorRow, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -137,7 +137,7 @@ def sight(
     sensor: str,
     cube: Cube,
     chart: Chart,
-    reference: Reference | None,
+    reference: ChartReference | None,
     *,
     corners: np.ndarray | None = None,
     near: np.ndarray | None = None,
@@ -170,14 +170,14 @@ def measure(
     name: str,
     chart: Chart,
     seen: Sequence[Sighting],
-    reference: Reference | None,
+    reference: ChartReference | None,
     *,
     mosaics: frozenset[str] = frozenset(),
     uniformity: float | None = None,
     notes: Sequence[str] = (),
 ) -> ChartMeasure:
     """Measure a chart where it was seen."""
-    from levkas.quality.image_quality.indicators import compare_colours, rate
+    from levkas.quality.targets.indicators import compare_colours, rate
 
     tables = [
         measure_patches(
@@ -220,7 +220,7 @@ def measure(
 
 def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
     """What the noise says of every band; nothing of demosaiced ones, whose neighbours are alike."""
-    from levkas.quality.image_quality.noise_correlation import find_preblur
+    from levkas.quality.targets.patches import find_preblur
 
     if mosaic:
         return [None] * len(seen.cube.bands)

@@ -1,0 +1,116 @@
+"""Registration methods: a row each, with the options that campaign.toml takes for it.
+
+A row holds what a campaign has to know of a method, so that it can be checked without the registration
+itself; `levkas.registration` binds the functions of the built-in ones. An installed package adds a method by an
+entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from levkas.campaign.schema.values import Number, Whole
+
+GROUP = "levkas.registration"
+DEFAULT_METHOD = "levkas"
+
+
+class MethodOptions(BaseModel):
+    """Options of a method, keys of [registration]; None stands for the method's own default."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class LevkasOptions(MethodOptions):
+    """Options of the default method: the thresholds of the paper's, which change nothing here."""
+
+    reject: Annotated[Number, Field(gt=0)] | None = None
+    stop: Annotated[Number, Field(gt=0)] | None = None
+
+
+class PaperOptions(MethodOptions):
+    """Options of the method of [mirhashemi2019]_; errors in reference px.
+
+    Parameters
+    ----------
+    reject, stop : float, reference px
+        T1, by default 1/16 of the reference's diagonal, and T2, by default 1.
+    ratio : float
+        Largest ratio of nearest to second nearest descriptor, by default 0.9.
+    order : int
+        Of the polynomial, by default 3.
+    detector, matching : str
+        Keys of `features.DETECTORS` and `matching.MATCHERS`.
+    """
+
+    reject: Annotated[Number, Field(gt=0)] | None = None
+    stop: Annotated[Number, Field(gt=0)] | None = None
+    ratio: Annotated[Number, Field(gt=0, le=1)] | None = None
+    order: Annotated[Whole, Field(ge=1, le=5)] | None = None
+    detector: Literal["sift", "orb", "kaze", "akaze"] | None = None
+    matching: Literal["mutual-ratio", "mutual", "ratio"] | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """One registration method.
+
+    Parameters
+    ----------
+    options : type of BaseModel
+        Its keys in [registration]; every field has a default.
+    register : callable, optional
+        ``register(request, options)`` of a `levkas.registration.Request` returns a `Registration`. The
+        built-in methods' are bound in `levkas.registration`.
+    ineffective : frozenset of str
+        Options that are accepted and change nothing.
+    per_sensor : bool
+        Whether every sensor of a camera has matches of its own.
+    joint : bool
+        Whether captures of a camera can be adjusted together.
+    prepared : bool
+        Whether the prepared reference is all that it takes of the reference's bands, which are then freed.
+    """
+
+    options: type[BaseModel]
+    register: Callable[[Any, Any], Any] | None = None
+    ineffective: frozenset[str] = frozenset()
+    per_sensor: bool = True
+    joint: bool = False
+    prepared: bool = False
+
+
+METHODS = {
+    "levkas": Method(
+        LevkasOptions, ineffective=frozenset({"reject", "stop"}), joint=True, prepared=True
+    ),
+    "mirhashemi2019": Method(PaperOptions, per_sensor=False),
+}
+
+
+def method_of(keys: dict[str, Any]) -> Method:
+    """Return the method that keys of [registration] name, else the default one."""
+    return METHODS[keys.get("method") or DEFAULT_METHOD]
+
+
+def owners_of(option: str) -> list[str]:
+    """Return the names of the methods that have an option with effect.
+
+    >>> owners_of("ratio")
+    ['mirhashemi2019']
+    """
+    return [
+        name
+        for name, method in METHODS.items()
+        if option in method.options.model_fields and option not in method.ineffective
+    ]
+
+
+# Last, so that a package whose method is loaded finds all names of this module.
+for _entry in entry_points(group=GROUP):
+    METHODS.setdefault(_entry.name, _entry.load())

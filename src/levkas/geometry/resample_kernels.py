@@ -1,0 +1,566 @@
+"""Compiled loops of resampling: Keys's cubic convolution, bands innermost.
+
+A pixel of the grid is interpolated from a box of source pixels, the *taps*. Where all bands share one
+map, the box and its weights are computed once and the loop over bands is innermost; where each band
+has its own, blocks of bands share a box that holds the taps of each, and a weight is 0 beyond a band's
+own reach. Weights are float64, sums float32 (float64 where
+the kernel is widened) in one order and without fastmath, so that a value depends
+on nothing but its taps. Flags and pixels that are not there take the slow path, `_gather`.
+
+Source: R. G. Keys, "Cubic convolution interpolation for digital image processing" (1981),
+doi:10.1109/TASSP.1981.1163711, a = −1/2.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from math import floor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+F, U = np.float32, np.uint64
+NODES = 6
+"""Nodes a map is interpolated from down the rows: exact for polynomials of order 5."""
+OUTSIDE, NEAR = np.uint8(1), np.uint8(64)
+LIGHTEST = 1 / 32
+"""A tap that weighs less than this share of the heaviest hands on no flag."""
+SNAP = 2.0**20
+"""Places are rounded to this part of a pixel: the identity copies bits."""
+BLOCK = 16
+"""Bands with maps of their own that are interpolated together."""
+
+
+class Source(NamedTuple):
+    """Arrays of the source, (rows, width, bands); `variance` and `flags` may be empty.
+
+    `suspect`, (rows, width): flags that any band of a pixel has. The first row held is row `top` of
+    an image of `height` rows.
+    """
+
+    values: Any
+    variance: Any
+    flags: Any
+    suspect: Any
+    top: int
+    height: int
+
+
+class Result(NamedTuple):
+    """Arrays of the result, (rows, width, bands), from grid row `first` on; `variance` may be empty."""
+
+    values: Any
+    variance: Any
+    flags: Any
+    first: int
+
+
+class Nodes(NamedTuple):
+    """Where grid pixels fall in the source: cubics along segments of rows.
+
+    `table` is (rows, segments, 8 or 10, maps): coefficients of 1, t, t², t³ of x, then of y, t in px
+    from the segment's start; then, where kernels are widened, how many times along x and y. Its first
+    and last row belong to the first and last row of the grid of (`height`, `width`) px. With `exact`
+    there is a row and a segment for each pixel, rows from `first` on. Kernels are never widened more
+    than `widest` times.
+    """
+
+    table: Any
+    height: int
+    width: int
+    first: int
+    segment: int
+    exact: bool
+    widest: float
+
+
+@njit(cache=True, nogil=True)
+def find_suspects(start, stop, flags, suspect):
+    """Join the flags of all bands, rows `start` to `stop`."""
+    for y in range(start, stop):
+        for x in range(flags.shape[1]):
+            found = np.uint8(0)
+            for b in range(flags.shape[2]):
+                found |= flags[y, x, b]
+            suspect[y, x] = found
+
+
+@njit(error_model="numpy")
+def _mix(nodes, y, segment, part):
+    """Interpolate the cubics of a segment between the rows of nodes, (channels, maps)."""
+    table = nodes.table
+    rows = table.shape[0]
+    if nodes.exact:
+        part[:] = table[y - nodes.first, segment]
+        return
+    place = y * ((rows - 1) / (nodes.height - 1))
+    first = min(max(floor(place) - NODES // 2 + 1, 0), rows - NODES)
+    part[:] = 0.0
+    for i in range(NODES):
+        weight = 1.0
+        for j in range(NODES):
+            if j != i:
+                weight *= (place - first - j) / (i - j)
+        for c in range(part.shape[0]):
+            for m in range(part.shape[1]):
+                part[c, m] += weight * table[first + i, segment, c, m]
+
+
+@njit
+def _follow(part, axis, m, t):
+    """Return where map `m` is on an axis at `t` px along its segment."""
+    c = 4 * axis
+    place = part[c, m] + t * (part[c + 1, m] + t * (part[c + 2, m] + t * part[c + 3, m]))
+    return np.floor(place * SNAP + 0.5) / SNAP
+
+
+@njit
+def _widths(part, m, widest):
+    """Return how many times the kernel of map `m` is widened along x and y."""
+    if part.shape[0] == 8:
+        return 1.0, 1.0
+    return min(max(1.0, part[8, m]), widest), min(max(1.0, part[9, m]), widest)
+
+
+@njit
+def _inside(x, y, source):
+    """Tell whether a place is on the area of a pixel of the source."""
+    width = source.values.shape[1]
+    return -0.5 <= x <= width - 0.5 and -0.5 <= y <= source.height - 0.5
+
+
+@njit
+def _keys(d):
+    """Keys's cubic, a = -0.5, at distance `d` in taps."""
+    d = abs(d)
+    if d < 1.0:
+        return 1.0 + d * d * (1.5 * d - 2.5)
+    return 2.0 + d * (d * (2.5 - 0.5 * d) - 4.0) if d < 2.0 else 0.0
+
+
+@njit
+def _cubic(t):
+    """Weights of Keys's cubic for pixels -1, 0, 1, 2 from `t` in [0, 1]."""
+    square = t * t
+    return (
+        F(t * ((-0.5 * t + 1.0) * t - 0.5)),
+        F(square * (1.5 * t - 2.5) + 1.0),
+        F(t * ((-1.5 * t + 2.0) * t + 0.5)),
+        F(square * (0.5 * t - 0.5)),
+    )
+
+
+@njit
+def _reach(place, scale, size):
+    """Return the first tap on an axis and one past the last; those beyond the image are left out."""
+    first = max(floor(place - 2.0 * scale) + 1, 0)
+    return first, min(floor(place + 2.0 * scale), size - 1) + 1
+
+
+@njit(error_model="numpy")
+def _weigh(place, scale, first, count, u):
+    """Write the weights of the taps of one axis to `u`; the kernel is `scale` times as wide.
+
+    They are brought to sum 1, and to a centre of weight at the place by a slope under a tent: exact
+    on a ramp, also where the edge of the image cuts taps off.
+    """
+    total = moment = tents = lean = square = 0.0
+    narrow = 1.0 / scale
+    for i in range(count):
+        d = first + i - place
+        weight, tent = _keys(d * narrow), max(0.0, 1.0 - abs(d) * narrow / 2.0)
+        total += weight
+        moment += weight * d
+        tents += tent
+        lean += tent * d
+        square += tent * d * d
+        u[i] = weight
+    lean /= tents
+    square -= lean * lean * tents
+    shift = moment / total / square if square > 1e-9 else 0.0
+    for i in range(count):
+        d = first + i - place
+        tent = max(0.0, 1.0 - abs(d) * narrow / 2.0)
+        u[i] = u[i] / total - shift * tent * (d - lean)
+
+
+@njit
+def _axis(place, scale, size, u):
+    """Write the weights of one place on one axis; return the first tap and how many there are."""
+    first, stop = _reach(place, scale, size)
+    if scale == 1.0 and stop - first == 4:
+        u[0], u[1], u[2], u[3] = _cubic(place - first - 1.0)
+    else:
+        _weigh(place, scale, first, stop - first, u)
+    return first, stop - first
+
+
+@njit
+def _largest(u, count):
+    """Return the largest size of `count` weights."""
+    largest = 0.0
+    for i in range(count):
+        largest = max(largest, abs(u[i]))
+    return largest
+
+
+@njit
+def _any_suspect(suspect, box):
+    """Return the flags that pixels of a box have in any band."""
+    x, columns, y, rows = box
+    found = np.uint8(0)
+    for r in range(y, y + rows):
+        for c in range(x, x + columns):
+            found |= suspect[r, c]
+    return found
+
+
+@njit
+def _nearest(x, y, source):
+    """Return the column and the row, as held, of the pixel that a place lies on."""
+    column = min(max(floor(x + 0.5), 0), source.values.shape[1] - 1)
+    return column, min(max(floor(y + 0.5), 0), source.height - 1) - source.top
+
+
+@njit
+def _inner(source):
+    """Return the columns and rows about which 4 x 4 taps are there: first, one past the last, twice."""
+    held, width = source.values.shape[:2]
+    return 1, width - 2, max(1, 1 - source.top), min(held, source.height - source.top) - 2
+
+
+@njit
+def _is_inner(x, y, inner):
+    return inner[0] <= x < inner[1] and inner[2] <= y < inner[3]
+
+
+@njit
+def _squares(u):
+    return u[0] * u[0], u[1] * u[1], u[2] * u[2], u[3] * u[3]
+
+
+@njit
+def _scratch(widest, bands):
+    """Return room for the weights of the taps on both axes, and for the sums of bands."""
+    taps = 8 + int(6 * widest)
+    return np.empty(taps), np.empty(taps), np.empty(bands)
+
+
+@njit
+def _leave_out(result, row, x, b, flag):
+    """Write that there is nothing."""
+    result.values[row, x, b] = np.nan
+    result.flags[row, x, b] = flag
+    if result.variance.size:
+        result.variance[row, x, b] = np.nan
+
+
+@njit
+def _gather(source, result, at, spot, b, always, weights):
+    """Resample one band of one pixel with care: edges, flags, pixels that are not there.
+
+    `at`: place x, y and how many times the kernel is widened along either; `spot`: row and column of
+    the result. Where all taps are there only flags are written unless `always`. Returns 1 where a tap
+    is in a row that is not held.
+    """
+    (px, py, wide_x, wide_y), (row, x), (u, v) = at, spot, weights[:2]
+    if not _inside(px, py, source):
+        _leave_out(result, row, x, b, OUTSIDE)
+        return 0
+    x0, columns = _axis(px, wide_x, source.values.shape[1], u)
+    y0, rows = _axis(py, wide_y, source.height, v)
+    y0 -= source.top
+    if y0 < 0 or y0 + rows > source.values.shape[0]:
+        return 1
+    near, least = _nearest(px, py, source), LIGHTEST * _largest(u, columns) * _largest(v, rows)
+    value = spread = 0.0
+    own = others = np.uint8(0)
+    lacking = False
+    for r in range(rows):
+        for k in range(columns):
+            weight, tap = v[r] * u[k], float(source.values[y0 + r, x0 + k, b])
+            flag = source.flags[y0 + r, x0 + k, b] if source.flags.size else np.uint8(0)
+            gone = not np.isfinite(tap) or flag & OUTSIDE
+            if (x0 + k, y0 + r) == near:
+                own = flag
+                if gone:
+                    _leave_out(result, row, x, b, own | OUTSIDE)
+                    return 0
+            elif (flag or gone) and abs(weight) >= least:
+                others |= (flag & ~OUTSIDE) | NEAR
+            if gone:
+                lacking |= weight != 0.0
+            else:
+                value += weight * tap
+                if source.variance.size:
+                    spread += weight * weight * source.variance[y0 + r, x0 + k, b]
+    result.flags[row, x, b] = own | others
+    if lacking:
+        result.flags[row, x, b] |= NEAR
+        value, spread = _linear(source, (x0, columns, y0, rows), at, b)
+    if always or lacking:
+        result.values[row, x, b] = value
+        if result.variance.size:
+            result.variance[row, x, b] = spread
+    return 0
+
+
+@njit(error_model="numpy")
+def _linear(source, box, at, b):
+    """Return value and variance by linear interpolation from the taps that are there."""
+    (x0, columns, y0, rows), (px, py, wide_x, wide_y) = box, at
+    value = spread = total = 0.0
+    for r in range(y0, y0 + rows):
+        for k in range(x0, x0 + columns):
+            tap = float(source.values[r, k, b])
+            if not np.isfinite(tap) or (source.flags.size and source.flags[r, k, b] & OUTSIDE):
+                continue
+            tent = max(0.0, 1.0 - abs(k - px) / wide_x)
+            tent *= max(0.0, 1.0 - abs(r + source.top - py) / wide_y)
+            total += tent
+            value += tent * tap
+            if source.variance.size:
+                spread += tent * tent * source.variance[r, k, b]
+    return value / total, spread / (total * total)
+
+
+@njit
+def _pass_flags(flags, out, box, near, spot, weights):
+    """Hand on the flags of all bands of a pixel, as `_gather` does where no tap is OUTSIDE."""
+    (x0, columns, y0, rows), (row, x), (u, v) = box, spot, weights[:2]
+    least = LIGHTEST * _largest(u, columns) * _largest(v, rows)
+    for r in range(rows):
+        for k in range(columns):
+            if abs(v[r] * u[k]) >= least and (x0 + k, y0 + r) != near:
+                for b in range(flags.shape[2]):
+                    out[row, x, b] |= flags[y0 + r, x0 + k, b]
+    for b in range(flags.shape[2]):
+        mark = out[row, x, b]
+        out[row, x, b] = mark | flags[near[1], near[0], b] | (NEAR if mark else np.uint8(0))
+
+
+@njit
+def _sum_cubic(plane, x, y, weights, out, spot):
+    """Sum the 4 x 4 taps about (x, y), all bands of a pixel."""
+    u0, u1, u2, u3, v0, v1, v2, v3 = weights
+    x, y = x - 1, y - 1
+    for k in range(plane.shape[2]):
+        a = u0 * F(plane[y, x, k]) + u1 * F(plane[y, x + 1, k])
+        a += u2 * F(plane[y, x + 2, k]) + u3 * F(plane[y, x + 3, k])
+        b = u0 * F(plane[y + 1, x, k]) + u1 * F(plane[y + 1, x + 1, k])
+        b += u2 * F(plane[y + 1, x + 2, k]) + u3 * F(plane[y + 1, x + 3, k])
+        c = u0 * F(plane[y + 2, x, k]) + u1 * F(plane[y + 2, x + 1, k])
+        c += u2 * F(plane[y + 2, x + 2, k]) + u3 * F(plane[y + 2, x + 3, k])
+        d = u0 * F(plane[y + 3, x, k]) + u1 * F(plane[y + 3, x + 1, k])
+        d += u2 * F(plane[y + 3, x + 2, k]) + u3 * F(plane[y + 3, x + 3, k])
+        out[spot[0], spot[1], k] = (v0 * a + v1 * b) + (v2 * c + v3 * d)
+
+
+@njit
+def _sum_box(plane, box, weights, power, out, spot):
+    """Sum the taps of a box of any size, all bands of a pixel; squared weights where `power` is 2."""
+    (x0, columns, y0, rows), (row, x) = box, spot
+    u, v, sums = weights
+    sums[:] = 0.0
+    for r in range(rows):
+        for k in range(columns):
+            weight = v[r] * u[k]
+            weight = weight * weight if power == 2 else weight
+            for b in range(plane.shape[2]):
+                sums[b] += weight * plane[y0 + r, x0 + k, b]
+    for b in range(plane.shape[2]):
+        out[row, x, b] = sums[b]
+
+
+@njit
+def _shared_pixel(source, result, at, spot, done, weights):
+    """Resample all bands of a pixel with care; values are there already if `done`.
+
+    Returns 1 where a source row is needed that is not held.
+    """
+    bands = source.values.shape[2]
+    if not _inside(at[0], at[1], source):
+        for b in range(bands):
+            _leave_out(result, spot[0], spot[1], b, OUTSIDE)
+        return 0
+    x0, columns = _axis(at[0], at[2], source.values.shape[1], weights[0])
+    y0, rows = _axis(at[1], at[3], source.height, weights[1])
+    y0 -= source.top
+    if y0 < 0 or y0 + rows > source.values.shape[0]:
+        return 1
+    box, out = (x0, columns, y0, rows), result.values
+    if not done:
+        _sum_box(source.values, box, weights, 1, out, spot)
+        if result.variance.size:
+            _sum_box(source.variance, box, weights, 2, result.variance, spot)
+    suspect = np.uint8(0)
+    if source.suspect.size:
+        suspect = _any_suspect(source.suspect, box)
+        if suspect and not suspect & OUTSIDE:
+            near = _nearest(at[0], at[1], source)
+            _pass_flags(source.flags, result.flags, box, near, spot, weights)
+    for b in range(bands):
+        strange = not np.isfinite(out[spot[0], spot[1], b])
+        if strange or suspect & OUTSIDE:
+            _gather(source, result, at, spot, b, strange, weights)
+    return 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shared_rows(start, stop, nodes, source, result):
+    """Resample grid rows `start` to `stop` of all bands through one map.
+
+    Returns how many pixels need a source row that is not held.
+    """
+    values, variance, out, noise = source.values, source.variance, result.values, result.variance
+    suspect, top, inner = source.suspect, source.top, _inner(source)
+    weights, part = _scratch(nodes.widest, values.shape[2]), np.empty(nodes.table.shape[2:])
+    absent = 0
+    # Segment by segment from top to bottom: what the rows share of the source stays in the cache.
+    for x0 in range(0, nodes.width, nodes.segment):
+        for y in range(start, stop):
+            _mix(nodes, y, x0 // nodes.segment, part)
+            wide_x, wide_y = _widths(part, 0, nodes.widest)
+            for x in range(x0, min(x0 + nodes.segment, nodes.width)):
+                px, py = _follow(part, 0, 0, float(x - x0)), _follow(part, 1, 0, float(x - x0))
+                fx, fy, spot = int(px), int(py) - top, (y - result.first, x)
+                fast = wide_x == wide_y == 1.0 and _is_inner(fx, fy, inner)
+                care = not fast
+                if fast:
+                    u, v = _cubic(px - fx), _cubic(py - top - fy)
+                    _sum_cubic(values, fx, fy, (*u, *v), out, spot)
+                    if noise.size:
+                        squares = (*_squares(u), *_squares(v))
+                        _sum_cubic(variance, fx, fy, squares, noise, spot)
+                    strange = 0
+                    for b in range(values.shape[2]):
+                        strange += out[spot[0], x, b] - out[spot[0], x, b] != 0
+                    care = strange > 0
+                    if suspect.size:
+                        care |= _any_suspect(suspect, (fx - 1, 4, fy - 1, 4)) != 0
+                if care:
+                    at = px, py, wide_x, wide_y
+                    absent += _shared_pixel(source, result, at, spot, fast, weights)
+    return absent
+
+
+@njit(inline="always")
+def _lane_weights(curves, begin, maps, t, u):
+    """Write the weights of five taps on an axis for a block of bands from `s` on; return the second tap.
+
+    That is the pixel the places lie in; some may lie in the next. Else there is no such pixel: -2.
+    """
+    # Unsigned indices: signed ones may count from the end, and keep the loop from being vectorised.
+    place = curves[begin + U(2) * maps] + t * curves[begin + U(3) * maps]
+    pixel = np.floor(curves[begin] + t * (curves[begin + maps] + t * place))
+    low = high = far = 0
+    for m in range(BLOCK):
+        i = begin + U(m)
+        place = curves[i + U(2) * maps] + t * curves[i + U(3) * maps]
+        place = curves[i] + t * (curves[i + maps] + t * place)
+        rest = np.floor(place * SNAP + 0.5) / SNAP - pixel
+        low += rest < 0.0
+        high += rest >= 1.0
+        far += abs(rest - 0.5) > 1.5
+        u[0, m] = F(rest)
+    if far or (low and high):
+        return -2
+    shift = F(1.0) if low else F(0.0)
+    half, one = F(0.5), F(1.0)
+    for m in range(BLOCK):
+        rest = u[0, m] + shift
+        beyond = one if rest >= one else F(0.0)
+        t = rest - beyond
+        square = t * t
+        here = one - beyond
+        a = t * ((one - half * t) * t - half)
+        b = square * (F(1.5) * t - F(2.5)) + one
+        c = t * ((F(2.0) - F(1.5) * t) * t + half)
+        d = square * (half * t - half)
+        u[0, m] = here * a
+        u[1, m] = here * b + beyond * a
+        u[2, m] = here * c + beyond * b
+        u[3, m] = here * d + beyond * c
+        u[4, m] = beyond * d
+    return int(pixel) - (1 if low else 0)
+
+
+@njit(inline="always")
+def _sum_patch(flat, begin, step, wide, u, v, sums):
+    """Sum the 5 x 5 taps from flat index `begin` on for a block of bands."""
+    for m in range(BLOCK):
+        u0, u1, u2, u3, u4 = u[0, m], u[1, m], u[2, m], u[3, m], u[4, m]
+        total, i = F(0), begin + U(m)
+        for r in range(5):
+            line = u0 * F(flat[i]) + u1 * F(flat[i + step]) + u2 * F(flat[i + U(2) * step])
+            line += u3 * F(flat[i + U(3) * step]) + u4 * F(flat[i + U(4) * step])
+            total += v[r, m] * line
+            i += wide
+        sums[m] = total
+
+
+@njit
+def _gather_block(source, result, maps_of_block, spot, first, done, weights):
+    """Resample each band of a block with care; values that are finite stay if `done`."""
+    (part, t, widest), absent = maps_of_block, 0
+    for m in range(part.shape[1]):
+        wide_x, wide_y = _widths(part, m, widest)
+        at = _follow(part, 0, m, t), _follow(part, 1, m, t), wide_x, wide_y
+        always = not done or not np.isfinite(result.values[spot[0], spot[1], first + m])
+        absent += _gather(source, result, at, spot, first + m, always, weights)
+    return absent
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def own_rows(start, stop, nodes, source, result, first, count):
+    """Resample grid rows `start` to `stop` of `count` bands from `first` on, each through its own map.
+
+    Returns how often a band needs a source row that is not held.
+    """
+    values, variance, out, noise = source.values, source.variance, result.values, result.variance
+    suspect, top, inner = source.suspect, source.top, _inner(source)
+    (_, width, bands), taps, noises = values.shape, values.reshape(-1), variance.reshape(-1)
+    step, wide = U(bands), U(width * bands)
+    weights, part = _scratch(nodes.widest, values.shape[2]), np.empty(nodes.table.shape[2:])
+    curves, maps, n = part.reshape(-1), U(part.shape[1]), min(BLOCK, count)
+    u, v = np.empty((5, BLOCK), F), np.empty((5, BLOCK), F)
+    sums, flat, absent = np.empty(BLOCK, F), out.reshape(-1), 0
+    for x0 in range(0, nodes.width, nodes.segment):
+        for y in range(start, stop):
+            _mix(nodes, y, x0 // nodes.segment, part)
+            for x in range(x0, min(x0 + nodes.segment, nodes.width)):
+                spot, t = (y - result.first, x), float(x - x0)
+                for block in range(0, count, BLOCK):
+                    s = max(0, min(block, count - BLOCK))
+                    b = first + s
+                    fast = part.shape[0] == 8
+                    if fast:
+                        fx = _lane_weights(curves, U(s), maps, t, u)
+                        fy = _lane_weights(curves, U(s) + U(4) * maps, maps, t, v) - top
+                        fast = _is_inner(fx, fy, inner) and _is_inner(fx + 1, fy + 1, inner)
+                        # Where bands are fewer than a block, those of the pixel after are read too.
+                        last = ((fy + 3) * width + fx + 3) * bands + b + BLOCK
+                        fast &= last <= taps.size
+                    strange = n
+                    if fast:
+                        corner = U(((fy - 1) * width + fx - 1) * bands + b)
+                        _sum_patch(taps, corner, step, wide, u, v, sums)
+                        strange = 0
+                        for m in range(BLOCK):
+                            strange += sums[m] - sums[m] != 0
+                        to = U((spot[0] * nodes.width + x) * bands + b)
+                        for m in range(n):
+                            flat[to + U(m)] = sums[m]
+                        if noise.size:
+                            _sum_patch(noises, corner, step, wide, u * u, v * v, sums)
+                            for m in range(n):
+                                noise[spot[0], x, b + m] = sums[m]
+                        if suspect.size and _any_suspect(suspect, (fx - 1, 5, fy - 1, 5)):
+                            strange = n
+                    if strange:
+                        maps_of_block = part[:, s : s + n], t, nodes.widest
+                        absent += _gather_block(
+                            source, result, maps_of_block, spot, b, fast, weights
+                        )
+    return absent

@@ -1,0 +1,172 @@
+"""Stacks of one sensor: darks by exposure, whites and scenes, each reduced to blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from levkas.calibration.code_spacing import Levels
+from levkas.calibration.linearity import Linearity
+from levkas.calibration.patterns import channel_table, split
+from levkas.calibration.sensor_context import SensorContext, exposure_of
+from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.quality.emva1288.blocks import Blocks, block_statistics
+from levkas.quality.emva1288.darks import Dark, DarkLevel, fit_clipped_dark, is_clipped, model_darks
+from levkas.quality.emva1288.drift import Drift
+
+if TYPE_CHECKING:
+    from levkas.campaign.discovery.captures import FrameRef
+
+Key = tuple[str | None, float | None]
+"""Band and exposure, s."""
+
+
+@dataclass
+class SensorStacks:
+    """Stacks of one sensor, reduced to blocks by channel.
+
+    Parameters
+    ----------
+    darks : dict of list of Dark
+        By channel.
+    whites, scenes : dict of list of Blocks
+        By channel.
+    light : list of (name, Drift)
+        Of every stack of two shots or more.
+    linearity : list of (name, Linearity)
+        Of objects that were taken at several exposures.
+    reached : bool
+        Whether any shot saturates.
+    """
+
+    camera: str
+    name: str
+    bench: SensorContext
+    levels: Levels = field(default_factory=lambda: Levels(0, 0, 0))
+    darks: dict[str, list[Dark]] = field(default_factory=dict)
+    whites: dict[str, list[Blocks]] = field(default_factory=dict)
+    scenes: dict[str, list[Blocks]] = field(default_factory=dict)
+    light: list[tuple[str, Drift]] = field(default_factory=list)
+    linearity: list[tuple[str, Linearity]] = field(default_factory=list)
+    reached: bool = False
+    notes: list[str] = field(default_factory=list)
+
+
+def by_exposure(frames: Iterable[FrameRef]) -> dict[Key, list[FrameRef]]:
+    """Group shots of one band and exposure; a dark without a band serves all."""
+    found: dict[Key, list[FrameRef]] = {}
+    for frame in frames:
+        found.setdefault((frame.band, exposure_of(frame)), []).append(frame)
+    return dict(sorted(found.items(), key=lambda item: (item[0][0] or "", item[0][1] or 0.0)))
+
+
+def reduce_stack(
+    stack: Template, bench: SensorContext, drift: Drift | None = None, *, dark: bool = False
+) -> dict[str, Blocks]:
+    """Reduce a stack by the camera's channels; a tunable filter has one, whatever the mosaic.
+
+    Some zeros do not spoil a dark: the share of them was looked at before.
+    """
+    pattern = bench.sensor.pattern
+    if stack.mean.ndim == 3:
+        stack = _flat_bands(stack)
+    level = bench.black or 0.0
+    found = block_statistics(stack, pattern, drift=drift, dark=level, clipped=dark)
+    if pattern is not None and bench.camera.kind == "bands":
+        parts = list(found.values())
+        mean, temporal, spatial = (
+            np.concatenate([getattr(b, n) for b in parts]) for n in ("mean", "temporal", "spatial")
+        )
+        return {"": Blocks(mean, temporal, spatial, stack.count, stack.exposure_s)}
+    return found
+
+
+def _flat_bands(stack: Template) -> Template:
+    """Lay the samples of a pixel side by side: each is a sensel of its own."""
+    high = stack.mean.shape[0]
+
+    def flat(array: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(array.transpose(0, 2, 1)).reshape(high, -1)
+
+    variance = None if stack.variance is None else flat(stack.variance)
+    marks = flat(stack.saturated), flat(stack.black)
+    return Template(flat(stack.mean), variance, stack.count, *marks, stack.exposure_s)
+
+
+MOST_CLIPPED = 1_000_000  # pixels of a dark whose likelihood is asked for
+
+
+def measure_dark(sensor: SensorStacks, shots: Sequence[FrameRef]) -> dict[str, Dark]:
+    """Return the dark of one exposure, channel by channel."""
+    bench, time = sensor.bench, exposure_of(shots[0])
+    first = next(iter(bench.read(shots[:1])))
+    if first.dtype.kind == "u" and is_clipped(first):
+        return _clipped_dark(sensor, shots, time)
+    stack = bench.average(list(shots))
+    return {k: Dark.of_blocks(b) for k, b in reduce_stack(stack, bench, dark=True).items()}
+
+
+def _clipped_dark(
+    sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None
+) -> dict[str, Dark]:
+    """Fit a clipped dark as censored; where it tells nothing, say so and leave it out."""
+    frames = list(sensor.bench.read(shots[:4]))
+    rows = max(1, min(frames[0].shape[0], MOST_CLIPPED // max(1, frames[0].shape[1])))
+    where = f"darks of {time:g} s" if time else "darks"
+    found: dict[str, DarkLevel] = {}
+    for channel, planes in _channels([f[:rows] for f in frames], sensor.bench).items():
+        try:
+            found[channel] = fit_clipped_dark(planes)
+        except CalibrationRefused as refused:
+            problem = refused.problems[0]
+            if not any(problem.message in note for note in sensor.notes):
+                sensor.notes.append(f"{where}: {problem}")
+            return {}
+    told = [f"{c} {d.black:.2f} ± {d.black_error:.2f}".strip() for c, d in found.items()]
+    sensor.notes.append(
+        f"{where} were clipped at zero ({next(iter(found.values())).zeros:.0%} of the pixels) and are "
+        f"fitted as censored: black {', '.join(told)}"
+    )
+    return {channel: Dark.of_clipped(level, time) for channel, level in found.items()}
+
+
+def _channels(frames: Sequence[np.ndarray], bench: SensorContext) -> dict[str, list[np.ndarray]]:
+    """Return the codes of each channel, flat, frame by frame."""
+    pattern = bench.sensor.pattern
+    if pattern is None or bench.camera.kind == "bands":
+        return {"": [f.ravel() for f in frames]}
+    names = [name for row in pattern for name in row]
+    size = channel_table(pattern).shape
+    made: dict[str, list[np.ndarray]] = {name: [] for name in dict.fromkeys(names)}
+    for frame in frames:
+        phases = split(frame, *size)
+        for name, flat in made.items():
+            flat.append(
+                np.concatenate([p.ravel() for n, p in zip(names, phases, strict=True) if n == name])
+            )
+    return made
+
+
+def put_darks(sensor: SensorStacks, levels: dict[Key, dict[str, Dark]]) -> None:
+    """Keep the darks of all exposures and bands: the sensor behind a tunable filter is the same."""
+    for (band, _), channels in levels.items():
+        for channel, dark in channels.items():
+            sensor.darks.setdefault(channel, []).append(replace(dark, band=band))
+
+
+def put_black(sensor: SensorStacks, black: float) -> None:
+    """Where no dark can be used, the noise without light is the intercept of the lit stacks."""
+    sensor.notes.append(f"no dark can be used: black is taken for {black:g} DN")
+    for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):
+        sensor.darks[channel] = [Dark(black, float("nan"), float("nan"))]
+
+
+def level_under(sensor: SensorStacks, band: str | None, time: float | None) -> float:
+    """Return the counts without light under a band at an exposure; `black` or 0 where there is no dark."""
+    darks = next(iter(sensor.darks.values()), [])
+    if not darks:
+        return sensor.bench.black or 0.0
+    return float(np.nanmean(model_darks(darks).under(band, time)))

@@ -1,0 +1,204 @@
+"""The request of a registration: what a method is given, checked once at the rim and then trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from levkas.core.problems import Problem
+from levkas.registration.record import RegistrationRefused
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
+    from levkas.registration.bands import BandImage
+    from levkas.registration.manual_points import ManualPoints
+    from levkas.registration.prepared_reference import PreparedReference
+    from levkas.registration.record import Sigma
+
+LEAST_SIDE_PX = 16
+
+
+@dataclass(frozen=True)
+class Request:
+    """Two cameras to be registered; a method takes of it what it needs.
+
+    Parameters
+    ----------
+    reference, target : sequence of BandImage
+        Of either camera; the same sequence for the reference camera's own bands.
+    reference_band : str
+        Label of the band of `reference` that defines reference px.
+    region : (x, y, width, height), reference px, optional
+        Where the object lies; nothing outside is used or judged.
+    target_region : (x, y, width, height), optional
+        The object in native px of the target's first sensor: scale alone maps one region to the other.
+    given : mapping of sensor name to ManualPoints
+        Pairs given by hand.
+    reference_transforms : mapping of label to Transform, optional
+        Of the reference camera's own bands, from its own registration: saves measuring them again.
+    reference_sigma : mapping of label to Sigma, optional
+        Uncertainty of those.
+    prepared : callable, optional
+        Returns the reference made ready: saves preparing it for every camera.
+    align : mapping of sensor name to (2, 3) matrix or Transform
+        Of a target with several sensors, where it is declared: first sensor's px → this sensor's.
+    """
+
+    reference: Sequence[BandImage]
+    target: Sequence[BandImage]
+    reference_band: str
+    region: Sequence[float] | None = None
+    target_region: Sequence[float] | None = None
+    given: Mapping[str, ManualPoints] = field(default_factory=dict)
+    reference_transforms: Mapping[str, Transform] | None = None
+    reference_sigma: Mapping[str, Sigma] | None = None
+    prepared: Callable[[], PreparedReference] | None = None
+    align: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the reference camera's own bands are to be registered."""
+        return self.target is self.reference
+
+
+def read_options(model: type[BaseModel], options: Mapping[str, Any]) -> BaseModel:
+    """Return the options of a method, checked; raises `RegistrationRefused` with all that is wrong."""
+    known = {name: value for name, value in options.items() if value is not None}
+    problems = check_thresholds(known.get("reject"), known.get("stop", 1.0))
+    try:
+        read = model.model_validate(known)
+    except ValidationError as error:
+        named = {problem.field for problem in problems}
+        for one in error.errors():
+            name = str(one["loc"][0])
+            if f"registration.{name}" not in named:
+                problems.append(
+                    Problem(
+                        "E_VALUE",
+                        f"`{name}` cannot be used",
+                        field=f"registration.{name}",
+                        found=one["input"],
+                        expected=one["msg"],
+                    )
+                )
+    if problems:
+        raise RegistrationRefused(*problems)
+    return read
+
+
+def check_request(request: Request, method: str, methods: Iterable[str]) -> None:
+    """Raise `RegistrationRefused` with everything that is wrong with a request."""
+    problems = [
+        *_check_method(method, methods),
+        *_check_bands("reference", request.reference),
+        *([] if request.is_own else _check_bands("target", request.target)),
+    ]
+    labels = [image.label for image in request.reference]
+    if labels and request.reference_band not in labels:
+        problems.append(
+            Problem(
+                "E_BAND_MISSING",
+                f"there is no reference band {request.reference_band!r}",
+                field="reference_band",
+                found=request.reference_band,
+                expected=", ".join(labels[:12]),
+            )
+        )
+    problems += _check_region(request.region)
+    if problems:
+        raise RegistrationRefused(*problems)
+
+
+def _check_method(method: str, methods: Iterable[str]) -> list[Problem]:
+    known = sorted(methods)
+    if method in known:
+        return []
+    return [
+        Problem(
+            "E_VALUE",
+            f"there is no registration method {method!r}",
+            field="registration.method",
+            found=method,
+            expected=", ".join(known),
+        )
+    ]
+
+
+def check_thresholds(reject: float | None, stop: float) -> list[Problem]:
+    """Return what is wrong with T1 and T2: both finite and positive, `stop` below `reject`.
+
+    >>> [p.field for p in check_thresholds(108.0, 0.0)]
+    ['registration.stop']
+    """
+    problems = []
+    for name, value in (("reject", reject), ("stop", stop)):
+        if value is not None and not _positive(value):
+            problems.append(_value_problem(name, value, "a finite number of reference pixels > 0"))
+    if not problems and reject is not None and reject <= stop:
+        problems.append(_value_problem("reject", reject, f"more than stop, which is {stop}"))
+    return problems
+
+
+def _positive(value: Any) -> bool:
+    number = isinstance(value, (int, float, np.integer, np.floating))
+    return bool(number and not isinstance(value, bool) and isfinite(value) and value > 0)
+
+
+def _value_problem(name: str, value: Any, expected: str) -> Problem:
+    return Problem(
+        "E_VALUE",
+        f"`{name}` cannot be used",
+        field=f"registration.{name}",
+        found=value,
+        expected=expected,
+        fix=f"Give `{name}` in reference pixels, or leave it out.",
+    )
+
+
+def _check_bands(name: str, images: Sequence[BandImage]) -> list[Problem]:
+    if not len(images):
+        return [Problem("E_BAND_MISSING", f"the {name} has no bands", field=name, found=0)]
+    problems = []
+    labels = [image.label for image in images]
+    twice = sorted({label for label in labels if labels.count(label) > 1})
+    if twice:
+        problems.append(
+            Problem("E_BAND_TWICE", f"bands of the {name} share a label", found=", ".join(twice))
+        )
+    sizes: dict[str, tuple[int, int]] = {}
+    for image in images:
+        if sizes.setdefault(image.sensor, image.size) != image.size:
+            problems.append(
+                Problem(
+                    "E_SIZE",
+                    f"bands of one sensor of the {name} differ in size",
+                    field=image.label,
+                    found=image.size,
+                    expected=sizes[image.sensor],
+                )
+            )
+        if min(image.size) < LEAST_SIDE_PX:
+            problems.append(
+                Problem(
+                    "E_SIZE",
+                    f"a band of the {name} is too small to register",
+                    field=image.label,
+                    found=image.size,
+                    expected=f"at least {LEAST_SIDE_PX} px a side",
+                )
+            )
+    return problems
+
+
+def _check_region(region: Sequence[float] | None) -> list[Problem]:
+    if region is None:
+        return []
+    good = len(region) == 4 and all(isfinite(v) for v in region) and min(region[2:]) > 0
+    return (
+        [] if good else [_value_problem("region", tuple(region), "x, y, width, height; both > 0")]
+    )

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+
+from levkas.calibration.templates import CalibrationRefused
+from levkas.quality.emva1288.darks import fit_clipped_dark, is_clipped
+
+
+def darks(black, noise, fixed, count=2, seed=1, hot=60):
+    rng = np.random.default_rng(seed)
+    offset = black + rng.normal(0, fixed, (400, 750))
+    frames = [np.rint(offset + rng.normal(0, noise, offset.shape)).clip(0) for _ in range(count)]
+    for frame in frames:
+        frame.flat[:hot] = rng.integers(50, 1000, hot)
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("black", "noise", "fixed"), [(0.0, 3.0, 1.0), (0.0, 0.68, 0.06), (-2.0, 2.0, 0.5)]
+)
+def test_black_noise_and_pattern_come_back(black, noise, fixed):
+    frames = darks(black, noise, fixed)
+    assert is_clipped(frames[0])
+    found = fit_clipped_dark(frames)
+    # 300,000 pixels: 1 % of the noise, and what the fit itself says.
+    assert found.black == pytest.approx(black, abs=max(0.01 * noise, 3 * found.black_error))
+    assert found.noise == pytest.approx(noise, rel=0.01)
+    assert found.fixed == pytest.approx(fixed, abs=max(0.03, 3 * found.fixed_error))
+
+
+def test_one_percent_of_the_pixels_above_zero_is_enough():
+    found = fit_clipped_dark(darks(-3.0, 1.5, 0.0, hot=0))
+    assert found.zeros > 0.98
+    assert found.black == pytest.approx(-3.0, abs=3 * found.black_error)
+    assert found.black_error < 0.1
+
+
+def test_the_plain_mean_would_be_wrong():
+    frames = darks(0.0, 3.0, 0.0, hot=0)
+    assert frames[0].mean() == pytest.approx(0.399 * 3.0, abs=0.02)
+    assert abs(fit_clipped_dark(frames).black) < 0.03
+
+
+def test_a_single_shot_gives_both_spreads_in_one():
+    found = fit_clipped_dark(darks(0.0, 3.0, 1.0, count=1))
+    assert found.noise == pytest.approx(np.hypot(3, 1), rel=0.01)
+    assert np.isnan(found.fixed)
+
+
+def test_nothing_but_zeros_and_hot_sensels_is_refused():
+    with pytest.raises(CalibrationRefused, match="exposure series") as refused:
+        fit_clipped_dark(darks(-20.0, 1.0, 0.0))
+    assert refused.value.problems[0].code == "E_DARK_CLIPPED"
+
+
+def test_a_dark_on_a_pedestal_is_not_clipped():
+    assert not is_clipped(np.random.default_rng(1).normal(64, 2, (99, 99)))
+
+
+def test_real_darks_of_an_eight_bit_camera_are_refused(real_data):
+    import tifffile
+
+    folder = real_data / "filterwheel-disks" / "dark"
+    frames = [tifffile.imread(f) for f in sorted(folder.glob("d1_dark_3916ms*"))]
+    assert is_clipped(frames[0])
+    with pytest.raises(CalibrationRefused):
+        fit_clipped_dark(frames)
