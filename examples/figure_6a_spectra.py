@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from levkas.planning import GRID, colour_temperature, illuminant, load_setup
+from levkas.colour.illuminants import illuminant
+from levkas.planning import GRID, colour_temperature, load_setup
 
 BENCH = Path(__file__).parent / "plan"
 

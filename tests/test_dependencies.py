@@ -18,6 +18,8 @@ NOT_INSTALLED = {
     "mitsuba": "mitsuba",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
+USED = ("export", "peers", "render")
+"""Extras that the package, or the comparison with its peers, imports."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 
 
@@ -25,14 +27,20 @@ UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 def imported():
     """Import names of the package's sources that are not of Python itself → one file that imports them."""
     found = {}
-    for path in sorted((ROOT / "src" / "levkas").rglob("*.py")):
+    for path in sorted(
+        [*(ROOT / "src" / "levkas").rglob("*.py"), *(ROOT / "benchmarks" / "peers").rglob("*.py")]
+    ):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and not node.level:
                 modules = [node.module]
             for module in modules:
                 found.setdefault(module.partition(".")[0], path.name)
-    return {n: p for n, p in found.items() if n not in sys.stdlib_module_names and n != "levkas"}
+    return {
+        n: p
+        for n, p in found.items()
+        if n not in sys.stdlib_module_names and not n.startswith("levkas")
+    }
 
 
 distributions_by_module = functools.cache(metadata.packages_distributions)
@@ -49,7 +57,7 @@ def declared(texts):
 
 def test_every_package_that_is_imported_is_declared():
     extras = PROJECT["optional-dependencies"]
-    known = declared([*PROJECT["dependencies"], *extras["peers"], *extras["render"]])
+    known = declared([*PROJECT["dependencies"], *(one for e in USED for one in extras[e])])
     missing = {name: path for name, path in imported().items() if not distributions(name) & known}
     assert missing == {}
 
@@ -57,7 +65,7 @@ def test_every_package_that_is_imported_is_declared():
 def test_every_package_that_is_declared_is_imported():
     extras = PROJECT["optional-dependencies"]
     used = set().union(*map(distributions, imported()))
-    asked = declared([*PROJECT["dependencies"], *extras["peers"], *extras["render"]])
+    asked = declared([*PROJECT["dependencies"], *(one for e in USED for one in extras[e])])
     assert asked - used == set()
 
 

@@ -9,9 +9,8 @@ import tifffile
 from levkas.building import build, line_templates, register, scans, streaming, summarise
 from levkas.building.calibrate import develop
 from levkas.building.held_lines import HeldLines
-from levkas.building.passages import Passage
 from levkas.building.scan_opening import open_scan
-from levkas.building.scans import Scan, is_streamed
+from levkas.building.scans import Passage, Scan, is_streamed
 from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import CalibrationRefused
 from levkas.campaign.campaign import load_campaign

@@ -61,7 +61,7 @@ class Mosaic(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Target:
+class GridTarget:
     """The layer that a capture is resampled to.
 
     Parameters
@@ -94,7 +94,7 @@ def target_of(
     frame: ReferenceFrame,
     record: dict[str, Any],
     captured: str,
-) -> Target:
+) -> GridTarget:
     """Return the layer that a capture is resampled to; `record` is that of its registration."""
     campaign, places, name = frame.campaign, frame.places, capture.object
     grid, sampling, _ = frame.layout()
@@ -110,7 +110,7 @@ def target_of(
         default = DefaultLayer.open(values, flags, shape)
     encoded = campaign.cameras[capture.camera].kind == "image"
     verdict = record["verdict"]["decision"]
-    return Target(capture, layer, grid, maps_of(record), verdict, encoded, default)
+    return GridTarget(capture, layer, grid, maps_of(record), verdict, encoded, default)
 
 
 def mosaics_of(capture: Capture, camera: Camera) -> dict[str, Mosaic]:
@@ -124,7 +124,7 @@ def mosaics_of(capture: Capture, camera: Camera) -> dict[str, Mosaic]:
     }
 
 
-def flag_glare_in(cube: Cube, target: Target) -> dict[str, int]:
+def flag_glare_in(cube: Cube, target: GridTarget) -> dict[str, int]:
     """Set the flags of glare in a layer; return the pixels by sign."""
     return flag_and_count(cube, target.default.rows() if target.default else None)
 
@@ -132,7 +132,7 @@ def flag_glare_in(cube: Cube, target: Target) -> dict[str, int]:
 def write_resampled(
     cube: Cube,
     glare: dict[str, int],
-    target: Target,
+    target: GridTarget,
     frame: ReferenceFrame,
     before: Callable[[], object],
 ) -> Written:
@@ -153,7 +153,7 @@ def write_resampled(
 
 
 def stream_resampled(
-    scan: Scan, target: Target, frame: ReferenceFrame, before: Callable[[], object]
+    scan: Scan, target: GridTarget, frame: ReferenceFrame, before: Callable[[], object]
 ) -> Written:
     """Resample and write a scan some rows at a time; `before` as of `core.files.together`."""
     grid, default = target.grid, target.default

@@ -54,7 +54,7 @@ def write_scan(
 ) -> list[Path]:
     """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
     from levkas.building.capture_statistics import Middle
-    from levkas.building.passages import Passage, Reducer
+    from levkas.building.scans import Passage, Reducer
     from levkas.core.files import make_folder
     from levkas.database.layers import Layer
     from levkas.database.streaming_writer import SpooledTiffs

@@ -59,7 +59,7 @@ class Tables(NamedTuple):
     one_dark: bool
 
 
-class Limits(NamedTuple):
+class LineLimits(NamedTuple):
     """Codes that are saturated or clipped at black, mantissa bits that are rounded away; `squared`: variance instead of sigma."""
 
     saturation: float

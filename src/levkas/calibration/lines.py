@@ -127,7 +127,7 @@ class LineField:
             Where the white is not above dark, or a template lost its value, the value is 0 and
             flagged DEFECT and OUTSIDE.
         """
-        from levkas.calibration.line_kernels import Limits, develop_lines
+        from levkas.calibration.line_kernels import LineLimits, develop_lines
 
         kernel: Callable[..., None] = develop_lines
         if out is None:
@@ -137,7 +137,7 @@ class LineField:
         sigma = np.empty((0, 0), np.float32) if noise is None else noise
         made = tuple(part.reshape(len(part), -1) for part in (values, flags, sigma))
         limit = np.inf if saturation is None else float(saturation)
-        limits = Limits(limit, BLACK_CLIP, 0 if exact else VALUE_DROP, SIGMA_DROP, squared)
+        limits = LineLimits(limit, BLACK_CLIP, 0 if exact else VALUE_DROP, SIGMA_DROP, squared)
         codes, apart = _flat(raw)
         apart = (*apart, self.shape[1])
         edges = np.linspace(0, len(raw), min(threads, len(raw)) + 1).astype(int)

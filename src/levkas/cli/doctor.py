@@ -68,7 +68,6 @@ PURPOSES = {
     "starlette": "inspect: the workbench's server",
     "threadpoolctl": "linear algebra with one thread",
     "tifffile": "TIFF",
-    "tomli-w": "campaign.toml",
     "tomlkit": "edits.toml with a person's comments",
     "typer": "the command line",
     "uvicorn": "inspect: the workbench's server",

@@ -83,7 +83,7 @@ def parse_frame(text: str) -> Frame:
 
 
 @dataclass(frozen=True)
-class Pixels:
+class FramePixels:
     """A frame's part of the way: the map from reference px to its own, and what it covers.
 
     `size` is [width, height], or None where the record does not say it.
@@ -108,9 +108,9 @@ class FrameMap:
     Outside the reference image, too, nothing is known: there a registration only extrapolates.
     """
 
-    source: Pixels
-    target: Pixels
-    reference: Pixels
+    source: FramePixels
+    target: FramePixels
+    reference: FramePixels
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Map (n, 2) points; rows keep their order."""
@@ -298,12 +298,12 @@ class Records:
         self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
         check_inside(database, *self.layers.values())
 
-    def pixels(self, frame: Frame) -> Pixels:
+    def pixels(self, frame: Frame) -> FramePixels:
         """Return the maps and the size of one frame."""
         if not frame.camera:
             return self._grid()
         entry = self.entry(frame)
-        return Pixels(from_dict(entry.get("transform", entry)), _size(entry))
+        return FramePixels(from_dict(entry.get("transform", entry)), _size(entry))
 
     def entry(self, frame: Frame) -> dict[str, Any]:
         """Return what a record says of one band."""
@@ -312,19 +312,19 @@ class Records:
         label = labels[find_band(labels, frame.band)] if frame.band else _reference_channel(record)
         return dict(record["bands"][label])
 
-    def reference(self) -> Pixels:
+    def reference(self) -> FramePixels:
         """Return the reference frame itself, with its size where that is known."""
         for path in self.layers.values():
             frame = _frame(_load(path).get("reference"))
             if frame.layer in self.layers:
                 entry = _load(self.layers[frame.layer]).get("bands", {}).get(frame.band, {})
-                return Pixels(Affine.identity(), _size(entry))
-        return Pixels(Affine.identity())
+                return FramePixels(Affine.identity(), _size(entry))
+        return FramePixels(Affine.identity())
 
-    def _grid(self) -> Pixels:
+    def _grid(self) -> FramePixels:
         for path in self.layers.values():
             if grid := _load(path).get("grid"):
-                return Pixels(Inverse(from_dict(grid.get("transform", grid))), _size(grid))
+                return FramePixels(Inverse(from_dict(grid.get("transform", grid))), _size(grid))
         raise MappingRefused(
             Problem(
                 "E_KEY", f"no record of {self.name} tells of the grid", str(self.folder), "grid"

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,18 +21,15 @@ class ExportRefused(Refused):
     """A layer cannot be handed on in the format that was asked for."""
 
 
-def load_library(name: str) -> ModuleType:
-    """Return a library of the extra ``export``; raises ExportRefused where it is not installed."""
-    try:
-        return import_module(name)
-    except ImportError:
-        raise ExportRefused(
-            Problem(
-                "E_MISSING",
-                f"this format needs {name}, which is not installed",
-                fix="Run: pip install 'levkas[export]'",
-            )
-        ) from None
+def missing_library(name: str) -> ExportRefused:
+    """Return the refusal of a format whose library, of the extra ``export``, is not installed."""
+    return ExportRefused(
+        Problem(
+            "E_MISSING",
+            f"this format needs {name}, which is not installed",
+            fix="Run: pip install 'levkas[export]'",
+        )
+    )
 
 
 @dataclass(frozen=True)

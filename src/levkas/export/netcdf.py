@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.files import replacing
-from levkas.export.layer import ExportLayer, load_library
+from levkas.export.layer import ExportLayer, missing_library
 
 BLOCK_BYTES = 1 << 26
 
@@ -23,7 +23,10 @@ def write_netcdf(layer: ExportLayer, folder: Path) -> list[Path]:
     """
     from levkas.database.store import DIMENSIONS, flag_attributes
 
-    h5netcdf = load_library("h5netcdf")
+    try:
+        import h5netcdf
+    except ImportError:
+        raise missing_library("h5netcdf") from None
     attributes: dict[str, dict[str, Any]] = {
         "values": {"long_name": layer.quantity},
         "flags": {**flag_attributes()},

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.core.files import replacing, write_bytes, write_text
-from levkas.export.layer import ExportLayer, load_library
+from levkas.export.layer import ExportLayer, missing_library
 
 QUALITY = 95
 USER_BLOCK = 512
@@ -66,7 +66,10 @@ def _home(layer: ExportLayer, folder: Path) -> Path:
 
 def _write_mat73(layer: ExportLayer, path: Path) -> None:
     """Write a MAT-file of version 7.3: HDF5 behind MATLAB's header, dimensions MATLAB's reversed."""
-    h5py = load_library("h5py")
+    try:
+        import h5py
+    except ImportError:
+        raise missing_library("h5py") from None
     height, width, count = layer.shape
     centres = layer.wavelengths or list(range(1, count + 1))
     with replacing(path) as handle:

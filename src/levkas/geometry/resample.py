@@ -284,7 +284,7 @@ class _Kernel:
                 (0, len(flags)),
                 threads,
             )
-        source = loops.Source(
+        source = loops.SourceFrame(
             values,
             no_noise if variance is None else variance.astype(np.float32, copy=False),
             np.empty((0, 0, 0), np.uint8) if flags is None else flags,

@@ -32,7 +32,7 @@ BLOCK = 16
 """Bands with maps of their own that are interpolated together."""
 
 
-class Source(NamedTuple):
+class SourceFrame(NamedTuple):
     """Arrays of the source, (rows, width, bands); `variance` and `flags` may be empty.
 
     `suspect`, (rows, width): flags that any band of a pixel has. The first row held is row `top` of

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.database.pixel_frames import Frame, MappingRefused, Pixels, Records
+from levkas.database.pixel_frames import Frame, FramePixels, MappingRefused, Records
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
@@ -93,7 +93,7 @@ def interpolate(table: np.ndarray, t: float) -> np.ndarray:
     return whole
 
 
-def _sample(grid: Pixels, band: Pixels, points: np.ndarray) -> np.ndarray:
+def _sample(grid: FramePixels, band: FramePixels, points: np.ndarray) -> np.ndarray:
     return band.from_reference(grid.from_reference.inverse(points))
 
 
