@@ -17,6 +17,7 @@ SCRIPTS = sorted(EXAMPLES.glob("figure_*.py"))
 MODULES = {
     "levkas",
     "levkas.colour.gamut",
+    "levkas.colour.illuminants",
     "levkas.calibration.noise_model",
     "levkas.planning",
     "levkas.quality.targets",

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 from numba import types
 
 from levkas.calibration.patterns import as_pattern, split
 from levkas.calibration.templates import CalibrationRefused, Template
+from levkas.core.compiled import njit, prange
 from levkas.core.cube import Flag
 from levkas.core.problems import Problem
 
@@ -177,7 +177,7 @@ ENOUGH = 3  # sound neighbours for a median; fewer only where no larger ring has
 _OUT = types.Tuple((types.float32[::1], types.float32[::1], types.uint8[::1]))
 
 
-@numba.njit(
+@njit(
     [
         _OUT(
             types.Array(types.float32, 3, "C", readonly=True),
@@ -197,7 +197,7 @@ def mend(values, flags, where, rows, columns):  # type: ignore[no-untyped-def]
     numbers = np.empty(n, np.float32)
     spreads = np.empty(n, np.float32)
     marks = np.zeros(n, np.uint8)
-    for i in numba.prange(n):
+    for i in prange(n):
         y, x, band = where[i, 0], where[i, 1], where[i, 2]
         sound = np.empty((2 * RINGS + 1) ** 2, np.float64)
         count = 0

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numba import types
 
 from levkas.calibration.templates import CalibrationRefused
+from levkas.core.compiled import njit, prange
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem
 
@@ -276,11 +276,11 @@ _SPECTRA = types.Array(types.float32, 2, "C", readonly=True)
 _BASIS = types.Array(types.float64, 2, "C", readonly=True)
 
 
-@numba.njit([types.void(_SPECTRA, types.float64[:, ::1])], parallel=True, cache=True)
+@njit([types.void(_SPECTRA, types.float64[:, ::1])], parallel=True, cache=True)
 def add_products(spectra, products):  # type: ignore[no-untyped-def]
     """Add Σ yᵢyⱼ to `products`, (b, b); only what lies on and above the diagonal is whole."""
     pixels, bands = spectra.shape
-    for tile in numba.prange((bands + TILE - 1) // TILE):
+    for tile in prange((bands + TILE - 1) // TILE):
         first, last = tile * TILE, min(bands, tile * TILE + TILE)
         for n in range(pixels):
             for i in range(first, last):
@@ -289,7 +289,7 @@ def add_products(spectra, products):  # type: ignore[no-untyped-def]
                     products[i, j] += value * np.float64(spectra[n, j])
 
 
-@numba.njit([types.UniTuple(types.float32[:, ::1], 2)(_SPECTRA, _BASIS)], parallel=True, cache=True)
+@njit([types.UniTuple(types.float32[:, ::1], 2)(_SPECTRA, _BASIS)], parallel=True, cache=True)
 def project(spectra, basis):  # type: ignore[no-untyped-def]
     """Return the spectra's projection on the columns of `basis`, (b, k), and what it removed."""
     pixels, bands = spectra.shape
@@ -297,7 +297,7 @@ def project(spectra, basis):  # type: ignore[no-untyped-def]
     across = np.ascontiguousarray(basis.T)
     kept = np.empty((pixels, bands), np.float32)
     removed = np.empty((pixels, bands), np.float32)
-    for n in numba.prange(pixels):
+    for n in prange(pixels):
         line = np.zeros(bands)
         for c in range(k):
             part = 0.0
@@ -311,9 +311,7 @@ def project(spectra, basis):  # type: ignore[no-untyped-def]
     return kept, removed
 
 
-@numba.njit(
-    [types.float32[:, ::1](_SPECTRA, _SPECTRA, _BASIS, types.float64)], parallel=True, cache=True
-)
+@njit([types.float32[:, ::1](_SPECTRA, _SPECTRA, _BASIS, types.float64)], parallel=True, cache=True)
 def project_variance(variance, removed, projector, most):  # type: ignore[no-untyped-def]
     """Return the variances of projected spectra; `projector` is P = EEᵀ, (b, b).
 
@@ -322,7 +320,7 @@ def project_variance(variance, removed, projector, most):  # type: ignore[no-unt
     pixels, bands = variance.shape
     weights = projector * projector
     found = np.empty((pixels, bands), np.float32)
-    for n in numba.prange(pixels):
+    for n in prange(pixels):
         line = np.zeros(bands)
         for j in range(bands):
             spread = np.float64(variance[n, j])

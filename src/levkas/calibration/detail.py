@@ -12,9 +12,10 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import cv2
-import numba
 import numpy as np
 from numba import types
+
+from levkas.core.compiled import njit, prange
 
 FEWEST = 5000  # values of a channel in the smaller picture from which the trial counts
 Interpolate = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray | None]]
@@ -97,7 +98,7 @@ def interpolation_variance(
     return found
 
 
-@numba.njit(
+@njit(
     [
         types.void(
             types.Array(types.float32, 2, "C", readonly=True),
@@ -113,7 +114,7 @@ def _follow(rough, table, curves, found):  # type: ignore[no-untyped-def]
     """Fill `found`, (h, w, c), with each channel's curve, (c, 2, groups), at `rough`; 0 where measured."""
     height, width = rough.shape
     channels, _, groups = curves.shape
-    for y in numba.prange(height):
+    for y in prange(height):
         for x in range(width):
             d = np.float64(rough[y, x])
             own = table[y % table.shape[0], x % table.shape[1]]

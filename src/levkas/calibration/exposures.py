@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under
@@ -26,6 +25,7 @@ from levkas.calibration.templates import (
     gaps_of,
     read_only,
 )
+from levkas.core.compiled import njit, prange
 from levkas.core.problems import Problem
 
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
@@ -389,7 +389,7 @@ class _Sums(NamedTuple):
     clipped: np.ndarray
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _add_exposure(frame, sums, limit, offset, gain):  # type: ignore[no-untyped-def]
     """Add w·(mean − dark − offset)/time to `total` and w to `weights`, where not saturated.
 
@@ -399,7 +399,7 @@ def _add_exposure(frame, sums, limit, offset, gain):  # type: ignore[no-untyped-
     mean, dark, saturated, black, time, read, share, dark_share = frame
     rate, total, weights, clipped = sums
     height, width = mean.shape
-    for y in numba.prange(height):
+    for y in prange(height):
         dy, dx = y % dark.shape[0], dark.shape[1] > 1
         for x in range(width):
             if saturated[y, x] or mean[y, x] > limit:

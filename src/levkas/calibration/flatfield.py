@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from levkas.calibration.darks import MatchedDark, dark_under, match_dark
@@ -26,6 +25,7 @@ from levkas.calibration.templates import (
     read_only,
 )
 from levkas.calibration.whites import check_white, reflectance_table
+from levkas.core.compiled import njit, prange
 from levkas.core.cube import Flag
 from levkas.core.problems import Problem
 
@@ -313,7 +313,7 @@ class _Marks(NamedTuple):
     bad: np.ndarray
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _flatten(shot, dark, white, white_dark, table, marks):  # type: ignore[no-untyped-def]
     """Return values (shot − dark)/(white − white_dark) · table, and flags.
 
@@ -324,7 +324,7 @@ def _flatten(shot, dark, white, white_dark, table, marks):  # type: ignore[no-un
     height, width = shot.shape
     values = np.empty((height, width), np.float32)
     flags = np.empty((height, width), np.uint8)
-    for y in numba.prange(height):
+    for y in prange(height):
         dy, wy, vy = y % dark.shape[0], y % white.shape[0], y % white_dark.shape[0]
         sy, by, ty = y % white_saturated.shape[0], y % bad.shape[0], y % table.shape[0]
         dx, wx, vx = dark.shape[1] > 1, white.shape[1] > 1, white_dark.shape[1] > 1
@@ -350,7 +350,7 @@ def _flatten(shot, dark, white, white_dark, table, marks):  # type: ignore[no-un
     return values, flags
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def hidden(noise, step):  # type: ignore[no-untyped-def]
     """Return `noise_fit.hidden_rounding` of one value; 0 where the noise shows all of rounding."""
     if not noise < HIDES * step * step:
@@ -366,7 +366,7 @@ def hidden(noise, step):  # type: ignore[no-untyped-def]
     return step * step / (2.0 * np.pi**2) * total
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def of_mean(share, signal, measured, freedom, gain, read, step):  # type: ignore[no-untyped-def]
     """Return the variance of a mean, from a stack, the model, or both; `share` of one shot's is left.
 
@@ -384,7 +384,7 @@ def of_mean(share, signal, measured, freedom, gain, read, step):  # type: ignore
     return share * shown + alike
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _propagate(of_shot, of_dark, of_white, of_white_dark, shared, table, model):  # type: ignore[no-untyped-def]
     """Return the variance of `_flatten`'s values from four `Side`s; `shared`: one dark serves both.
 
@@ -398,7 +398,7 @@ def _propagate(of_shot, of_dark, of_white, of_white_dark, shared, table, model):
     gain, read, white_read, step = model
     height, width = shot.shape
     result = np.empty((height, width), np.float32)
-    for y in numba.prange(height):
+    for y in prange(height):
         dy, wy, vy = y % dark.shape[0], y % white.shape[0], y % white_dark.shape[0]
         dx, wx, vx = dark.shape[1] > 1, white.shape[1] > 1, white_dark.shape[1] > 1
         s1, d1 = shot_variance.shape[1] > 1, dark_variance.shape[1] > 1

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from levkas.calibration.flatfield import of_mean
+from levkas.core.compiled import njit
 from levkas.core.cube import Flag
 
 SATURATED, BLACK, DEFECT, OUTSIDE = (

@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from levkas.calibration.detail import interpolation_variance
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import CalibrationRefused, read_only
+from levkas.core.compiled import njit, prange
 from levkas.core.cube import Flag
 from levkas.core.problems import Problem
 
@@ -273,7 +273,7 @@ def _classes(length: int, period: int) -> tuple[np.ndarray, np.ndarray]:
 NEAR = np.uint8(Flag.NEAR.value)
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def]
     """Return Σwv, flags and, where `known`, Σw²u², all (h, w, channels).
 
@@ -286,7 +286,7 @@ def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def
     for x in range(width):
         kinds = max(kinds, columns[x] + 1)
     marked = np.zeros(height, np.bool_)
-    for y in numba.prange(height):
+    for y in prange(height):
         for x in range(width):
             if flags[y, x]:
                 marked[y] = True
@@ -294,7 +294,7 @@ def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def
     made = np.empty((height, width, channels), np.float32)
     noted = np.zeros((height, width, channels), np.uint8)
     spread = np.empty((height if known else 0, width, channels), np.float32)
-    for y in numba.prange(height):
+    for y in prange(height):
         near = False
         for v in range(max(0, y - reach), min(height, y + reach + 1)):
             near |= marked[v]

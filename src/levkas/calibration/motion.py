@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from levkas.calibration.noise_fit import NoiseModel
 from levkas.calibration.templates import Template, as_marks, as_rows, read_only
+from levkas.core.compiled import njit, prange
 
 BY_CHANCE = 1e-10  # of one pixel: a false one in a thousand frames of 10 megapixels
 NONLINEAR = 0.01  # of the signal, from exposure to exposure: `linearity` allows as much
@@ -149,7 +149,7 @@ def _limit(freedom: int) -> float:
     return MISFIT * 2 * float(gammainccinv(9 * freedom / 2, BY_CHANCE)) / freedom
 
 
-@numba.njit(parallel=True, cache=True, fastmath={"contract"})
+@njit(parallel=True, cache=True, fastmath={"contract"})
 def _find(mean, variance, saturated, dark, model, period):  # type: ignore[no-untyped-def]
     """Return where a pixel and its neighbours, those beyond the border left out, pass the limit.
 
@@ -159,14 +159,14 @@ def _find(mean, variance, saturated, dark, model, period):  # type: ignore[no-un
     rows, columns = period
     height, width = mean.shape
     ratio = np.empty((height, width), np.float32)
-    for y in numba.prange(height):
+    for y in prange(height):
         dy, dx = y % dark.shape[0], dark.shape[1] > 1
         for x in range(width):
             light = max(mean[y, x] - dark[dy, x * dx], np.float32(0.0))
             still = np.float32(1 - saturated[y, x])
             ratio[y, x] = still * variance[y, x] / (read + gain * light)
     marked = np.zeros((height, width), np.uint8)
-    for y in numba.prange(height):
+    for y in prange(height):
         column = np.zeros(width + 2 * columns, np.float32)
         for v in range(max(y - rows, y % rows), min(y + rows + 1, height), rows):
             for x in range(width):

@@ -5,14 +5,15 @@ Arrays are (h, w) views; rows are independent, so the bytes do not depend on the
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numba import types
+
+from levkas.core.compiled import njit, prange
 
 _BYTES, _REALS = types.uint8[:, ::1], types.float64[:, ::1]
 
 
-@numba.njit(
+@njit(
     [
         types.void(
             types.Array(code, 2, "C", readonly=True),
@@ -28,7 +29,7 @@ _BYTES, _REALS = types.uint8[:, ::1], types.float64[:, ::1]
 def add_codes(frame, total, squares, saturated, black, high, low):  # type: ignore[no-untyped-def]
     """Add whole codes to Σx (uint32) and Σx² (uint64), both exact; mark clipped ones."""
     height, width = frame.shape
-    for y in numba.prange(height):
+    for y in prange(height):
         for x in range(width):
             code = np.uint64(frame[y, x])
             total[y, x] += np.uint32(code)
@@ -37,7 +38,7 @@ def add_codes(frame, total, squares, saturated, black, high, low):  # type: igno
             black[y, x] |= np.float32(frame[y, x]) <= low
 
 
-@numba.njit(
+@njit(
     [
         types.void(
             types.Array(real, 2, "C", readonly=True),
@@ -54,7 +55,7 @@ def add_reals(  # type: ignore[no-untyped-def]
 ):
     """Update mean and Σ(x − mean)² by Welford's step; mark clipped values."""
     height, width = frame.shape
-    for y in numba.prange(height):
+    for y in prange(height):
         for x in range(width):
             value = np.float64(frame[y, x])
             step = value - mean[y, x]
@@ -67,7 +68,7 @@ def add_reals(  # type: ignore[no-untyped-def]
 _PAIR = types.UniTuple(types.float32[:, ::1], 2)
 
 
-@numba.njit(
+@njit(
     [
         _PAIR(
             types.Array(types.uint32, 2, "C", readonly=True),
@@ -84,7 +85,7 @@ def finish_codes(total, squares, count):  # type: ignore[no-untyped-def]
     mean = np.empty((height, width), np.float32)
     variance = np.empty((height, width), np.float32)
     n = np.uint64(count)
-    for y in numba.prange(height):
+    for y in prange(height):
         for x in range(width):
             s = np.uint64(total[y, x])
             mean[y, x] = s / count
@@ -92,7 +93,7 @@ def finish_codes(total, squares, count):  # type: ignore[no-untyped-def]
     return mean, variance
 
 
-@numba.njit(
+@njit(
     [
         _PAIR(
             types.Array(types.float64, 2, "C", readonly=True),
@@ -108,7 +109,7 @@ def finish_reals(centre, spread, count):  # type: ignore[no-untyped-def]
     height, width = centre.shape
     mean = np.empty((height, width), np.float32)
     variance = np.empty((height, width), np.float32)
-    for y in numba.prange(height):
+    for y in prange(height):
         for x in range(width):
             mean[y, x] = centre[y, x]
             variance[y, x] = spread[y, x] / (count - 1.0)

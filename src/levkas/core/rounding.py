@@ -7,8 +7,8 @@ lies below is noise that no codec makes smaller. Sums of a thousand pixels do no
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.core.machine import tile_rows
 
 MANTISSA = 23

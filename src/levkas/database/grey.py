@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
 

@@ -18,7 +18,8 @@ from math import floor
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from levkas.core.compiled import njit
 
 F, U = np.float32, np.uint64
 NODES = 6

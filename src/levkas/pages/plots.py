@@ -9,6 +9,7 @@ from __future__ import annotations
 import colorsys
 import io
 import re
+import threading
 from dataclasses import dataclass
 from functools import wraps
 from html import escape
@@ -54,6 +55,10 @@ def themed(name: str) -> str:
     return _PLACES[name]
 
 
+_alone = threading.RLock()
+"""Settings of matplotlib are those of the whole process."""
+
+
 def in_style(draw: Callable[P, str]) -> Callable[P, str]:
     """Let a function draw in the style of all pages."""
 
@@ -63,7 +68,7 @@ def in_style(draw: Callable[P, str]) -> Callable[P, str]:
 
         soft = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")
         theme: Any = {**dict.fromkeys(soft, themed("soft")), "grid.color": themed("line")}
-        with matplotlib.rc_context(theme | STYLE):
+        with _alone, matplotlib.rc_context(theme | STYLE):
             return draw(*args, **options)
 
     return styled

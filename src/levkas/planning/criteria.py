@@ -110,7 +110,7 @@ class Judge:
 
     Parameters
     ----------
-    thing : ObjectKeys
+    thing : StudioObjectKeys
     room : Room
         Bounds of the distance.
     eye_mm : float

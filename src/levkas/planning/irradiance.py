@@ -55,8 +55,8 @@ def illuminate(lamps: Iterable[StudioLamp], points: np.ndarray, normals: np.ndar
     --------
     One candela, one metre, straight above:
 
-    >>> from levkas.planning.setup import Lamp
-    >>> lamp = Lamp("a", np.array([0.0, 0.0, 1000.0]), np.array([0.0, 0.0, -1.0]))
+    >>> from levkas.planning.setup import StudioLamp
+    >>> lamp = StudioLamp("a", np.array([0.0, 0.0, 1000.0]), np.array([0.0, 0.0, -1.0]))
     >>> float(illuminate([lamp], np.zeros(3), np.array([0.0, 0.0, 1.0])))
     1.0
     """

@@ -99,7 +99,7 @@ def fit_lamps(
         Frame of a white board, dark subtracted, that fills the object's size; any scale.
     lighting : Lighting
         The plan that was hung.
-    thing : ObjectKeys
+    thing : StudioObjectKeys
         Its size is that of the board.
     bent : bool
         Whether the board is bent as the object is; white boards are flat.

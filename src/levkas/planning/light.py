@@ -314,7 +314,7 @@ def glare(
 
     Parameters
     ----------
-    thing : ObjectKeys
+    thing : StudioObjectKeys
     surface : Surface
     lighting : Lighting
     eye : ndarray, (3,)

@@ -40,7 +40,7 @@ def sample_surface(thing: StudioObjectKeys, columns: int = 61, *, recess: bool =
 
     Parameters
     ----------
-    thing : ObjectKeys
+    thing : StudioObjectKeys
     columns : int
         Along the width; rows keep the spacing.
     recess : bool
@@ -79,8 +79,8 @@ def sample_surface(thing: StudioObjectKeys, columns: int = 61, *, recess: bool =
 def tilt_deg(thing: StudioObjectKeys) -> float:
     """Return the largest tilt of the bent panel's normal, degrees: asin of half the side over R.
 
-    >>> from levkas.planning.tables import Bend, ObjectKeys
-    >>> round(tilt_deg(ObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0))), 2)
+    >>> from levkas.planning.tables import Bend, StudioObjectKeys
+    >>> round(tilt_deg(StudioObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0))), 2)
     4.58
     """
     if thing.bend is None:
@@ -97,8 +97,8 @@ def wall_deg(thing: StudioObjectKeys) -> float:
 def height_range(thing: StudioObjectKeys) -> tuple[float, float]:
     """Return the lowest and highest z of the object, mm, 0 at the rim's top in the middle.
 
-    >>> from levkas.planning.tables import ObjectKeys
-    >>> height_range(ObjectKeys(size_mm=(420, 320), recess_mm=3.0))
+    >>> from levkas.planning.tables import StudioObjectKeys
+    >>> height_range(StudioObjectKeys(size_mm=(420, 320), recess_mm=3.0))
     (-3.0, 0.0)
     """
     low = -thing.recess_mm
@@ -158,8 +158,8 @@ def hidden_share(lamps: Sequence[StudioLamp], slope: float) -> float:
 
     Examples
     --------
-    >>> from levkas.planning.setup import Lamp, lamp_place
-    >>> low, high = (Lamp("a", lamp_place(a, 0.0, 2000.0), np.zeros(3)) for a in (80.0, 60.0))
+    >>> from levkas.planning.setup import StudioLamp, lamp_place
+    >>> low, high = (StudioLamp("a", lamp_place(a, 0.0, 2000.0), np.zeros(3)) for a in (80.0, 60.0))
     >>> round(hidden_share([low], 0.12), 3), round(hidden_share([high], 0.12), 6)
     (0.071, 1e-06)
     """
@@ -177,8 +177,8 @@ def hidden_share(lamps: Sequence[StudioLamp], slope: float) -> float:
 def first_order_gain(lamps: Sequence[StudioLamp]) -> float:
     """Return how strongly gentle slopes show, over one lamp at 45°: opposed lamps cancel.
 
-    >>> from levkas.planning.setup import Lamp, lamp_place
-    >>> pair = [Lamp("a", lamp_place(70.0, a, 2000.0), np.zeros(3)) for a in (0.0, 180.0)]
+    >>> from levkas.planning.setup import StudioLamp, lamp_place
+    >>> pair = [StudioLamp("a", lamp_place(70.0, a, 2000.0), np.zeros(3)) for a in (0.0, 180.0)]
     >>> round(first_order_gain(pair[:1]), 2), round(first_order_gain(pair), 6)
     (2.75, 0.0)
     """

@@ -60,7 +60,7 @@ def cite(facts: PublicationFacts) -> str:
 
     Examples
     --------
-    >>> cite(Facts("", "Icons", (Person("Ada Painter"),), published="2019-08", publisher="Zenodo"))
+    >>> cite(PublicationFacts("", "Icons", (Person("Ada Painter"),), published="2019-08", publisher="Zenodo"))
     'Painter, Ada (2019). Icons. Zenodo. [Data set]'
     """
     people = "; ".join(person.inverted for person in facts.creators)

@@ -12,8 +12,8 @@ from math import nan
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.core.threads import each
 from levkas.geometry.transforms import Polynomial, design_matrix
 from levkas.registration.local_shifts import WindowShifts

@@ -13,7 +13,8 @@ that bound no longer excludes the rest.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from levkas.core.compiled import njit
 
 #: Errors that differ by less, px, are equal.
 TIE_PX = 1e-9

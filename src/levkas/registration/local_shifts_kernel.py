@@ -8,7 +8,8 @@ are summed anew.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from levkas.core.compiled import njit
 
 
 @njit(inline="always")

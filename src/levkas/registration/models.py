@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.geometry.pixel_maps_kernel import spline_sums
 from levkas.geometry.spline import SplineShift, spline_weights
 from levkas.geometry.transforms import (

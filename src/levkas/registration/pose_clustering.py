@@ -11,7 +11,8 @@ of four are not.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from levkas.core.compiled import njit
 
 #: Matches that vote, the most similar ones; matches of which pairs propose; pairs that are tried.
 MOST_MATCHES, MOST_PROPOSING, MOST_PROPOSALS = 8000, 500, 6000

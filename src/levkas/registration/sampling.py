@@ -6,8 +6,8 @@ from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit, prange
 
+from levkas.core.compiled import njit, prange
 from levkas.simulation.rendering import Texture
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ class ChromaticOptics:
 
     Examples
     --------
-    >>> Chromatic(magnification=(1e-3, 5e-4)).at(850.0)[0]
+    >>> ChromaticOptics(magnification=(1e-3, 5e-4)).at(850.0)[0]
     1.0015
     """
 

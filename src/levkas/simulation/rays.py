@@ -7,7 +7,8 @@ One file, because numba's cache of a kernel does not notice a change in another 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from levkas.core.compiled import njit, prange
 
 Triple = tuple[float, float, float]
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import ceil, erf, sqrt
 
 import numpy as np
-from numba import njit, prange
 
+from levkas.core.compiled import njit, prange
 from levkas.simulation.optics import Viewpoint, base_to_panel
 from levkas.simulation.painting import Panel
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
-from numba import njit, prange
+
+from levkas.core.compiled import njit, prange
 
 if TYPE_CHECKING:
     from levkas.calibration.noise_model import Sensor

@@ -24,7 +24,7 @@ class CellMeans:
 
     Examples
     --------
-    >>> light = Light()
+    >>> light = CellMeans()
     >>> frames = [np.full((64, 64), level) for level in (100, 101)]
     >>> sum(1 for _ in light.watch(frames)), light.cells.shape
     (2, (2, 4))

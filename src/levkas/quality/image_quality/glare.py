@@ -12,8 +12,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.core.cube import Flag
 from levkas.core.machine import count_threads
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from levkas.core.compiled import njit
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:

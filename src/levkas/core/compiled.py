@@ -1,0 +1,57 @@
+"""Numba's decorators, with kept machine code that is dropped when a source has changed.
+
+Numba keeps what it compiled beside a module and looks only at the time of that module: what a
+kernel inlines from another file, or a renamed class among its arguments, would stay as it was
+after an update. Whatever a kernel calls has been imported before it, so code older than any source
+of kernels imported so far is compiled again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import prange
+
+__all__ = ["njit", "prange"]
+
+_newest = 0.0
+
+
+def njit(*args: Any, **options: Any) -> Any:
+    """Compile a function as `numba.njit` does; with `cache=True` only current code is loaded.
+
+    Parameters
+    ----------
+    *args
+        The function, or its signatures.
+    **options
+        Those of `numba.njit`.
+    """
+    decorate: Callable[[Any], Any] = (
+        numba.njit(**options) if args and callable(args[0]) else numba.njit(*args, **options)
+    )
+
+    def compiled(function: Any) -> Any:
+        _drop_old_code(function, kept=bool(options.get("cache")))
+        return decorate(function)
+
+    return compiled(args[0]) if args and callable(args[0]) else compiled
+
+
+def _drop_old_code(function: Any, *, kept: bool) -> None:
+    global _newest
+    source = Path(function.__code__.co_filename)
+    try:
+        _newest = max(_newest, source.stat().st_mtime)
+        if not kept:
+            return
+        folder = Path(str(numba.njit(cache=True)(function).stats.cache_path))
+        name = f"{source.stem}.{function.__qualname__}-{function.__code__.co_firstlineno}"
+        for index in folder.glob(f"{name}.*.nbi"):
+            if index.stat().st_mtime < _newest:
+                index.unlink()
+    except (OSError, RuntimeError):  # A folder that others write, or none: numba judges by itself.
+        return
