@@ -50,9 +50,9 @@ def test_code_of_an_older_source_is_compiled_again(tmp_path, name):
     """What is inlined from another file, and a class of an argument that has another name now."""
     put(tmp_path, 1, "Pair", 1_000_000_000)
     assert ask(tmp_path) == "2"
-    assert len(kept := list(tmp_path.rglob("using.use-*.nbi"))) == 1
-    before = kept[0].stat().st_mtime_ns
+    (kept,) = tmp_path.rglob("using.use-*.nbi")
+    before = kept.stat().st_mtime_ns
     assert ask(tmp_path) == "2"
-    assert kept[0].stat().st_mtime_ns == before, "code that is not old is loaded"
+    assert kept.stat().st_mtime_ns == before, "code that is not old is loaded"
     put(tmp_path, 5, name, int(before / 1e9) + 10)
     assert ask(tmp_path) == "6"
