@@ -20,6 +20,7 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.edits import read_edits
 from levkas.core.problems import Refused
+from levkas.core.text import read_json, read_text
 from levkas.planning.luminous_intensity import read_lobe
 from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys
@@ -27,7 +28,6 @@ from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
 from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.images import read_exif
-from levkas.readers.text import read_json, read_text
 from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
 from levkas.registration.control_points.reading import read_points
 

@@ -111,7 +111,7 @@ def test_a_build_measures_check_points_and_starts_from_seeds_to_what_was_planted
     import cv2
 
     from levkas.building import build
-    from levkas.readers.text import read_json
+    from levkas.core.text import read_json
 
     rng = np.random.default_rng(3)
     big = np.full((300, 360), 90, np.float32)

@@ -16,9 +16,9 @@ import levkas
 from levkas.cli import app
 from levkas.core.digests import hash_tree
 from levkas.database.spectral_tiff import read_tiff_pages
-from levkas.export import export
-from levkas.export.layer import ExportLayer, ExportRefused
-from levkas.export.run import FORMS
+from levkas.publish.export import export
+from levkas.publish.export.layer import ExportLayer, ExportRefused
+from levkas.publish.export.run import FORMS
 
 WAVES = (420.0, 500.5, 610.0, 700.0)
 
@@ -137,7 +137,7 @@ def test_spectra_as_csv_give_the_same_floats_again(database, tmp_path):
 
 
 def test_a_large_layer_is_sampled_evenly(database, tmp_path, monkeypatch):
-    from levkas.export import spectra
+    from levkas.publish.export import spectra
 
     monkeypatch.setattr(spectra, "MOST_SPECTRA", 50)
     exported(database, "csv-spectra", tmp_path)
@@ -193,7 +193,7 @@ def test_an_export_into_the_database_is_refused(database):
 def test_a_layer_too_large_for_a_format_is_refused_before_it_is_read(
     database, tmp_path, monkeypatch
 ):
-    from levkas.export import matlab
+    from levkas.publish.export import matlab
 
     monkeypatch.setattr(matlab, "MOST_BYTES", 100)
     with pytest.raises(ExportRefused) as refused:
@@ -204,8 +204,8 @@ def test_a_layer_too_large_for_a_format_is_refused_before_it_is_read(
 
 
 def test_hostile_band_labels_do_not_break_a_header(database):
-    from levkas.export.envi import spell_header
-    from levkas.export.qgis import spell_metadata
+    from levkas.publish.export.envi import spell_header
+    from levkas.publish.export.qgis import spell_metadata
 
     layer = ExportLayer.read(database, "icon1", "rgb", "")
     bands = tuple(levkas.Band(t) for t in ("R}\nbands = 9", "<b>&\x07", 'G,"'))

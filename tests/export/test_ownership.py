@@ -13,7 +13,7 @@ from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.ownership import MARK
 from levkas.core.problems import Refused
-from levkas.export.run import FORMS, export
+from levkas.publish.export.run import FORMS, export
 from levkas.registration.control_points.points import ControlPoints
 from levkas.registration.control_points.reading import write_points
 

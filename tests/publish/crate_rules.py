@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from levkas.core.problems import Problem
-from levkas.readers.text import parse_json
+from levkas.core.text import parse_json
 
 NAME = "ro-crate-metadata.json"
 PROFILE = "https://w3id.org/ro/crate/"

@@ -9,8 +9,8 @@ from typing import Any
 from urllib.parse import unquote
 
 from levkas.core.problems import Problem
+from levkas.core.text import read_json
 from levkas.publish.tiles import tile_names
-from levkas.readers.text import read_json
 
 
 def check_iiif(folder: str | Path, base: str) -> list[Problem]:

@@ -15,8 +15,8 @@ from levkas.core.cube import Band, Cube, band_labels
 from levkas.core.rounding import round_sigma
 from levkas.database.layers import Layer, write_layer, write_tiffs
 from levkas.database.validate import validate
-from levkas.export.envi import write_envi
-from levkas.export.layer import ExportLayer
+from levkas.publish.export.envi import write_envi
+from levkas.publish.export.layer import ExportLayer
 
 SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9), st.integers(1, 4))
 FLOATS = st.floats(width=32, allow_nan=True, allow_infinity=True)

@@ -802,8 +802,8 @@ def json_that_is_a_pipe(folder):
 def readers():
     from levkas.campaign.discovery.manifest import read_manifest
     from levkas.campaign.schema.toml import read_toml
+    from levkas.core.text import read_json
     from levkas.readers.frames import read_facts, read_frame
-    from levkas.readers.text import read_json
 
     return {
         "frame": (read_facts, read_frame),

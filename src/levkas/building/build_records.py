@@ -24,9 +24,9 @@ from levkas.core.files import (
 )
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_text
 from levkas.database.containment import stays_inside
 from levkas.database.layout import LayerId, layer_name
-from levkas.readers.text import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -185,8 +185,8 @@ def _of_campaign(
 
 
 def _reference(chart: Chart, path: str | Path | None) -> ChartReference | None:
+    from levkas.core.text import read_text
     from levkas.quality.targets.charts import parse_reference
-    from levkas.readers.text import read_text
 
     if path is None:
         return reference_of(chart)
@@ -416,7 +416,7 @@ def subjects_of(
 
 def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
     """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
-    from levkas.readers.text import read_json
+    from levkas.core.text import read_json
 
     for record in sorted(database.glob("charts/*/*.json")):
         check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))

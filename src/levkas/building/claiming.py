@@ -14,8 +14,8 @@ from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
 from levkas.core.ownership import IMPRINT, MARK, made, require_outside, stands_in
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_json
 from levkas.database.catalogue import COLUMNS, DatabaseRefused, read_catalogue
-from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.problems import Refused
-from levkas.readers.text import read_json
+from levkas.core.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

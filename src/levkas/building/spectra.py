@@ -9,8 +9,8 @@ import numpy as np
 
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import TextRefused, read_text
 from levkas.readers.spectra import are_spectra, parse_spectra
-from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

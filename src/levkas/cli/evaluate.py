@@ -118,8 +118,8 @@ def map_points(
 ) -> None:
     """Map points between any two pixel frames of an object."""
     from levkas.core.ownership import require_free
+    from levkas.core.text import read_stream, read_text
     from levkas.database.pixel_frames import map_table
-    from levkas.readers.text import read_stream, read_text
 
     if output is not None:
         require_free(output, overwrite=overwrite)

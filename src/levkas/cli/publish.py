@@ -83,7 +83,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write layers in the format of another program, values as they are."""
-    from levkas.export import run
+    from levkas.publish.export import run
 
     chosen = {"objects": objects or (), "cameras": cameras or ()}
     made = run.export(database, form, output=output, overwrite=overwrite, **chosen)

@@ -38,6 +38,8 @@ PARTIAL = re.compile(r".*\.partial-[0-9a-f]{8}")
 """Names of what is not finished, by whomever."""
 OURS = re.compile(r".*\.levkas\.partial-[0-9a-f]{8}")
 """Those that Levkas gives, and alone takes away."""
+DROPPINGS = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
+"""Left by file browsers in every folder they show; neither published nor a damage."""
 BUFFER_BYTES, COPY_BYTES = 1 << 20, 1 << 22
 LONGEST_NAME = 200
 PATIENCE = 20

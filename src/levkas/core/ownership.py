@@ -16,8 +16,9 @@ from typing import Literal
 
 from levkas.core.digests import hash_file
 from levkas.core.disk import WriteRefused
+from levkas.core.files import DROPPINGS, OURS
 from levkas.core.problems import Problem, Refused
-from levkas.readers.text import read_json, what_stands_at
+from levkas.core.text import read_json, what_stands_at
 
 Kind = Literal["database", "publication", "bag"]
 
@@ -48,9 +49,6 @@ def stands_in(folder: Path) -> str:
 
     What a killed run of ours left in it counts for nothing, nor does what file browsers leave.
     """
-    from levkas.core.files import OURS
-    from levkas.database.manifest import DROPPINGS
-
     if not os.path.lexists(folder):
         return ""
     found = what_stands_at(folder)
@@ -59,40 +57,6 @@ def stands_in(folder: Path) -> str:
     ):
         return ""
     return found
-
-
-def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
-    """Refuse to write a folder where anything stands but what Levkas made of that kind, all of it.
-
-    Parameters
-    ----------
-    folder : Path
-        One that is not there, or is empty, is free.
-    kind : "publication" or "bag"
-        A publication or a bag is replaced whole: a file in it that its manifest does not list is
-        somebody else's.
-    fix : str
-
-    Raises
-    ------
-    WriteRefused
-        ``E_UNWRITABLE`` with what stands there.
-    """
-    require_outside(folder, fix=fix)
-    found = stands_in(folder)
-    if not found:
-        return
-    ours = made(folder) if found == "a folder" else None
-    strangers = _strangers(folder, kind) if ours == kind else []
-    if ours == kind and not strangers:
-        return
-    if strangers:
-        found = f"{len(strangers)} files that Levkas did not write, the first: {strangers[0]}"
-    elif ours:
-        found = f"a {ours} by Levkas"
-    elif found == "a folder":
-        found = "a folder that Levkas did not write"
-    raise _refusal(f"the {kind} cannot be written to this folder", folder, kind, found, fix)
 
 
 def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
@@ -108,7 +72,7 @@ def require_free(path: str | Path, *, overwrite: bool = False) -> Path:
     found = what_stands_at(path) if os.path.lexists(path) else ""
     if found and not (overwrite and found == "a file"):
         fix = "Give another name" + (", or --overwrite." if found == "a file" else ".")
-        raise _refusal(f"{path.name} stands there already", path, "new file", found, fix)
+        raise refusal(f"{path.name} stands there already", path, "new file", found, fix)
     return path
 
 
@@ -117,7 +81,7 @@ def require_outside(path: Path, *, fix: str) -> None:
     for folder in Path(path).resolve().parents:
         if ours := made(folder):
             what = f"a {ours}: {folder}"
-            raise _refusal("this would stand in what Levkas made", path, "folder apart", what, fix)
+            raise refusal("this would stand in what Levkas made", path, "folder apart", what, fix)
 
 
 class OwnFiles:
@@ -135,7 +99,7 @@ class OwnFiles:
         require_outside(self.folder / RECORD, fix="Give another folder with -o.")
         found = stands_in(self.folder)
         if found not in ("", "a folder"):
-            raise _refusal("no folder can be made here", self.folder, "folder", found, "")
+            raise refusal("no folder can be made here", self.folder, "folder", found, "")
         self._files = _record(self.folder / RECORD)
 
     @contextlib.contextmanager
@@ -180,13 +144,13 @@ class OwnFiles:
 
     def _require(self, path: Path, name: str) -> None:
         if name.startswith("../") or Path(name).is_absolute():
-            raise _refusal("a name leads out of the folder", self.folder, "file in it", name, "")
+            raise refusal("a name leads out of the folder", self.folder, "file in it", name, "")
         if self.overwrite or not os.path.lexists(path):
             require_free(path, overwrite=True)
         elif name not in self._files or self._files[name] not in (None, _hash(path)):
             why = "was changed since" if name in self._files else "was not written by it"
             fix = "Give another folder with -o, or --overwrite."
-            raise _refusal(f"{name} {why}", path, "file that Levkas wrote", "another", fix)
+            raise refusal(f"{name} {why}", path, "file that Levkas wrote", "another", fix)
 
     def _name(self, path: Path) -> str:
         return Path(os.path.relpath(path, self.folder)).as_posix()
@@ -207,23 +171,6 @@ def _head(path: Path) -> bytes:
         return b""
 
 
-def _strangers(folder: Path, kind: Kind) -> list[str]:
-    """Files that the manifests of a folder do not list."""
-    from levkas.database.manifest import NAME, list_files, plain, read_manifest
-
-    listed = {NAME}
-    if kind == "bag":
-        listed |= {
-            "tagmanifest-sha256.txt",
-            *read_manifest(folder / "tagmanifest-sha256.txt").files,
-        }
-    manifest = read_manifest(folder / NAME)
-    if manifest.problems:
-        return [NAME]  # what it lists cannot be relied on
-    listed |= {plain(name) for name in manifest.files}
-    return [name for name in list_files(folder) if plain(name) not in listed]
-
-
 def _record(path: Path) -> dict[str, str | None]:
     if not os.path.lexists(path):
         return {}
@@ -231,14 +178,15 @@ def _record(path: Path) -> dict[str, str | None]:
         return {str(name): digest for name, digest in dict(read_json(path)["files"]).items()}
     except (Refused, KeyError, TypeError, ValueError):
         what = "another file of that name"
-        raise _refusal(f"{RECORD} is none of ours", path, "record by Levkas", what, "") from None
+        raise refusal(f"{RECORD} is none of ours", path, "record by Levkas", what, "") from None
 
 
 def _hash(path: Path) -> str:
     return hash_file(path) if path.is_file() else ""
 
 
-def _refusal(message: str, path: Path, expected: str, found: str, fix: str) -> WriteRefused:
+def refusal(message: str, path: Path, expected: str, found: str, fix: str) -> WriteRefused:
+    """Make the refusal of a place that is not ours to write."""
     return WriteRefused(
         Problem(
             "E_UNWRITABLE",

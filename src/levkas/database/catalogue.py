@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from levkas.core.files import write_changed
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_text
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.readers.text import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePath
 
 from levkas.core.problems import Problem, Refused
-from levkas.readers.text import what_stands_at
+from levkas.core.text import what_stands_at
 
 _ODD = re.compile(r"^/|[\\:\0]")
 """In names that may lead elsewhere, on some system."""

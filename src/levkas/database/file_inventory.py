@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.text import parse_bounded
 from levkas.database.integrity import TiffFacts
 from levkas.database.spectral_tiff import METADATA, decode_text
-from levkas.readers.text import parse_bounded
 
 TWINS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 """Arrays of a Zarr layer, and the endings of the files that hold the same numbers."""

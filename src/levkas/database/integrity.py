@@ -17,10 +17,10 @@ import numpy as np
 
 from levkas.campaign.schema.toml import read_toml
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import parse_bounded, parse_json
 from levkas.database.lazy_array import check_description
 from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE
 from levkas.readers.facts import check_expansion, check_memory
-from levkas.readers.text import parse_bounded, parse_json
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PLAIN = 1  # tag Compression

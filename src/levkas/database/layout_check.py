@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_json
 from levkas.database.consistency import check_agreement
 from levkas.database.file_inventory import TWINS, Holdings, base_of
 from levkas.database.integrity import (
@@ -17,7 +18,6 @@ from levkas.database.integrity import (
 )
 from levkas.database.manifest import is_partial, unfinished
 from levkas.database.twins import check_stores
-from levkas.readers.text import read_json
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from xarray.core import indexing
 
 from levkas.core.cube import Band
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import LARGEST_TABLE, read_json
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.containment import check_inside
 from levkas.database.tiff_pages import DAMAGE, TiffPages, open_pages
-from levkas.readers.text import LARGEST_TABLE, read_json
 
 MOST_SAMPLES = 1 << 26
 """Of a chunk, which is decoded as a whole."""

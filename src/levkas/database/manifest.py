@@ -16,17 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from levkas.core.digests import hash_file
-from levkas.core.files import PARTIAL, write_changed
+from levkas.core.files import DROPPINGS, PARTIAL, write_changed
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
+from levkas.core.text import DEEPEST
 from levkas.database.containment import stays_inside
-from levkas.readers.text import DEEPEST
 
 NAME = "manifest-sha256.txt"
 LARGEST = 256 << 20
 """Bytes of a manifest that is still read: two million files."""
-DROPPINGS = frozenset([".DS_Store", "Thumbs.db", "desktop.ini"])
-"""Left by file browsers in every folder they show; neither published nor a damage."""
 
 _HEAD = re.compile(r"# levkas manifest 1: (\d+) files, (\d+) bytes, sha256 ([0-9a-f]{64}) below")
 _SIZE = re.compile(r"# (\d+) bytes")

@@ -13,6 +13,7 @@ from xarray.core import indexing
 
 from levkas.core.cube import Band, band_labels
 from levkas.core.problems import Problem
+from levkas.core.text import parse_bounded
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import LayerId, layer_name
@@ -20,7 +21,6 @@ from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS
 from levkas.database.tiff_pages import TiffPages, open_pages
-from levkas.readers.text import parse_bounded
 
 if TYPE_CHECKING:
     from levkas.database.pixel_frames import FrameMap

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_json
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.geometry import from_dict
-from levkas.readers.text import read_json
 from levkas.registration.record import Sigma
 
 KINDS: dict[str, tuple[type, ...]] = {

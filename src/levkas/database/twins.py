@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_json
 from levkas.database.file_inventory import TWINS, Holdings, base_of, record_of, same_numbers
 from levkas.database.integrity import TiffFacts, damaged
-from levkas.readers.text import read_json
 
 ROWS = 64
 

@@ -81,8 +81,8 @@ def read_lobe(name: str, keys: LampKeys, root: Path, *, file: str) -> Lobe:
 
 
 def _read_angles(path: Path, field: str, file: str) -> tuple[np.ndarray, np.ndarray]:
+    from levkas.core.text import TextRefused, read_text
     from levkas.planning.tables import PlanRefused, wrong
-    from levkas.readers.text import TextRefused, read_text
 
     try:
         lines = read_text(path, "a CSV of degrees and relative intensity").splitlines()

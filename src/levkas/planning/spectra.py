@@ -10,9 +10,9 @@ import numpy as np
 
 from levkas.colour.illuminants import illuminant, planck
 from levkas.colour.observer import tables
+from levkas.core.text import TextRefused, read_text
 from levkas.planning.tables import PlanRefused, asked, wrong
 from levkas.readers.spectra import are_spectra, parse_spectra
-from levkas.readers.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -99,7 +99,7 @@ def _encoded(name: str) -> str:
 
 def check_target(root: Path, target: Path) -> None:
     """Refuse a folder that is no bag of ours, holds what is bagged, or lies in it."""
-    from levkas.core.ownership import require_ours
+    from levkas.publish.publication import require_ours
 
     fix = "Give another folder: --bag NEW."
     if target == root or root in target.parents or target in root.parents:

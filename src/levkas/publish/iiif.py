@@ -13,11 +13,11 @@ import numpy as np
 
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
+from levkas.core.text import parse_json
 from levkas.database.consistency import stem_of
 from levkas.database.layout import layer_name
 from levkas.publish.publication import PublishRefused, describe_dataset
 from levkas.publish.tiles import address, cut_tiles, thumbnail_size
-from levkas.readers.text import parse_json
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas import __version__
-from levkas.readers.text import read_json
+from levkas.core.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

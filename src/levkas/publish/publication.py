@@ -8,7 +8,9 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from levkas.core.ownership import Kind, made, refusal, require_outside, stands_in
 from levkas.core.problems import Refused
+from levkas.database.manifest import NAME, list_files, plain, read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -134,3 +136,52 @@ def describe_catalogue(entries: Sequence[Entry]) -> str:
 def _count(things: object, word: str) -> str:
     number = len(things)  # type: ignore[arg-type]
     return f"{number} {word}" + ("" if number == 1 else "s")
+
+
+def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
+    """Refuse to write a folder where anything stands but what Levkas made of that kind, all of it.
+
+    Parameters
+    ----------
+    folder : Path
+        One that is not there, or is empty, is free.
+    kind : "publication" or "bag"
+        A publication or a bag is replaced whole: a file in it that its manifest does not list is
+        somebody else's.
+    fix : str
+
+    Raises
+    ------
+    WriteRefused
+        ``E_UNWRITABLE`` with what stands there.
+    """
+    require_outside(folder, fix=fix)
+    found = stands_in(folder)
+    if not found:
+        return
+    ours = made(folder) if found == "a folder" else None
+    strangers = _strangers(folder, kind) if ours == kind else []
+    if ours == kind and not strangers:
+        return
+    if strangers:
+        found = f"{len(strangers)} files that Levkas did not write, the first: {strangers[0]}"
+    elif ours:
+        found = f"a {ours} by Levkas"
+    elif found == "a folder":
+        found = "a folder that Levkas did not write"
+    raise refusal(f"the {kind} cannot be written to this folder", folder, kind, found, fix)
+
+
+def _strangers(folder: Path, kind: Kind) -> list[str]:
+    """Files that the manifests of a folder do not list."""
+    listed = {NAME}
+    if kind == "bag":
+        listed |= {
+            "tagmanifest-sha256.txt",
+            *read_manifest(folder / "tagmanifest-sha256.txt").files,
+        }
+    manifest = read_manifest(folder / NAME)
+    if manifest.problems:
+        return [NAME]  # what it lists cannot be relied on
+    listed |= {plain(name) for name in manifest.files}
+    return [name for name in list_files(folder) if plain(name) not in listed]

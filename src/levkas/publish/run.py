@@ -334,8 +334,9 @@ def _run(publication: Publication) -> Iterator[PublishStep]:
 
 def _check_output(final: Path, subject: PublishSubject) -> None:
     """Refuse a folder that is none of ours, and one that holds, or lies in, what is published."""
-    from levkas.core.ownership import require_ours, stands_in
+    from levkas.core.ownership import stands_in
     from levkas.database.catalogue import DatabaseRefused, read_catalogue
+    from levkas.publish.publication import require_ours
 
     database = subject.database.resolve()
     if final == database or database in final.parents or final in database.parents:

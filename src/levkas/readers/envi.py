@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from levkas.core.text import what_stands_at
 from levkas.readers.envi_header import (
     EnviHeader,
     Fields,
@@ -21,7 +22,6 @@ from levkas.readers.envi_header import (
     parse_number,
 )
 from levkas.readers.facts import Facts, check_memory, check_size, unreadable
-from levkas.readers.text import what_stands_at
 
 __all__ = ["DATA_TYPES", "EnviFile", "open_envi", "read_envi", "read_envi_facts"]
 

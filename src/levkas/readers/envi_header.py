@@ -9,8 +9,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from levkas.core.text import what_stands_at
 from levkas.readers.facts import UnreadableCapture, unreadable
-from levkas.readers.text import what_stands_at
 
 LONGEST_HEADER = 4 << 20
 DATA_SUFFIXES = (

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from levkas.core.digests import Stamp, stamp_of
+from levkas.core.text import what_stands_at
 from levkas.readers import images
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
 from levkas.readers.facts import Facts, UnreadableCapture, unreadable
 from levkas.readers.raw import SUFFIXES as RAW_SUFFIXES
-from levkas.readers.text import what_stands_at
 
 __all__ = [
     "Facts",

@@ -18,8 +18,8 @@ from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.edits import FILE_NAME, Edits, FrameEdits, change_edits, read_edits
 from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_json
 from levkas.database.layout import Places
-from levkas.readers.text import read_json
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
 from levkas.workbench.pictures import ShownPicture, read_picture

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.problems import Problem
-from levkas.readers.text import TextRefused, read_text
+from levkas.core.text import TextRefused, read_text
 
 EXPECTED = "a CSV with the columns file and exposure_s, in UTF-8"
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from levkas.core.problems import Problem, Refused
-from levkas.readers.text import TextRefused, read_text
+from levkas.core.text import TextRefused, read_text
 
 LARGEST_FILE = 1 << 20
 LONGEST_WORD = 1024

@@ -14,6 +14,7 @@ from levkas.campaign.schema.toml import read_toml
 from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
+from levkas.core.text import parse_bounded, read_text
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
 from levkas.database.registrations import read_registration
@@ -25,7 +26,6 @@ from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, pictures_of
 from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
 from levkas.publish.viewer.spectra import write_spectra
-from levkas.readers.text import parse_bounded, read_text
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write

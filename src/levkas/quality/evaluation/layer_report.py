@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_json
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
 from levkas.database.registrations import read_registrations
@@ -22,7 +23,6 @@ from levkas.quality.evaluation.similarity import (
     read_truth,
     summarise_errors,
 )
-from levkas.readers.text import read_json
 
 if TYPE_CHECKING:
     from levkas.registration.control_points.points import Size

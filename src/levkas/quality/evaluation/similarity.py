@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
-from levkas.readers.text import read_json
+from levkas.core.text import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from levkas.core.problems import Problem
-from levkas.readers.text import LARGEST_TABLE
+from levkas.core.text import LARGEST_TABLE
 from levkas.registration.control_points import (
     bigwarp,
     butterfly,

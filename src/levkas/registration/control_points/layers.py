@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.readers.text import TextRefused, read_text
+from levkas.core.text import TextRefused, read_text
 from levkas.registration.control_points import table
 from levkas.registration.control_points.dialects import sniff
 from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from levkas.core.problems import Problem
-from levkas.readers.text import LARGEST_TABLE, TextRefused, check_file
+from levkas.core.text import LARGEST_TABLE, TextRefused, check_file
 from levkas.registration.control_points.dialects import DIALECTS, format_points, parse_points, sniff
 from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
 

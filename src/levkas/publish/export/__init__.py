@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from levkas.export.run import FORMS, Exported, export
+from levkas.publish.export.run import FORMS, Exported, export
 
 __all__ = ["FORMS", "Exported", "export"]

@@ -8,16 +8,16 @@ from importlib import import_module
 from pathlib import Path
 
 from levkas.core.problems import Problem
-from levkas.export.layer import ExportLayer, ExportRefused
+from levkas.publish.export.layer import ExportLayer, ExportRefused
 
 FORMS = {
-    "imagej": "levkas.export.imagej:write_imagej",
-    "envi": "levkas.export.envi:write_envi",
-    "matlab": "levkas.export.matlab:write_matlab",
-    "ntire": "levkas.export.ntire:write_ntire",
-    "qgis": "levkas.export.qgis:write_qgis",
-    "netcdf": "levkas.export.netcdf:write_netcdf",
-    "csv-spectra": "levkas.export.spectra:write_spectra",
+    "imagej": "levkas.publish.export.imagej:write_imagej",
+    "envi": "levkas.publish.export.envi:write_envi",
+    "matlab": "levkas.publish.export.matlab:write_matlab",
+    "ntire": "levkas.publish.export.ntire:write_ntire",
+    "qgis": "levkas.publish.export.qgis:write_qgis",
+    "netcdf": "levkas.publish.export.netcdf:write_netcdf",
+    "csv-spectra": "levkas.publish.export.spectra:write_spectra",
 }
 """Name of a format → where the function is that writes one layer into a folder and returns its files."""
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.core.files import replacing, write_text
 from levkas.database.spectral_tiff import encode_strip, strip_rows
-from levkas.export.layer import ExportLayer
+from levkas.publish.export.layer import ExportLayer
 
 METADATA, NODATA = 42112, 42113
 """GDAL's own tags: items of XML a band, and the value that means nothing is there."""

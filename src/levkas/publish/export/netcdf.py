@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.files import replacing
-from levkas.export.layer import ExportLayer, missing_library
+from levkas.publish.export.layer import ExportLayer, missing_library
 
 BLOCK_BYTES = 1 << 26
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from levkas.core.files import replacing
-from levkas.export.layer import ExportLayer
+from levkas.publish.export.layer import ExportLayer
 
 MOST_BYTES = 4_000_000_000
 """Of a classic TIFF."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.core.files import write_text
-from levkas.export.layer import ExportLayer
+from levkas.publish.export.layer import ExportLayer
 
 MOST_SPECTRA = 10_000
 """Of one layer: pixels are taken at even steps."""

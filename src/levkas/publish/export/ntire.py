@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.core.files import replacing, write_bytes, write_text
-from levkas.export.layer import ExportLayer, missing_library
+from levkas.publish.export.layer import ExportLayer, missing_library
 
 QUALITY = 95
 USER_BLOCK = 512

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.files import replacing
-from levkas.export.layer import ExportLayer
+from levkas.publish.export.layer import ExportLayer
 
 MOST_BYTES = 2_000_000_000
 """Of a variable, in version 5."""

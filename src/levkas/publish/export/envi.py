@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.core.files import replacing, write_text
-from levkas.export.layer import ExportLayer
+from levkas.publish.export.layer import ExportLayer
 
 TYPES = {"values": ("<f4", 4), "sigma": ("<f4", 4), "flags": ("u1", 1)}
 """Of the file, and ENVI's number for it."""

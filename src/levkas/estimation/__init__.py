@@ -1,0 +1,1 @@
+"""Spectra estimated from the channels of registered cameras, and their scores."""
