@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from levkas.campaign.methods import UNUSABLE
 from levkas.core.problems import Problem
 from levkas.registration.record import RegistrationRefused
 
@@ -118,10 +119,11 @@ def _check_method(method: str, methods: Iterable[str]) -> list[Problem]:
     known = sorted(methods)
     if method in known:
         return []
+    why = UNUSABLE.get(method)
     return [
         Problem(
             "E_VALUE",
-            f"there is no registration method {method!r}",
+            f"there is no registration method {method!r}" + (f": {why}" if why else ""),
             field="registration.method",
             found=method,
             expected=", ".join(known),
