@@ -18,7 +18,6 @@ WIDE = {
     "levkas.database.streaming_writer.write_rows",
     "levkas.quality.comparison.table.compare",
     "levkas.quality.targets.measuring.sight",
-    "levkas.registration.outliers.clean",
     "levkas.simulation.campaigns.simulate_campaign",
     "levkas.simulation.lighting._compose",
     "levkas.workbench.replay.replay",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.registration.bands import BandImage
     from levkas.registration.manual_points import ManualPoints
-    from levkas.registration.prepared_reference import PreparedReference
+    from levkas.registration.predictors import PreparedReference
     from levkas.registration.record import Sigma
 
 LEAST_SIDE_PX = 16

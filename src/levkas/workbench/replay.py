@@ -9,7 +9,7 @@ import numpy as np
 
 from levkas.geometry.transforms import Affine, Transform
 from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
-from levkas.registration.outliers import Cleaned, clean, cut
+from levkas.registration.outliers import Cleaned, RemovalTerms, clean, cut
 
 ORDERS = ((20, 3), (12, 2), (3, 1))
 """Least number of pairs, order of the polynomial that they carry."""
@@ -98,6 +98,6 @@ def replay(
     near = cut(target, reference, begun, reject)[1]
     count = int(((near | sure) & ~dropped).sum())
     return clean(
-        target, reference, scale=begun, reject=reject, stop=stop, size=size,
-        target_size=target_size, order=max(order_of(count), 1), pinned=sure, dropped=dropped,
+        target, reference, RemovalTerms(begun, reject, stop, max(order_of(count), 1)), size=size,
+        target_size=target_size, pinned=sure, dropped=dropped,
     )  # fmt: skip
