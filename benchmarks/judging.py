@@ -21,7 +21,7 @@ from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.edits import read_edits
 from levkas.core.problems import Refused
 from levkas.core.text import read_json, read_text
-from levkas.planning.luminous_intensity import read_lobe
+from levkas.planning.loading import read_lobe
 from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
