@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.threads import each
 from levkas.estimation.training import Training
 
-BLOCK = 4096
-"""Pixels that are estimated at a time: their kernels with 1,500 anchors fill 25 MB as float32."""
+BLOCK = 1024
+"""Pixels that are estimated at a time: their kernels with 1,500 anchors fill 12 MB."""
 
 
 class Model(Protocol):
@@ -21,8 +21,6 @@ class Model(Protocol):
 
     def __call__(self, responses: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]: ...
     def arrays(self) -> dict[str, np.ndarray]: ...
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -35,8 +33,8 @@ class EstimationMethod:
         On the command line, and in tables.
     fit : callable
         ``fit(training, rng)`` returns a `Model`.
-    model : type
-        Of the models it fits: ``model.from_arrays`` reads a stored one.
+    read : callable
+        ``read(arrays)`` makes a model again of what its ``arrays()`` returned.
     equation : str
         LaTeX.
     source : str
@@ -46,7 +44,7 @@ class EstimationMethod:
     name: str
     title: str
     fit: Callable[[Training, np.random.Generator], Model]
-    model: type[Model]
+    read: Callable[[dict[str, np.ndarray]], Model]
     equation: str
     source: str
 
