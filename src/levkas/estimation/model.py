@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem, Refused
 from levkas.core.threads import each
 from levkas.estimation.training import Training
@@ -31,8 +32,8 @@ class EstimationMethod:
     ----------
     name, title : str
         On the command line, and in tables.
-    fit : callable
-        ``fit(training, rng)`` returns a `Model`.
+    fitter : callable
+        ``fitter(training, rng)`` returns a `Model`.
     read : callable
         ``read(arrays)`` makes a model again of what its ``arrays()`` returned.
     equation : str
@@ -43,10 +44,15 @@ class EstimationMethod:
 
     name: str
     title: str
-    fit: Callable[[Training, np.random.Generator], Model]
+    fitter: Callable[[Training, np.random.Generator], Model]
     read: Callable[[dict[str, np.ndarray]], Model]
     equation: str
     source: str
+
+    def fit(self, training: Training, rng: np.random.Generator) -> Model:
+        """Fit the method, with linear algebra that sums in one order on any number of processors."""
+        with steady_libraries():
+            return self.fitter(training, rng)
 
 
 def in_blocks(
@@ -79,5 +85,6 @@ def in_blocks(
             )
         )
     starts = range(0, max(len(responses), 1), BLOCK)
-    blocks = each(estimate, [responses[start : start + BLOCK] for start in starts])
+    with steady_libraries():
+        blocks = each(estimate, [responses[start : start + BLOCK] for start in starts])
     return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
