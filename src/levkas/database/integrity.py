@@ -18,7 +18,7 @@ import numpy as np
 from levkas.campaign.schema.toml import read_toml
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import parse_bounded, parse_json
-from levkas.database.lazy_array import check_description
+from levkas.database.lazy_array import read_description
 from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE
 from levkas.readers.facts import check_expansion, check_memory
 
@@ -244,7 +244,7 @@ def check_array(path: Path, names: Iterable[str]) -> list[Problem]:
     names = sorted(names)
     try:
         if (path / "zarr.json").exists():
-            check_description(path)
+            read_description(path)
         array = zarr.open_array(str(path), mode="r")
         steps = array.shards or array.chunks
         grid = [range(-(-size // step)) for size, step in zip(array.shape, steps, strict=True)]

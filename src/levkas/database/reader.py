@@ -8,6 +8,7 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray
 from xarray.core import indexing
 
@@ -17,7 +18,7 @@ from levkas.core.text import parse_bounded
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import LayerId, layer_name
-from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
+from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS
 from levkas.database.tiff_pages import TiffPages, open_pages
@@ -239,10 +240,17 @@ class LayerArray(xarray.DataArray):
 
 def _from_zarr(group: Path, kind: str, root: Path) -> LayerArray:
     check_inside(root, *group.glob("*/zarr.json"), *group.glob("*/c/0"))
-    facts = read_group(group)
-    if kind not in facts.arrays:
+    if not (group / kind / "zarr.json").is_file():
         raise _missing(group / kind, kind)
-    return _array(ZarrPixels(group / kind, root), facts.bands, facts.attributes[kind], kind)
+    pixels = ZarrArray(group / kind, root)
+    labels, centres, widths = (ZarrArray(group / k, root) for k in ("band", "wavelength", "fwhm"))
+    facts = {key: fact for key, fact in pixels.attributes.items() if key != "coordinates"}
+    columns = (
+        [str(label) for label in np.asarray(labels)],
+        indexing.LazilyIndexedArray(centres),
+        indexing.LazilyIndexedArray(widths),
+    )
+    return _labelled(pixels, columns, facts, kind)
 
 
 @dataclass(frozen=True)
@@ -271,7 +279,8 @@ def open_pixels(path: Path) -> LayerArray:
     described = describe_pages(pages)
     kind = described.quantity.split(" ")[0]
     name = kind if kind in KINDS else "values"
-    return _array(TiffPixels(pages), described.bands, described.facts, name)
+    columns = zip(*((b.label, b.wavelength, b.fwhm) for b in described.bands), strict=True)
+    return _labelled(TiffPixels(pages), tuple(map(list, columns)), described.facts, name)
 
 
 def describe_pages(pages: TiffPages) -> Described:
@@ -291,25 +300,27 @@ def describe_pages(pages: TiffPages) -> Described:
     return Described(tuple(bands), record)
 
 
-def _array(
-    pixels: Any, bands: tuple[Band, ...], attributes: dict[str, Any], name: str
+def _labelled(
+    pixels: LazyArray, columns: tuple[Any, Any, Any], attributes: dict[str, Any], name: str
 ) -> LayerArray:
-    coordinates = {
-        "band": [band.label for band in bands],
-        "wavelength": ("band", [band.wavelength for band in bands], {"units": "nm"}),
-        "fwhm": ("band", [band.fwhm for band in bands], {"units": "nm"}),
-    }
-    if len(pixels.shape) != 3 or pixels.shape[2] != len(bands):
+    """Return pixels with the labels, centres and widths of their bands."""
+    labels, centres, widths = columns
+    if len(pixels.shape) != 3 or {len(c) for c in columns} != {pixels.shape[2]}:
         raise DatabaseRefused(
             Problem(
                 "E_SIZE",
                 f"the {name} are not of as many bands as the layer has",
                 str(pixels.path),
                 found=" x ".join(map(str, pixels.shape)),
-                expected=f"rows, columns and {len(bands)} bands",
+                expected=f"rows, columns and {len(labels)} bands",
                 fix="Copy the database anew, or build it again.",
             )
         )
+    coordinates = {
+        "band": labels,
+        "wavelength": ("band", centres, {"units": "nm"}),
+        "fwhm": ("band", widths, {"units": "nm"}),
+    }
     lazy = indexing.LazilyIndexedArray(pixels)
     return LayerArray(lazy, coordinates, DIMENSIONS, name=name, attrs=attributes)
 
