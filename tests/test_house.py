@@ -12,9 +12,6 @@ FILES = sorted(HOUSE.rglob("*.py"))
 MOST_LINES, MOST_BODY, MOST_PARAMETERS, MOST_DEPTH, MOST_ENTRIES = 600, 60, 8, 5, 18
 WIDE = {
     "levkas.calibration.flatfield.flat_field",
-    "levkas.database.layers.write_layer",
-    "levkas.database.spectral_tiff.write_spectral_tiff",
-    "levkas.database.spectral_tiff.write_encoded_pages",
     "levkas.database.streaming_writer.write_rows",
     "levkas.quality.comparison.table.compare",
     "levkas.quality.targets.measuring.sight",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from levkas.core.problems import Problem
 from levkas.core.text import parse_bounded
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.database.layout import LayerId, layer_name
+from levkas.database.layout import KINDS, LayerId, layer_name
 from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS
@@ -25,8 +25,6 @@ from levkas.database.tiff_pages import TiffPages, open_pages
 
 if TYPE_CHECKING:
     from levkas.database.pixel_frames import FrameMap
-
-KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 
 
 class Database(Mapping[str, "Object"]):
@@ -151,7 +149,7 @@ class Object(Mapping[Any, "LayerArray"]):
             raise KeyError(
                 f"{self.name} has no layer {layer_name(camera, setup)!r}; it has: {there}"
             )
-        return Origin(self.path, self.name, camera, setup).open(kind)
+        return Origin(self.path, LayerId(self.name, camera, setup)).open(kind)
 
 
 @dataclass(frozen=True)
@@ -159,27 +157,21 @@ class Origin:
     """Where a layer's array comes from, and what has been selected of it since."""
 
     path: Path
-    object: str
-    camera: str
-    setup: str
+    layer: LayerId
     selections: tuple[tuple[str, dict[str, Any]], ...] = field(default=())
 
     def open(self, kind: str) -> LayerArray:
         """Open the values, flags or sigma of the layer, selected as the array was."""
-        group = self.path / "zarr" / f"{self.object}.zarr" / layer_name(self.camera, self.setup)
+        group = self.path / self.layer.group
         if (group / "zarr.json").is_file():
             array = _from_zarr(group, kind, self.path)
         else:
-            check_inside(self.path, tiff := self._tiff(kind))
+            check_inside(self.path, tiff := self.path / (self.layer.path + KINDS[kind]))
             array = open_pixels(tiff)
-        array._origin = Origin(self.path, self.object, self.camera, self.setup)
+        array._origin = Origin(self.path, self.layer)
         for method, arguments in self.selections:
             array = getattr(array, method)(**arguments)
         return array
-
-    def _tiff(self, kind: str) -> Path:
-        stem = LayerId(self.object, self.camera, self.setup).stem
-        return self.path / "objects" / self.object / (stem + KINDS[kind])
 
 
 class LayerArray(xarray.DataArray):
@@ -208,7 +200,7 @@ class LayerArray(xarray.DataArray):
         """Return the map between two frames of pixels of the object, for whole images."""
         from levkas.database.pixel_frames import find_map
 
-        return find_map(self._beside.path, self._beside.object, source, target)
+        return find_map(self._beside.path, self._beside.layer.object, source, target)
 
     def isel(self, *args: Any, **kwargs: Any) -> LayerArray:
         """Select by position, as xarray does."""
@@ -233,8 +225,7 @@ class LayerArray(xarray.DataArray):
         origin: Origin | None = getattr(self, "_origin", None)
         if origin is not None and isinstance(result, LayerArray):
             arguments = {**({"indexers": args[0]} if args else {}), **kwargs}
-            chosen = (*origin.selections, (method, arguments))
-            result._origin = Origin(origin.path, origin.object, origin.camera, origin.setup, chosen)
+            result._origin = replace(origin, selections=(*origin.selections, (method, arguments)))
         return result
 
 
