@@ -61,7 +61,7 @@ from levkas.calibration.sensor_context import (
     times_of,
 )
 from levkas.calibration.templates import CalibrationRefused, Template, average, describe_gaps
-from levkas.calibration.whites import thinning
+from levkas.calibration.whites import WhiteBoard, thinning
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
 from levkas.core.files import together
@@ -212,11 +212,9 @@ def develop_mosaic(context: SensorContext) -> Noted:
         darks,
         white,
         moved=exposed.moved,
-        white_reflectance=reflectance,
+        board=WhiteBoard(reflectance, pattern, [b.label for b in sensor.bands]),
         noise=noise,
         defects=defects,
-        pattern=pattern,
-        labels=[b.label for b in sensor.bands],
     )
     notes.extend(flat.notes)
     values, flags, variance = replace_defects(
@@ -306,9 +304,11 @@ def _strip(
         shot,
         darks,
         white,
-        white_reflectance=white_reflectance(context.campaign, context.sensor.bands),
+        board=WhiteBoard(
+            white_reflectance(context.campaign, context.sensor.bands),
+            labels=[b.label for b in context.sensor.bands],
+        ),
         noise=noise,
-        labels=[b.label for b in context.sensor.bands],
     )
     doubt = doubt_scaling(context, times, times_in(white)) if white else ""
     return replace(flat, notes=(doubt, *flat.notes))
@@ -428,10 +428,9 @@ def _band(
         darks,
         white,
         moved=exposed.moved,
-        white_reflectance=reflectance,
+        board=WhiteBoard(reflectance, labels=[label]),
         noise=noise,
         defects=defects_of(darks, white, sensor.pattern),
-        labels=[label],
     )
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:

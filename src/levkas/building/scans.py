@@ -21,6 +21,7 @@ from levkas.calibration.templates import (
     gaps_of,
     no_values,
 )
+from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import UNRELIABLE, Cube, Flag
 from levkas.core.machine import count_threads, tile_rows
 from levkas.core.rounding import round_root, round_values
@@ -304,10 +305,12 @@ class Scan:
             ),
             list(raw.darks),
             raw.white,
-            white_reflectance=self.reflectance,
+            board=WhiteBoard(
+                self.reflectance,
+                labels=[band.label for band in self.bands],
+                checked=isinstance(self.white, FrameLines),
+            ),
             noise=self.noise,
-            labels=[band.label for band in self.bands],
-            white_checked=isinstance(self.white, FrameLines),
         )
         parts = flat.values, flat.flags, flat.variance, flat.quantity
         cube = cube_of(self.bench, *parts, exact=self._exact)

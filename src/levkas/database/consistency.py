@@ -89,7 +89,9 @@ def check_structure(root: Path, names: frozenset[str]) -> Iterator[FileCheck]:
         Files below it, relative with ``/``.
     """
     folders = {n.rpartition("/")[0] for n in names if n.endswith(("/.zarray", "/zarr.json"))}
-    arrays = {folder: [] for folder in sorted(folders) if _is_array(root / folder)}
+    arrays: dict[str, list[str]] = {
+        folder: [] for folder in sorted(folders) if _is_array(root / folder)
+    }
     tiffs: dict[str, TiffFacts] = {}
     problems: list[Problem] = []
     for name in sorted(names):

@@ -13,6 +13,8 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from levkas.campaign.schema.toml import read_toml
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import parse_bounded, parse_json
@@ -80,8 +82,8 @@ def check_tiff(path: Path) -> tuple[TiffFacts | None, list[Problem]]:
     """
     try:
         with opening_tiff(path) as pages:
-            samples, itemsize = sum(page.size for page in pages), pages[0].dtype.itemsize
-            check_expansion(path, samples, itemsize, path.stat().st_size)
+            itemsize = np.dtype(pages[0].dtype).itemsize
+            check_expansion(path, sum(p.size for p in pages), itemsize, path.stat().st_size)
             facts = _facts(pages)
             for index, page in enumerate(pages):
                 try:

@@ -270,8 +270,9 @@ def open_pixels(path: Path) -> LayerArray:
     described = describe_pages(pages)
     kind = described.quantity.split(" ")[0]
     name = kind if kind in KINDS else "values"
-    columns = zip(*((b.label, b.wavelength, b.fwhm) for b in described.bands), strict=True)
-    return _labelled(TiffPixels(pages), tuple(map(list, columns)), described.facts, name)
+    bands = described.bands
+    columns = [b.label for b in bands], [b.wavelength for b in bands], [b.fwhm for b in bands]
+    return _labelled(TiffPixels(pages), columns, described.facts, name)
 
 
 def describe_pages(pages: TiffPages) -> Described:

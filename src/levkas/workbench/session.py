@@ -16,16 +16,19 @@ import numpy as np
 from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.registration.manual_points import ManualPoints, MarkedMatches, measure_checks
-from levkas.registration.mirhashemi2019 import scale_only
-from levkas.registration.outliers import Cleaned
+from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
+from levkas.registration.outliers import Cleaned, clean, cut
 from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
 from levkas.workbench.operations import OPERATIONS, refused, set_threshold
-from levkas.workbench.replay import reject_of, replay
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LEAST_FITTED = 3
+ORDERS = ((20, 3), (12, 2), (3, 1))
+"""Least number of pairs, order of the polynomial that they carry."""
+LEAST_STARTED = 0.9
+"""Share of the kept pairs that the paper's start, scale alone, must bring within `reject`."""
 STILL_PX = 0.02
 """Target px that a map may move before pictures are brought over anew: less than can be seen."""
 CUT = "farther than `reject` at the start"
@@ -259,23 +262,56 @@ def look(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
 def _fit(
     found: RecordedPairs, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
 ) -> tuple[Cleaned | None, str]:
-    if (~marked.dropped).sum() < LEAST_FITTED:
-        return None, f"{int((~marked.dropped).sum())} pairs: a map needs at least {LEAST_FITTED}"
+    """Remove outliers anew from pairs of which the method kept `kept`, by the paper's way; or say why not."""
+    free = ~marked.dropped
+    if free.sum() < LEAST_FITTED:
+        return None, f"{int(free.sum())} pairs: a map needs at least {LEAST_FITTED}"
+    reject = edits.reject or found.reject or reject_of(found.size)
     try:
-        cleaned = replay(
-            marked.reference,
-            marked.target,
-            kept,
-            size=found.size,
-            target_size=found.target_size,
-            reject=edits.reject or found.reject,
-            stop=edits.stop or found.stop,
-            sure=marked.fixed,
-            dropped=marked.dropped,
-        )
+        start = _start(found, marked, (kept | marked.fixed) & free, reject)
+        near = cut(marked.target, marked.reference, start, reject)[1]
+        count = int(((near | marked.fixed) & free).sum())
+        cleaned = clean(
+            marked.target, marked.reference, scale=start, reject=reject,
+            stop=edits.stop or found.stop, size=found.size, target_size=found.target_size,
+            order=max(order_of(count), 1), pinned=marked.fixed, dropped=marked.dropped,
+        )  # fmt: skip
     except RegistrationRefused as refusal:
         return None, str(refusal.problems[0].message)
     return cleaned, ""
+
+
+def _start(
+    found: RecordedPairs, marked: MarkedMatches, kept: np.ndarray, reject: float
+) -> Transform:
+    """Return the map target → reference under which pairs are cut.
+
+    The paper's scale alone where nearly all kept pairs lie within `reject` under it; else, for a
+    camera on its side, say, the affine map of the kept pairs.
+    """
+    scale = scale_only(found.size, found.target_size)
+    reference, target = marked.reference[kept], marked.target[kept]
+    if len(target) < 3 or cut(target, reference, scale, reject)[1].mean() >= LEAST_STARTED:
+        return scale
+    return Affine.fit(target, reference)
+
+
+def reject_of(size: tuple[int, int]) -> float:
+    """Return the paper's T1 for a reference of `size`: 1/16 of its diagonal, px.
+
+    >>> round(reject_of((1392, 1040)), 1)
+    108.6
+    """
+    return float(np.hypot(*size)) * SETTINGS.reject_share
+
+
+def order_of(count: int) -> int:
+    """Return the order of the polynomial that `count` pairs carry, 0 for none.
+
+    >>> [order_of(n) for n in (2, 4, 15, 400)]
+    [0, 1, 2, 3]
+    """
+    return next((order for least, order in ORDERS if count >= least), 0)
 
 
 def _stiff(found: RecordedPairs, marked: MarkedMatches) -> Transform:

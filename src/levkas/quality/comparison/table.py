@@ -15,6 +15,23 @@ from levkas.quality.comparison.running import ComparedRow
 
 
 @dataclass(frozen=True)
+class KnownPositions:
+    """Positions that errors are measured at.
+
+    Parameters
+    ----------
+    truth : path, optional
+        Folder `truth` of a simulated campaign; without it the one beside the campaign.
+    points, frame : optional
+        Check points, as `levkas.quality.evaluation.layer_report.assess` takes them; used where there is no truth.
+    """
+
+    truth: Path | None = None
+    points: Path | None = None
+    frame: str | None = None
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Rows of every method and layer.
 
@@ -110,9 +127,7 @@ def compare(
     database: str | Path,
     *,
     methods: Sequence[str] = (),
-    truth: str | Path | None = None,
-    points: str | Path | None = None,
-    frame: str | None = None,
+    known: KnownPositions = KnownPositions(),
     objects: Sequence[str] = (),
     output: str | Path | None = None,
     overwrite: bool = False,
@@ -127,10 +142,8 @@ def compare(
         A database, or the campaign that it was built from.
     methods : sequence of str
         Keys of `COMPARED`; all without.
-    truth : path, optional
-        Folder `truth` of a simulated campaign; found beside the campaign.
-    points, frame : optional
-        Check points, as `levkas.quality.evaluation.layer_report.assess` takes them; used where there is no truth.
+    known : KnownPositions, optional
+        Truth or check points.
     objects : sequence of str
         Only these; all without.
     output : path, optional
@@ -155,13 +168,13 @@ def compare(
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)
-    folder = Path(truth).resolve() if truth else beside / "truth"
+    truth = Path(known.truth).resolve() if known.truth else beside / "truth"
     where = OwnFiles(Path(output).resolve(), overwrite=overwrite) if output else None
     rows = run_rows(
         found,
         wanted,
-        truth=folder if (folder / "truth.json").is_file() else None,
-        checks=read_check_points(Path(points), found, frame) if points else {},
+        truth=truth if (truth / "truth.json").is_file() else None,
+        checks=read_check_points(known.points, found, known.frame) if known.points else {},
         objects=objects,
         output=where,
         time_limit_s=time_limit_s or TIME_LIMIT_S,

@@ -30,7 +30,7 @@ NEAR = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A chart as one sensor saw it; `steps` and `count` as in `patches.measure_patches`."""
+    """A chart in the cube of one sensor; `shots`, `steps` and `count` as in `patches.measure_patches`."""
 
     sensor: str
     located: Located
@@ -133,25 +133,35 @@ def _digits(values: Any) -> Any:
     return float(f"{float(values):.5g}")
 
 
-def sight(
-    sensor: str,
+def locate_in_cube(
     cube: Cube,
     chart: Chart,
     reference: ChartReference | None,
     *,
     corners: np.ndarray | None = None,
     near: np.ndarray | None = None,
-    shots: tuple[np.ndarray, np.ndarray] | None = None,
-    steps: tuple[float, ...] | None = None,
-    count: int = 1,
-) -> Sighting:
-    """Find a chart in one cube; `near` is where another sensor of the camera saw it."""
+) -> Located:
+    """Locate a chart in the cube of one sensor.
+
+    Parameters
+    ----------
+    cube : Cube
+    chart, reference, corners
+        As for `locating.locate_chart`.
+    near : ndarray, (4, 2), optional
+        Corners, px, that another sensor of the camera gave. Where the patches rank otherwise than
+        the published ones, as in the infrared, corners within half a pitch of these are taken.
+
+    Raises
+    ------
+    ChartRefused
+    """
     from levkas.quality.targets.locating import Located, find_corners, patch_means
     from levkas.quality.targets.locating import locate_chart as locate
 
     wavelengths = np.array([band.wavelength for band in cube.bands], float)
     try:
-        found = locate(cube.values, wavelengths, chart, reference, corners=corners)
+        return locate(cube.values, wavelengths, chart, reference, corners=corners)
     except ChartRefused as refused:
         if near is None or corners is not None or refused.problems[0].code != "E_CHART_ORDER":
             raise
@@ -162,8 +172,7 @@ def sight(
         if float(np.abs(way - near).max()) > NEAR * pitch:
             raise
         areas = place_patches(way, chart, (cube.values.shape[1], cube.values.shape[0]))
-        found = Located(way, areas, 1.0, patch_means(cube.values, areas))
-    return Sighting(sensor, found, cube, shots, steps, count)
+        return Located(way, areas, 1.0, patch_means(cube.values, areas))
 
 
 def measure(
