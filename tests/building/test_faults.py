@@ -483,7 +483,7 @@ def test_a_failed_write_leaves_no_threads_to_be_collected(tmp_path, monkeypatch)
 
 CHILD = """
 import os, sys
-from levkas import files
+from levkas.core import files
 from levkas.building import build
 calls = []
 def die(step, path):
@@ -533,7 +533,7 @@ def write_carelessly(patch):
         files.make_folder(path)
         yield files.Folder(Path(path), Path(path))
 
-    for name in ("files", "database.spectral_tiff", "database.store", "building.template_cache"):
+    for name in ("core.files", "database.spectral_tiff", "database.store", "building.template_cache"):
         module = importlib.import_module(f"levkas.{name}")
         for function in (replacing, publishing):
             if hasattr(module, function.__name__):
