@@ -45,7 +45,7 @@ from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-from levkas.database.validation import validate
+from levkas.database.validate import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
@@ -533,7 +533,12 @@ def write_carelessly(patch):
         files.make_folder(path)
         yield files.Folder(Path(path), Path(path))
 
-    for name in ("core.files", "database.spectral_tiff", "database.store", "building.template_cache"):
+    for name in (
+        "core.files",
+        "database.spectral_tiff",
+        "database.store",
+        "building.template_cache",
+    ):
         module = importlib.import_module(f"levkas.{name}")
         for function in (replacing, publishing):
             if hasattr(module, function.__name__):

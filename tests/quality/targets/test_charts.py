@@ -12,9 +12,16 @@ from levkas.quality.targets.charts import (
     place_patches,
     reference_of,
 )
-from levkas.quality.targets.indicators import compare_colours, delta_e_2000, lab_of, rate
 from levkas.quality.targets.locating import locate_chart
-from levkas.quality.targets.measuring import Sighting, locate_in_cube, measure
+from levkas.quality.targets.measuring import (
+    Sighting,
+    compare_colours,
+    delta_e_2000,
+    lab_of,
+    locate_in_cube,
+    measure,
+    rate,
+)
 from levkas.quality.targets.patches import measure_patches
 
 CLASSIC = CHARTS["ColorChecker24"]
