@@ -45,7 +45,7 @@ from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
