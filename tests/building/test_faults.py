@@ -45,7 +45,7 @@ from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
@@ -475,9 +475,8 @@ def test_a_failed_write_leaves_no_threads_to_be_collected(tmp_path, monkeypatch)
     monkeypatch.setattr(files, "fault", Fault(3, "failing"))
     planes = [np.zeros((40, 50), np.float32)] * 5
     with pytest.raises(Refused) as refused:
-        spectral_tiff.write_spectral_tiff(
-            tmp_path / "a.tif", planes, shape=(40, 50), wavelengths=range(5)
-        )
+        header = spectral_tiff.TiffHeader((40, 50), range(5))
+        spectral_tiff.write_spectral_tiff(tmp_path / "a.tif", planes, header)
     assert refused.value.problems[0].code == "E_IO"
     assert pools and all(pool._shutdown for pool in pools)
 

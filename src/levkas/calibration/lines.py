@@ -135,7 +135,7 @@ class LineField:
             out = np.empty(raw.shape, np.float32), np.empty(raw.shape, np.uint8), known
         values, flags, noise = out
         sigma = np.empty((0, 0), np.float32) if noise is None else noise
-        made = tuple(part.reshape(len(part), -1) for part in (values, flags, sigma))
+        made = tuple(p.reshape(len(p), -1) if p.size else p for p in (values, flags, sigma))
         limit = np.inf if saturation is None else float(saturation)
         limits = LineLimits(limit, BLACK_CLIP, 0 if exact else VALUE_DROP, SIGMA_DROP, squared)
         codes, apart = _flat(raw)
