@@ -4,7 +4,7 @@
 
 Length and noise λ are those of the highest marginal likelihood, with the scale s² of each band in closed
 form. c makes the 95 % interval of samples that were held out hold 95 % of them: groups, where training has
-them. [rasmussen2006]_, Eqs. (2.25), (2.26), (5.8); [heikkinen2018]_, 10.1109/TIP.2018.2820839.
+them. [rasmussen2006]_, Eqs. (2.25), (2.26), (5.8); [heikkinen2018]_.
 """
 
 from __future__ import annotations
