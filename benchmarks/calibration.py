@@ -23,6 +23,7 @@ from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import fit_noise
 from levkas.calibration.templates import Template, average
+from levkas.calibration.whites import WhiteBoard
 from levkas.core.machine import steady_libraries
 from levkas.readers.frames import read_frame
 
@@ -50,7 +51,7 @@ def template(folder: Path, name: str) -> Template:
 def calibrate(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     dark, white, shot = (template(folder, name) for name in COUNTS)
     noise = fit_noise([white, shot], dark)
-    made = flat_field(shot, dark, white, white_reflectance=0.98, noise=noise, pattern="RGGB")
+    made = flat_field(shot, dark, white, board=WhiteBoard(0.98, "RGGB"), noise=noise)
     return made.values, made.flags, made.variance
 
 

@@ -37,7 +37,7 @@ MODULES = (
     ),
     *(
         "levkas.planning.spectra",
-        "levkas.planning.irradiance",
+        "levkas.planning.setup",
         "levkas.quality.targets.charts",
     ),
     *("tifffile.tifffile", "exifread", "tomllib._parser", "json.decoder"),

@@ -21,15 +21,15 @@ from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.edits import read_edits
 from levkas.core.problems import Refused
 from levkas.core.text import read_json, read_text
-from levkas.planning.luminous_intensity import read_lobe
+from levkas.planning.loading import read_lobe
 from levkas.planning.spectra import read_table
 from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
 from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.images import read_exif
+from levkas.registration.control_points.dialects import read_points
 from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
-from levkas.registration.control_points.reading import read_points
 
 SLOW_S = 2.0
 """Of the processor, not of the clock: on a busy machine a file may wait for as long as it likes."""

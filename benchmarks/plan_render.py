@@ -7,12 +7,11 @@ import sys
 
 import numpy as np
 
-from levkas.planning.criteria import Arrangement
-from levkas.planning.irradiance import illuminate
 from levkas.planning.light import _specular
-from levkas.planning.luminous_intensity import Lobe, lobe_exponent
-from levkas.planning.microfacet import AIR, gold_index
-from levkas.planning.mitsuba_scene import camera_object, lamp_objects, load_mitsuba
+from levkas.planning.microfacet import AIR, GOLD_INDEX
+from levkas.planning.optimisation import Arrangement
+from levkas.planning.render import camera_object, lamp_objects, load_mitsuba
+from levkas.planning.setup import Lobe, illuminate, lobe_exponent
 from levkas.planning.surface import Surface
 
 EYE, VIEW = np.array([0.0, 0.0, 1900.0]), (400.0, 300.0)
@@ -34,8 +33,8 @@ MATERIALS = {
     },
     "gold": {
         "type": "roughconductor", "distribution": "ggx", "alpha": 0.2,
-        "eta": {**GREY, "value": [gold_index().real] * 3},
-        "k": {**GREY, "value": [gold_index().imag] * 3},
+        "eta": {**GREY, "value": [GOLD_INDEX.real] * 3},
+        "k": {**GREY, "value": [GOLD_INDEX.imag] * 3},
     },
 }  # fmt: skip
 
@@ -79,7 +78,7 @@ def compare(mi, setup, pixels=(40, 30), samples=64):
     lighting = Arrangement(angle, azimuth, distance, aim, 0.55).lighting((420.0, 320.0), lobe)
     points, normals = hit(radius, straight, pixels)
     surface = Surface(np.zeros(1), np.zeros(1), points, normals)
-    index = {"varnish": 1.5 / AIR, "gold": gold_index()}
+    index = {"varnish": 1.5 / AIR, "gold": GOLD_INDEX}
     found, sound = {}, None
     for name, material in MATERIALS.items():
         scene = {
@@ -96,7 +95,7 @@ def compare(mi, setup, pixels=(40, 30), samples=64):
             ours = illuminate(lighting.lamps, points, normals)
         else:
             alpha = material["alpha"]
-            ours = _specular(surface, lighting, EYE, alpha, index[name], "ggx")
+            ours = _specular(surface, lighting, EYE, alpha, index[name])
         if sound is None:  # the diffuser comes first
             sound = picture / ours > 1 - 0.5 / samples
         found[name] = float(np.abs(picture / ours - 1)[sound].max())

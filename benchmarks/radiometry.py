@@ -20,6 +20,7 @@ from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.noise_model import Sensor, sample_values, snr_db
 from levkas.calibration.templates import average
+from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Flag
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.geometry import from_dict
@@ -139,7 +140,7 @@ def board(folder):
     whites = [tifffile.imread(f) for f in sorted((folder / "white").iterdir())]
     one, rest = average(whites[:1]), average(whites[1:])
     noise = fit_noise([dark, rest], dark)
-    made = flat_field(one, dark, rest, white_reflectance=0.98, noise=noise)
+    made = flat_field(one, dark, rest, board=WhiteBoard(0.98), noise=noise)
     z = (made.values - 0.98) / np.sqrt(made.variance)
     seen = f"{made.values.mean():.4f}; {z.std():.3f}"
     row(
@@ -155,7 +156,7 @@ def reflectance(folder, dark, name):
     whites = [tifffile.imread(f) for f in sorted((folder / "white").iterdir())]
     shot, white = average(frames, saturation=FULL), average(whites, saturation=FULL)
     noise = fit_noise([dark, white, shot], dark)
-    flat = flat_field(shot, dark, white, white_reflectance=0.98, noise=noise)
+    flat = flat_field(shot, dark, white, board=WhiteBoard(0.98), noise=noise)
     values, flags, variance = demosaic(flat.values, flat.flags, flat.variance, "RGGB")
     mark_glare(values, flags, np.sqrt(variance))
     return values, flags, np.max(frames, axis=0) >= FULL

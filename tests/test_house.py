@@ -11,19 +11,11 @@ HOUSE = Path(levkas.__file__).parent
 FILES = sorted(HOUSE.rglob("*.py"))
 MOST_LINES, MOST_BODY, MOST_PARAMETERS, MOST_DEPTH, MOST_ENTRIES = 600, 60, 8, 5, 18
 WIDE = {
-    "levkas.calibration.flatfield.flat_field",
-    "levkas.database.layers.write_layer",
-    "levkas.database.spectral_tiff.write_spectral_tiff",
-    "levkas.database.spectral_tiff.write_encoded_pages",
     "levkas.database.streaming_writer.write_rows",
-    "levkas.quality.comparison.table.compare",
-    "levkas.quality.targets.measuring.sight",
-    "levkas.registration.outliers.clean",
-    "levkas.simulation.campaigns.simulate_campaign",
-    "levkas.simulation.lighting._compose",
-    "levkas.workbench.replay.replay",
 }
-DEEP = {"levkas.calibration.mosaic._weigh", "levkas.geometry.resample_kernels.own_rows"}
+PUBLIC = {"levkas.simulation.campaigns.simulate_campaign"}
+"""Functions of `levkas.__all__`: programs of others call them, and their parameters may only grow."""
+DEEP = {"levkas.geometry.resample_kernels.own_rows"}
 """What still breaks a measure: names may leave these lists, none may enter."""
 BLOCKS = (ast.For, ast.While, ast.If, ast.With, ast.Try, ast.Match)
 
@@ -102,7 +94,7 @@ def test_no_function_takes_more_than_can_be_kept_in_mind():
         count = len([a for a in named if a.arg not in ("self", "cls")])
         if count > MOST_PARAMETERS and not is_command(node):
             wide.add(f"{module}.{node.name}")
-    assert wide == WIDE
+    assert wide - PUBLIC == WIDE
 
 
 def test_imports_close_no_circle():

@@ -4,7 +4,7 @@ import pytest
 from levkas.calibration.motion import find_moved
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import average
-from levkas.quality.emva1288.drift import CellMeans, measure_drift
+from levkas.quality.emva1288.blocks import CellMeans, measure_drift
 
 
 def series(scales, seed=1):

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Flag
 
 
@@ -15,7 +16,7 @@ def flat(value, *, shape=(4, 6), exposure_s=None):
 
 def test_flat_field_by_hand():
     # (300 − 100)/(900 − 100) · 0.98 = 0.245
-    made = flat_field(flat(300), flat(100), flat(900), white_reflectance=0.98)
+    made = flat_field(flat(300), flat(100), flat(900), board=WhiteBoard(0.98))
     np.testing.assert_allclose(made.values, 0.245, rtol=1e-6)
     assert made.quantity == "reflectance"
     assert not made.flags.any()
@@ -33,18 +34,16 @@ def test_exposures_are_normalised():
 def test_flat_field_of_the_white_is_its_reflectance(reflectance, level, seed):
     lit = np.random.default_rng(seed).uniform(300, 4000, (5, 7)).astype(np.float32)
     white, dark = average([lit]), average([np.full((5, 7), level, np.float32)])
-    made = flat_field(white, dark, white, white_reflectance=reflectance)
+    made = flat_field(white, dark, white, board=WhiteBoard(reflectance))
     np.testing.assert_allclose(made.values, reflectance, rtol=1e-6)
 
 
 def test_bands_and_channels_have_their_own_white_reflectance():
     cube = flat_field(
-        flat(50, shape=(2, 3, 2)), None, flat(100, shape=(1, 3, 2)), white_reflectance=[0.9, 0.8]
+        flat(50, shape=(2, 3, 2)), None, flat(100, shape=(1, 3, 2)), board=WhiteBoard([0.9, 0.8])
     )
     np.testing.assert_allclose(cube.values[1, 2], [0.45, 0.4], rtol=1e-6)
-    mosaic = flat_field(
-        flat(50), None, flat(100), white_reflectance=[0.9, 0.8, 0.6], pattern="GBRG"
-    )
+    mosaic = flat_field(flat(50), None, flat(100), board=WhiteBoard([0.9, 0.8, 0.6], "GBRG"))
     np.testing.assert_allclose(mosaic.values[:2, :2], [[0.45, 0.4], [0.3, 0.45]], rtol=1e-6)
 
 
@@ -125,14 +124,17 @@ def test_the_channel_that_has_no_white_is_named():
     lit[1::2, ::2] = 60
     with pytest.raises(CalibrationRefused, match="white is darker than dark in R"):
         flat_field(
-            flat(90, shape=(40, 40)), flat(64, shape=(40, 40)), average([lit]), pattern="GBRG"
+            flat(90, shape=(40, 40)),
+            flat(64, shape=(40, 40)),
+            average([lit]),
+            board=WhiteBoard(pattern="GBRG"),
         )
 
 
 def test_a_saturated_white_is_refused():
     white = average([np.full((4, 6), 4095, np.uint16)], saturation=4095)
     with pytest.raises(CalibrationRefused) as refused:
-        flat_field(flat(90), flat(64), white, labels=["550 nm"])
+        flat_field(flat(90), flat(64), white, board=WhiteBoard(labels=["550 nm"]))
     assert refused.value.problems[0].code == "E_WHITE_SATURATED"
     assert "550 nm" in str(refused.value)
 
@@ -146,5 +148,5 @@ def test_templates_of_other_sizes_are_refused_together():
 def test_a_white_spectrum_of_the_wrong_length_is_refused():
     with pytest.raises(CalibrationRefused, match="expected: one positive number, or 2"):
         flat_field(
-            flat(1, shape=(2, 3, 2)), None, flat(2, shape=(2, 3, 2)), white_reflectance=[1] * 3
+            flat(1, shape=(2, 3, 2)), None, flat(2, shape=(2, 3, 2)), board=WhiteBoard([1] * 3)
         )

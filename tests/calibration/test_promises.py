@@ -13,6 +13,7 @@ from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
 from levkas.calibration.pushbroom import average_lines, join_strips
 from levkas.calibration.templates import Template, average
+from levkas.calibration.whites import WhiteBoard
 
 NOISE = NoiseModel(0.1, 4.0)
 
@@ -64,7 +65,9 @@ STEPS = {
     "average lines": lambda: average_lines([frozen(np.ones((5, 4, 3), np.uint16))]),
     "flat field": lambda: flat_field(template(200), template(20), template(900), noise=NOISE),
     "flat field of stacks": lambda: flat_field(template(200), template(20), template(900)),
-    "counts": lambda: flat_field(template(200), template(20), noise=NOISE, pattern="RGGB"),
+    "counts": lambda: flat_field(
+        template(200), template(20), noise=NOISE, board=WhiteBoard(pattern="RGGB")
+    ),
     "fit noise": lambda: fit_noise([template(200), template(900)], template(20)),
     "find defects": lambda: find_defects(template(20), template(900), "RGGB"),
     "replace defects": lambda: replace_defects(*mosaic(), "RGGB"),

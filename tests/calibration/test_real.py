@@ -9,6 +9,7 @@ from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import fit_noise
 from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.templates import average
+from levkas.calibration.whites import WhiteBoard
 
 NINE = [[f"B{3 * y + x + 1}" for x in range(3)] for y in range(3)]
 
@@ -22,7 +23,7 @@ def test_a_nine_band_mosaic_leaves_no_grid(real_data):
     scene = frame("scene1/2020511_multispectral_camera.png")
     defects = find_defects(dark, white, NINE)
     assert np.count_nonzero(defects) == 52
-    made = flat_field(scene, dark, white, pattern=NINE, defects=defects)
+    made = flat_field(scene, dark, white, board=WhiteBoard(pattern=NINE), defects=defects)
     values, flags, _ = replace_defects(made.values, made.flags, None, NINE)
     channels, _, _ = demosaic(values, flags, None, NINE)
     # Means over the nine phases of each channel; raw phases differ by 5 %.

@@ -10,7 +10,14 @@ from typer.testing import CliRunner
 from levkas.calibration.noise_model import Sensor
 from levkas.cli import app
 from levkas.planning.exposure_advice import NoAdvice, advice_text, coach
-from levkas.planning.exposure_levels import advise, judge_iso, limiting, read_channel, safe_mean
+from levkas.planning.exposure_levels import (
+    advise,
+    judge_iso,
+    limiting,
+    read_channel,
+    safe_mean,
+    snr_at,
+)
 
 SENSOR = Sensor(dark=0.0, read=10.0, prnu=0.01, dsnu=0.0, gain=0.1, black=64.0)
 TILT = np.linspace(0.95, 1.05, 256) * np.ones((192, 1))
@@ -39,7 +46,7 @@ def test_the_papers_85_percent():
 @pytest.mark.parametrize("chance", [1e-3, 1e-4])
 def test_the_safe_mean_saturates_as_rarely_as_it_says(chance):
     rng, full = np.random.default_rng(1), 30_000
-    share = safe_mean(full, prnu=0.019, unevenness=0.1, drift=0.01, chance=chance)
+    share = safe_mean(full, prnu=0.019, unevenness=0.1, chance=chance)
     brightest = share * full * 1.05 * 1.01 * (1 + rng.normal(0, 0.019, 2_000_000))
     clipped = np.mean(rng.poisson(brightest) > full)
     # Shot noise is taken at the mean, not at the brightest place: a little more than `chance`.
@@ -72,7 +79,7 @@ def test_predicted_snr_is_what_the_longer_exposure_has():
     )
     frame = white(5000, told.time_s, rng).astype(float) - 64
     flat = frame / (5000 * told.time_s * TILT)
-    assert flat.mean() / flat.std() == pytest.approx(told.snr_then, rel=0.02)
+    assert flat.mean() / flat.std() == pytest.approx(snr_at(told, SENSOR, told.factor), rel=0.02)
 
 
 def test_an_object_brighter_than_the_white_is_kept_below_saturation():

@@ -7,8 +7,8 @@ import pytest
 
 from levkas.calibration.noise_model import Sensor, noise_variance
 from levkas.planning import fit_lamps
-from levkas.planning.irradiance import illuminate
 from levkas.planning.lamp_fit import moved_lighting
+from levkas.planning.setup import illuminate
 
 
 def measured(lighting, size, rng, shape=(96, 126)):

@@ -3,17 +3,14 @@
 import numpy as np
 import pytest
 
-from levkas.planning.criteria import Arrangement, Judge
-from levkas.planning.irradiance import drop, illuminate
 from levkas.planning.light import bright_fields, compare_lightings, glare, plan_light, rough_texture
-from levkas.planning.luminous_intensity import Lobe, lobe_exponent
 from levkas.planning.microfacet import facet_lobe, fresnel, lobe_reach_deg, specular, transmitted
+from levkas.planning.optimisation import Arrangement, Judge
+from levkas.planning.setup import Lobe, drop, illuminate, lobe_exponent
 from levkas.planning.surface import (
-    first_order_gain,
     hidden_share,
     sample_surface,
     shading_contrast,
-    tilt_deg,
 )
 from levkas.planning.tables import Bend, Room, Sheets, StudioObjectKeys, Varnish
 
@@ -29,18 +26,14 @@ def pair(thing=FLAT, beam=None, *, angle=70.0, distance=2100.0, azimuth=0.0, aim
 
 
 def drop_of(lighting, thing=FLAT, lamps=slice(None)):
-    surface = sample_surface(thing, recess=False)
+    surface = sample_surface(thing.model_copy(update={"recess_mm": 0.0}))
     return 100 * drop(illuminate(lighting.lamps[lamps], surface.points, surface.normals))
 
 
 def test_ggx_gives_the_four_digits_that_mitsuba_gives():
+    assert 100 * specular(70.0, 0.2) == pytest.approx(0.93, abs=0.005)
     found = [100 * specular(a, 0.1) for a in (45.0, 60.0, 70.0, 78.0)]
     np.testing.assert_allclose(found, [0.5930, 0.3104, 0.2739, 0.3181], atol=1.1e-4)
-
-
-def test_beckmann_is_a_thousand_times_darker_far_from_the_mirror_direction():
-    assert 100 * specular(70.0, 0.2) == pytest.approx(0.93, abs=0.005)
-    assert 100 * specular(70.0, 0.2, model="beckmann") == pytest.approx(0.0008, abs=5e-5)
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.1, 0.2, 0.3])
@@ -78,9 +71,6 @@ def test_fresnel_darkens_varnished_paint_by_13_per_cent_and_passes_p_light_bette
     assert transmitted(70.0) / transmitted(45.0) == pytest.approx(0.87, abs=0.005)
     assert transmitted(70.0) == pytest.approx(0.829, abs=1e-3)
     assert transmitted(45.0) == pytest.approx(0.950, abs=1e-3)
-    assert transmitted(70.0, polariser="p") / transmitted(70.0, polariser="s") == pytest.approx(
-        1.36, abs=0.015
-    )
     assert fresnel(np.cos(np.arctan(1.5)), 1.5)[1] == pytest.approx(0, abs=1e-12)  # Brewster
 
 
@@ -126,7 +116,6 @@ def test_a_normal_tilted_towards_the_lamps_shines_more_than_one_tilted_aside():
 
 def test_an_opposed_pair_cancels_relief_that_one_lamp_shows():
     lamps, one = pair().lamps, pair(angle=45.0).lamps[:1]
-    assert first_order_gain(lamps) < 1e-9 and first_order_gain(one) == pytest.approx(1.0)
     assert shading_contrast(one, 0.1) == pytest.approx(0.1, rel=0.01)
     ratios = [shading_contrast(one, s) / shading_contrast(lamps, s) for s in (0.15, 0.25, 0.3)]
     # Four times weaker on steep craquelure, more on gentle brush strokes.
@@ -174,7 +163,6 @@ def test_claims_of_section_3_1_as_numbers(bench):
 def test_the_bright_field_of_a_bent_panel_is_wider_across_its_bend(bench):
     fields = bright_fields(bench.object, bench.lighting(), EYE)
     width, height = fields["width"], fields["height"]
-    assert tilt_deg(bench.object) == pytest.approx(4.58, abs=0.01)
     assert width.mirror[1] == pytest.approx(np.degrees(np.arctan(210 / 1900)), abs=0.2)
     assert height.mirror[1] == pytest.approx(width.mirror[1] * 160 / 210 + 2 * 4.58, abs=0.25)
     assert height.facets[1] - height.mirror[1] == pytest.approx(lobe_reach_deg(0.1), abs=1e-9)

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from levkas.planning.criteria import TOLERANCES, WEIGHTS, Arrangement, Judge
-from levkas.planning.optimisation import optimise, trade_off
+from levkas.planning.optimisation import (
+    TOLERANCES,
+    WEIGHTS,
+    Arrangement,
+    Judge,
+    optimise,
+    trade_off,
+)
 from levkas.planning.tables import Bend, Gilding, StudioObjectKeys
 
 

@@ -20,7 +20,7 @@ def comparison():
 
 @pytest.mark.parametrize("number", [4, 5, 6, 9])
 def test_irradiance_and_glare_are_mitsuba_s(comparison, number):
-    from levkas.planning.mitsuba_scene import load_mitsuba
+    from levkas.planning.render import load_mitsuba
 
     found, lost = comparison.compare(
         load_mitsuba("scalar_rgb"), comparison.SETUPS[number], pixels=(20, 15), samples=16
@@ -30,7 +30,7 @@ def test_irradiance_and_glare_are_mitsuba_s(comparison, number):
 
 
 def test_crossed_sheets_leave_almost_nothing_of_a_metal_plate(bench):
-    from levkas.planning.mitsuba_scene import (
+    from levkas.planning.render import (
         camera_object,
         camera_sheet,
         lamp_objects,

@@ -10,7 +10,6 @@ from urllib.parse import unquote
 
 from levkas.core.problems import Problem
 from levkas.core.text import read_json
-from levkas.publish.tiles import tile_names
 
 
 def check_iiif(folder: str | Path, base: str) -> list[Problem]:
@@ -137,3 +136,18 @@ class _Check:
             found=found,
             fix="Publish again.",
         )
+
+
+def tile_names(info: dict[str, Any]) -> Iterator[str]:
+    """Yield every tile that a viewer may ask for, from info.json, as the specification lays them out."""
+    width, height = info["width"], info["height"]
+    for tiles in info["tiles"]:
+        side, tall = tiles["width"], tiles.get("height", tiles["width"])
+        for factor in tiles["scaleFactors"]:
+            for y in range(0, height, tall * factor):
+                for x in range(0, width, side * factor):
+                    w, h = min(side * factor, width - x), min(tall * factor, height - y)
+                    size = f"{-(-w // factor)},{-(-h // factor)}"
+                    whole = (x, y, w, h) == (0, 0, width, height)
+                    region = "full" if whole else f"{x},{y},{w},{h}"
+                    yield f"{region}/{size}/0/default.jpg"

@@ -7,10 +7,9 @@ import pytest
 from PIL import Image
 
 from levkas.core.digests import hash_tree
-from levkas.publish.iiif import LOCAL, never_html
-from levkas.publish.tiles import cut_tiles, tile_names
+from levkas.publish.iiif import LOCAL, cut_tiles, never_html
 
-from .iiif_rules import check_iiif
+from .iiif_rules import check_iiif, tile_names
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.core.problems import Refused
-from levkas.planning.luminous_intensity import read_lobe
+from levkas.planning.loading import read_lobe
 from levkas.planning.tables import LampKeys
 from levkas.quality.targets.charts import Chart, parse_reference
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from levkas.calibration.noise_model import Sensor, noise_variance
-from levkas.simulation.sensing import FixedPattern, expose, fixed_pattern, key
+from levkas.simulation.capture import FixedPattern, expose, fixed_pattern, key
 
 SHAPE = (400, 500)
 # Fine steps and no clipping, so that counts are electrons.

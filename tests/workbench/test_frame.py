@@ -12,9 +12,15 @@ from levkas.geometry.transforms import Affine
 from levkas.registration.record import Sigma
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.library import FrameMissing, Library, id_of
-from levkas.workbench.maps import MapMissing, draw_sigma, find_kinds
-from levkas.workbench.operations import OperationRefused
-from levkas.workbench.pictures import TILE_PX, ShownPicture, warped_tile
+from levkas.workbench.pictures import (
+    TILE_PX,
+    MapMissing,
+    ShownPicture,
+    draw_sigma,
+    find_kinds,
+    warped_tile,
+)
+from levkas.workbench.session import OperationRefused
 
 PLACES = np.array([[120.0, 90.0], [300.0, 110.0], [150.0, 250.0], [330.0, 260.0]])
 

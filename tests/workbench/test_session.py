@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from levkas.campaign.edits import FrameEdits
 from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, from_bytes, to_bytes
-from levkas.workbench.operations import OPERATIONS, OperationRefused
-from levkas.workbench.session import CorrectionSession, RecordedPairs
+from levkas.workbench.session import OPERATIONS, CorrectionSession, OperationRefused, RecordedPairs
 
 SIZE = (1000, 800)
 

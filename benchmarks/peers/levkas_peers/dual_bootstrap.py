@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.quality.comparison.pairs import Answer, NoAnswer
+from levkas.quality.comparison.methods import Answer, NoAnswer
 from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.matching import find_neighbours
@@ -28,7 +28,7 @@ from levkas_peers.structures import Structures, find_structures
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from levkas.quality.comparison.pairs import Pair
+    from levkas.quality.comparison.methods import Pair
 
 MOST_STARTS = 60
 ROUNDS = 60

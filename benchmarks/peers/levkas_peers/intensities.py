@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.quality.comparison.pairs import Answer, NoAnswer
+from levkas.quality.comparison.methods import Answer, NoAnswer
 
 if TYPE_CHECKING:
-    from levkas.quality.comparison.pairs import Pair
+    from levkas.quality.comparison.methods import Pair
 
 LEVELS = 4
 """Of the pyramid of elastix."""

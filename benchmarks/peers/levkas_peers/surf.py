@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.quality.comparison.opencv import fit_homography, ratio_matches
-from levkas.quality.comparison.pairs import Answer
+from levkas.quality.comparison.methods import Answer, fit_homography, ratio_matches
 from levkas.registration.bands import stretch
 from levkas.registration.features import KeyPoints
 
 if TYPE_CHECKING:
-    from levkas.quality.comparison.pairs import Pair
+    from levkas.quality.comparison.methods import Pair
 
 SURF_RATIO = 0.6
 """MATLAB's default `MaxRatio` of matchFeatures."""

@@ -47,6 +47,7 @@ from levkas.calibration.sensor_context import (
     require_exposures,
 )
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
+from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
 from levkas.core.files import together
@@ -195,11 +196,9 @@ def develop_mosaic(context: SensorContext) -> Noted:
         darks,
         white,
         moved=exposed.moved,
-        white_reflectance=reflectance,
+        board=WhiteBoard(reflectance, pattern, [b.label for b in sensor.bands]),
         noise=noise,
         defects=defects,
-        pattern=pattern,
-        labels=[b.label for b in sensor.bands],
     )
     notes.extend(flat.notes)
     values, flags, variance = replace_defects(
@@ -300,10 +299,9 @@ def _band(
         darks,
         white,
         moved=exposed.moved,
-        white_reflectance=reflectance,
+        board=WhiteBoard(reflectance, labels=[label]),
         noise=noise,
         defects=defects_of(darks, white, sensor.pattern),
-        labels=[label],
     )
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:

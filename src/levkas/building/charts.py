@@ -23,7 +23,7 @@ from levkas.quality.targets.charts import (
     chart_of,
     reference_of,
 )
-from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure, sight
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, locate_in_cube, measure
 
 if TYPE_CHECKING:
     from levkas.building.native_cubes import Native
@@ -117,7 +117,8 @@ def _measure_cubes(
             for sensor, path in subject.files.items():
                 cube, notes = read_cube_file(path)
                 near = seen[0].located.corners if seen else None
-                seen.append(sight(sensor, cube, subject.chart, spectra, corners=corners, near=near))
+                found = locate_in_cube(cube, subject.chart, spectra, corners=corners, near=near)
+                seen.append(Sighting(sensor, found, cube))
             made = measure(subject.name, subject.chart, seen, spectra, notes=notes)
             report.measures.append(made)
         except Refused as refused:
@@ -282,10 +283,10 @@ def measure_capture(
     """Find the chart in every sensor's cube, and measure it."""
     seen: list[Sighting] = []
     for sensor, cube in made.cubes.items():
-        first = seen[0].located.corners if seen else None
-        shots = made.shots.get(sensor)
-        more = {"shots": shots, "steps": made.steps.get(sensor), "count": made.count}
-        seen.append(sight(sensor, cube, chart, reference, corners=corners, near=first, **more))  # type: ignore[arg-type]
+        near = seen[0].located.corners if seen else None
+        found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
+        shots, steps = made.shots.get(sensor), made.steps.get(sensor)
+        seen.append(Sighting(sensor, found, cube, shots, steps, made.count))
     return measure(name, chart, seen, reference, mosaics=made.mosaics, uniformity=uniformity)
 
 

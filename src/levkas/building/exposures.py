@@ -19,7 +19,7 @@ from levkas.calibration.noise_fit import fit_noise, fit_noise_single, level_of
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.sensor_context import SensorContext, doubt_scaling, exposure_of, placed
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps, gaps_of
-from levkas.calibration.whites import reflectance_table
+from levkas.calibration.whites import WhiteBoard, reflectance_table
 from levkas.campaign.discovery.captures import CaptureRefused
 from levkas.core.cube import Cube, Flag
 from levkas.core.problems import Problem
@@ -240,25 +240,30 @@ def flatten(
     dark: list[Template],
     white: Template | None,
     *,
+    board: WhiteBoard,
+    noise: NoiseModel | None = None,
+    defects: np.ndarray | None = None,
     moved: np.ndarray | None = None,
-    **more: Any,
 ) -> Calibrated:
-    """Flat-field with the files named in every refusal; `moved` is what exposures told already."""
+    """Flat-field with the files named in every refusal; `moved` is what the exposures showed already."""
     try:
-        flat = flat_field(shot, dark or None, white, black=context.black, **more)
+        flat = flat_field(
+            shot, dark or None, white,
+            board=board, black=context.black, noise=noise, defects=defects,
+        )  # fmt: skip
     except CalibrationRefused as refused:
         frames = context.sensor.white or context.sensor.object
         raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
     if context.camera.kind != "cube" and not shot.above_dark:
-        found = _rounding(context, shot, dark, white, **more)
+        found = _rounding(context, shot, dark, white, board)
         context.told.setdefault("rounding", {}).update(found)
     if moved is None:
-        moved = _moved(context, shot, dark, more.get("noise"))
+        moved = _moved(context, shot, dark, noise)
     flat = _with_movement(context, flat, moved)
     lost = gaps_of(shot, *dark, white)
     if lost is None:
         return flat
-    labels: list[str] = list(more.get("labels") or ())
+    labels = list(board.labels or ())
     lost = np.broadcast_to(lost, flat.values.shape)
     note = describe_gaps(lost, labels[0] if len(labels) == 1 else context.camera.name)
     values, variance = flat.values, flat.variance
@@ -275,21 +280,17 @@ def _rounding(
     shot: Template,
     dark: list[Template],
     white: Template | None,
-    *,
-    labels: Sequence[str],
-    white_reflectance: Any = 1.0,
-    pattern: Any = None,
-    **_: Any,
+    board: WhiteBoard,
 ) -> dict[str, float]:
     """Return what a step from code to code is of the values of each band, where the light is middling."""
+    labels, pattern = list(board.labels or ()), board.pattern
     if white is None:
         return dict.fromkeys(labels, context.step)
     pair = pair_darks(shot, dark or None, white, context.black)
     lit, ratio = white.mean - pair[1].mean, pair[2]
     table = np.zeros((1, 1), int) if pattern is None else channel_table(pattern, labels)
-    scale = (
-        np.broadcast_to(reflectance_table(white_reflectance, shot, pattern), table.shape) * ratio
-    )
+    reflectance = reflectance_table(board.reflectance, shot, pattern)
+    scale = np.broadcast_to(reflectance, table.shape) * ratio
     found = {}
     for i, label in enumerate(labels):
         y, x = (int(n) for n in np.argwhere(table == i)[0])

@@ -43,6 +43,7 @@ from levkas.calibration.templates import (
     gaps_of,
     no_values,
 )
+from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import UNRELIABLE, Band, Cube
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root
@@ -134,10 +135,12 @@ class Strip:
             shot,
             darks,
             lit,
-            white_reflectance=self.reflectance,
+            board=WhiteBoard(
+                self.reflectance,
+                labels=[band.label for band in context.sensor.bands],
+                checked=start > 0 or isinstance(white, FrameLines),
+            ),
             noise=self.templates.noise,
-            labels=[band.label for band in context.sensor.bands],
-            white_checked=start > 0 or isinstance(white, FrameLines),
         )
         lost = gaps_of(shot, *darks, lit)
         if lost is None:

@@ -7,9 +7,9 @@ u² = [vS/nS + vD/nD + r²(vW/nW + vD′/nD′)]/(W − D′)²   ([vS/nS + r² 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from levkas.calibration.templates import (
     pick_bands,
     read_only,
 )
-from levkas.calibration.whites import check_white, reflectance_table
+from levkas.calibration.whites import PERFECT, WhiteBoard, check_white, reflectance_table
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
 from levkas.core.machine import over_rows
@@ -61,13 +61,10 @@ def flat_field(
     dark: Template | Sequence[Template] | None = None,
     white: Template | None = None,
     *,
-    white_reflectance: float | Sequence[float] | np.ndarray = 1.0,
+    board: WhiteBoard = PERFECT,
     black: float | None = None,
     noise: NoiseModel | None = None,
     defects: np.ndarray | None = None,
-    pattern: str | Sequence[Sequence[str]] | None = None,
-    labels: Sequence[str] | None = None,
-    white_checked: bool = False,
 ) -> Calibrated:
     """Turn an object's raw counts into reflectance, or into counts above dark.
 
@@ -79,8 +76,8 @@ def flat_field(
         Of one or several exposures, see `darks.match_dark`. May be one line high (push-broom).
     white : Template, optional
         May be one line high. None: the result is in counts above dark.
-    white_reflectance : float or sequence
-        Of the white target; one number, or one a band (a channel of `pattern`).
+    board : WhiteBoard, optional
+        Reflectance of the white, and the channels it is checked in.
     black : float, optional
         Black level in counts; subtracted where there is no dark. None: not known. Neither dark nor
         black are subtracted from a shot or a white that is above dark.
@@ -88,12 +85,6 @@ def flat_field(
         Variance of one shot over its signal. Without it stacks speak for themselves.
     defects : ndarray of bool like `shot.mean`, optional
         Pixels to flag as DEFECT.
-    pattern : str or rows of names, optional
-        Of a mosaic: `white_reflectance` and the checks of the white go channel by channel.
-    labels : sequence of str, optional
-        Names of the bands for messages.
-    white_checked : bool
-        These are some lines of frames whose white was looked at as a whole: it is not refused.
 
     Returns
     -------
@@ -116,25 +107,33 @@ def flat_field(
     --------
     >>> from levkas.calibration.templates import average
     >>> S, D, W = (average([np.full((1, 2), v)]) for v in (30.0, 10.0, 50.0))
-    >>> flat_field(S, D, W, white_reflectance=0.98).values.tolist()
+    >>> flat_field(S, D, W, board=WhiteBoard(0.98)).values.tolist()
     [[0.49..., 0.49...]]
     """
-
     _check_shapes(shot, dark, white, defects)
     darks = [dark] if isinstance(dark, Template) else list(dark or ())
     if groups := bands_alike(shot, *darks, white):
-        return _by_bands(
-            groups, shot, darks, white, white_reflectance, defects, labels,
-            black=black, noise=noise, white_checked=white_checked,
-        )  # fmt: skip
+        parts = (
+            flat_field(
+                pick_bands(shot, bands),
+                [pick_bands(dark, bands) for dark in darks],
+                None if white is None else pick_bands(white, bands),
+                board=board.of_bands(bands, shot.mean.shape[2:]),
+                black=black,
+                noise=noise,
+                defects=None if defects is None else defects[..., bands],
+            )
+            for bands in groups
+        )
+        return _join_bands(groups, parts, shot.mean.shape)
     under, white_under, ratio, notes = pair_darks(shot, dark, white, black)
-    scale = reflectance_table(white_reflectance, shot, pattern) * ratio
+    scale = reflectance_table(board.reflectance, shot, board.pattern) * ratio
     bad = under.saturated if defects is None else defects | under.saturated
     if white is None:
         scale, lit, lit_saturated = np.ones((1, 1)), exact_side(1.0), np.zeros((1, 1), np.uint8)
     else:
-        if not white_checked:
-            check_white(white, white_under.mean, pattern, labels)
+        if not board.checked:
+            check_white(white, white_under.mean, board.pattern, board.labels)
         lit, lit_saturated = Side.of_shots(white), as_marks(white.saturated)
     sides = Side.of_shots(shot), Side.of_dark(under), lit, Side.of_dark(white_under)
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
@@ -156,38 +155,21 @@ def flat_field(
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 
 
-def _by_bands(
-    groups: list[np.ndarray],
-    shot: Template,
-    darks: list[Template],
-    white: Template | None,
-    reflectance: float | Sequence[float] | np.ndarray,
-    defects: np.ndarray | None,
-    labels: Sequence[str] | None,
-    **more: Any,
+def _join_bands(
+    groups: list[np.ndarray], parts: Iterable[Calibrated], shape: tuple[int, ...]
 ) -> Calibrated:
-    """Flat-field groups of bands that have one exposure in each template, and put them together."""
-    known = np.broadcast_to(np.asarray(reflectance, float), shot.mean.shape[2:])
-    values, flags = np.empty(shot.mean.shape, np.float32), np.empty(shot.mean.shape, np.uint8)
-    variance: np.ndarray | None = np.empty(shot.mean.shape, np.float32)
+    """Put groups of bands that have one exposure in each template together, (h, w, b)."""
+    values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    variance: np.ndarray | None = np.empty(shape, np.float32)
     notes: dict[str, None] = {}
-    for bands in groups:
-        part = flat_field(
-            pick_bands(shot, bands),
-            [pick_bands(dark, bands) for dark in darks],
-            None if white is None else pick_bands(white, bands),
-            white_reflectance=known[bands],
-            defects=None if defects is None else defects[..., bands],
-            labels=[labels[band] for band in bands] if labels else None,
-            **more,
-        )
+    for bands, part in zip(groups, parts, strict=True):
         values[..., bands], flags[..., bands] = part.values, part.flags
         if variance is not None and part.variance is not None:
             variance[..., bands] = part.variance
         else:
             variance = None
         notes |= dict.fromkeys(part.notes)
-    quantity = "counts" if white is None else "reflectance"
+        quantity = part.quantity
     return Calibrated(values, flags, variance, quantity, tuple(notes))
 
 

@@ -275,12 +275,8 @@ NEAR = np.uint8(Flag.NEAR.value)
 
 @njit(parallel=True, cache=True)
 def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def]
-    """Return Σwv, flags and, where `known`, Σw²u², all (h, w, channels).
-
-    A tap on the place itself hands its flags on as they are. Any other flagged tap sets NEAR, and
-    hands on its bits too where it is of the same channel (`own`).
-    """
-    rows, columns, start, dy, dx, weight, own, channels, reach = plan
+    """Return Σwv, flags and, where `known`, Σw²u², all (h, w, channels)."""
+    rows, columns, start, dy, dx, weight, _, channels, reach = plan
     height, width = values.shape
     kinds = np.int64(0)
     for x in range(width):
@@ -312,15 +308,25 @@ def _weigh(values, flags, variance, known, plan):  # type: ignore[no-untyped-def
                         total += weight[i] * weight[i] * variance[y + dy[i], x + dx[i]]
                     spread[y, x, k] = total
                 if near:
-                    flag = np.uint8(0)
-                    for i in range(begin, end):
-                        bits = flags[y + dy[i], x + dx[i]]
-                        if bits and dy[i] == 0 and dx[i] == 0 and own[i]:
-                            flag |= bits
-                        elif bits:
-                            flag |= NEAR | (bits if own[i] else np.uint8(0))
-                    noted[y, x, k] = flag
+                    noted[y, x, k] = _merge_flags(flags, y, x, plan, begin, end)
     return made, noted, spread
+
+
+@njit(cache=True)
+def _merge_flags(flags, y, x, plan, begin, end):  # type: ignore[no-untyped-def]
+    """Return the flags of the value that the taps ``begin:end`` give at (y, x).
+
+    A tap on the place itself hands its flags on as they are. Any other flagged tap sets NEAR, and
+    hands on its bits too where it is of the same channel (`own`).
+    """
+    dy, dx, own, flag = plan.dy, plan.dx, plan.own, np.uint8(0)
+    for i in range(begin, end):
+        bits = flags[y + dy[i], x + dx[i]]
+        if bits and dy[i] == 0 and dx[i] == 0 and own[i]:
+            flag |= bits
+        elif bits:
+            flag |= NEAR | (bits if own[i] else np.uint8(0))
+    return flag
 
 
 METHODS: dict[str, Callable[[Place, int], Taps]] = {

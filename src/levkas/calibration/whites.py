@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +13,38 @@ from levkas.core.problems import Problem
 
 MOST = 0.5  # share of a channel's white that must be usable
 SAMPLE = 100_000  # pixels looked at to judge a white
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteBoard:
+    """The white board of a capture: its reflectance, and the channels it was recorded in.
+
+    Parameters
+    ----------
+    reflectance : float or sequence
+        One number, or one for each band (each channel of `pattern`); > 0.
+    pattern : str or rows of names, optional
+        Of a mosaic: reflectance and checks go channel by channel.
+    labels : sequence of str, optional
+        Names of the bands for messages.
+    checked : bool
+        Whether the whole frames were checked before: some of their lines are not refused.
+    """
+
+    reflectance: float | Sequence[float] | np.ndarray = 1.0
+    pattern: str | Sequence[Sequence[str]] | None = None
+    labels: Sequence[str] | None = None
+    checked: bool = False
+
+    def of_bands(self, bands: np.ndarray, shape: tuple[int, ...]) -> WhiteBoard:
+        """Return the board in some of the bands, indices into `shape` (bands,)."""
+        known = np.broadcast_to(np.asarray(self.reflectance, float), shape)
+        labels = [self.labels[band] for band in bands] if self.labels else None
+        return replace(self, reflectance=known[bands], pattern=None, labels=labels)
+
+
+PERFECT = WhiteBoard()
+"""A perfect diffuser."""
 
 
 def reflectance_table(

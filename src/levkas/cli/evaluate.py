@@ -72,11 +72,11 @@ def evaluate(
     from levkas.quality.evaluation.layer_report import assess, locate
 
     if compared:
-        from levkas.quality.comparison import compare
+        from levkas.quality.comparison import KnownPositions, compare
 
         table = compare(
-            database, methods=methods or (), truth=truth, output=output, time_limit_s=time_limit_s,
-            points=points, frame=frame, objects=objects or (), overwrite=overwrite,
+            database, methods=methods or (), known=KnownPositions(truth, points, frame),
+            objects=objects or (), output=output, overwrite=overwrite, time_limit_s=time_limit_s,
             draw=lambda rows: draw_steps(rows, as_json),
         )  # fmt: skip
         if output is not None:

@@ -50,7 +50,7 @@ def light(
 
         record["report"] = str(write_report(report, record.setup, name, seed=seed))
     if render is not None:
-        from levkas.planning.contact_sheet import render_sheet
+        from levkas.planning.render import render_sheet
 
         record["render"] = str(render_sheet(record.setup, render, seed=seed))
     print_report("plan light", as_json, True, [], **record)

@@ -19,11 +19,17 @@ from levkas.pages.plan_plots import (
     draw_spectra,
     draw_trade_off,
 )
-from levkas.planning.criteria import MEANINGS, TOLERANCES, WEIGHTS
 from levkas.planning.exposure_plan import plan_dose, plan_exposure
 from levkas.planning.framing import plan_framing
 from levkas.planning.light import compare_lightings, plan_light
-from levkas.planning.optimisation import judge_of, optimise, trade_off
+from levkas.planning.optimisation import (
+    MEANINGS,
+    TOLERANCES,
+    WEIGHTS,
+    judge_of,
+    optimise,
+    trade_off,
+)
 from levkas.planning.spectra import GRID, colour_temperature, unevenness
 from levkas.planning.tables import PlanRefused
 
@@ -111,7 +117,7 @@ def _light_facts(setup: StudioSetup, plan: LightPlan) -> dict[str, Any]:
     shared = [e for e in exposures if setup.cameras[e.camera].keys.exposure == "one"]
     uneven = max(shared, key=lambda e: e.evenness, default=None)
     if uneven is not None and len(uneven.channels) > 1:
-        from levkas.planning.filter_design import regulating_filter
+        from levkas.planning.exposure_plan import regulating_filter
 
         found = regulating_filter(setup, uneven.camera, plan.lighting.name)
         facts["filter"] = draw_filter(found, uneven.camera)

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from levkas.pages.plots import draw_legend, in_style, new_figure, themed, to_svg
-from levkas.planning.criteria import MEANINGS
 from levkas.planning.light import eye_of
+from levkas.planning.optimisation import MEANINGS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from levkas.planning.exposure_plan import CameraExposure
-    from levkas.planning.filter_design import RegulatingFilter
+    from levkas.planning.exposure_plan import CameraExposure, RegulatingFilter
     from levkas.planning.light import BrightField, LightPlan
     from levkas.planning.optimisation import TradeOff
     from levkas.planning.setup import StudioLamp, StudioSetup

@@ -26,7 +26,7 @@ from levkas.planning.exposure_levels import (
     safe_mean,
     snr_at,
 )
-from levkas.planning.full_scale import FullScale, find_full_scale, not_known
+from levkas.planning.full_scale import FullScale, files_of, find_full_scale, not_known
 from levkas.quality.emva1288.blocks import block_statistics
 from levkas.readers.frames import Facts, read_facts, read_frame
 
@@ -162,7 +162,7 @@ def coach(
     Refused
         UnreadableCapture.
     """
-    files = [f for path in frames for f in files_at(Path(path))]
+    files = files_of(frames)
     if not files:
         raise NoAdvice(
             Problem(
@@ -170,8 +170,7 @@ def coach(
             )
         )
     facts = read_facts(files[0])
-    without = [f for path in darks for f in files_at(Path(path))]
-    dim = gather_shots(without, np.inf, None)
+    dim = gather_shots(files_of(darks), np.inf, None)
     scale = find_full_scale(files, facts, bits=bits, saturation=saturation)
     if scale is None:
         raise NoAdvice(not_known(files[0], facts))
@@ -403,15 +402,6 @@ def _from_name(name: str) -> tuple[float, float | None]:
     unit = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}
     seconds = float(time[1]) * unit[time[2].lower()] if time else None
     return (float(wavelength[1]) if wavelength else nan), seconds
-
-
-def files_at(path: Path) -> list[Path]:
-    """Return a file, or the frames of a folder."""
-    if not path.is_dir():
-        return [path]
-    from levkas.quality.emva1288.facts import frames_below
-
-    return frames_below(path)
 
 
 SHADES = " ▁▂▃▄▅▆▇█"

@@ -16,12 +16,13 @@ import numpy as np
 from levkas.calibration.noise_model import Sensor, snr_db
 
 CHANCE = 1e-6
-DRIFT = 0.01
+DRIFT = 0.01  # by which the lamp may grow until the object is captured, relative
 PEAK = 0.999  # quantile that is taken for the peak: hot sensels and glints lie beyond
 BINS = 64
-CELL = 16  # pixels whose mean tells shading from noise
+CELL = 16  # pixels a side whose mean separates shading from noise
 FINE = 0.5  # counts: noise in the dark below it is lost in rounding
-TIGHT = 0.1  # stops: closer to the advice is there already
+TIGHT = 0.1  # stops: an exposure closer to the advice needs no change
+BASE_ISO = 100.0  # a camera's lowest true one
 
 
 def safe_mean(
@@ -29,7 +30,6 @@ def safe_mean(
     *,
     prnu: float = 0.019,
     unevenness: float = 0.1,
-    drift: float = DRIFT,
     chance: float = CHANCE,
 ) -> float:
     """Return the share of saturation at which the mean of a white may stand.
@@ -42,8 +42,6 @@ def safe_mean(
         Relative spread of the response.
     unevenness : float
         Of the light over the field: (brightest − darkest)/mean.
-    drift : float
-        By which the lamp may grow until the object is taken, relative.
     chance : float
         That a pixel at the brightest place saturates.
 
@@ -62,13 +60,13 @@ def safe_mean(
     z, share = -float(ndtri(chance)), 0.85
     for _ in range(50):
         noise = np.sqrt(1 / (share * full_well) + prnu**2)
-        share = 1 / ((1 + z * noise) * (1 + unevenness / 2) * (1 + drift))
+        share = 1 / ((1 + z * noise) * (1 + unevenness / 2) * (1 + DRIFT))
     return float(share)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What one channel of a frame tells of its exposure; counts above black.
+    """Exposure of one channel of a frame; counts above black.
 
     Parameters
     ----------
@@ -137,7 +135,7 @@ def read_channel(
 
 @dataclass(frozen=True)
 class Advice:
-    """What to do about one channel, or one band of a tunable filter.
+    """Advice for one channel, or one band of a tunable filter.
 
     Parameters
     ----------
@@ -148,8 +146,8 @@ class Advice:
         By which to multiply the time.
     time_s : float or None
         That the factor gives.
-    snr_now, snr_then : float
-        Of one raw shot at the white's mean, linear; after `factor` for the latter.
+    snr_now : float
+        Of one raw shot at the white's mean, linear.
     wavelength : float
         nm; NaN where the channel is broad.
     """
@@ -159,7 +157,6 @@ class Advice:
     factor: float
     time_s: float | None
     snr_now: float
-    snr_then: float
     wavelength: float = float("nan")
 
     @property
@@ -174,10 +171,9 @@ def advise(
     *,
     exposure_s: float | None = None,
     is_white: bool = True,
-    drift: float = DRIFT,
     wavelength: float = float("nan"),
 ) -> Advice:
-    """Say which exposure one channel wants.
+    """Advise which exposure one channel needs.
 
     Parameters
     ----------
@@ -194,19 +190,19 @@ def advise(
     Examples
     --------
     >>> white = read_channel(np.full((64, 64), 1000.0), black=0.0, saturation=4000.0)
-    >>> told = advise(white, Sensor(full_well=44_000.0), exposure_s=0.1)
-    >>> round(told.target, 2), round(told.time_s, 2), told.snr_then > told.snr_now
-    (0.91, 0.36, True)
+    >>> advice = advise(white, Sensor(full_well=44_000.0), exposure_s=0.1)
+    >>> round(advice.target, 2), round(advice.time_s, 2)
+    (0.91, 0.36)
     """
     full_well = reading.room / sensor.gain
     level = reading.mean if is_white else reading.peak
     uneven = reading.unevenness if is_white else 0.0
-    target = safe_mean(full_well, prnu=sensor.prnu, unevenness=uneven, drift=drift)
+    target = safe_mean(full_well, prnu=sensor.prnu, unevenness=uneven)
     factor = target * reading.room / max(level, 1e-9)
     electrons = max(reading.mean, 0.0) / sensor.gain
-    now, then = (10 ** (float(snr_db(electrons * k, sensor)) / 10) for k in (1.0, factor))
+    now = 10 ** (float(snr_db(electrons, sensor)) / 10)
     time_s = None if exposure_s is None else exposure_s * factor
-    return Advice(reading, target, factor, time_s, now, then, wavelength)
+    return Advice(reading, target, factor, time_s, now, wavelength)
 
 
 def limiting(advices: Sequence[Advice]) -> tuple[Advice, Advice]:
@@ -228,10 +224,8 @@ def snr_at(advice: Advice, sensor: Sensor, factor: float) -> float:
     return float(10 ** (snr_db(electrons, sensor) / 10))
 
 
-def judge_iso(
-    stops: float, *, dark_noise_dn: float, iso: float | None = None, base_iso: float = 100.0
-) -> str:
-    """Say whether another ISO would help.
+def judge_iso(stops: float, *, dark_noise_dn: float, iso: float | None = None) -> str:
+    """Advise whether another ISO would help.
 
     Parameters
     ----------
@@ -241,8 +235,6 @@ def judge_iso(
         Noise without light, counts.
     iso : float, optional
         As set now.
-    base_iso : float
-        The camera's lowest true one.
 
     Notes
     -----
@@ -255,10 +247,10 @@ def judge_iso(
     >>> judge_iso(2.0, dark_noise_dn=1.2)
     'No: expose 2.0 stops longer instead; photons lower the noise, ISO only scales it.'
     """
-    if iso is not None and iso > base_iso:
-        spare = float(np.log2(iso / base_iso))
+    if iso is not None and iso > BASE_ISO:
+        spare = float(np.log2(iso / BASE_ISO))
         return (
-            f"Lower it from {iso:g} to {base_iso:g} and expose {spare:.1f} stops longer: that holds "
+            f"Lower it from {iso:g} to {BASE_ISO:g} and expose {spare:.1f} stops longer: that holds "
             f"{2**spare:.0f} times the photons, {1.5 * spare:.1f} dB more at the white."
         )
     if stops > TIGHT:

@@ -1,7 +1,12 @@
-"""Planned exposure of every camera and channel: times, electrons, SNR, limiting channel, light dose.
+"""Planned exposure of every camera and channel: times, electrons, SNR, light dose, regulating filter.
 
 A pixel gathers e = t·p²·τ / (4·N²·(1+m)²) · ∫ E(λ)·Rw·QE(λ)·λ/(hc) dλ photo-electrons from a white
 board, with the irradiance E, the lens's transmittance τ and f-number N.
+
+A filter that evens a camera's channels out only takes light away, so its design has the exposure *time*
+among the unknowns: with u = t·T(λ) the electrons of a channel are linear in u, and so are the limits
+0 ≤ T ≤ 1 (0 ≤ u ≤ t) and s of the slope of T. The smallest channel is maximised while the largest stays
+at full exposure. (With the time left out, no filter at all would always win.)
 """
 
 from __future__ import annotations
@@ -14,8 +19,8 @@ import numpy as np
 
 from levkas.calibration.noise_model import Sensor, snr_db
 from levkas.planning.framing import magnification
-from levkas.planning.irradiance import illuminate
 from levkas.planning.loading import load_setup
+from levkas.planning.setup import illuminate
 from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate, steps
 from levkas.planning.tables import PlanRefused, wrong
 
@@ -121,11 +126,7 @@ def irradiance_spectrum(setup: StudioSetup, lighting: Lighting) -> np.ndarray:
 
 
 def electron_rates(
-    setup: StudioSetup,
-    camera: StudioCamera,
-    lighting: Lighting,
-    spectrum: np.ndarray,
-    quantum: Any = None,
+    setup: StudioSetup, camera: StudioCamera, lighting: Lighting, spectrum: np.ndarray
 ) -> np.ndarray:
     """Return photo-electrons a second and pixel of a white board, (channels,).
 
@@ -133,8 +134,6 @@ def electron_rates(
     ----------
     spectrum : ndarray, (n,)
         Spectral irradiance, W/m²/nm.
-    quantum : ndarray, (channels, n), optional
-        Quantum efficiencies instead of the camera's.
     """
     keys, sheets = camera.keys, setup.bench.sheets
     m = magnification(keys.focal_mm, camera.distance_mm)
@@ -143,8 +142,7 @@ def electron_rates(
         stop *= sheets.transmittance
     area = (keys.pitch_um * 1e-6) ** 2
     photons = spectrum * (GRID * 1e-9) / PLANCK_TIMES_LIGHT * steps()
-    quantum = camera.quantum if quantum is None else quantum
-    return setup.bench.target.white * area * stop * (quantum @ photons)
+    return setup.bench.target.white * area * stop * (camera.quantum @ photons)
 
 
 def expose_camera(
@@ -277,24 +275,6 @@ def flicker_bound(modulation: float, frequency_hz: float, time_s: float) -> floa
     return float(min(modulation, modulation / (np.pi * frequency_hz * max(time_s, 1e-12))))
 
 
-def illuminance_from_exposure(
-    share_of_full: float, f_number: float, time_s: float, iso: float, white: float = 0.95
-) -> float:
-    """Return the illuminance that a camera's exposure of a white board means, lx.
-
-    E = π·L/ρ with L = H·N²/(0.65·t) and H = share·78/S, of ISO 12232.
-
-    Examples
-    --------
-    The paper's colour camera, f/8, 1 s, ISO 100, white at 85 %:
-
-    >>> round(illuminance_from_exposure(0.85, 8.0, 1.0, 100.0))
-    216
-    """
-    luminance = share_of_full * 78 / iso * f_number**2 / (0.65 * time_s)
-    return float(np.pi * luminance / white)
-
-
 CLASSES: dict[str, tuple[float, float]] = {
     "high": (50.0, 15_000.0),
     "medium": (50.0, 150_000.0),
@@ -354,10 +334,10 @@ def plan_dose(
         lighting.name, lux, hours, lux * hours, setup.object.sensitivity, most_lx, most_dose,
         lux * hours / most_dose, uv, heat, warming, (),
     )  # fmt: skip
-    return Dose(**{**dose.__dict__, "sentences": tuple(_say(dose))})
+    return Dose(**{**dose.__dict__, "sentences": tuple(_describe_dose(dose))})
 
 
-def _say(dose: Dose) -> list[str]:
+def _describe_dose(dose: Dose) -> list[str]:
     told = [
         f"{dose.illuminance_lx:.0f} lx for {dose.hours:.1f} h are {dose.lux_hours:,.0f} lx·h"
         + (
@@ -381,10 +361,135 @@ def _say(dose: Dose) -> list[str]:
     return told
 
 
-def annual_share(lux: float, hours: float, sensitivity: str) -> float:
-    """Return the share of a year's lux-hours of a class.
+@dataclass(frozen=True, eq=False)
+class RegulatingFilter:
+    """A transmittance over wavelength, and what the channels get by it.
 
-    >>> round(annual_share(216.0, 2.0, "high"), 4)
-    0.0288
+    Parameters
+    ----------
+    wavelengths, transmittance : ndarray, (n,)
+    channels : tuple of str
+    before, after : ndarray, (channels,)
+        Exposure over the fullest channel's.
+    time_factor : float
+        How many times longer the exposure is.
     """
-    return lux * hours / CLASSES[sensitivity][1]
+
+    wavelengths: np.ndarray
+    transmittance: np.ndarray
+    channels: tuple[str, ...]
+    before: np.ndarray
+    after: np.ndarray
+    time_factor: float
+
+
+def solve_filter(
+    weights: np.ndarray, step_nm: float, *, steepest: float, longest: float
+) -> tuple[np.ndarray, float]:
+    """Solve the linear program.
+
+    Parameters
+    ----------
+    weights : ndarray, (channels, n)
+        Light times sensitivity at even wavelengths, scaled so that the largest row sum is 1.
+    step_nm : float
+    steepest : float
+        Largest |dT/dλ|, 1/nm.
+    longest : float
+        Largest exposure time over that without a filter.
+
+    Returns
+    -------
+    transmittance : ndarray, (n,)
+    time : float
+        Exposure time over that without a filter.
+
+    Examples
+    --------
+    Two channels apart, one with four times the light: the filter takes three quarters of it.
+
+    >>> weights = np.zeros((2, 40)); weights[0, :10] = 0.1; weights[1, 30:] = 0.025
+    >>> t, time = solve_filter(weights, 10.0, steepest=0.01, longest=8.0)
+    >>> round(float(t[:10].mean()), 2), round(float(t[30:].mean()), 2), round(time, 2)
+    (0.25, 1.0, 4.0)
+    """
+    from scipy.optimize import linprog
+
+    n = weights.shape[1]
+
+    # Unknowns: u (n), time, smallest and fullest channel.
+    def rows(of_u: np.ndarray, *of_others: float) -> np.ndarray:
+        return np.hstack([of_u, np.tile(of_others, (len(of_u), 1))])
+
+    one, none, steep = np.eye(n), np.zeros((1, n)), steepest * step_nm
+    difference = np.diff(one, axis=0)
+    table = np.vstack(
+        [
+            rows(one, -1, 0, 0),  # u <= time
+            rows(difference, -steep, 0, 0),
+            rows(-difference, -steep, 0, 0),
+            rows(-one, 0, 0, 0),  # u >= 0
+            rows(-weights, 0, 1, 0),
+            rows(weights, 0, 0, -1),
+            rows(none, 0, 0, 1),  # the fullest: 1 at most
+            rows(none, 1, 0, 0),  # the longest time
+        ]
+    )
+    bound = np.concatenate([np.zeros(len(table) - 2), [1, longest]])
+    # Traces of weight take, of equally good filters, the most even one and then the shortest exposure.
+    goal = np.concatenate([np.zeros(n), [1e-6, -1, 1e-3]])
+    found = linprog(goal, table, bound, bounds=(None, None), method="highs").x
+    time = float(found[n])
+    return np.clip(found[:n] / max(time, 1e-12), 0, 1), time
+
+
+STEP_NM = 10.0
+STEEPEST = 0.01
+"""Largest slope of a filter's transmittance, 1/nm: glass and dyes reach about that."""
+LONGEST = 8.0
+"""Largest exposure time over that without the filter."""
+
+
+def regulating_filter(setup: StudioSetup, camera: str, name: str | None = None) -> RegulatingFilter:
+    """Return the filter that evens a camera's channels out under a lighting.
+
+    Parameters
+    ----------
+    setup : StudioSetup
+    camera : str
+    name : str, optional
+        Of the lighting.
+
+    Raises
+    ------
+    PlanRefused
+        Where there is no such camera, or light of unknown strength.
+    """
+    if camera not in setup.cameras:
+        raise PlanRefused(
+            wrong(str(setup.path), "cameras", "there is no such camera", camera,
+                  ", ".join(setup.cameras))
+        )  # fmt: skip
+    lighting: Lighting = setup.lighting(name)
+    seen = setup.cameras[camera]
+    spectrum = irradiance_spectrum(setup, lighting)
+    grid = np.arange(np.floor(seen.seen[0] / STEP_NM) * STEP_NM, seen.seen[1] + STEP_NM, STEP_NM)
+    weights = np.stack(
+        [
+            electron_rates(setup, seen, lighting, spectrum * _tent(w, STEP_NM))
+            for w in grid
+        ],
+        1,
+    )  # fmt: skip
+    weights = weights / weights.sum(1).max()
+    transmittance, time = solve_filter(weights, STEP_NM, steepest=STEEPEST, longest=LONGEST)
+    before = weights.sum(1)
+    after = time * weights @ transmittance
+    return RegulatingFilter(
+        grid, transmittance, seen.labels, before / before.max(), after / after.max(), time
+    )
+
+
+def _tent(centre: float, step: float) -> np.ndarray:
+    """Linear interpolation between even wavelengths, as weights at `spectra.GRID`."""
+    return np.maximum(1 - np.abs(GRID - centre) / step, 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,13 @@ from levkas.readers.frames import Facts, read_frame
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera
+
+
+def files_of(paths: Iterable[str | Path]) -> list[Path]:
+    """Return files, and the frames of folders."""
+    from levkas.quality.emva1288.facts import frames_below
+
+    return [f for p in map(Path, paths) for f in (frames_below(p) if p.is_dir() else [p])]
 
 
 @dataclass(frozen=True)

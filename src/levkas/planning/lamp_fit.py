@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.planning.irradiance import drop, illuminate
-from levkas.planning.luminous_intensity import Lobe
-from levkas.planning.setup import lamp_place
+from levkas.planning.setup import Lobe, drop, illuminate, lamp_place
+from levkas.planning.surface import bent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,8 +87,8 @@ class FittedLamps:
 
 
 def fit_lamps(
-    white: np.ndarray, lighting: Lighting, thing: StudioObjectKeys, *, bent: bool = False,
-    vignetting: bool = True, centre_mm: tuple[float, float] = (0.0, 0.0),
+    white: np.ndarray, lighting: Lighting, thing: StudioObjectKeys, *, is_bent: bool = False,
+    centre_mm: tuple[float, float] = (0.0, 0.0),
 ) -> FittedLamps:  # fmt: skip
     """Return the lamps that explain a measured white.
 
@@ -101,10 +100,8 @@ def fit_lamps(
         The plan that was hung.
     thing : StudioObjectKeys
         Its size is that of the board.
-    bent : bool
+    is_bent : bool
         Whether the board is bent as the object is; white boards are flat.
-    vignetting : bool
-        Whether the lens darkens the corners, as exp(v·r² + w·r⁴), v and w fitted too.
     centre_mm : (x, y)
         Of the frame, from the object's middle.
 
@@ -116,20 +113,21 @@ def fit_lamps(
     Notes
     -----
     Least squares of log(measured/model) with the plan as a prior: a white alone cannot tell a
-    strong far lamp from a weak near one. The frame weighs by its own noise; `SPREAD` is widened, by as
+    strong far lamp from a weak near one. The lens darkens the corners as exp(v·r² + w·r⁴), v and w
+    fitted too. The frame weighs by its own noise; `SPREAD` is widened, by as
     much as is likeliest, where lamps hang farther from their plan than that.
     """
     white = np.asarray(white, float)
     if white.ndim != 2 or white.size < 16 or not np.isfinite(white).all() or white.min() <= 0:
         raise ValueError("the white must be a frame (rows, columns) of finite values above 0")
-    flat = thing if bent else thing.model_copy(update={"bend": None, "recess_mm": 0.0})
-    board = _Board.of(_thinned(white), lighting, flat, centre_mm, vignetting)
+    flat = thing if is_bent else thing.model_copy(update={"bend": None, "recess_mm": 0.0})
+    board = _Board.of(_thinned(white), lighting, flat, centre_mm)
     found, spread, wide = _solve(board)
     lamps = moved_lighting(lighting, board.shifts(found))
     light = board.light(found)
     edges = [np.linspace(-side / 2, side / 2, 21) for side in thing.size_mm]
     grid = np.meshgrid(edges[0] + centre_mm[0], edges[1] + centre_mm[1])
-    drops = [drop(illuminate(one.lamps, *_surface(*grid, flat))) for one in (lamps, lighting)]
+    drops = [drop(illuminate(one.lamps, *bent(*grid, flat))) for one in (lamps, lighting)]
     errors = _errors(board, found, spread, wide)
     return FittedLamps(
         lamps, np.exp(light), _rms(np.exp(board.measured - light) - 1), drops[0], drops[1],
@@ -151,7 +149,7 @@ class _Board:
     @classmethod
     def of(
         cls, blocks: np.ndarray, lighting: Lighting, thing: StudioObjectKeys,
-        centre: tuple[float, float], vignetting: bool,
+        centre: tuple[float, float],
     ) -> _Board:  # fmt: skip
         measured = np.log(blocks)
         sides = [
@@ -161,8 +159,8 @@ class _Board:
         along, across = np.meshgrid(sides[0] + centre[0], sides[1] + centre[1])
         width, height = thing.size_mm
         radius2 = (along**2 + across**2) / (width**2 + height**2) * 4
-        lens = np.stack([size * radius2**k for k, size in enumerate(LENS, 1)]) * vignetting
-        points, normals = _surface(along, across, thing)
+        lens = np.stack([size * radius2**k for k, size in enumerate(LENS, 1)])
+        points, normals = bent(along, across, thing)
         noise = max(NOISE, _roughness(measured))
         return cls(measured - measured.mean(), noise, lighting, points, normals, lens)
 
@@ -226,10 +224,9 @@ def _errors(
     return tuple(told)
 
 
-def _place_slopes(
-    lighting: Lighting, shifts: np.ndarray, lamp: int, step: float = 1e-3
-) -> np.ndarray:
+def _place_slopes(lighting: Lighting, shifts: np.ndarray, lamp: int) -> np.ndarray:
     """Return by how much each parameter of a lamp moves its place, (7, 3) mm."""
+    step = 1e-3
 
     def place(shift: np.ndarray) -> np.ndarray:
         moved = shifts.copy()
@@ -251,25 +248,9 @@ def _roughness(measured: np.ndarray) -> float:
     return float(np.sqrt(np.sum(rest**2) / max(rest.size - terms.shape[1], 1)))
 
 
-def _surface(
-    along: np.ndarray, across: np.ndarray, thing: StudioObjectKeys
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and normals, (rows, columns, 3), of a board that is flat, or bent as the object is."""
-    if thing.bend is None:
-        zero = np.zeros_like(along)
-        return np.stack([along, across, zero], -1), np.stack([zero, zero, zero + 1], -1)
-    wide = thing.bend.straight == "width"
-    turn = (across if wide else along) / thing.bend.radius_mm
-    out, up = thing.bend.radius_mm * np.sin(turn), thing.bend.radius_mm * (np.cos(turn) - 1)
-    zero = np.zeros_like(turn)
-    if wide:
-        return np.stack([along, out, up], -1), np.stack([zero, np.sin(turn), np.cos(turn)], -1)
-    return np.stack([out, across, up], -1), np.stack([np.sin(turn), zero, np.cos(turn)], -1)
-
-
-def _thinned(white: np.ndarray, most: int = 24) -> np.ndarray:
+def _thinned(white: np.ndarray) -> np.ndarray:
     """Average blocks, so that about 24 columns are left: light has no detail, noise has."""
-    block = max(1, white.shape[1] // most)
+    block = max(1, white.shape[1] // 24)
     rows, columns = white.shape[0] // block, white.shape[1] // block
     cut = white[: rows * block, : columns * block]
     return cut.reshape(rows, block, columns, block).mean((1, 3))

@@ -12,13 +12,11 @@ import numpy as np
 from levkas.calibration.templates import Template, average
 from levkas.core.problems import Problem, Refused
 from levkas.planning.framing import plan_framing
-from levkas.planning.full_scale import find_full_scale, not_known
-from levkas.planning.irradiance import drop, illuminate
+from levkas.planning.full_scale import files_of, find_full_scale, not_known
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.loading import load_setup
-from levkas.planning.setup import StudioSetup
+from levkas.planning.setup import StudioSetup, drop, illuminate
 from levkas.planning.tables import PlanRefused, wrong
-from levkas.quality.emva1288.facts import frames_below
 from levkas.readers.frames import read_facts, read_frame
 
 if TYPE_CHECKING:
@@ -164,7 +162,7 @@ def fit_white(
     light = thin_white(stack, floor, box, str(files[0]))
     size, centre, doubts = _shown(setup, white.camera, stack.mean.shape, box)
     thing = setup.object.model_copy(update={"size_mm": size})
-    fitted = fit_lamps(light, lighting, thing, bent=bent, centre_mm=centre)
+    fitted = fit_lamps(light, lighting, thing, is_bent=bent, centre_mm=centre)
     notes = (*doubts, *_notes(lighting, fitted))
     return HungLamps(fitted, drop(light), size, len(files), notes)
 
@@ -279,14 +277,6 @@ Box = tuple[int, int, int, int]
 
 class WhiteRefused(Refused):
     """A white that cannot tell where the lamps stand."""
-
-
-def files_of(paths: Sequence[str | Path]) -> list[Path]:
-    """Return files, and the frames of folders."""
-    found = []
-    for path in map(Path, paths):
-        found += frames_below(path) if path.is_dir() else [path]
-    return found
 
 
 def average_whites(

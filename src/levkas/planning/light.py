@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.irradiance import drop, illuminate, light_of
-from levkas.planning.luminous_intensity import Lobe
 from levkas.planning.microfacet import (
     AIR,
+    GOLD_INDEX,
     facet_lobe,
     fresnel,
-    gold_index,
     lobe_reach_deg,
     transmitted,
 )
-from levkas.planning.setup import Lighting, StudioLamp, aim_point
+from levkas.planning.setup import Lighting, Lobe, StudioLamp, aim_point, drop, illuminate, light_of
 from levkas.planning.surface import (
     Surface,
     hidden_share,
@@ -28,13 +26,12 @@ from levkas.planning.surface import (
 )
 
 if TYPE_CHECKING:
-    from levkas.planning.setup import Lighting, StudioSetup
-    from levkas.planning.surface import Surface
+    from levkas.planning.setup import StudioSetup
     from levkas.planning.tables import Sheets, StudioObjectKeys
 
 DEFAULT_EYE_MM = 1900.0
 PAINT = 0.2
-"""Reflectance of the paint whose texture is told."""
+"""Reflectance of the paint that `texture_seen` is of."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,7 @@ def plan_light(
     columns : int
         Of the maps.
     levers : bool
-        Whether to say what each change would do.
+        Whether to describe what each change of the lamps would do.
 
     Raises
     ------
@@ -130,12 +127,12 @@ def plan_light(
         hidden_share(lighting.lamps, thing.relief_slope), _darkening(thing, lighting),
         bright_fields(thing, lighting, eye),
     )  # fmt: skip
-    return replace(plan, levers=tuple(say_levers(setup, plan))) if levers else plan
+    return replace(plan, levers=tuple(describe_levers(setup, plan))) if levers else plan
 
 
-def compare_lightings(setup: StudioSetup, *, columns: int = 31) -> list[LightPlan]:
+def compare_lightings(setup: StudioSetup) -> list[LightPlan]:
     """Return the plan of every lighting of a setup file, without levers."""
-    return [plan_light(setup, name, columns=columns, levers=False) for name in setup.lightings]
+    return [plan_light(setup, name, columns=31, levers=False) for name in setup.lightings]
 
 
 def _worst(values: np.ndarray | None) -> float:
@@ -200,20 +197,17 @@ def _margin(lighting: Lighting, axis: int, wide: tuple[float, float]) -> float:
 # --- levers -------------------------------------------------------------------------------------
 
 
-def say_levers(setup: StudioSetup, plan: LightPlan) -> list[str]:
-    """Say in sentences what each lever would change, the strongest on evenness first."""
-    changes = list(_changes(setup, plan.lighting))
+def describe_levers(setup: StudioSetup, plan: LightPlan) -> list[str]:
+    """Describe what each change of the lamps would do, in sentences, the strongest on evenness first."""
     rated = []
-    for text, lighting in changes:
+    for text, lighting in _changes(setup, plan.lighting):
         other = _quick(setup, lighting)
-        evenness = (
+        effects = [
             f"the drop of light goes from {100 * plan.drop:.1f} to {100 * other['drop']:.1f} %"
-        )
-        effects = [evenness]
-        for key, word in (("varnish", "varnish"), ("gold", "gold")):
-            before = _quick_value(plan, key)
+        ]
+        for key, before in (("varnish", plan.varnish), ("gold", plan.gold)):
             if before > 0 and abs(other[key] / before - 1) > 0.08:
-                effects.append(f"{word} shines {other[key] / before:.2f} times as much")
+                effects.append(f"{key} shines {other[key] / before:.2f} times as much")
         before = plan.texture
         if before > 0 and abs(other["texture"] / before - 1) > 0.15:
             effects.append(f"relief shows {other['texture'] / before:.1f} times as strongly")
@@ -221,10 +215,6 @@ def say_levers(setup: StudioSetup, plan: LightPlan) -> list[str]:
             effects.append(f"the light is {other['mean'] / plan.mean:.2f} times as strong")
         rated.append((abs(other["drop"] - plan.drop), f"{text}: {', '.join(effects)}."))
     return [text for _, text in sorted(rated, key=lambda r: -r[0])]
-
-
-def _quick_value(plan: LightPlan, key: str) -> float:
-    return float(getattr(plan, key))
 
 
 def _quick(setup: StudioSetup, lighting: Lighting) -> dict[str, float]:
@@ -307,9 +297,8 @@ class GlareMaps:
 
 
 def glare(
-    thing: StudioObjectKeys, surface: Surface, lighting: Lighting, eye: np.ndarray, sheets: Sheets,
-    *, model: str = "ggx",
-) -> GlareMaps:  # fmt: skip
+    thing: StudioObjectKeys, surface: Surface, lighting: Lighting, eye: np.ndarray, sheets: Sheets
+) -> GlareMaps:
     """Return the glare of varnish and gold over an object.
 
     Parameters
@@ -325,18 +314,18 @@ def glare(
     Returns
     -------
     glare : GlareMaps
-        1 is as bright as white. Facets are GGX unless `model` is ``"beckmann"``.
+        1 is as bright as white.
     """
     flat = np.zeros_like(surface.normals)
     flat[..., 2] = 1
     white = illuminate(lighting.lamps, surface.points, flat)
     found: list[np.ndarray | None] = []
-    for coat, index in ((thing.varnish, None), (thing.gold, gold_index())):
+    for coat, index in ((thing.varnish, None), (thing.gold, GOLD_INDEX)):
         if coat is None:
             found.append(None)
             continue
         n = coat.index / AIR if index is None else index  # type: ignore[union-attr]
-        light = _specular(surface, lighting, eye, coat.roughness, n, model)
+        light = _specular(surface, lighting, eye, coat.roughness, n)
         if lighting.crossed:
             light = light * sheets.leak * 2  # the diffuse light loses half, this all but the leak
         found.append(light / np.maximum(white, 1e-30))
@@ -344,9 +333,8 @@ def glare(
 
 
 def _specular(
-    surface: Surface, lighting: Lighting, eye: np.ndarray, roughness: float, index: complex,
-    model: str,
-) -> np.ndarray:  # fmt: skip
+    surface: Surface, lighting: Lighting, eye: np.ndarray, roughness: float, index: complex
+) -> np.ndarray:
     """Return π times the radiance of facets, in the unit of the irradiance."""
     n = surface.normals
     view = eye - surface.points
@@ -360,10 +348,8 @@ def _specular(
         incident = (n * towards).sum(-1)
         s, p = fresnel((half * towards).sum(-1), index)
         mirrored = {"s": s, "p": p, None: (s + p) / 2}[lamp.polariser]
-        lobe = facet_lobe(
-            (n * half).sum(-1), incident, np.broadcast_to(to_eye, incident.shape), roughness,
-            model=model,
-        )  # fmt: skip
+        seen = np.broadcast_to(to_eye, incident.shape)
+        lobe = facet_lobe((n * half).sum(-1), incident, seen, roughness)
         total = total + (mirrored * lobe * np.maximum(incident, 0) * strength).sum(0)
     return total
 
@@ -384,14 +370,12 @@ def rough_texture(
     slopes, weights = slope_nodes(thing.relief_slope)
     normals = np.concatenate([-slopes, np.ones((len(slopes), 1))], 1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    from levkas.planning.surface import Surface
-
     spots = Surface(np.zeros(1), np.zeros(1), np.zeros_like(normals), normals)
     shading = illuminate(lighting.lamps, spots.points, normals)
     total = paint * shading
     if thing.varnish is not None:
         index = thing.varnish.index / AIR
-        mirror = _specular(spots, lighting, eye, thing.varnish.roughness, index, "ggx")
+        mirror = _specular(spots, lighting, eye, thing.varnish.roughness, index)
         total = total + mirror * (2 * sheets.leak if lighting.crossed else 1.0)
     mean = weights @ total
     return float(np.sqrt(weights @ (total - mean) ** 2) / mean)

@@ -1,4 +1,4 @@
-"""A studio setup as values: the object, and lamps and cameras in their places."""
+"""Lamps and cameras in their places, and the light that lamps send: E = Σ I(θ)·max(0, n·s) / r²."""
 
 from __future__ import annotations
 
@@ -8,16 +8,62 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.planning.luminous_intensity import Lobe
 from levkas.planning.spectra import GRID, Spectrum
 from levkas.planning.tables import PlanRefused, wrong
 
 if TYPE_CHECKING:
-    from levkas.planning.tables import (
-        Bench,
-        StudioCameraKeys,
-        StudioObjectKeys,
-    )
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from levkas.planning.tables import Bench, StudioCameraKeys, StudioObjectKeys
+
+
+SOFT_NODES = 5
+"""Points along each side of a soft light: a Gauss-Legendre rule."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lobe:
+    """Intensity over its value on the axis.
+
+    Parameters
+    ----------
+    exponent : float
+        m of cosᵐ; 0 shines evenly.
+    table : (angles, values), optional
+        Degrees from the axis, ascending from 0, and relative intensity; used instead of cosᵐ.
+    """
+
+    exponent: float = 0.0
+    table: tuple[np.ndarray, np.ndarray] | None = None
+
+    def __call__(self, cosine: np.ndarray) -> np.ndarray:
+        """Return the relative intensity at the cosine of the angle from the axis."""
+        c = np.clip(cosine, 0.0, 1.0)
+        if self.table is not None:
+            return np.interp(np.degrees(np.arccos(c)), *self.table, right=0.0)
+        return c**self.exponent if self.exponent else np.ones_like(c)
+
+    def solid_angle(self) -> float:
+        """Return the integral over the half-space, sr: flux over intensity on the axis.
+
+        >>> round(Lobe(1.0).solid_angle(), 4)  # Lambert's law: pi
+        3.1416
+        """
+        if self.table is None:
+            return float(2 * np.pi / (self.exponent + 1))
+        angle = np.radians(np.linspace(0, 90, 1801))
+        values = self(np.cos(angle)) * np.sin(angle)
+        return float(2 * np.pi * np.trapezoid(values, angle))
+
+
+def lobe_exponent(half_width_deg: float) -> float:
+    """Return m of the lobe cosᵐ that is at half its intensity at an angle, degrees.
+
+    >>> round(lobe_exponent(15.0), 2), round(lobe_exponent(60.0), 2)
+    (19.99, 1.0)
+    """
+    return float(np.log(0.5) / np.log(np.cos(np.radians(half_width_deg))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +120,14 @@ class StudioLamp:
         """From the object's middle."""
         return float(np.linalg.norm(self.place))
 
-    def points(self, side: int = 5) -> tuple[np.ndarray, np.ndarray]:
-        """Return points that shine in its stead, (n, 3) mm, and the share of each, of sum 1."""
+    def points(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return points that stand for the lamp, (n, 3) mm, and the share of each, of sum 1."""
         if self.size_mm is None:
             return self.place[None], np.ones(1)
         across = np.cross(self.axis, [0.0, 1.0, 0.0])
         across /= np.linalg.norm(across)
         up = np.cross(across, self.axis)
-        nodes, weights = np.polynomial.legendre.leggauss(side)
+        nodes, weights = np.polynomial.legendre.leggauss(SOFT_NODES)
         a, b = (g.ravel() for g in np.meshgrid(nodes, nodes))
         width, height = self.size_mm
         spread = 0.5 * (width * a[:, None] * across + height * b[:, None] * up)
@@ -186,3 +232,66 @@ def aim_point(aim: Any, place: np.ndarray, size_mm: tuple[float, float]) -> np.n
     reach = min(s / 2 / max(abs(c), 1e-9) for s, c in zip(size_mm, to_lamp, strict=True))
     sign = -1.0 if aim == "far edge" else 1.0
     return np.array([*(sign * reach * to_lamp + 0.0), 0.0])
+
+
+def light_of(lamp: StudioLamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the light that a lamp sends to points.
+
+    Parameters
+    ----------
+    lamp : StudioLamp
+    points : ndarray, (..., 3), mm
+
+    Returns
+    -------
+    strength : ndarray, (k, ...)
+        Illuminance of a plane that faces the lamp, lux where `lamp.candela` is known; one row a
+        point of a soft light.
+    towards : ndarray, (k, ..., 3)
+        Unit vectors to the lamp.
+    """
+    places, shares = lamp.points()
+    away = places.reshape(-1, *[1] * (points.ndim - 1), 3) - points
+    squared = (away * away).sum(-1)
+    towards = away / np.sqrt(squared)[..., None]
+    lobe = lamp.lobe(-(towards @ lamp.axis))
+    shares = shares.reshape(-1, *[1] * (points.ndim - 1))
+    return 1e6 * lamp.candela * shares * lobe / squared, towards
+
+
+def illuminate(lamps: Iterable[StudioLamp], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the illuminance of points by all lamps, lux where their power is known.
+
+    Parameters
+    ----------
+    lamps : iterable of StudioLamp
+    points, normals : ndarray, (..., 3)
+        mm; unit vectors.
+
+    Returns
+    -------
+    illuminance : ndarray, (...)
+        0 where a point faces away from every lamp.
+
+    Examples
+    --------
+    One candela, one metre, straight above:
+
+    >>> lamp = StudioLamp("a", np.array([0.0, 0.0, 1000.0]), np.array([0.0, 0.0, -1.0]))
+    >>> float(illuminate([lamp], np.zeros(3), np.array([0.0, 0.0, 1.0])))
+    1.0
+    """
+    total = np.zeros(points.shape[:-1])
+    for lamp in lamps:
+        strength, towards = light_of(lamp, points)
+        total = total + (strength * np.maximum((towards * normals).sum(-1), 0)).sum(0)
+    return total
+
+
+def drop(values: np.ndarray) -> float:
+    """Return how far light falls over an object: 1 − min/max.
+
+    >>> drop(np.array([0.9, 1.0]))
+    0.1
+    """
+    return round(float(1 - np.min(values) / np.max(values)), 12)

@@ -42,10 +42,6 @@ class Spectrum:
     values: np.ndarray
     known: tuple[float, float]
 
-    def covers(self, low: float, high: float) -> bool:
-        """Whether it is known from `low` to `high`, nm."""
-        return self.known[0] <= low + 1e-9 and high <= self.known[1] + 1e-9
-
 
 @cache
 def steps() -> np.ndarray:
@@ -68,17 +64,6 @@ def eye() -> np.ndarray:
     rows = tables()
     # Linear between fifth nanometres: a spline would load scipy for a part in ten thousand.
     return np.interp(GRID, rows[:, 0], rows[:, 2], left=0, right=0)
-
-
-def lumens_per_watt(power: np.ndarray) -> float:
-    """Return the luminous efficacy of radiation of a spectrum at `GRID`, lm/W.
-
-    Monochromatic green has 683, sunlight about 100, a 3,000 K black body 25 below 2.5 µm:
-
-    >>> round(lumens_per_watt(planck(GRID, 3000.0)))
-    25
-    """
-    return LUMENS_PER_WATT * integrate(power * eye()) / integrate(power)
 
 
 def tristimulus(power: np.ndarray) -> np.ndarray:
@@ -119,9 +104,9 @@ def _uv(xyz: np.ndarray) -> tuple[float, float]:
     return 4 * x / below, 6 * y / below
 
 
-def unevenness(power: np.ndarray, low: float = 400.0, high: float = 720.0) -> float:
-    """Return the largest over the smallest power between two wavelengths, of a spectrum at `GRID`."""
-    inside = power[(low <= GRID) & (high >= GRID)]
+def unevenness(power: np.ndarray) -> float:
+    """Return the largest over the smallest power from 400 to 720 nm, of a spectrum at `GRID`."""
+    inside = power[(GRID >= 400) & (GRID <= 720)]
     return float(inside.max() / max(inside.min(), 1e-12))
 
 

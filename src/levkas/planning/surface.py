@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.planning.irradiance import light_of
+from levkas.planning.setup import light_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,7 @@ class Surface:
     normals: np.ndarray
 
 
-def sample_surface(thing: StudioObjectKeys, columns: int = 61, *, recess: bool = True) -> Surface:
+def sample_surface(thing: StudioObjectKeys, columns: int = 61) -> Surface:
     """Return the object's surface on an even grid, edges included.
 
     Parameters
@@ -43,50 +43,44 @@ def sample_surface(thing: StudioObjectKeys, columns: int = 61, *, recess: bool =
     thing : StudioObjectKeys
     columns : int
         Along the width; rows keep the spacing.
-    recess : bool
-        Whether the middle is sunken; normals are those of the bend alone, for the recess's walls
-        are thin lines that `light.bright_field` treats by themselves.
+
+    Notes
+    -----
+    Normals are those of the bend alone: the recess's walls are thin lines, which `light.bright_fields`
+    treats by themselves.
     """
     width, height = thing.size_mm
     rows = max(3, round(columns * height / width) | 1)
     x, y = np.linspace(-width / 2, width / 2, columns), np.linspace(-height / 2, height / 2, rows)
     along, across = np.meshgrid(x, y)
-    sunk = np.zeros(along.shape)
-    if recess and thing.recess_mm:
-        inside = (np.abs(along) < width / 2 - thing.border_mm) & (
-            np.abs(across) < height / 2 - thing.border_mm
-        )
-        sunk = np.where(inside, -thing.recess_mm, 0.0)
-    if thing.bend is None:
-        points = np.stack([along, across, sunk], -1)
-        normals = np.zeros_like(points)
-        normals[..., 2] = 1
-        return Surface(x, y, points, normals)
-    radius = thing.bend.radius_mm
-    turn = (across if thing.bend.straight == "width" else along) / radius
-    out = (radius + sunk) * np.sin(turn)
-    up = (radius + sunk) * np.cos(turn) - radius
-    zero = np.zeros_like(turn)
-    if thing.bend.straight == "width":
-        points = np.stack([along, out, up], -1)
-        normals = np.stack([zero, np.sin(turn), np.cos(turn)], -1)
-    else:
-        points = np.stack([out, across, up], -1)
-        normals = np.stack([np.sin(turn), zero, np.cos(turn)], -1)
-    return Surface(x, y, points, normals)
+    inner = [np.abs(a) < s / 2 - thing.border_mm for a, s in ((along, width), (across, height))]
+    sunk = np.where(inner[0] & inner[1], -thing.recess_mm, 0.0)
+    return Surface(x, y, *bent(along, across, thing, sunk))
 
 
-def tilt_deg(thing: StudioObjectKeys) -> float:
-    """Return the largest tilt of the bent panel's normal, degrees: asin of half the side over R.
+def bent(
+    along: np.ndarray, across: np.ndarray, thing: StudioObjectKeys, sunk: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points, mm, and normals of a board that is bent as an object is, (rows, columns, 3) each.
 
-    >>> from levkas.planning.tables import Bend, StudioObjectKeys
-    >>> round(tilt_deg(StudioObjectKeys(size_mm=(420, 320), bend=Bend(radius_mm=2000.0))), 2)
-    4.58
+    Parameters
+    ----------
+    along, across : ndarray, (rows, columns)
+        Places on the board, mm from its middle, measured along it.
+    thing : StudioObjectKeys
+        Its `bend`; none is a flat board.
+    sunk : ndarray or float
+        mm above the board's surface.
     """
+    zero = np.zeros_like(along)
     if thing.bend is None:
-        return 0.0
-    side = thing.size_mm[1 if thing.bend.straight == "width" else 0]
-    return float(np.degrees(side / 2 / thing.bend.radius_mm))
+        return np.stack([along, across, zero + sunk], -1), np.stack([zero, zero, zero + 1], -1)
+    radius, wide = thing.bend.radius_mm, thing.bend.straight == "width"
+    turn = (across if wide else along) / radius
+    out, up = (radius + sunk) * np.sin(turn), (radius + sunk) * np.cos(turn) - radius
+    if wide:
+        return np.stack([along, out, up], -1), np.stack([zero, np.sin(turn), np.cos(turn)], -1)
+    return np.stack([out, across, up], -1), np.stack([np.sin(turn), zero, np.cos(turn)], -1)
 
 
 def wall_deg(thing: StudioObjectKeys) -> float:
@@ -172,16 +166,3 @@ def hidden_share(lamps: Sequence[StudioLamp], slope: float) -> float:
     height = towards[:, 2] / np.maximum(np.hypot(towards[:, 0], towards[:, 1]), 1e-9)
     turned = np.array([0.5 * erfc(float(h) / (slope * np.sqrt(2))) for h in height])
     return float((flat * turned).sum() / max(float(flat.sum()), 1e-30))
-
-
-def first_order_gain(lamps: Sequence[StudioLamp]) -> float:
-    """Return how strongly gentle slopes show, over one lamp at 45°: opposed lamps cancel.
-
-    >>> from levkas.planning.setup import StudioLamp, lamp_place
-    >>> pair = [StudioLamp("a", lamp_place(70.0, a, 2000.0), np.zeros(3)) for a in (0.0, 180.0)]
-    >>> round(first_order_gain(pair[:1]), 2), round(first_order_gain(pair), 6)
-    (2.75, 0.0)
-    """
-    strength, towards = _at_middle(lamps)
-    flat = (strength * np.maximum(towards[:, 2], 0)).sum()
-    return float(np.hypot(*(strength @ towards[:, :2])) / max(float(flat), 1e-30))

@@ -14,8 +14,6 @@ from levkas.campaign.schema.tables import Range, Table
 from levkas.campaign.schema.values import Number, Size, SizeMm, Switch, Text, Whole
 from levkas.core.problems import Problem, Refused
 
-SAFE_KINDS = ("high", "medium", "low", "none")
-
 Positive = Annotated[Number, Field(gt=0)]
 Share = Annotated[Number, Field(ge=0, le=1)]
 NotNegative = Annotated[Number, Field(ge=0)]

@@ -145,7 +145,7 @@ def exposure_record(path: str | Path, name: str | None = None) -> dict[str, Any]
     PlanRefused
         Where the setup file cannot be planned, or nothing says how strong the light is.
     """
-    from levkas.planning.filter_design import regulating_filter
+    from levkas.planning.exposure_plan import regulating_filter
 
     setup = load_setup(path)
     exposures = plan_exposure(setup, name)

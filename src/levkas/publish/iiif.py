@@ -1,23 +1,24 @@
-"""IIIF: tiles of every layer, a Presentation 3 manifest an object, a collection of all.
+"""IIIF: tiles of every layer (Image API 3.0, level 0), a Presentation 3 manifest an object, a collection.
 
-An object is one canvas, its layers a Choice painted on it, the reference camera's first. Viewers want
-whole addresses: they are below the publication's, or below `LOCAL` where none was given.
-"""
+An object is one canvas, its layers a Choice painted on it, the reference camera's first. Viewers need
+whole addresses: they are below the publication's, or below `LOCAL` where none was given."""
 
 from __future__ import annotations
 
+import io
+import json
+import zipfile
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 
+from levkas.colour.srgb import srgb_profile
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.core.text import parse_json
-from levkas.database.consistency import stem_of
-from levkas.database.layout import layer_name
 from levkas.publish.publication import PublishRefused, describe_dataset
-from levkas.publish.tiles import address, cut_tiles, thumbnail_size
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
@@ -46,7 +47,7 @@ def write_iiif(publication: Publication) -> Iterator[str]:
         layers = _layers(publication, name)
         shown = []
         for entry in layers:
-            layer = layer_name(entry.camera, entry.setup)
+            layer = entry.layer.name
             yield f"{name}/{layer}"
             picture, rendering = _picture(publication, entry)
             service = address(base, FOLDER, name, layer)
@@ -166,7 +167,7 @@ def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
     from levkas.database.reader import describe_pages
     from levkas.database.tiff_pages import open_pages
 
-    pages = open_pages(publication.root / f"{stem_of(entry)}.tif")
+    pages = open_pages(publication.root / f"{entry.layer.path}.tif")
     picture = pages.read_render()
     if picture is None:
         picture = np.zeros((entry.height, entry.width, 3), np.uint8)
@@ -174,7 +175,7 @@ def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
 
 
 def _image(entry: Entry, service: str, shape: tuple[int, ...], rendering: str) -> dict[str, Any]:
-    label = f"{layer_name(entry.camera, entry.setup)}: {entry.bands} bands"
+    label = f"{entry.layer.name}: {entry.bands} bands"
     return {
         "id": f"{service}/full/max/0/default.jpg",
         "type": "Image",
@@ -206,7 +207,7 @@ def _metadata(facts: dict[str, Any], layers: list[Entry]) -> list[dict[str, Any]
         "Size": " x ".join(f"{s:g}" for s in facts.get("size_mm", ())) + " mm",
         "Owner": facts.get("owner"),
         "Inventory number": facts.get("inventory"),
-        "Layers": ", ".join(layer_name(e.camera, e.setup) for e in layers),
+        "Layers": ", ".join(e.layer.name for e in layers),
     }
     if not facts.get("size_mm"):
         told.pop("Size")
@@ -226,3 +227,94 @@ def _rights(publication: Publication) -> dict[str, Any]:
         return {"rights": licence.url.replace("https://", "http://")}
     told = {"label": {LANGUAGE: ["Licence"]}, "value": {"none": [never_html(licence.name)]}}
     return {"requiredStatement": told}
+
+
+TILE = 512
+QUALITY = 90
+THUMBNAIL = 200
+"""Px of the longer side."""
+IMAGE_CONTEXT = "http://iiif.io/api/image/3/context.json"
+
+
+def cut_tiles(picture: np.ndarray, identifier: str) -> Iterator[tuple[str, bytes]]:
+    """Yield the files of an image service.
+
+    Parameters
+    ----------
+    picture : ndarray, (height, width, 3), uint8
+        sRGB.
+    identifier : str
+        Address of the service: where the folder with these files will be found.
+
+    Yields
+    ------
+    name : str
+        Relative path: ``info.json``, ``full/max/0/default.jpg``, ``0,0,512,512/512,512/0/default.jpg`` …
+    data : bytes
+        The same at any time and for any number of threads.
+    """
+    import pyvips
+
+    height, width, bands = picture.shape
+    image = pyvips.Image.new_from_memory(
+        np.ascontiguousarray(picture, np.uint8).data, width, height, bands, "uchar"
+    ).copy(interpretation="srgb")
+    image.set_type(pyvips.GValue.blob_type, "icc-profile-data", srgb_profile())
+    suffix = f".jpg[Q={QUALITY}]"  # sRGB is what browsers take an untagged tile for
+    packed = image.dzsave_buffer(
+        basename="image", layout="iiif3", id="", suffix=suffix, container="zip", tile_size=TILE
+    )
+    names: dict[str, bytes] = {}
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        for entry in archive.infolist():
+            folder, _, name = entry.filename.partition("/")
+            if name and folder == "image":  # beside it stands a file with the time
+                names[name] = archive.read(entry)
+    record = json.loads(names.pop("info.json"))
+    sizes = [thumbnail_size(width, height), (width, height)]
+    small = image.thumbnail_image(sizes[0][0], height=sizes[0][1], size="force")
+    names[f"full/{sizes[0][0]},{sizes[0][1]}/0/default.jpg"] = _jpeg(small)
+    whole = _jpeg(image)
+    names["full/max/0/default.jpg"] = whole
+    names[f"full/{width},{height}/0/default.jpg"] = whole
+    yield "info.json", (json.dumps(_info(record, identifier, sizes), indent=1) + "\n").encode()
+    yield from sorted(names.items())
+
+
+def thumbnail_size(width: int, height: int) -> tuple[int, int]:
+    """Return a size whose longer side is at most 200 px.
+
+    >>> thumbnail_size(1392, 1040), thumbnail_size(90, 60)
+    ((200, 149), (90, 60))
+    """
+    scale = min(1.0, THUMBNAIL / max(width, height))
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def address(base: str, *parts: str) -> str:
+    """Return an address below `base`, every part encoded.
+
+    >>> address("https://example.org/", "iiif", "icon 1")
+    'https://example.org/iiif/icon%201'
+    """
+    return base + "/".join(quote(part, safe="@") for part in parts)
+
+
+def _info(record: dict[str, Any], identifier: str, sizes: list[tuple[int, int]]) -> dict[str, Any]:
+    """What a viewer must know, in a fixed order; libvips tells the tiles that it made."""
+    return {
+        "@context": IMAGE_CONTEXT,
+        "id": identifier,
+        "type": "ImageService3",
+        "protocol": "http://iiif.io/api/image",
+        "profile": "level0",
+        "width": record["width"],
+        "height": record["height"],
+        "sizes": [{"width": w, "height": h} for w, h in dict.fromkeys(sizes)],
+        "tiles": record["tiles"],
+    }
+
+
+def _jpeg(image: Any) -> bytes:
+    data: bytes = image.jpegsave_buffer(Q=QUALITY, keep="icc")
+    return data

@@ -11,7 +11,7 @@ from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
 from levkas.registration.bands import BandImage, grey, stretch
 from levkas.registration.features import find_key_points
 from levkas.registration.matching import match
-from levkas.registration.outliers import remove_outliers
+from levkas.registration.outliers import RemovalTerms, remove_outliers
 from levkas.registration.record import RegistrationRefused
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _measure(first: list[BandImage], other: list[BandImage], model: str) -> Affi
     scale = Affine.scaling(*np.divide(first[0].size, other[0].size))
     reject = REJECT_SHARE * float(np.hypot(*first[0].size))
     try:
-        rounds = list(remove_outliers(b, a, scale=scale, reject=reject, stop=STOP_PX, order=1))
+        rounds = list(remove_outliers(b, a, RemovalTerms(scale, reject, STOP_PX, order=1)))
     except RegistrationRefused as refusal:
         raise _apart(first, other, len(a)) from refusal
     kept = np.linalg.norm(scale(b) - a, axis=1) < reject

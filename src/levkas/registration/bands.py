@@ -74,6 +74,22 @@ class BandImage:
         return self.values.shape[1], self.values.shape[0]
 
 
+def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
+    """Return the bands by wavelength where all are known, else as they come."""
+    known = all(np.isfinite(band.wavelength) for band in bands)
+    return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
+
+
+def region_mask(region: Sequence[float] | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Return which pixels of a frame, (h, w) bool, lie in (x, y, width, height), px; all without a region."""
+    inside = np.ones(shape, bool)
+    if region is not None:
+        x, y, width, height = (round(float(v)) for v in region)
+        inside[:] = False
+        inside[max(y, 0) : max(y + height, 0), max(x, 0) : max(x + width, 0)] = True
+    return inside
+
+
 def grey(images: Sequence[BandImage]) -> tuple[np.ndarray, np.ndarray]:
     """Average the bands of one sensor: the paper's grey picture of a camera.
 

@@ -18,6 +18,7 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.registration.bands import by_wavelength
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.initial import (
     InitialTransform,
@@ -25,13 +26,12 @@ from levkas.registration.initial import (
     is_plausible,
     seed_with_points,
 )
-from levkas.registration.local_shifts import WindowShifts
+from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
 from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
 from levkas.registration.record import RegistrationRefused, Sigma
-from levkas.registration.sampling import highpass
 from levkas.registration.uncertainty import measure_sigma
 from levkas.registration.verification import (
     PermutationTest,
@@ -262,12 +262,6 @@ class RegisteredSensor:
     sigma: dict[str, Sigma] = field(default_factory=dict)
     initial: InitialTransform | None = None
     refined: RefinedMap | None = None
-
-
-def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
-    """Return the bands by wavelength where all are known, else as they come."""
-    known = all(np.isfinite(band.wavelength) for band in bands)
-    return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
 
 
 def register_sensor(

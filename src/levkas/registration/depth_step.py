@@ -15,8 +15,8 @@ import numpy as np
 
 from levkas.geometry.depth_step import LedgeShift
 from levkas.geometry.pixel_maps_kernel import share_inside
-from levkas.geometry.transforms import Composed, Transform, design_matrix, frame_of
-from levkas.registration.models import Observations, fit_polynomial, solve_2x2
+from levkas.geometry.transforms import Composed, Transform, design_matrix, frame_of, solve_2x2
+from levkas.registration.models import Observations, fit_polynomial
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,8 @@ class FeatureSettings:
         Of a grey picture that the default method keeps, the strongest first.
     edge_threshold : int
         Of SIFT, above which an extremum lies on an edge; in the default method.
+    most_greys : int
+        Means of parts of the spectrum in which key points are found, beside that of all bands.
     edge_px : float
         Scale at which the gradient's magnitude is taken.
     """
@@ -51,6 +53,7 @@ class FeatureSettings:
     orb_points: int = 40_000
     key_points: int = 4000
     edge_threshold: int = 12
+    most_greys: int = 4
     edge_px: float = 2.0
 
 
@@ -269,6 +272,50 @@ def _gather(key_points: Any, descriptors: Any, *, width: int) -> KeyPoints:
 
 
 # --- features of the grey pictures of a camera
+
+
+class GreyImages(Sequence[np.ndarray]):
+    """The mean of all bands brought to one contrast, and up to four others, computed when first used.
+
+    Those are the bands themselves where they are few, else means of parts of the spectrum.
+    """
+
+    def __init__(self, images: Sequence[np.ndarray]) -> None:
+        self._images = images
+        parts = np.array_split(np.arange(len(images)), min(SETTINGS.most_greys, len(images)))
+        self._groups = [range(len(images)), *(parts if len(images) > 1 else ())]
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def freeze(self) -> None:
+        """Compute all of them, and free the bands."""
+        for i in range(len(self)):
+            self[i]
+        self._images = []
+
+    def __getitem__(self, i: Any) -> Any:
+        if isinstance(i, slice):
+            return [self[k] for k in range(*i.indices(len(self)))]
+        if i not in self._made:
+            self._made[i] = _mean([self._images[k] for k in self._groups[i]])
+        return self._made[i]
+
+
+def _mean(images: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean of images, each in units of its standard deviation, over what is finite."""
+    total, count = np.zeros((2, *images[0].shape), np.float32)
+    for image in images:
+        known = np.isfinite(image)
+        some = image[::2, ::2][known[::2, ::2]]
+        if not some.size:
+            continue
+        spread = np.float32(max(float(np.std(some)), 1e-12))
+        total += np.where(known, image / spread, np.float32(0))
+        count += known
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(total / count)
 
 
 class CameraFeatures:

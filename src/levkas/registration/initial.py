@@ -31,6 +31,7 @@ from levkas.registration.matching import (
     match_widely,
     unique_rows,
 )
+from levkas.registration.models import Observations, fit_similarity
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
 
 if TYPE_CHECKING:
@@ -403,13 +404,19 @@ def fit_initial_transform(pairs: np.ndarray) -> InitialTransform:
     p, q = pairs[:, :2], pairs[:, 2:]
     affine = Affine.fit(p, q)
     mirrored = bool(np.linalg.det(affine.matrix[:, :2]) < 0)
-    similarity = _fit_similarity(p, q, mirrored)
+    turned = np.broadcast_to(np.diag([1.0, -1.0 if mirrored else 1.0]), (len(p), 2, 2))
+    similarity = fit_similarity(
+        Observations(p, q, turned, np.broadcast_to(np.eye(2), turned.shape))
+    )
     reach = SETTINGS.reach * _scale(similarity, p)
     kept = np.ones(len(p), bool)
     for chosen in (similarity, affine):
         if np.linalg.norm(chosen(p) - q, axis=1).max() <= reach:
             return InitialTransform(chosen, p, q, kept, mirrored)
-    return InitialTransform(_fit_homography(p, q) or affine, p, q, kept, mirrored)
+    try:
+        return InitialTransform(Homography.fit(p, q), p, q, kept, mirrored)
+    except ValueError:
+        return InitialTransform(affine, p, q, kept, mirrored)
 
 
 def _rematch_all(
@@ -437,37 +444,3 @@ def _contradicts(found: InitialTransform, fixed: np.ndarray, shape: tuple[int, .
     off = np.nan_to_num(miss / np.maximum(scale, 1e-9), nan=np.inf)
     most = max(SETTINGS.least_contradiction, SETTINGS.contradiction_share * max(shape))
     return bool(np.median(off) > most)
-
-
-def _fit_similarity(p: np.ndarray, q: np.ndarray, mirrored: bool) -> Affine:
-    sign = -1.0 if mirrored else 1.0
-    centre, middle = p.mean(0), q.mean(0)
-    u, v = (p - centre).T
-    one = np.stack([np.stack([u, -v * sign], 1), np.stack([v * sign, u], 1)], 1).reshape(-1, 2)
-    a, b = np.linalg.lstsq(one, (q - middle).reshape(-1), rcond=None)[0]
-    linear = np.array([[a, -b * sign], [b, a * sign]])
-    return Affine(np.column_stack([linear, middle - linear @ centre]))
-
-
-def _fit_homography(p: np.ndarray, q: np.ndarray) -> Homography | None:
-    """Direct linear transform on centred, scaled coordinates ([hartley1997]_); None where none is determined."""
-
-    def frame(points: np.ndarray) -> np.ndarray:
-        centre = points.mean(0)
-        spread = max(float(np.abs(points - centre).max()), 1e-9)
-        return np.array(
-            [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
-        )
-
-    a, b = frame(p), frame(q)
-    x, y = (p @ a[:2, :2].T + a[:2, 2]).T
-    u, v = (q @ b[:2, :2].T + b[:2, 2]).T
-    one, nil = np.ones_like(x), np.zeros_like(x)
-    rows = np.concatenate(
-        [
-            np.stack([x, y, one, nil, nil, nil, -u * x, -u * y, -u], 1),
-            np.stack([nil, nil, nil, x, y, one, -v * x, -v * y, -v], 1),
-        ]
-    )
-    matrix = np.linalg.inv(b) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ a
-    return Homography(matrix / matrix[2, 2]) if abs(matrix[2, 2]) > 1e-9 else None

@@ -13,9 +13,9 @@ import numpy as np
 from levkas.geometry.transforms import Transform
 from levkas.registration.bands import sqrt_images
 from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
-from levkas.registration.features import CameraFeatures
+from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.joint import SensorObservations
-from levkas.registration.prepared_reference import GreyImages, PreparedReference
+from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import (
     Matches,
     MatchState,

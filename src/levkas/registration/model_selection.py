@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from levkas.geometry.transforms import Composed, Transform
+from levkas.geometry.transforms import Composed, Transform, solve_2x2
 from levkas.registration.depth_step import (
     ORDERS,
     DepthStep,
@@ -28,7 +28,6 @@ from levkas.registration.models import (
     fit_similarity,
     fit_spline,
     inflate_covariance,
-    solve_2x2,
 )
 
 Fit = Callable[[Observations], Transform]

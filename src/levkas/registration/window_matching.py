@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.geometry.transforms import solve_2x2
 from levkas.registration.bands import area_average
-from levkas.registration.models import solve_2x2
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform

@@ -17,6 +17,7 @@ from levkas.simulation.capture import (
     Sight,
     SimulatedCamera,
     SimulatedFrame,
+    key,
     look,
 )
 from levkas.simulation.icon import paint_icon
@@ -32,7 +33,6 @@ from levkas.simulation.presets import (
     refusal,
 )
 from levkas.simulation.rendering import tabulate
-from levkas.simulation.sensing import key
 from levkas.simulation.truth import SimulatedTruth
 
 CHART = "macbeth"

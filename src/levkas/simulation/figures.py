@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.simulation.painting import multiply
-from levkas.simulation.strokes import brush, curve, ellipse
+from levkas.simulation.painting import brush, curve, ellipse, multiply
 
 if TYPE_CHECKING:
     from levkas.simulation.painting import Canvas

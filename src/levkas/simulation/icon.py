@@ -16,8 +16,7 @@ from levkas.simulation.figures import (
     paint_hand,
     paint_head,
 )
-from levkas.simulation.painting import Canvas, Painting, multiply
-from levkas.simulation.strokes import brush, curve, ellipse
+from levkas.simulation.painting import Canvas, Painting, brush, curve, ellipse, multiply
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ add a lobe of facets, GGX of Walter et al. 2007.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -161,29 +161,37 @@ def compose(
     gilt = painting.metal.astype(np.float32) / np.float32(255)
     mirror = np.float32(VARNISH_MIRROR * painting.gloss)
     seen = np.float32(transparency(wavelengths) @ response / 255)
-    out = np.empty(lit.shade.shape, np.float32)
-    _compose(
-        painting.amounts, painting.underdrawing, lit.shade, lit.gold, lit.varnish,
-        paint, metal, gilt, seen, mirror, out,
-    )  # fmt: skip
-    return Texture(out, painting.px_per_mm)
+    maps = _Maps(painting.amounts, painting.underdrawing, lit.shade, lit.gold, lit.varnish)
+    values = _compose(maps, _BandFactors(paint, metal, gilt, seen, mirror))
+    return Texture(values, painting.px_per_mm)
+
+
+class _Maps(NamedTuple):
+    """What lies where on a lit painting: `amounts` (rows, columns, pigments), the others (rows, columns)."""
+
+    amounts: np.ndarray
+    under: np.ndarray
+    shade: np.ndarray
+    gold: np.ndarray
+    varnish: np.ndarray
+
+
+class _BandFactors(NamedTuple):
+    """Reflectance in one band: of pigments as `paint` and `metal`, (pigments,), and of the layers above and below."""
+
+    paint: np.ndarray
+    metal: np.ndarray
+    gilt: np.ndarray
+    seen: np.float32
+    mirror: np.float32
 
 
 @njit(cache=True, parallel=True)
-def _compose(
-    amounts: np.ndarray,
-    under: np.ndarray,
-    shade: np.ndarray,
-    gold: np.ndarray,
-    varnish: np.ndarray,
-    paint: np.ndarray,
-    metal: np.ndarray,
-    gilt: np.ndarray,
-    seen: np.float32,
-    mirror: np.float32,
-    out: np.ndarray,
-) -> None:
-    one = np.float32(1.0)
+def _compose(maps, band):  # type: ignore[no-untyped-def]
+    """Return reflectance factors, (rows, columns), float32, of `_Maps` and `_BandFactors`."""
+    amounts, under, shade, gold, varnish = maps
+    paint, metal, gilt, seen, mirror = band
+    one, out = np.float32(1.0), np.empty(shade.shape, np.float32)
     for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
             diffuse, lobe, leaf = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -194,6 +202,7 @@ def _compose(
                 leaf += a * gilt[k]
             value = diffuse * shade[i, j] * (one - seen * np.float32(under[i, j]))
             out[i, j] = value + lobe * gold[i, j] + (one - leaf) * mirror * varnish[i, j]
+    return out
 
 
 @njit(cache=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.registration.manual_points import MARKS
-from levkas.workbench.replay import reject_of
+from levkas.workbench.session import reject_of
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform

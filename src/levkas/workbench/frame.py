@@ -14,11 +14,10 @@ import numpy as np
 
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Inverse, Transform
-from levkas.workbench import maps
+from levkas.workbench import pictures
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
-from levkas.workbench.operations import refused
 from levkas.workbench.pictures import ShownPicture, encode, tinted, warped_tile
-from levkas.workbench.session import look
+from levkas.workbench.session import look, refused
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, SensorFrames
@@ -319,16 +318,16 @@ class RegistrationView:
         """
         size = self.session.found.size
         if kind == "sigma":
-            drawn = maps.draw_sigma(self.record, self.band, size)
+            drawn = pictures.draw_sigma(self.record, self.band, size)
         elif kind == "leave-one-out":
-            drawn = maps.draw_leave_one_out(self.session.view.matches, size)
+            drawn = pictures.draw_leave_one_out(self.session.view.matches, size)
         elif kind == "ssim":
             forward = self.forward(which)
-            drawn = maps.draw_ssim(self.picture("reference"), self.picture("target"), forward)
+            drawn = pictures.draw_ssim(self.picture("reference"), self.picture("target"), forward)
         else:
             flags = self.read_flags(self.capture, self.band)
-            drawn = maps.draw_flags(flags, self.forward(which), size)
-        png = maps.to_png(drawn)
+            drawn = pictures.draw_flags(flags, self.forward(which), size)
+        png = pictures.to_png(drawn)
         return {
             "low": round(drawn.low, 5),
             "high": round(drawn.high, 5),

@@ -1,8 +1,8 @@
-"""A session of corrections on one registration: pairs, refit, undo.
+"""Corrections of one registration: operations on pairs, refit, undo.
 
-A session holds what the method found and the corrections so far; every state is one value, so that
-undo has no end and nothing is ever taken back by hand.
-"""
+An operation is a function from corrections to corrections. A session holds what the method found and the
+corrections so far; every state is one value, so that undo has no end and nothing is ever taken back by
+hand. Outliers are removed from the corrected pairs by the paper's way, whatever method found them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,164 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge
+from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge, round_pair
+from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.registration.manual_points import ManualPoints, MarkedMatches, measure_checks
-from levkas.registration.mirhashemi2019 import scale_only
-from levkas.registration.outliers import Cleaned
+from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
+from levkas.registration.outliers import Cleaned, RemovalTerms, clean, cut
 from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
-from levkas.workbench.operations import OPERATIONS, refused, set_threshold
-from levkas.workbench.replay import reject_of, replay
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+KINDS = ("deleted", "restored", "pinned", "added", "checks")
+
+
+THRESHOLDS = {"reject": (0.1, 1e6), "stop": (0.001, 1e6)}
+
+
+class OperationRefused(Refused):
+    """Something that cannot be done to this pair."""
+
+
+def delete(edits: FrameEdits, pair: Pair) -> FrameEdits:
+    """No fit rests on the pair any more; a pair of one's own goes altogether.
+
+    >>> mine = add(FrameEdits(), (1, 2, 3, 4))
+    >>> delete(mine, (1, 2, 3, 4)) == FrameEdits()
+    True
+    """
+    pair = round_pair(pair)
+    if pair in edits.added or pair in edits.checks:
+        return _without(edits, pair)
+    for move in edits.moved:
+        if move[4:] == pair:
+            rest = tuple(m for m in edits.moved if m != move)
+            return _with(replace(edits, moved=rest), "deleted", move[:4])
+    return _with(_without(edits, pair), "deleted", pair)
+
+
+def restore(edits: FrameEdits, pair: Pair) -> FrameEdits:
+    """Take back a deletion; a pair that the removal of outliers dropped stays from now on."""
+    pair = round_pair(pair)
+    if pair in edits.deleted:
+        return _without(edits, pair)
+    for move in edits.moved:
+        if pair in (move[:4], move[4:]):
+            return replace(edits, moved=tuple(m for m in edits.moved if m != move))
+    return _with(_without(edits, pair), "restored", pair)
+
+
+def pin(edits: FrameEdits, pair: Pair) -> FrameEdits:
+    """The pair is never removed; pinned again, it is let go."""
+    pair = round_pair(pair)
+    if pair in edits.pinned:
+        return _without(edits, pair)
+    if _is_own(edits, pair):
+        return edits
+    return _with(_without(edits, pair), "pinned", pair)
+
+
+def add(edits: FrameEdits, pair: Pair) -> FrameEdits:
+    """Add a pair of one's own."""
+    return _with(_without(edits, round_pair(pair)), "added", round_pair(pair))
+
+
+def move(edits: FrameEdits, pair: Pair, to: Pair) -> FrameEdits:
+    """Put a pair elsewhere; it is then a person's own.
+
+    >>> moved = move(FrameEdits(), (1, 2, 3, 4), (1, 2, 3, 4.5))
+    >>> moved.moved, move(moved, (1, 2, 3, 4.5), (1, 2, 3, 4)) == FrameEdits()
+    (((1.0, 2.0, 3.0, 4.0, 1.0, 2.0, 3.0, 4.5),), True)
+    """
+    pair, to = round_pair(pair), round_pair(to)
+    if pair == to:
+        return edits
+    for kind in ("added", "checks"):
+        if pair in getattr(edits, kind):
+            return _with(_without(edits, pair), kind, to)
+    first = next((m[:4] for m in edits.moved if m[4:] == pair), pair)
+    kept = tuple(m for m in edits.moved if m[:4] != first)
+    edits = replace(_without(edits, first), moved=kept)
+    if first == to:
+        return edits
+    return replace(edits, moved=tuple(sorted((*kept, (*first, *to)))))
+
+
+def check(edits: FrameEdits, pair: Pair) -> FrameEdits:
+    """Keep a pair as a check point, which measures and is never fitted; or let it go again."""
+    pair = round_pair(pair)
+    if pair in edits.checks:
+        return _without(edits, pair)
+    return _with(_without(edits, pair), "checks", pair)
+
+
+def set_threshold(edits: FrameEdits, name: str, value: float | None) -> FrameEdits:
+    """Set `reject` or `stop`, reference px; None gives the campaign's back.
+
+    Raises OperationRefused where the value makes no sense.
+    """
+    if name not in THRESHOLDS:
+        raise refused("there is no such slider", name, ", ".join(THRESHOLDS))
+    if value is None:
+        return _set(edits, name, None)
+    low, high = THRESHOLDS[name]
+    if not low <= value <= high:
+        raise refused(f"`{name}` cannot be that", value, f"{low:g} to {high:g} reference px")
+    return _set(edits, name, round(float(value), 3))
+
+
+OPERATIONS: dict[str, Callable[..., FrameEdits]] = {
+    "delete": delete,
+    "restore": restore,
+    "pin": pin,
+    "add": add,
+    "move": move,
+    "check": check,
+}
+
+
+def refused(message: str, found: object, expected: str) -> OperationRefused:
+    """Return the refusal of an operation."""
+    return OperationRefused(Problem("E_VALUE", message, found=found, expected=expected))
+
+
+def _is_own(edits: FrameEdits, pair: Pair) -> bool:
+    return pair in edits.added or any(m[4:] == pair for m in edits.moved)
+
+
+def _without(edits: FrameEdits, pair: Pair) -> FrameEdits:
+    for kind in KINDS:
+        pairs = getattr(edits, kind)
+        if pair in pairs:
+            edits = _set(edits, kind, tuple(p for p in pairs if p != pair))
+    return edits
+
+
+def _with(edits: FrameEdits, kind: str, pair: Pair) -> FrameEdits:
+    return _set(edits, kind, tuple(sorted({*getattr(edits, kind), pair})))
+
+
+def _set(edits: FrameEdits, name: str, value: Any) -> FrameEdits:
+    return replace(edits, **{name: value})
+
+
 LEAST_FITTED = 3
+
+
+ORDERS = ((20, 3), (12, 2), (3, 1))
+"""Least number of pairs, order of the polynomial that they carry."""
+
+
+LEAST_STARTED = 0.9
+"""Share of the kept pairs that the paper's start, scale alone, must bring within `reject`."""
+
+
 STILL_PX = 0.02
 """Target px that a map may move before pictures are brought over anew: less than can be seen."""
+
+
 CUT = "farther than `reject` at the start"
 
 
@@ -259,23 +402,56 @@ def look(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
 def _fit(
     found: RecordedPairs, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
 ) -> tuple[Cleaned | None, str]:
-    if (~marked.dropped).sum() < LEAST_FITTED:
-        return None, f"{int((~marked.dropped).sum())} pairs: a map needs at least {LEAST_FITTED}"
+    """Remove outliers anew from pairs of which the method kept `kept`, by the paper's way; or say why not."""
+    free = ~marked.dropped
+    if free.sum() < LEAST_FITTED:
+        return None, f"{int(free.sum())} pairs: a map needs at least {LEAST_FITTED}"
+    reject = edits.reject or found.reject or reject_of(found.size)
     try:
-        cleaned = replay(
-            marked.reference,
-            marked.target,
-            kept,
-            size=found.size,
-            target_size=found.target_size,
-            reject=edits.reject or found.reject,
-            stop=edits.stop or found.stop,
-            sure=marked.fixed,
-            dropped=marked.dropped,
-        )
+        start = _start(found, marked, (kept | marked.fixed) & free, reject)
+        near = cut(marked.target, marked.reference, start, reject)[1]
+        count = int(((near | marked.fixed) & free).sum())
+        terms = RemovalTerms(start, reject, edits.stop or found.stop, max(order_of(count), 1))
+        cleaned = clean(
+            marked.target, marked.reference, terms, size=found.size,
+            target_size=found.target_size, pinned=marked.fixed, dropped=marked.dropped,
+        )  # fmt: skip
     except RegistrationRefused as refusal:
         return None, str(refusal.problems[0].message)
     return cleaned, ""
+
+
+def _start(
+    found: RecordedPairs, marked: MarkedMatches, kept: np.ndarray, reject: float
+) -> Transform:
+    """Return the map target → reference under which pairs are cut.
+
+    The paper's scale alone where nearly all kept pairs lie within `reject` under it; else, for a
+    camera on its side, say, the affine map of the kept pairs.
+    """
+    scale = scale_only(found.size, found.target_size)
+    reference, target = marked.reference[kept], marked.target[kept]
+    if len(target) < 3 or cut(target, reference, scale, reject)[1].mean() >= LEAST_STARTED:
+        return scale
+    return Affine.fit(target, reference)
+
+
+def reject_of(size: tuple[int, int]) -> float:
+    """Return the paper's T1 for a reference of `size`: 1/16 of its diagonal, px.
+
+    >>> round(reject_of((1392, 1040)), 1)
+    108.6
+    """
+    return float(np.hypot(*size)) * SETTINGS.reject_share
+
+
+def order_of(count: int) -> int:
+    """Return the order of the polynomial that `count` pairs carry, 0 for none.
+
+    >>> [order_of(n) for n in (2, 4, 15, 400)]
+    [0, 1, 2, 3]
+    """
+    return next((order for least, order in ORDERS if count >= least), 0)
 
 
 def _stiff(found: RecordedPairs, marked: MarkedMatches) -> Transform:

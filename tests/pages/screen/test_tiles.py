@@ -12,11 +12,24 @@ from PIL import Image
 from levkas.core.digests import hash_tree
 from levkas.database.tiff_pages import open_pages
 from levkas.publish.viewer import spectra
+from levkas.publish.viewer.pictures import ILLUMINANTS, observer_under, relighting_matrix
 from levkas.publish.viewer.pyramid import OVERLAP_PX, TILE_PX, cut, halve, write_pyramid
-from levkas.publish.viewer.relighting import ILLUMINANTS, observer_under, relighting_matrix
-from levkas.publish.viewer.spectra import decode_block, encode_block, write_spectra
+from levkas.publish.viewer.spectra import encode_block, write_spectra
 
 from .database import write_database
+
+
+def decode_block(
+    data: bytes, shape: tuple[int, int, int], dtype: np.dtype | type
+) -> tuple[np.ndarray, bytes]:
+    """Return the first block of a payload, and what follows it, as the page decodes them."""
+    rows, columns, bands = shape
+    kind = np.dtype(dtype)
+    size = rows * columns * bands * kind.itemsize
+    octets = np.frombuffer(data[:size], np.uint8).reshape(bands, kind.itemsize, rows, columns)
+    whole = np.cumsum(octets, axis=-1, dtype=np.uint8)
+    values = np.ascontiguousarray(np.moveaxis(whole, 1, 3)).view(kind.newbyteorder("<"))[..., 0]
+    return np.moveaxis(values, 0, 2).astype(kind), data[size:]
 
 
 @settings(max_examples=60, deadline=None)

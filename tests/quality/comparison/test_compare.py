@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 from levkas.cli import app
 from levkas.quality.comparison import COMPARED, compare
 from levkas.quality.comparison.methods import ComparedMethod
-from levkas.quality.comparison.running import ComparedLayer, ComparedRow, chosen_methods
-from levkas.quality.comparison.table import Comparison
+from levkas.quality.comparison.table import ComparedLayer, ComparedRow, Comparison, chosen_methods
 from levkas.quality.evaluation.native_layers import ComparisonRefused
 
 run = CliRunner().invoke

@@ -7,9 +7,13 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from levkas.geometry.transforms import Affine
-from levkas.quality.comparison.methods import find_peers
-from levkas.quality.comparison.opencv import opencv_ecc, opencv_sift_magsac
-from levkas.quality.comparison.pairs import NoAnswer, Pair
+from levkas.quality.comparison.methods import (
+    NoAnswer,
+    Pair,
+    find_peers,
+    opencv_ecc,
+    opencv_sift_magsac,
+)
 
 find_peers()
 from levkas_peers.dual_bootstrap import gdbicp_quadratic, gdbicp_radial  # noqa: E402
@@ -48,7 +52,7 @@ def planted(name):
 
 def pair(function, seed=1, other=None):
     """The reference and a target in which reference points lie where `function` puts them."""
-    from levkas.quality.comparison.pairs import AnyMap
+    from levkas.quality.comparison.methods import AnyMap
 
     big = painting(seed)
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)

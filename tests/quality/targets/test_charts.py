@@ -12,9 +12,16 @@ from levkas.quality.targets.charts import (
     place_patches,
     reference_of,
 )
-from levkas.quality.targets.indicators import compare_colours, delta_e_2000, lab_of, rate
 from levkas.quality.targets.locating import locate_chart
-from levkas.quality.targets.measuring import measure, sight
+from levkas.quality.targets.measuring import (
+    Sighting,
+    compare_colours,
+    delta_e_2000,
+    lab_of,
+    locate_in_cube,
+    measure,
+    rate,
+)
 from levkas.quality.targets.patches import measure_patches
 
 CLASSIC = CHARTS["ColorChecker24"]
@@ -189,14 +196,16 @@ def test_a_measure_says_all_and_changes_no_input():
     values = scene(noise=0.005, rng=rng)
     before = values.copy()
     reference = reference_of(CLASSIC)
-    seen = sight("", cube(values), CLASSIC, reference, corners=true_corners())
+    found = locate_in_cube(cube(values), CLASSIC, reference, corners=true_corners())
+    seen = Sighting("", found, cube(values))
     made = measure("chart", CLASSIC, [seen], reference)
     np.testing.assert_array_equal(values, before)
     record = made.to_dict()
     assert len(record["patches"]) == 24 and record["preblurred"] == []
     assert record["indicators"][0]["value"] < 1.5
     blurred = np.stack([cv2.blur(values[..., i], (3, 3)) for i in range(values.shape[2])], -1)
-    seen = sight("", cube(blurred), CLASSIC, reference, corners=true_corners())
+    found = locate_in_cube(cube(blurred), CLASSIC, reference, corners=true_corners())
+    seen = Sighting("", found, cube(blurred))
     told = measure("chart", CLASSIC, [seen], reference)
     assert all(p.found for p in told.preblurs)
     lost = np.nanmedian(told.table.snr_db - told.snr_db)

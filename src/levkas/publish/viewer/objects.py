@@ -21,11 +21,10 @@ from levkas.database.registrations import read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import DECISIONS
-from levkas.publish.viewer.lattice import write_lattices
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, pictures_of
 from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
-from levkas.publish.viewer.spectra import write_spectra
+from levkas.publish.viewer.spectra import write_lattices, write_spectra
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write

@@ -6,26 +6,33 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.colour.srgb import encode_srgb, find_rendering
+from levkas.colour.observer import read_table, tables_by_nm
+from levkas.colour.relighting import adaptation
+from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, find_rendering
 from levkas.core.cube import Band
 from levkas.core.flags import MARKS
 from levkas.database.pixel_frames import Frame, Records
 from levkas.database.tiff_pages import open_pages
-from levkas.publish.viewer.relighting import ILLUMINANTS, relighting_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from levkas.database.tiff_pages import TiffPages
 
+
 MOST_BANDS = 64
 """Single bands shown of one layer; of more, so many at even distances."""
+
+
 WHITE_PERCENTILE = 99.5
+
+
 INFRARED_NM, RED_NM, GREEN_NM = (780, 1000, 900), (600, 700, 650), (500, 590, 550)
 """Least, most and wanted wavelength of false-colour infrared's three channels."""
 
@@ -186,12 +193,24 @@ def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
 
 SCALE = ((20, 17, 15), (60, 32, 64), (122, 46, 76), (181, 83, 51), (217, 154, 60), (250, 236, 190))
 """Colours of a scalar map from least to most; lightness rises evenly."""
+
+
 UNKNOWN = (70, 72, 76)
+
+
 CLEAR = (24, 22, 19)
+
+
 PERCENTILES = (1.0, 99.0)
+
+
 BLOCK_BYTES = 64_000_000
 """Read at once: so many rows of all bands, and at least one."""
+
+
 MOST_BYTES_SSIM = 2_000_000_000
+
+
 MOST_PLACES = 2_000_000
 """Where a predicted error is computed; between them it is repeated."""
 
@@ -338,3 +357,46 @@ def _between(table: dict[str, Sequence[Any]], places: np.ndarray) -> np.ndarray:
 
 def _fraction(nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.interp(places, nodes, np.arange(len(nodes), dtype=float))
+
+
+ILLUMINANTS = {
+    "D50": "D50, daylight in the morning",
+    "A": "A, incandescent lamp",
+    "LED-B3": "LED-B3, white LED of 4100 K",
+    "FL2": "FL2, fluorescent tube",
+}
+"""CIE illuminants beside D65, columns of `cie_illuminants.csv`, and what they are."""
+
+
+def relighting_matrix(wavelengths: Sequence[float] | np.ndarray, illuminant: str) -> np.ndarray:
+    """Return the matrix from narrow bands to linear sRGB under an illuminant.
+
+    Parameters
+    ----------
+    wavelengths : (bands,), nm
+    illuminant : str
+        A name of `ILLUMINANTS`.
+
+    Returns
+    -------
+    matrix : ndarray, (bands, 3), float32
+        ``linear = reflectance @ matrix``; reflectance 1 in all bands gives 1, 1, 1.
+    """
+    centres = np.asarray(wavelengths, float)
+    order = np.argsort(centres, kind="stable")
+    grid = tables_by_nm()[:, 0]
+    hats = np.stack([np.interp(grid, centres[order], row) for row in np.eye(len(centres))])
+    weights = np.empty((len(centres), 3))
+    weights[order] = hats @ observer_under(illuminant)
+    adapted = weights @ adaptation(weights.sum(0), SRGB_TO_XYZ.sum(1)).T
+    return (adapted @ np.linalg.inv(SRGB_TO_XYZ).T).astype(np.float32)
+
+
+@cache
+def observer_under(illuminant: str) -> np.ndarray:
+    """Return the CIE 1931 2° observer times a light, (401, 3), 380 to 780 nm; Y sums to 1."""
+    rows, table = tables_by_nm(), read_table("cie_illuminants.csv")
+    column = 1 + list(ILLUMINANTS).index(illuminant)
+    power = np.interp(rows[:, 0], table[:, 0], table[:, column])
+    weights = rows[:, 1:4] * power[:, None]
+    return weights / weights[:, 1].sum()

@@ -1,17 +1,234 @@
-"""The table of a comparison, for people and for programs."""
+"""Comparison of methods: each on every layer of a database, in a process of its own with a time limit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from levkas.core.machine import count_threads
+from levkas.core.ownership import OwnFiles
 from levkas.core.problems import Problem
-from levkas.quality.comparison.methods import COMPARED
-from levkas.quality.comparison.running import ComparedRow
+from levkas.database.registrations import read_registration, read_registrations
+from levkas.quality.comparison.methods import COMPARED, find_peers
+from levkas.quality.comparison.trial import Trial
+from levkas.quality.evaluation.native_layers import ComparisonRefused
+
+Checks = Mapping[tuple[str, str, str], np.ndarray]
+
+
+TIME_LIMIT_S = 600.0
+
+
+THREADS_OF = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LEVKAS_THREADS",
+    "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ComparedLayer:
+    """One camera under one setup of one object.
+
+    Parameters
+    ----------
+    object, name : str
+        `name` is CAMERA or CAMERA@SETUP.
+    """
+
+    object: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.object}/{self.name}"
+
+
+@dataclass(frozen=True)
+class ComparedRow:
+    """What one method did on one layer; `facts` is what `levkas.quality.comparison.trial` says."""
+
+    layer: ComparedLayer
+    method: str
+    facts: dict[str, Any]
+    map: str = ""
+    done: int = 0
+    total: int = 0
+
+    @property
+    def label(self) -> str:
+        """What is running, for a terminal."""
+        return f"{self.layer} {self.method}"
+
+    @property
+    def finished(self) -> bool:
+        """True: a row is told when it is done."""
+        return True
+
+    @property
+    def line(self) -> str:
+        """One line for a terminal."""
+        said = self.facts.get("failure") or f"{self.facts.get('seconds', 0):.1f} s"
+        return f"{self.layer} {self.method}: {said[:100]}"
+
+    @property
+    def errors(self) -> list[float]:
+        """Mean errors of the bands that have points, reference px."""
+        return [b["error_mean"] for b in self.facts.get("bands", []) if b["points"]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the row as `--json` gives it."""
+        errors = self.errors
+        most = [b["error_max"] for b in self.facts.get("bands", []) if b["points"]]
+        return {
+            "object": self.layer.object,
+            "layer": self.layer.name,
+            "method": self.method,
+            "error_mean": sum(errors) / len(errors) if errors else None,
+            "error_worst_band": max(errors, default=None),
+            "error_max": max(most, default=None),
+            **self.facts,
+            "map": self.map,
+        }
+
+
+def layers_of(database: Path) -> list[ComparedLayer]:
+    """Return the layers that were registered to another camera."""
+    layers = []
+    for path, record in read_registrations(database):
+        if record["camera"] != record["reference"]["camera"] or record.get("setup"):
+            layers.append(ComparedLayer(path.parents[1].name, path.stem))
+    if not layers:
+        raise ComparisonRefused(
+            Problem(
+                "E_UNREADABLE",
+                "no layer of this database was registered to another camera",
+                file=str(database),
+            )
+        )
+    return layers
+
+
+def chosen_methods(names: Sequence[str]) -> tuple[list[str], list[Problem]]:
+    """Return the methods that can run, all without names, and a problem for each that cannot.
+
+    Raises
+    ------
+    ComparisonRefused
+        Where a name is not known.
+    """
+    unknown = [name for name in names if name not in COMPARED]
+    if unknown:
+        raise ComparisonRefused(
+            Problem(
+                "E_VALUE",
+                f"there is no method {unknown[0]!r} to compare",
+                found=unknown[0],
+                expected=", ".join(COMPARED),
+            )
+        )
+    find_peers()
+    wanted = list(names) or list(COMPARED)
+    lacking = {name: COMPARED[name].missing for name in wanted}
+    problems = [
+        Problem(
+            "E_MISSING",
+            f"{COMPARED[name].title} is left out: {why}",
+            field=name,
+            fix="Run `make compare` in a checkout of the repository: it installs what is compared.",
+        )
+        for name, why in lacking.items()
+        if why
+    ]
+    return [name for name in wanted if not lacking[name]], problems
+
+
+def run_rows(
+    database: Path,
+    methods: Sequence[str],
+    *,
+    truth: Path | None,
+    checks: Checks,
+    objects: Sequence[str] = (),
+    output: OwnFiles | None,
+    time_limit_s: float = TIME_LIMIT_S,
+) -> Iterator[ComparedRow]:
+    """Yield a row a layer and method, in that order; SSIM maps are drawn into `output`."""
+    layers = [one for one in layers_of(database) if not objects or one.object in objects]
+    done, total = 0, len(layers) * len(methods)
+    for layer in layers:
+        own = _of_layer(database, layer, checks)
+        for method in methods:
+            name = f"{layer.object}_{layer.name.replace('@', '_')}_{method}_ssim.png"
+            page = output.folder / name if output else None
+            if output and page:
+                output.claim(page)
+            trial = Trial(
+                str(database), layer.object, layer.name, method,
+                str(truth or ""), own, str(page or ""),
+            )  # fmt: skip
+            facts = _in_a_child(trial, time_limit_s)
+            if output and page:
+                output.keep(page)
+            drawn = name if page and page.is_file() and not facts.get("failure") else ""
+            done += 1
+            yield ComparedRow(layer, method, facts, drawn, done, total)
+
+
+def _of_layer(database: Path, layer: ComparedLayer, checks: Checks) -> dict[str, list[list[float]]]:
+    """Check points of a layer by band; those of no band are of the camera's reference channel."""
+    path = database / "objects" / layer.object / "registration" / f"{layer.name}.json"
+    channel = str((read_registration(path).get("target") or {}).get("band", ""))
+    found: dict[str, list[list[float]]] = {}
+    for (name, here, band), pairs in checks.items():
+        if (name, here) == (layer.object, layer.name):
+            found.setdefault(band or channel, []).extend(pairs.tolist())
+    return found
+
+
+def _in_a_child(trial: Trial, limit_s: float) -> dict[str, Any]:
+    settings = dict.fromkeys(THREADS_OF, str(count_threads()))
+    settings["PYTHONPATH"] = os.pathsep.join(str(Path(p).resolve()) for p in sys.path if p)
+    # Some peers leave files where they run: that place is thrown away.
+    try:
+        with tempfile.TemporaryDirectory() as scratch:
+            done = subprocess.run(
+                [sys.executable, "-m", "levkas.quality.comparison.trial"],
+                input=json.dumps(asdict(trial)), text=True, capture_output=True, cwd=scratch,
+                timeout=limit_s, env={**os.environ, **settings}, check=False,
+            )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return {"failure": f"stopped after {limit_s:g} s", "seconds": limit_s}
+    try:
+        facts: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    except (ValueError, IndexError):
+        last = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        return {"failure": f"ended with status {done.returncode}: {last[-160:]}"}
+    return facts
+
+
+@dataclass(frozen=True)
+class KnownPositions:
+    """Positions that errors are measured at.
+
+    Parameters
+    ----------
+    truth : path, optional
+        Folder `truth` of a simulated campaign; without it the one beside the campaign.
+    points, frame : optional
+        Check points, as `levkas.quality.evaluation.layer_report.assess` takes them; used where there is no truth.
+    """
+
+    truth: Path | None = None
+    points: Path | None = None
+    frame: str | None = None
 
 
 @dataclass(frozen=True)
@@ -110,9 +327,7 @@ def compare(
     database: str | Path,
     *,
     methods: Sequence[str] = (),
-    truth: str | Path | None = None,
-    points: str | Path | None = None,
-    frame: str | None = None,
+    known: KnownPositions = KnownPositions(),
     objects: Sequence[str] = (),
     output: str | Path | None = None,
     overwrite: bool = False,
@@ -127,10 +342,8 @@ def compare(
         A database, or the campaign that it was built from.
     methods : sequence of str
         Keys of `COMPARED`; all without.
-    truth : path, optional
-        Folder `truth` of a simulated campaign; found beside the campaign.
-    points, frame : optional
-        Check points, as `levkas.quality.evaluation.layer_report.assess` takes them; used where there is no truth.
+    known : KnownPositions, optional
+        Truth or check points.
     objects : sequence of str
         Only these; all without.
     output : path, optional
@@ -150,18 +363,17 @@ def compare(
         Where a file of somebody else's stands in the way.
     """
     from levkas.core.ownership import OwnFiles
-    from levkas.quality.comparison.running import TIME_LIMIT_S, chosen_methods, run_rows
     from levkas.quality.evaluation.layer_report import locate, read_check_points
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)
-    folder = Path(truth).resolve() if truth else beside / "truth"
+    truth = Path(known.truth).resolve() if known.truth else beside / "truth"
     where = OwnFiles(Path(output).resolve(), overwrite=overwrite) if output else None
     rows = run_rows(
         found,
         wanted,
-        truth=folder if (folder / "truth.json").is_file() else None,
-        checks=read_check_points(Path(points), found, frame) if points else {},
+        truth=truth if (truth / "truth.json").is_file() else None,
+        checks=read_check_points(known.points, found, known.frame) if known.points else {},
         objects=objects,
         output=where,
         time_limit_s=time_limit_s or TIME_LIMIT_S,

@@ -18,8 +18,7 @@ from levkas.core.problems import Refused
 from levkas.core.text import read_json
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Composed
-from levkas.quality.comparison.methods import COMPARED
-from levkas.quality.comparison.pairs import AnyMap, NoAnswer, pair_of, spread
+from levkas.quality.comparison.methods import COMPARED, AnyMap, NoAnswer, pair_of, spread
 from levkas.quality.evaluation.native_layers import NativeLayer, read_native_layer
 
 if TYPE_CHECKING:

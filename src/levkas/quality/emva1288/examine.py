@@ -11,9 +11,13 @@ import numpy as np
 
 from levkas.calibration.templates import CalibrationRefused
 from levkas.core.problems import Problem, Refused
-from levkas.quality.emva1288.bounds import Bound, bound_sensor
 from levkas.quality.emva1288.facts import FrameFacts, describe_files, describe_frame
-from levkas.quality.emva1288.photon_transfer import measure_sensor, without_full_scale
+from levkas.quality.emva1288.photon_transfer import (
+    Bound,
+    bound_sensor,
+    measure_sensor,
+    without_full_scale,
+)
 from levkas.quality.emva1288.report import Examination, SensorReport
 
 if TYPE_CHECKING:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.calibration.linearity import Linearity
 from levkas.core.problems import Problem
-from levkas.quality.emva1288.bounds import Bound
-from levkas.quality.emva1288.drift import Drift
+from levkas.quality.emva1288.blocks import Drift
 from levkas.quality.emva1288.facts import FrameFacts, describe_levels, facts_table
-from levkas.quality.emva1288.photon_transfer import Interval, PhotonTransfer
+from levkas.quality.emva1288.photon_transfer import Bound, Interval, PhotonTransfer
 
 if TYPE_CHECKING:
     from levkas.calibration.code_spacing import Levels

@@ -13,9 +13,8 @@ from levkas.calibration.linearity import Linearity
 from levkas.calibration.patterns import channel_table, split
 from levkas.calibration.sensor_context import SensorContext, exposure_of
 from levkas.calibration.templates import CalibrationRefused, Template
-from levkas.quality.emva1288.blocks import Blocks, block_statistics
+from levkas.quality.emva1288.blocks import Blocks, Drift, block_statistics
 from levkas.quality.emva1288.darks import Dark, DarkLevel, fit_clipped_dark, is_clipped, model_darks
-from levkas.quality.emva1288.drift import Drift
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import FrameRef

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.geometry.transforms import Homography
 from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
@@ -239,14 +240,14 @@ def place_patches(
     Examples
     --------
     >>> areas = place_patches([[50, 50], [550, 50], [550, 350], [50, 350]], CHARTS["ColorChecker24"], (600, 400))
-    >>> areas.shape, areas[0].tolist()
+    >>> areas.shape, areas[0].round(9).tolist()
     ((24, 4, 2), [[25.0, 25.0], [75.0, 25.0], [75.0, 75.0], [25.0, 75.0]])
     """
     corners = np.asarray(corners, float).reshape(4, 2)
     _check_convex(corners)
-    matrix = _homography(chart.corners, corners)
+    plane = Homography.fit(chart.corners, corners)
     half = sampled / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-    areas = _project(matrix, (chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
+    areas = plane((chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
     beyond = np.any((areas < 0) | (areas > np.array(size) - 1.0), axis=(1, 2))
     if beyond.any():
         names = [chart.patches[i] for i in np.flatnonzero(beyond)]
@@ -316,19 +317,6 @@ def _check_convex(corners: np.ndarray) -> None:
                 expected="centres of the corner patches, clockwise from the first (dark skin)",
             )
         )
-
-
-def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    rows = []
-    for (x, y), (u, v) in zip(source, target, strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-    solved = np.linalg.solve(np.array(rows), target.ravel())
-    return np.append(solved, 1.0).reshape(3, 3)
-
-
-def _project(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    mapped = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-    return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
 def pixels_of(area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,8 +5,8 @@ Only the four coordinates are asked for; columns may stand in any order and othe
 
 from __future__ import annotations
 
-from levkas.registration.control_points.points import ControlPoints
-from levkas.registration.control_points.text import (
+from levkas.registration.control_points.points import (
+    ControlPoints,
     decode,
     flag,
     number,

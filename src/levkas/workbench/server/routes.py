@@ -1,15 +1,16 @@
-"""Routes of the workbench: each reads, calls the library once and shapes the answer."""
+"""Routes of the workbench: each reads, calls the library once and shapes the answer; rebuilding."""
 
 from __future__ import annotations
 
 import base64
 import binascii
 import json
+import threading
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import wraps
 from secrets import compare_digest
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from starlette.requests import Request
@@ -23,9 +24,84 @@ from levkas.pages.screen import read_built
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.frame import SIDES, RegistrationView, SensorView
 from levkas.workbench.library import FrameMissing, Library
-from levkas.workbench.maps import KINDS, MapMissing, find_kinds
-from levkas.workbench.operations import OperationRefused, refused
-from levkas.workbench.server.rebuilding import Busy, Rebuild
+from levkas.workbench.pictures import KINDS, MapMissing, find_kinds
+from levkas.workbench.session import OperationRefused, refused
+
+if TYPE_CHECKING:
+    from levkas.workbench.library import Library
+
+
+class Busy(Refused):
+    """Another build runs."""
+
+
+@dataclass
+class Rebuild:
+    """The build that runs, or the last one that ran.
+
+    Parameters
+    ----------
+    library : Library
+    """
+
+    library: Library
+    state: str = "idle"
+    line: str = ""
+    problems: list[dict[str, Any]] = field(default_factory=list)
+    done: int = 0
+    total: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def start(self, key: str) -> None:
+        """Build the object of a camera.
+
+        Raises
+        ------
+        Busy
+            While another build runs.
+        FrameMissing
+            Where there is no such camera.
+        """
+        frame = self.library.open(key)
+        with self._lock:
+            if self.state == "running":
+                raise Busy(Problem("E_BUSY", "a build is running", found=self.line))
+            self.state, self.line, self.problems = "running", "starting", []
+        name = frame.capture.object
+        threading.Thread(target=self._run, args=(key, name), daemon=True).start()
+
+    def _run(self, key: str, name: str) -> None:
+        from levkas.building import build, summarise
+
+        steps = []
+        try:
+            library = self.library
+            for step in build(library.path, output=library.output, objects=[name]):
+                steps.append(step)
+                self.line, self.done, self.total = step.label, step.done, step.total
+            report = summarise(steps)
+            self.problems = [p.to_dict() for p in report.problems]
+            library.reopen(key)
+            self.state = "done"
+        except Refused as refused:
+            self.problems = [p.to_dict() for p in refused.problems]
+            self.state = "failed"
+        except Exception as error:
+            # A thread that dies in silence would leave the screen waiting for ever.
+            self.problems = [Problem("E_FAILED", f"the build failed: {error}").to_dict()]
+            self.state = "failed"
+            raise
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the screen shows, JSON-ready."""
+        return {
+            "state": self.state,
+            "line": self.line,
+            "done": self.done,
+            "total": self.total,
+            "problems": self.problems,
+        }
+
 
 STATUS: dict[type[Refused], int] = {
     FrameMissing: 404,
@@ -34,13 +110,24 @@ STATUS: dict[type[Refused], int] = {
     EditsConflict: 409,
     Taken: 409,
 }
+
+
 ASSETS = {"workbench.js": "text/javascript", "workbench.css": "text/css"}
+
+
 MOST_FILES = 2
+
+
 MOST_BANDS = 3
+
+
 LONGEST_NUMBER = 9
 """Digits of a whole number in an address or a request."""
+
+
 FARTHEST_PX = 1000.0
 """How far from where a map puts it a partner is looked for at most."""
+
 
 Answer = Callable[[Request, dict[str, Any]], Response]
 
@@ -298,7 +385,16 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "verdict": told,
         "ladder": [s.get("ladder", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
+        "basis": basis_of(frame),
     }
+
+
+def basis_of(frame: RegistrationView) -> dict[str, Any] | None:
+    """Return the windows on which the map of a sensor rests, as the record holds them; None of other methods."""
+    trace = frame.record.get("trace", {})
+    sensors = trace.get("sensors", []) if trace.get("kind") == "windows" else []
+    name = frame.view.sensor.name
+    return next((s for s in sensors if s.get("sensor") == name and "windows" in s), None)
 
 
 def reasons_of(frame: RegistrationView, reasons: list[str]) -> list[str]:

@@ -1,0 +1,29 @@
+"""Pseudo-inverse: the linear map of least squares from responses to spectra.
+
+    B = X⁺ Y,   ŷ = x B
+
+Without offset or penalty; [heikkinen2008]_, 10.1364/JOSAA.25.002444.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from levkas.estimation.methods.linear_model import LinearModel, fit_ridge, single_channels
+from levkas.estimation.training import Training, require_samples
+
+
+def fit_pseudo_inverse(training: Training, rng: np.random.Generator) -> LinearModel:
+    """Fit the map of least squares; `rng` is not used.
+
+    Examples
+    --------
+    >>> x = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    >>> model = fit_pseudo_inverse(Training(x, x @ [[0.2], [0.6]]), np.random.default_rng(0))
+    >>> model.coefficients.round(6).tolist()
+    [[0.2], [0.6]]
+    """
+    channels = training.responses.shape[1]
+    require_samples(training, channels, "pseudo-inverse")
+    fit = fit_ridge(training.responses, training, ridge=0.0, centred=False)
+    return LinearModel(single_channels(channels), False, fit.coefficients, fit.offset, channels)

@@ -1,0 +1,24 @@
+"""Wiener estimation: the linear estimator of least mean square error (LMMSE).
+
+    ŷ = ȳ + (x − x̄) (Cxx + λ/n I)⁻¹ Cxy
+
+With the covariances of the training samples it is ridge regression on centred data; λ stands for noise of the
+responses beyond that of the samples. [murakami2008]_, 10.1364/OE.16.004106; [shimano2006]_, 10.1109/TIP.2006.877069.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from levkas.estimation.methods.linear_model import LinearModel, fit_ridge, single_channels
+from levkas.estimation.training import Training, require_samples
+
+
+def fit_wiener(
+    training: Training, rng: np.random.Generator, *, ridge: float | None = None
+) -> LinearModel:
+    """Fit the estimator; λ of the smallest held-out error unless `ridge` is given, `rng` is not used."""
+    channels = training.responses.shape[1]
+    require_samples(training, channels + 1, "Wiener estimation")
+    fit = fit_ridge(training.responses, training, ridge=ridge)
+    return LinearModel(single_channels(channels), False, fit.coefficients, fit.offset, channels)

@@ -1,0 +1,259 @@
+"""Training samples of spectral estimation: checks, choice, weights from sigma, and held-out residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from levkas.core.problems import Problem, Refused
+
+MOST_CANDIDATES = 20_000
+"""Samples among which the farthest points are looked for; of more, so many are drawn at random."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """Samples whose responses and spectra are both known.
+
+    Parameters
+    ----------
+    responses : ndarray, (n, channels)
+        Reflectance-like values of the channels, white = 1.
+    spectra : ndarray, (n, bands)
+        Reflectance, 0 to 1; gloss may exceed 1.
+    response_sigma : ndarray, (n, channels), optional
+        Standard deviations of the responses, >= 0.
+    spectrum_sigma : ndarray, (n, bands), optional
+        Standard deviations of the spectra, >= 0.
+    groups : ndarray, (n,), optional
+        What is held out together when parameters are chosen: the painting or pigment of each sample.
+
+    Raises
+    ------
+    Refused
+        For shapes that do not fit, values that are not finite, and negative sigma.
+    """
+
+    responses: np.ndarray
+    spectra: np.ndarray
+    response_sigma: np.ndarray | None = None
+    spectrum_sigma: np.ndarray | None = None
+    groups: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        problems = [*self._wrong_shapes()] or [*self._wrong_values()]
+        if problems:
+            raise Refused(*problems)
+
+    def __len__(self) -> int:
+        return len(self.responses)
+
+    def take(self, chosen: np.ndarray) -> Training:
+        """Return the samples of some indices, or of a mask."""
+
+        def part(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[chosen]
+
+        return Training(
+            self.responses[chosen],
+            self.spectra[chosen],
+            part(self.response_sigma),
+            part(self.spectrum_sigma),
+            part(self.groups),
+        )
+
+    def _wrong_shapes(self) -> list[Problem]:
+        count = len(self.responses)
+        expected = {
+            "responses": (self.responses, (count, *self.responses.shape[1:2])),
+            "spectra": (self.spectra, (count, *self.spectra.shape[1:2])),
+            "response_sigma": (self.response_sigma, self.responses.shape),
+            "spectrum_sigma": (self.spectrum_sigma, self.spectra.shape),
+        }
+        problems = [
+            Problem(
+                "E_TRAINING_SHAPE",
+                "responses and spectra need a row for each sample",
+                field=name,
+                found=values.shape,
+                expected=shape,
+            )
+            for name, (values, shape) in expected.items()
+            if values is not None and (values.shape != shape or values.ndim != 2)
+        ]
+        if self.groups is not None and self.groups.shape != (count,):
+            problems.append(
+                Problem(
+                    "E_TRAINING_SHAPE",
+                    "a group is needed for each sample",
+                    field="groups",
+                    found=self.groups.shape,
+                    expected=(count,),
+                )
+            )
+        return problems
+
+    def _wrong_values(self) -> list[Problem]:
+        fields = ("responses", "spectra", "response_sigma", "spectrum_sigma")
+        problems = []
+        for name in fields:
+            values = getattr(self, name)
+            if values is None:
+                continue
+            wrong = ~np.isfinite(values)
+            if name.endswith("sigma"):
+                wrong |= values < 0
+            if wrong.any():
+                problems.append(
+                    Problem(
+                        "E_TRAINING_VALUES",
+                        "training needs finite values, and sigma >= 0",
+                        field=name,
+                        found=f"{int(wrong.any(1).sum())} samples with others",
+                        fix="leave masked and saturated pixels out",
+                    )
+                )
+        return problems
+
+
+def require_samples(training: Training, coefficients: int, method: str) -> None:
+    """Refuse to fit more coefficients a band than there are samples.
+
+    Raises
+    ------
+    Refused
+        With code ``E_TOO_FEW_SAMPLES``.
+    """
+    if len(training) < coefficients:
+        raise Refused(
+            Problem(
+                "E_TOO_FEW_SAMPLES",
+                f"{method} fits {coefficients} coefficients a band and needs as many samples",
+                found=len(training),
+                expected=coefficients,
+                fix="give more samples, fewer channels, or a simpler method",
+            )
+        )
+
+
+def select_training(training: Training, count: int, rng: np.random.Generator) -> Training:
+    """Choose samples that cover the space of responses: each the farthest from those chosen before.
+
+    Parameters
+    ----------
+    training : Training
+    count : int
+        1,000 to 3,000 are usual; with fewer samples all are returned.
+    rng : numpy Generator
+        Draws the first sample, and candidates where there are very many.
+
+    Returns
+    -------
+    selected : Training
+        In the order of the choice: its first half covers the space too.
+
+    Notes
+    -----
+    The greedy 2-approximation of the k-centre problem, [gonzalez1985]_ (10.1016/0304-3975(85)90224-5).
+
+    Examples
+    --------
+    >>> line = Training(np.array([[0.0], [0.1], [0.5], [1.0]]), np.zeros((4, 1)))
+    >>> select_training(line, 3, np.random.default_rng(1)).responses[:, 0].tolist()
+    [0.1, 1.0, 0.5]
+    """
+    if len(training) <= count:
+        return training
+    if len(training) > MOST_CANDIDATES:
+        drawn = rng.choice(len(training), max(MOST_CANDIDATES, count), replace=False)
+        training = training.take(np.sort(drawn))
+    return training.take(farthest_points(training.responses, count, rng))
+
+
+def farthest_points(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return indices of `count` points, each the farthest from those before it, (count,) int."""
+    chosen = np.empty(min(count, len(points)), int)
+    distance = np.full(len(points), np.inf)
+    index = int(rng.integers(len(points)))
+    for place in range(len(chosen)):
+        chosen[place] = index
+        distance = np.minimum(distance, np.square(points - points[index]).sum(1))
+        index = int(distance.argmax())
+    return chosen
+
+
+def sample_weights(training: Training) -> np.ndarray:
+    """Return a weight for each sample from its sigma, mean 1.
+
+    Returns
+    -------
+    weights : ndarray, (n,)
+        1 / (misfit² + σ²), mean over bands; all 1 where no sigma is given. σ² is that of the spectrum and,
+        through the slope of a linear fit, that of the responses; misfit² is what the linear fit leaves
+        beyond it, so that samples of very small sigma do not rule alone.
+
+    Notes
+    -----
+    Effective variance, Orear 1982 (10.1119/1.12972).
+
+    Examples
+    --------
+    >>> training = Training(np.ones((2, 1)), np.ones((2, 1)), None, np.array([[0.1], [0.2]]))
+    >>> sample_weights(training).round(2).tolist()  # 1/0.01 and 1/0.04 over their mean
+    [1.6, 0.4]
+    """
+    if training.response_sigma is None and training.spectrum_sigma is None:
+        return np.ones(len(training))
+    columns = np.column_stack([training.responses, np.ones(len(training))])
+    slope = np.linalg.lstsq(columns, training.spectra, rcond=None)[0]
+    left = np.square(training.spectra - columns @ slope).mean()
+    variance = np.zeros(len(training))
+    if training.spectrum_sigma is not None:
+        variance += np.square(training.spectrum_sigma).mean(1)
+    if training.response_sigma is not None:
+        variance += np.square(training.response_sigma) @ np.square(slope[:-1]).mean(1)
+    variance += max(0.0, left - variance.mean())
+    weights = 1 / np.maximum(variance, 1e-12)
+    return weights / weights.mean()
+
+
+def held_out_residuals(
+    vectors: np.ndarray,
+    values: np.ndarray,
+    targets: np.ndarray,
+    ridge: float,
+    groups: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return what a ridge regression misses of samples that it was not fitted to, in closed form.
+
+    Parameters
+    ----------
+    vectors, values : ndarray, (n, r) and (r,)
+        Eigenvectors and eigenvalues of X Xᵀ, or of the kernel matrix; an infinite value is not shrunk.
+    targets : ndarray, (n, bands)
+    ridge : float
+        > 0 where values are 0.
+    groups : ndarray, (n,), optional
+        Samples of one group are held out together; each by itself by default.
+
+    Returns
+    -------
+    residuals : ndarray, (n, bands)
+
+    Notes
+    -----
+    With the hat matrix H = U diag(s / (s + λ)) Uᵀ, e = (I − H) y / (1 − h) a sample and
+    e_G = (I − H_GG)⁻¹ (y − H y)_G a group; [hastie2009]_, Eq. (7.64).
+    """
+    with np.errstate(over="ignore"):  # a value near 0 is shrunk to 0
+        shrunk = 1 / (1 + ridge / values)
+    residuals = targets - vectors @ (shrunk[:, None] * (vectors.T @ targets))
+    if groups is None:
+        leverage = np.square(vectors) @ shrunk
+        return np.asarray(residuals / np.maximum(1 - leverage, 1e-9)[:, None])
+    for group in np.unique(groups):
+        held = np.flatnonzero(groups == group)
+        rest = np.eye(len(held)) - (vectors[held] * shrunk) @ vectors[held].T
+        residuals[held] = np.linalg.solve(rest, residuals[held])
+    return np.asarray(residuals)
