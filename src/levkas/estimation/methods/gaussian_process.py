@@ -4,11 +4,12 @@
 
 Length and noise λ are those of the highest marginal likelihood, with the scale s² of each band in closed
 form. c makes the 95 % interval of samples that were held out hold 95 % of them: groups, where training has
-them. [rasmussen2006]_, Eqs. (2.25), (2.26), (5.8); [heikkinen2018]_, 10.1109/TIP.2018.2820839.
+them. [rasmussen2006]_, Eqs. (2.25), (2.26), (5.8); [heikkinen2018]_.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,10 +84,9 @@ def fit_gaussian_process(training: Training, rng: np.random.Generator) -> Gaussi
     anchors = keep_anchors(training, MOST_ANCHORS, rng)
     centre, unit = training.responses.mean(0), spread(training)
     kernels = [Kernel("matern", length * unit, centre) for length in LENGTHS]
-    kernel, noise = max(
-        (found for k in kernels for found in _likelihoods(anchors, k)), key=lambda f: f[2]
-    )[:2]
-    model = condition(anchors, kernel, noise)
+    likelihoods = np.array([log_likelihoods(anchors, kernel, RIDGES) for kernel in kernels])
+    length, noise = np.unravel_index(likelihoods.argmax(), likelihoods.shape)
+    model = condition(anchors, kernels[length], float(RIDGES[noise]))
     ratios = _held_out_ratios(training, anchors, model, _folds(training, rng))
     return replace(model, scale=model.scale * np.quantile(ratios, 0.95, axis=0) / WIDE)
 
@@ -106,8 +106,13 @@ def condition(training: Training, kernel: Kernel, noise: float) -> GaussianProce
     )
 
 
-def _likelihoods(training: Training, kernel: Kernel) -> list[tuple[Kernel, float, float]]:
-    """Return (kernel, noise, log marginal likelihood less a constant) of each noise that is tried."""
+def log_likelihoods(
+    training: Training, kernel: Kernel, noises: Sequence[float] | np.ndarray
+) -> list[float]:
+    """Return the log marginal likelihood of each noise, summed over bands, less a constant.
+
+    Eq. (5.8) of [rasmussen2006]_ with s² of each band where it is highest.
+    """
     weights = sample_weights(training)
     root = np.sqrt(weights)[:, None]
     targets = root * (training.spectra - weights @ training.spectra / weights.sum())
@@ -116,11 +121,10 @@ def _likelihoods(training: Training, kernel: Kernel) -> list[tuple[Kernel, float
     turned = np.square(vectors.T @ targets)
     count, bands = targets.shape
     found = []
-    for noise in RIDGES:
+    for noise in noises:
         total = np.maximum(values, 0) + noise
         square = np.maximum((turned / total[:, None]).mean(0), 1e-12)
-        likelihood = -0.5 * (count * np.log(square).sum() + bands * np.log(total).sum())
-        found.append((kernel, float(noise), float(likelihood)))
+        found.append(float(-0.5 * (count * np.log(square).sum() + bands * np.log(total).sum())))
     return found
 
 

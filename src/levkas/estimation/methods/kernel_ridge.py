@@ -7,7 +7,7 @@
     logarithmic   k = φ(x, c) + φ(x′, c) − φ(x, x′),   φ = log(1 + r²)
 
 [heikkinen2008]_, 10.1364/JOSAA.25.002444; [heikkinen2013]_, 10.1364/JOSAA.30.002444; [eckhard2014]_,
-10.1364/AO.53.003667. −log(1 + r²) is positive definite on differences only; with c, the mean of the
+10.1364/JOSAA.31.000541. −log(1 + r²) is positive definite on differences only; with c, the mean of the
 responses, it is so everywhere, and it estimates the same but for a constant. W weighs the samples.
 Length l and ridge λ are those of the smallest held-out error, in closed form.
 """
