@@ -11,9 +11,6 @@ HOUSE = Path(levkas.__file__).parent
 FILES = sorted(HOUSE.rglob("*.py"))
 MOST_LINES, MOST_BODY, MOST_PARAMETERS, MOST_DEPTH, MOST_ENTRIES = 600, 60, 8, 5, 18
 WIDE = {
-    "levkas.database.layers.write_layer",
-    "levkas.database.spectral_tiff.write_spectral_tiff",
-    "levkas.database.spectral_tiff.write_encoded_pages",
     "levkas.database.streaming_writer.write_rows",
 }
 PUBLIC = {"levkas.simulation.campaigns.simulate_campaign"}

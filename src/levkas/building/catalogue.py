@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import BuildRecords, Key, key_of
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest
 from levkas.building.progress import Step
-from levkas.building.removal import CATALOGUE
 from levkas.building.sources import code_version
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.captures import Capture

@@ -13,6 +13,7 @@ from levkas.core.files import write_changed
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_text
 from levkas.database.containment import check_inside, check_plain_names
+from levkas.database.layout import LayerId
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -41,6 +42,11 @@ class Entry:
     quantity: str
     verdict: str
     sha256: str
+
+    @property
+    def layer(self) -> LayerId:
+        """Which layer it is."""
+        return LayerId(self.object, self.camera, self.setup)
 
     def to_row(self) -> list[str]:
         """Return the cells; an unknown sampling is empty."""

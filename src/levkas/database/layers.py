@@ -18,7 +18,7 @@ from levkas.database.catalogue import Entry
 from levkas.database.credits import Credits
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
+from levkas.database.spectral_tiff import TiffHeader, planes_of, write_spectral_tiff
 from levkas.database.store import write_layer_store
 
 if TYPE_CHECKING:
@@ -77,9 +77,7 @@ def write_layer(
     cube: Cube,
     *,
     verdict: str = "accept",
-    sensitivity: tuple[np.ndarray, np.ndarray] | None = None,
     encoded: bool = False,
-    white: float | None = None,
     zarr: bool = True,
     threads: int | None = None,
     before: Callable[[], object] | None = None,
@@ -94,8 +92,8 @@ def write_layer(
         On the grid.
     verdict : str
         For the catalogue.
-    sensitivity, encoded, white
-        For the picture, as in `levkas.colour.srgb.preview`.
+    encoded : bool
+        Whether the values are encoded as sRGB, for the picture.
     zarr : bool
         Whether the Zarr layer is written too.
     threads : int, optional
@@ -116,7 +114,7 @@ def write_layer(
         Where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
     database = Path(database)
-    picture, description = preview(cube, sensitivity=sensitivity, encoded=encoded, white=white)
+    picture, description = preview(cube, encoded=encoded)
     cube = rounded(cube)
     base = database / "objects" / layer.object / layer.stem
     png = base.with_name(base.name + ".png")
@@ -174,18 +172,16 @@ def write_tiffs(
     written = []
     for suffix, values, more in parts:
         path = base.with_name(base.name + suffix)
-        write_spectral_tiff(
-            path,
-            planes_of(values),
-            shape=(values.shape[0], values.shape[1]),
-            wavelengths=centres_of(cube.bands, layer.centroids),
-            text=describe_bands(cube.bands, more),
+        header = TiffHeader(
+            (values.shape[0], values.shape[1]),
+            centres_of(cube.bands, layer.centroids),
+            describe_bands(cube.bands, more),
             dtype=values.dtype,
             rgb=rgb if suffix == ".tif" else None,
             px_per_mm=facts.get("px_per_mm"),
             credits=layer.credits,
-            threads=threads,
         )
+        write_spectral_tiff(path, planes_of(values), header, threads=threads)
         written.append(path)
     return written
 

@@ -246,7 +246,8 @@ def held_out_residuals(
     With the hat matrix H = U diag(s / (s + λ)) Uᵀ, e = (I − H) y / (1 − h) a sample and
     e_G = (I − H_GG)⁻¹ (y − H y)_G a group; [hastie2009]_, Eq. (7.64).
     """
-    shrunk = 1 / (1 + ridge / values)
+    with np.errstate(over="ignore"):  # a value near 0 is shrunk to 0
+        shrunk = 1 / (1 + ridge / values)
     residuals = targets - vectors @ (shrunk[:, None] * (vectors.T @ targets))
     if groups is None:
         leverage = np.square(vectors) @ shrunk

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -276,8 +276,12 @@ def _walk(
     index: int,
     text: str,
     been: set[tuple[int, str]],
+    spelled: Callable[[str], str] = composed,
 ) -> Iterator[tuple[Path, str]]:
-    """Yield (path, its part that the pattern describes), one folder level a segment; no way is gone twice."""
+    """Yield (path, its part that the pattern describes), one folder level a segment; no way is gone twice.
+
+    Names are compared, and described, as `spelled` gives them.
+    """
     if (index, text) in been:
         return
     been.add((index, text))
@@ -285,24 +289,23 @@ def _walk(
     if segment == "**" and text.count("/") > DEEPEST:
         raise too_deep(folder)
     if segment == "..":
-        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../", been)
+        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../", been, spelled)
     elif segment == "**":
-        yield from _walk(pattern, folders, folder, index + 1, text, been)
+        yield from _walk(pattern, folders, folder, index + 1, text, been, spelled)
         for name in folders.folders(folder):
             if not folders.is_link(folder, name):
-                deeper = f"{text}{composed(name)}/"
-                yield from _walk(pattern, folders, folder / name, index, deeper, been)
+                deeper = f"{text}{spelled(name)}/"
+                yield from _walk(pattern, folders, folder / name, index, deeper, been, spelled)
     elif index == len(pattern.segments) - 1:
         for name in folders.files(folder):
-            if pattern.fits_segment(index, composed(name)):
-                yield folder / name, text + composed(name)
-    elif not re.search(r"[{*]", segment):
-        yield from _walk(pattern, folders, folder / segment, index + 1, f"{text}{segment}/", been)
+            if pattern.fits_segment(index, spelled(name)):
+                yield folder / name, text + spelled(name)
     else:
-        for name in folders.folders(folder):
-            if pattern.fits_segment(index, composed(name)):
-                deeper = f"{text}{composed(name)}/"
-                yield from _walk(pattern, folders, folder / name, index + 1, deeper, been)
+        plain = spelled is composed and not re.search(r"[{*]", segment)
+        for name in (segment,) if plain else folders.folders(folder):
+            if plain or pattern.fits_segment(index, spelled(name)):
+                deeper = f"{text}{name if plain else spelled(name)}/"
+                yield from _walk(pattern, folders, folder / name, index + 1, deeper, been, spelled)
 
 
 def _without_data_of_headers(found: list[FoundFile]) -> list[FoundFile]:
@@ -467,3 +470,40 @@ def patterns_of(
     files = own.files if own and own.files else None
     sensors = [sensor] if sensor is not None else [s.name for s in keys.sensors] or [""]
     return [p for name in sensors for p in _patterns_of_sensor(keys, name, files, setup)]
+
+
+# --- names that differ in upper and lower case ---------------------------------------------------
+
+
+def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Path, Pattern]]:
+    """Return files that fit a pattern, or name a target, only where upper and lower case are alike.
+
+    Returns
+    -------
+    files : dict
+        (object, camera, setup) → the first such file, and the pattern that it nearly fits. The
+        object is spelled as the campaign knows it, else as the file does.
+    """
+    campaign = index.campaign
+    targets = (*declared_targets(campaign), *index.objects)
+    known = {"target": targets, "setup": tuple(campaign.setups)}
+    ways = ways_to_read({name: {v.lower() for v in values} for name, values in known.items()})
+    fitting = {f.path for frames in index.frames.values() for f in frames if f.target in targets}
+    spelling = {name.lower(): name for name in targets}
+    found: dict[tuple[str, str, str], tuple[Path, Pattern]] = {}
+    for camera, setup in sorted(index.frames, key=lambda key: (not key[1], key)):
+        for pattern in patterns_of(index, camera, setup):
+            lower = Pattern.parse(pattern.text.lower())
+            if pattern.absolute:  # others' folders above the frames may not be listed
+                continue
+            for path, text in _walk(
+                lower, index.folders, campaign.root, 0, "", set(), lambda n: composed(n).lower()
+            ):
+                values = None if path in fitting else lower.read(text, ways)
+                if values is not None and (setup or values.get("setup", "") not in known["setup"]):
+                    target = values.get("target", "")
+                    start = text.find(target)
+                    own = path.as_posix()[-len(text) :][start : start + len(target)]
+                    key = (spelling.get(target, own), camera, setup)
+                    found.setdefault(key, (path, pattern))
+    return found
