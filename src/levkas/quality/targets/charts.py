@@ -16,8 +16,9 @@ from levkas.readers.spectra import are_spectra, parse_spectra
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-DATA = Path(__file__).parent / "data"
-"""Of colour-science 0.4: BabelColor's average of 30 charts, and luminances of charts made after November 2014."""
+HERE = Path(__file__)
+"""Beside it stand tables of colour-science 0.4: BabelColor's average of 30 charts, and luminances of charts
+made after November 2014."""
 NAMES = {
     "ColorChecker24": ("colorchecker24", "colorcheckerclassic", "classic", "macbeth", "cc24"),
     "ColorCheckerSG": ("colorcheckersg", "sg", "ccsg", "sg140", "digitalsg"),
@@ -69,7 +70,8 @@ class Chart:
     @cached_property
     def luminances(self) -> np.ndarray:
         """(n,) relative luminances as published, for telling the chart and its orientation."""
-        table = DATA / f"{self.name.lower()}_luminances.csv"
+        sg, classic = "luminances_sg.csv", "luminances_classic.csv"
+        table = HERE.with_name(sg if self.rows == 10 else classic)
         return np.loadtxt(table, delimiter=",", skiprows=1, usecols=1)
 
 
@@ -133,7 +135,7 @@ def reference_of(chart: Chart) -> ChartReference | None:
     """Return the published spectra of a chart: BabelColor's average of 30; of the SG there are none."""
     if chart.rows != 4:
         return None
-    table = np.loadtxt(DATA / "colorchecker24_babelcolor.csv", delimiter=",", skiprows=1)
+    table = np.loadtxt(HERE.with_name("babelcolor_average.csv"), delimiter=",", skiprows=1)
     return ChartReference(table[:, 0], np.ascontiguousarray(table[:, 1:].T), "BabelColor average")
 
 
