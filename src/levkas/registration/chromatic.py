@@ -192,7 +192,7 @@ def _tensor(count: int) -> np.ndarray:
 def _system(
     windows: WindowShifts, design: np.ndarray, earlier: np.ndarray, common: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (2, n, f).
+    """Return normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (2, n, f).
 
     What a prediction gets wrong pulls all windows along a stroke or a patch the same way. The
     matrix is deflated until the gradients of whole blocks scatter as it says they should.
@@ -228,7 +228,7 @@ def _reweighted(
 
 @njit(nogil=True, cache=True)
 def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
-    """Normal matrix and right side of `design`, (2, n, count), under weights of 2 x 2."""
+    """Return normal matrix and right side of `design`, (2, n, count), under weights of 2 x 2."""
     matrix, right = np.zeros((count, count)), np.zeros(count)
     for n in range(design.shape[1]):
         a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
@@ -243,7 +243,7 @@ def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def _gradients(design, information, residual, blocks, size):  # type: ignore[no-untyped-def]
-    """What the windows of each block pull at the first `size` amounts, (blocks, size)."""
+    """Return the gradients of the first `size` amounts, summed over each block, (blocks, size)."""
     summed = np.zeros((blocks.max() + 1, size))
     for n in range(design.shape[1]):
         a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
@@ -272,7 +272,7 @@ def _amounts(
     earlier: np.ndarray,
     apart: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Amounts of each band less those of its prediction, and variances; infinite where unseen.
+    """Return amounts of each band less those of its prediction, and variances; infinite where unseen.
 
     The price is on the squares of what is returned: what a band is apart from its prediction.
     """

@@ -193,7 +193,7 @@ class SensorTask:
 
 @dataclass(frozen=True)
 class RefinedMap:
-    """The map of one sensor, refined in one way.
+    """Map of one sensor after one refinement, with yielding or with stiff models.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class RefinedMap:
 
     @property
     def is_good(self) -> bool:
-        """Whether no other way needs to be tried."""
+        """Whether the map needs no refinement with stiff models."""
         near = self.selected.held_out_error < SETTINGS.good * self.step
         return near and self.evidence["share_above_chance"] > PermutationTest.PARTLY
 
@@ -364,7 +364,7 @@ def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
 
 
 class _Way:
-    """The state of one refinement: base map, grid, chromatic shifts and windows of the last round."""
+    """State of one refinement: base map, grid, chromatic shifts and windows of the last round."""
 
     selected: SelectedModel
     windows: list[WindowShifts]
@@ -464,7 +464,7 @@ class _Way:
             raise RegistrationRefused(
                 Problem(
                     "E_FOLD",
-                    "the map of this sensor folds or stretches beyond belief",
+                    "the map of this sensor folds, or is stretched more than a camera can",
                     field=self.task.bands[0].sensor or None,
                     fix="Check that both show the same object; give control points if they do.",
                 )

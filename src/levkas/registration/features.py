@@ -36,6 +36,10 @@ class FeatureSettings:
         summation.
     orb_points : int
         Of ORB before the strongest of each cell are kept; OpenCV's 500 lie where contrast is highest.
+    fast_threshold : int, grey levels
+        Of FAST, in ORB.
+    kaze_threshold : float
+        Of the detector of KAZE and AKAZE.
     key_points : int
         Of a grey picture that the default method keeps, the strongest first.
     edge_threshold : int
@@ -51,6 +55,8 @@ class FeatureSettings:
     balance_cells: int = 8
     root_levels: int = 512
     orb_points: int = 40_000
+    fast_threshold: int = 5
+    kaze_threshold: float = 3e-4
     key_points: int = 4000
     edge_threshold: int = 12
     most_greys: int = 4
@@ -194,23 +200,26 @@ def _whole(found: KeyPoints, descriptors: np.ndarray) -> KeyPoints:
     return KeyPoints(found.points, found.sizes, found.angles, found.responses, levels)
 
 
-def kaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
+def kaze(picture: np.ndarray) -> KeyPoints:
     """KAZE ([alcantarilla2012]_); in OpenCV 4, and in OpenCV 5 only with its extra modules."""
-    finder = _opencv("KAZE_create", "kaze")(threshold=contrast)
+    finder = _opencv("KAZE_create", "kaze")(threshold=SETTINGS.kaze_threshold)
     found = _gather(*finder.detectAndCompute(picture, None), width=64)
     return _whole(found, found.descriptors)
 
 
-def akaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
+def akaze(picture: np.ndarray) -> KeyPoints:
     """AKAZE ([alcantarilla2013]_), binary descriptors; in OpenCV as `kaze` is."""
-    finder = _opencv("AKAZE_create", "akaze")(threshold=contrast)
+    finder = _opencv("AKAZE_create", "akaze")(threshold=SETTINGS.kaze_threshold)
     return _gather(*finder.detectAndCompute(picture, None), width=61)
 
 
-def orb(picture: np.ndarray, *, contrast: int = 5) -> KeyPoints:
-    """ORB ([rublee2011]_), binary descriptors; in every OpenCV. `contrast` is the threshold of FAST, grey levels."""
+def orb(picture: np.ndarray) -> KeyPoints:
+    """ORB ([rublee2011]_), binary descriptors; in every OpenCV."""
     finder = _opencv("ORB_create", "orb")(
-        nfeatures=SETTINGS.orb_points, fastThreshold=contrast, scaleFactor=1.2, nlevels=8
+        nfeatures=SETTINGS.orb_points,
+        fastThreshold=SETTINGS.fast_threshold,
+        scaleFactor=1.2,
+        nlevels=8,
     )
     return _gather(*finder.detectAndCompute(picture, None), width=32)
 
@@ -275,7 +284,7 @@ def _gather(key_points: Any, descriptors: Any, *, width: int) -> KeyPoints:
 
 
 class GreyImages(Sequence[np.ndarray]):
-    """The mean of all bands brought to one contrast, and up to four others, computed when first used.
+    """Grey images of a camera: the mean of all bands at one contrast, and up to four others, computed when first used.
 
     Those are the bands themselves where they are few, else means of parts of the spectrum.
     """

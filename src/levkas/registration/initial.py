@@ -10,13 +10,12 @@ find nothing, or something else.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.core.machine import count_threads
+from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
 from levkas.registration.features import (
     KeyPoints,
@@ -47,8 +46,8 @@ class InitialSettings:
     ----------
     long_side : int, px
         Of the pictures in which key points are found first; then twice that.
-    most_pairs, most_threads : int
-        Pairs of grey pictures beyond the first that are tried, and how many at a time.
+    most_pairs : int
+        Pairs of grey pictures beyond the first that are tried.
     sure_share : float
         Share of matches that agree from which the mirror image is not tried.
     least_likeness : float
@@ -65,7 +64,6 @@ class InitialSettings:
 
     long_side: int = 1000
     most_pairs: int = 8
-    most_threads: int = 2
     sure_share: float = 0.3
     least_likeness: float = 0.8
     reach: float = 3.0
@@ -81,7 +79,7 @@ SETTINGS = InitialSettings()
 
 @dataclass(frozen=True)
 class InitialTransform:
-    """A first map of one sensor and the matches on which it rests.
+    """Initial map of one sensor and the matches on which it rests.
 
     Parameters
     ----------
@@ -169,14 +167,11 @@ def _attempt(
 def _match_pictures(
     ours: ScaledFeatures, theirs: ScaledFeatures, pairs: Sequence[tuple[int, int]], mirror: bool
 ) -> list[TentativeMatches]:
-    """Match all pairs of pictures, two at a time where there are several."""
-    with ThreadPoolExecutor(count_threads(SETTINGS.most_threads)) as pool:
-        wanted = [(ours, i) for i in sorted({i for i, _ in pairs})]
-        wanted += [(theirs, j) for j in sorted({j for _, j in pairs})]
-        list(pool.map(lambda one: one[0][one[1]], wanted))
-        return list(
-            pool.map(lambda ij: match_mutually(ours[ij[0]], theirs[ij[1]], mirror=mirror), pairs)
-        )
+    """Match all pairs of pictures, several at a time."""
+    wanted = [(ours, i) for i in sorted({i for i, _ in pairs})]
+    wanted += [(theirs, j) for j in sorted({j for _, j in pairs})]
+    each(lambda pictures: pictures[0][pictures[1]], wanted)
+    return each(lambda ij: match_mutually(ours[ij[0]], theirs[ij[1]], mirror=mirror), pairs)
 
 
 def _search_widely(

@@ -11,7 +11,6 @@ so that the fraction of a pixel at which a sample falls does not bias the shift.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 from levkas.registration import local_shifts_kernel as kernels
+from levkas.registration.bands import LATTICE_PX, evaluate_lattice
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
@@ -29,8 +29,6 @@ CELL_PX = 16
 RIDGE = 1e-4
 #: Share of a window that has to be valid.
 LEAST_COVER = 0.6
-#: The map is evaluated at every such px and interpolated between.
-LATTICE_PX = 8
 #: Standard deviation of the local mean that a high-pass filter subtracts, px.
 HIGHPASS_PX = 3.0
 
@@ -138,7 +136,7 @@ class Predictor:
     def _products(
         self, target: np.ndarray, number: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums of the target with the predictors; of all that it covers in cells that it cuts."""
+        """Return the sums of the target's products with the predictors, and all sums anew of cells that it covers in part."""
         cut = (number > 0) & (number < self.counts)
         slots = np.full(number.shape, -1)
         slots[cut] = np.arange(int(cut.sum()))
@@ -174,16 +172,8 @@ def smoothing_warp(
     -------
     warped : ndarray, `shape`, float32
         NaN where the kernel touches what is invalid or outside.
-
-    Notes
-    -----
-    The map is evaluated every 8 px and interpolated linearly: 1e-4 px for lenses with up to one
-    per cent of distortion.
     """
-    rows, cols = (ceil((n - 1) / LATTICE_PX) + 1 for n in shape)
-    x, y = np.meshgrid(np.arange(cols) * LATTICE_PX, np.arange(rows) * LATTICE_PX)
-    points = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * step - 0.5
-    lattice = np.ascontiguousarray(transform(points).reshape(rows, cols, 2))
+    lattice = evaluate_lattice(transform, shape, step)
     out = np.full(shape, np.nan, np.float32)
     in_threads(_warp, shape[0], np.ascontiguousarray(image, np.float32), lattice, out)
     return out

@@ -1,4 +1,4 @@
-"""The registration of [mirhashemi2019]_, section 3.5, as a named mode: nothing cleverer than the paper.
+"""The registration of [mirhashemi2019]_, section 3.5, nothing cleverer than the paper.
 
 SIFT on the mean of all bands of each camera, matching, one cut at `reject` under scale alone, the
 worst pair removed until the largest error is at most `stop`, and a third-order polynomial fitted
@@ -222,7 +222,7 @@ def _key_points(
 
 
 def _describe(found: MarkedMatches, cleaned: Cleaned, stop: float) -> Matches:
-    """Say of every match whether it was kept, or when and why it left."""
+    """Return the matches with their state: kept, or when and why they left."""
     reasons = np.array(
         [REASONS.get(r, f"worst of its round, above {stop:g} px") for r in cleaned.round], object
     )
@@ -255,7 +255,7 @@ def _statistics(matches: Matches) -> dict[str, Any]:
 
 
 def _spread(camera: AlignedCamera, transform: Transform) -> dict[str, Transform]:
-    """Give every band the map of the camera's frame, then that of its sensor."""
+    """Return for every band the map of the camera's frame, then that of its sensor."""
     transforms: dict[str, Transform] = {}
     for image in camera.images:
         same = image.sensor == camera.sensor
@@ -306,7 +306,7 @@ def _no_matches(a: KeyPoints, b: KeyPoints) -> RegistrationRefused:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a registration on matches is judged by.
+    """Evidence on a registration that rests on matches.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def judge(evidence: Evidence) -> Verdict:
 
 
 def measure(evidence: Evidence) -> dict[str, Any]:
-    """Return all numbers that the rules look at, by name."""
+    """Return the numbers that the rules of the verdict take, by name."""
     matches = evidence.matches
     search = search_windows(
         evidence.reference, evidence.target, evidence.transform, region=evidence.region

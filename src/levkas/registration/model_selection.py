@@ -161,7 +161,7 @@ STANDING = "as it was"
 
 @dataclass(frozen=True)
 class SelectionTerms:
-    """Which models are tried, and the lengths on which windows are compared.
+    """Models that are tried, and the lengths on which windows are compared.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ class SelectionTerms:
 
 @dataclass(frozen=True)
 class FoldFit:
-    """A model fitted without the blocks of a fold, and the share of all information that these hold."""
+    """Model fitted without the blocks of a fold, and the share of all information that these hold."""
 
     transform: Transform
     without: float
@@ -206,7 +206,7 @@ class FoldFit:
 
 @dataclass(frozen=True)
 class AlternativeModel:
-    """Another model, and how close it comes to the one that was taken, 0..1."""
+    """Model whose held-out error comes close to that of the selected one, and how close, 0..1."""
 
     transform: Transform
     weight: float
@@ -214,7 +214,7 @@ class AlternativeModel:
 
 @dataclass(frozen=True)
 class SelectedModel:
-    """The model that was taken, and how all of them did.
+    """Selected model, and the held-out errors of all.
 
     Parameters
     ----------
@@ -410,7 +410,7 @@ class ModelComparison:
         return float(np.sqrt(total / (2 * weight))) if weight else np.inf
 
     def is_withstood_by(self, standing: Transform) -> bool:
-        """Tell whether a map that was not fitted to any of this is as good as the best."""
+        """Tell whether a given map, which was not fitted to these observations, predicts them as well as the best model."""
         squares, information = _misfit(self._judged, standing)
         self.scores[STANDING] = float(np.sqrt(squares / information))
         return not self.best.score < self.scores[STANDING] * (1 - SETTINGS.gain)

@@ -26,7 +26,7 @@ MOST_SPANS = 12
 
 @dataclass(frozen=True)
 class Observations:
-    """Where points of the reference lie in the target, and how well that is known.
+    """Positions of reference points in the target, with their information.
 
     Parameters
     ----------

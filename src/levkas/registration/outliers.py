@@ -143,7 +143,7 @@ def remove_outliers(
 
 @dataclass(frozen=True)
 class Cleaned:
-    """What is left when the removal is done.
+    """Result of a removal.
 
     Parameters
     ----------

@@ -205,7 +205,7 @@ def cell_px(shape: Sequence[int]) -> int:
 
 
 class ReferenceStack:
-    """The reference's bands in the reference frame, as predictors at any step.
+    """Bands of the reference in its frame, and predictors made of them at any step.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ class ReferenceStack:
 
 
 class PreparedReference:
-    """The reference camera made ready, once for all cameras that are registered to it.
+    """Reference camera with its predictors and key points, prepared once for all cameras registered to it.
 
     Parameters
     ----------

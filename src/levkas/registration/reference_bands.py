@@ -1,4 +1,4 @@
-"""The reference camera's own bands, registered to its reference band.
+"""Registration of the reference camera's own bands to its reference band.
 
 The bands of either half, every other one in the order of wavelength, are predicted from those of the other
 half. Where a prediction lies depends on where its bands lie: all positions are solved for together, that of

@@ -1,4 +1,4 @@
-"""The request of a registration: what a method is given, checked once at the rim and then trusted."""
+"""Request of a registration, and the checks of its bands, region and options."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEAST_SIDE_PX = 16
 
 @dataclass(frozen=True)
 class Request:
-    """Two cameras to be registered; a method takes of it what it needs.
+    """Two cameras to be registered; a method uses the fields that it needs.
 
     Parameters
     ----------

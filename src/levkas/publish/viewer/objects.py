@@ -210,8 +210,9 @@ def _write_layer(
 ) -> dict[str, Any]:
     tiff = item.tiff(*layer)
     told, bands, centroids = _describe(tiff)
+    shapes = _broad_channels(item.database / "cameras" / layer[0] / "sensitivity.csv", bands)
     if not np.isfinite(centroids).any():
-        centroids = _centroids(item.database / "cameras" / layer[0] / "sensitivity.csv", bands)
+        centroids = [centroid for centroid, _ in shapes]
     reference = item.tiff(item.reference, "") if item.reference else tiff
     source = Source(
         *(item.database, item.name, tiff, bands, str(told.get("quantity", "")), record),
@@ -250,9 +251,9 @@ def _write_layer(
                 "label": band.label,
                 "wavelength": _known(band.wavelength),
                 "centroid": _known(centroid),
-                "fwhm": _known(band.fwhm),
+                "fwhm": _known(width if math.isnan(band.fwhm) else band.fwhm),
             }
-            for band, centroid in zip(bands, centroids, strict=True)
+            for band, centroid, (_, width) in zip(bands, centroids, shapes, strict=True)
         ],
         "pictures": pictures,
         "thumbnail": thumbnail,
@@ -288,9 +289,9 @@ def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]
     return told, bands, [math.nan] * count if numbered else centres
 
 
-def _centroids(path: Path, bands: tuple[Band, ...]) -> list[float]:
-    """Centroids of broad channels by their camera's published sensitivities; NaN where not known."""
-    unknown = [math.nan] * len(bands)
+def _broad_channels(path: Path, bands: tuple[Band, ...]) -> list[tuple[float, float]]:
+    """Centroid and full width at half maximum, nm, by the published sensitivities; NaN if not known."""
+    unknown = [(math.nan, math.nan)] * len(bands)
     try:
         head_line, *lines = read_text(path, "a CSV of sensitivities").splitlines()
         head = [cell.strip() for cell in head_line.split(",")]
@@ -300,9 +301,25 @@ def _centroids(path: Path, bands: tuple[Band, ...]) -> list[float]:
     columns = {label: table[:, i] for i, label in enumerate(head) if i and i < table.shape[1]}
     found = [columns.get(band.label) for band in bands]
     return [
-        float((c * table[:, 0]).sum() / c.sum()) if c is not None and c.sum() > 0 else math.nan
+        _shape(table[:, 0], c) if c is not None and c.sum() > 0 else (math.nan, math.nan)
         for c in found
     ]
+
+
+def _shape(wavelengths: np.ndarray, response: np.ndarray) -> tuple[float, float]:
+    """Centroid and full width at half maximum of a response.
+
+    >>> _shape(np.arange(400.0, 450.0, 10.0), np.array([0.0, 1.0, 1.0, 1.0, 0.0]))
+    (420.0, 30.0)
+    """
+    high = np.flatnonzero(response >= response.max() / 2)
+    low, top = max(high[0] - 1, 0), min(high[-1] + 1, len(response) - 1)
+    half = response.max() / 2
+    rise, fall = response[low : high[0] + 1], response[high[-1] : top + 1][::-1]
+    start = float(np.interp(half, rise, wavelengths[low : high[0] + 1]))
+    end = float(np.interp(half, fall, wavelengths[high[-1] : top + 1][::-1]))
+    centroid = float((response * wavelengths).sum() / response.sum())
+    return centroid, end - start
 
 
 def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:

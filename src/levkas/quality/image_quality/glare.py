@@ -7,18 +7,13 @@ paint's, but under another lighting it is darker by about the same in every band
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
-from levkas.core.machine import count_threads
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from levkas.core.machine import over_rows
 
 WHITE_PAINT = 0.9
 """Reflectance of the whitest paint: what saturates below it is overexposed, not glare."""
@@ -112,7 +107,7 @@ def find_glare(
     """
     height, width = values.shape[:2]
     signs, noise = np.zeros((height, width), np.uint8), _noise(sigma)
-    _over_rows(lambda a, b: _judge_pixels(a, b, values, flags, noise, signs), height)
+    over_rows(lambda a, b: _judge_pixels(a, b, values, flags, noise, signs), height)
     lifted = np.zeros((height, width), bool)
     if other is not None:
         if gains is None:
@@ -123,21 +118,13 @@ def find_glare(
     return Glare(signs & FULL > 0, signs & BRIGHT > 0, lifted)
 
 
-def mark_glare(
-    values: np.ndarray,
-    flags: np.ndarray,
-    sigma: np.ndarray | None = None,
-    *,
-    squared: bool = False,
-) -> None:
+def mark_glare(values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None = None) -> None:
     """Set GLARE in `flags`, in place, band by band: where bands do not yet lie on one another.
 
     Parameters
     ----------
     values, flags, sigma
         As for `find_glare`.
-    squared : bool
-        Whether the square of sigma, exact to all its bits, stands in its place.
 
     Examples
     --------
@@ -147,7 +134,7 @@ def mark_glare(
     [[[16, 0]]]
     """
     noise = _noise(sigma)
-    _over_rows(lambda a, b: _mark_bands(a, b, values, flags, noise, squared), len(values))
+    over_rows(lambda a, b: _mark_bands(a, b, values, flags, noise), len(values))
 
 
 def flag_glare(flags: np.ndarray, found: Glare) -> None:
@@ -159,14 +146,6 @@ def flag_glare(flags: np.ndarray, found: Glare) -> None:
 
 def _noise(sigma: np.ndarray | None) -> np.ndarray:
     return np.zeros((0, 0, 0), np.float32) if sigma is None else sigma
-
-
-def _over_rows(work: Callable[[int, int], None], height: int) -> None:
-    """Do some rows in each thread."""
-    edges = np.linspace(0, height, 2 * count_threads() + 1).astype(int).tolist()
-    with ThreadPoolExecutor(count_threads()) as pool:
-        for job in [pool.submit(work, *edge) for edge in pairwise(edges)]:
-            job.result()
 
 
 @njit(nogil=True, cache=True)
@@ -198,7 +177,7 @@ def _judge_pixels(start, stop, values, flags, sigma, signs):  # type: ignore[no-
 
 
 @njit(nogil=True, cache=True)
-def _mark_bands(start, stop, values, flags, sigma, squared):  # type: ignore[no-untyped-def]
+def _mark_bands(start, stop, values, flags, sigma):  # type: ignore[no-untyped-def]
     """Set GLARE where a band by itself shows a sign."""
     least = np.float32(WHITE_PAINT)
     for y in range(start, stop):
@@ -213,7 +192,6 @@ def _mark_bands(start, stop, values, flags, sigma, squared):  # type: ignore[no-
                 if flags[y, x, b] & OUTSIDE:
                     continue
                 noise = np.float64(sigma[y, x, b]) if sigma.size else 0.0
-                noise = np.sqrt(noise) if squared else noise
                 if _judge(np.float64(pixel[b]), flags[y, x, b], noise):
                     flags[y, x, b] |= np.uint8(GLARE)
 

@@ -32,7 +32,7 @@ from levkas.registration.control_points.points import (
 
 @dataclass(frozen=True)
 class Dialect:
-    """How one program writes control points.
+    """File format in which one program writes control points.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Dialect:
     module : module
         With `recognises(data)`, `read(data, …)` and `write(points)`.
     needs_sizes : bool
-        Reading asks for the sizes of both pictures.
+        Whether reading needs the sizes of both pictures.
     """
 
     title: str
@@ -147,9 +147,9 @@ def parse_points(
     ----------
     files : list of bytes
     dialect : str, optional
-        A key of `DIALECTS`; else it is told from the content.
+        A key of `DIALECTS`; else it is found from the content.
     reference_size, target_size : (width, height), px, optional
-        Of both pictures, where the dialect asks for them and does not say them.
+        Of both pictures, where the dialect needs them and its files lack them.
 
     Raises
     ------
@@ -188,17 +188,17 @@ def format_points(points: ControlPoints, dialect: str) -> tuple[bytes, ...]:
 
 
 def losses(points: ControlPoints, dialect: str) -> list[str]:
-    """Say what a dialect cannot hold of these points.
+    """Return sentences about what a dialect cannot hold of these points.
 
     Examples
     --------
     >>> losses(ControlPoints([[0, 0]], [[1, 1]], enabled=[False]), "hugin")
     ['1 pair that is not enabled is left out']
     """
-    keeps, said = _known(dialect).keeps, []
+    keeps, sentences = _known(dialect).keeps, []
     off = int((~points.enabled).sum())
     if "enabled" not in keeps and off:
-        said.append(
+        sentences.append(
             f"{off} pair{'s' * (off > 1)} that {'are' if off > 1 else 'is'} not enabled {'are' if off > 1 else 'is'} left out"
         )
     for what, number in (
@@ -207,8 +207,10 @@ def losses(points: ControlPoints, dialect: str) -> list[str]:
         ("check", int(points.check.sum())),
     ):
         if what not in keeps and number:
-            said.append(f"{number} {'marks as check point' if what == 'check' else what} not kept")
-    return said
+            sentences.append(
+                f"{number} {'marks as check point' if what == 'check' else what} not kept"
+            )
+    return sentences
 
 
 def _known(dialect: str) -> Dialect:
@@ -243,7 +245,7 @@ def read_points(
         The file of the target; found beside the first where the names differ by reference and
         target, or by fixed and moving.
     dialect : str, optional
-        A key of `DIALECTS`; else it is told from the content.
+        A key of `DIALECTS`; else it is found from the content.
     reference_size, target_size : (width, height), px, optional
 
     Raises
@@ -310,7 +312,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _partner(path: Path) -> Path | None:
-    """The file of the target beside that of the reference, by its name."""
+    """Return the file of the target beside that of the reference, by its name."""
     for first, second in SIDES:
         if re.search(first, path.name, re.IGNORECASE):
             other = path.with_name(re.sub(first, second, path.name, flags=re.IGNORECASE))

@@ -1,4 +1,4 @@
-"""Control points: pairs of places in two pictures, the origins and the text files of other programs.
+"""Control points: pairs of places in two pictures; the origins and the text files of other programs.
 
 Pixel centres are integers here, and y points down. The centre of the top left pixel, (0, 0), is
 
