@@ -271,6 +271,35 @@ def test_many_pixels_are_estimated_as_few(rng):
         )
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_the_number_of_threads_changes_no_byte(name, rng, monkeypatch):
+    training = smooth(rng, noise=0.01)
+    responses = smooth(rng, count=3000, noise=0.01).responses
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("LEVKAS_THREADS", threads)
+        model = METHODS[name].fit(training, np.random.default_rng(1))
+        found.append(model(responses)[0].tobytes())
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    "name", ["wiener", "principal-components", "polynomial", "matern", "gaussian-process"]
+)
+def test_responses_that_do_not_vary_give_the_mean_spectrum(name, rng):
+    training = smooth(rng)
+    flat = replace(training, responses=np.full_like(training.responses, 0.4))
+    found = METHODS[name].fit(flat, rng)(flat.responses[:1])[0]
+    np.testing.assert_allclose(found[0], training.spectra.mean(0), atol=1e-3)
+
+
+@pytest.mark.parametrize("groups", [np.zeros(300, int), np.arange(300) // 299])
+def test_groups_that_hold_nearly_everything_do_no_harm(groups, rng):
+    training = replace(smooth(rng, noise=0.01), groups=groups)
+    for method in METHODS.values():
+        assert np.isfinite(method.fit(training, rng)(training.responses)[0]).all()
+
+
 # --- measured pigments ---------------------------------------------------------------------------
 
 

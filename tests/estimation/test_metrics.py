@@ -53,21 +53,20 @@ def test_relative_errors_have_a_floor():
     assert metrics.mrae(np.array([0.01]), np.array([0.0])) == pytest.approx(1.0)
 
 
+@pytest.mark.filterwarnings("ignore::colour.utilities.ColourRuntimeWarning")
 @pytest.mark.parametrize("light", ["D65", "A"])
 def test_colour_differences_are_those_of_colour_science(light, pair):
     """Within 0.05: interpolation of bands and of the tables of light differ."""
 
+    grid = colour.SpectralShape(400, 720, 1)
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(grid)
+    source = colour.SDS_ILLUMINANTS[light].copy().align(grid)
+    white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"][light]
+
     def lab(values):
         spectrum = colour.SpectralDistribution(dict(zip(BANDS, values, strict=True)))
-        with colour.utilities.suppress_warnings(colour_usage_warnings=True):
-            xyz = colour.sd_to_XYZ(
-                spectrum.interpolate(
-                    colour.SpectralShape(400, 720, 1), interpolator=colour.LinearInterpolator
-                ),
-                illuminant=colour.SDS_ILLUMINANTS[light],
-            )
-        white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"][light]
-        return colour.XYZ_to_Lab(xyz / 100, white)
+        spectrum = spectrum.interpolate(grid, interpolator=colour.LinearInterpolator)
+        return colour.XYZ_to_Lab(colour.sd_to_XYZ(spectrum, observer, source) / 100, white)
 
     expected = [colour.delta_E(lab(a), lab(b)) for a, b in zip(*(p[:4] for p in pair), strict=True)]
     found = metrics.delta_e(pair[0][:4], pair[1][:4], BANDS, light)

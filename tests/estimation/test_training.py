@@ -44,7 +44,7 @@ def test_groups_of_another_length_are_refused(training):
 def test_values_that_are_not_finite_are_refused_with_their_number(value, training):
     responses = training.responses.copy()
     responses[[3, 8], 1] = value
-    with pytest.raises(Refused, match="responses.*2 samples"):
+    with pytest.raises(Refused, match=r"responses.*2 samples"):
         replace(training, responses=responses)
 
 

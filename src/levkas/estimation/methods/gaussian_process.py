@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from levkas.estimation.methods.kernel_ridge import LENGTHS, RIDGES, Kernel, keep_anchors, spread
+from levkas.estimation.methods.kernel_ridge import LENGTHS, RIDGES, Kernel, choose_anchors, spread
 from levkas.estimation.model import in_blocks
 from levkas.estimation.training import Training, require_samples, sample_weights
 
@@ -81,13 +81,14 @@ def fit_gaussian_process(training: Training, rng: np.random.Generator) -> Gaussi
     `rng` draws the first of the farthest points, and the folds where there are no groups.
     """
     require_samples(training, training.responses.shape[1] + 1, "a Gaussian process")
-    anchors = keep_anchors(training, MOST_ANCHORS, rng)
+    chosen = choose_anchors(training, MOST_ANCHORS, rng)
+    anchors = training.take(chosen)
     centre, unit = training.responses.mean(0), spread(training)
     kernels = [Kernel("matern", length * unit, centre) for length in LENGTHS]
     likelihoods = np.array([log_likelihoods(anchors, kernel, RIDGES) for kernel in kernels])
     length, noise = np.unravel_index(likelihoods.argmax(), likelihoods.shape)
     model = condition(anchors, kernels[length], float(RIDGES[noise]))
-    ratios = _held_out_ratios(training, anchors, model, _folds(training, rng))
+    ratios = _held_out_ratios(training, chosen, model, _folds(training, rng))
     return replace(model, scale=model.scale * np.quantile(ratios, 0.95, axis=0) / WIDE)
 
 
@@ -138,17 +139,17 @@ def _folds(training: Training, rng: np.random.Generator) -> np.ndarray:
 
 
 def _held_out_ratios(
-    training: Training, anchors: Training, model: GaussianProcessModel, folds: np.ndarray
+    training: Training, chosen: np.ndarray, model: GaussianProcessModel, folds: np.ndarray
 ) -> np.ndarray:
-    """Return |error| / σ of every sample under the process that does not know its fold, (n, bands)."""
-    places = {tuple(row): fold for row, fold in zip(training.responses, folds, strict=True)}
-    anchor_folds = np.array([places[tuple(row)] for row in anchors.responses])
+    """Return |error| / σ of every sample under the process that does not know its fold, (n, bands).
+
+    `chosen` are the indices of the anchors, `folds` (n,) those of the folds.
+    """
     ratios = np.empty(training.spectra.shape)
     for fold in np.unique(folds):
-        others, held = anchors.take(anchor_folds != fold), folds == fold
-        if not len(others):
-            others = anchors
-        partial = replace(condition(others, model.kernel, model.noise), scale=model.scale)
-        spectra, sigma = partial(training.responses[held])
+        held, others = folds == fold, chosen[folds[chosen] != fold]
+        others = others if len(others) else chosen
+        ignorant = condition(training.take(others), model.kernel, model.noise)
+        spectra, sigma = replace(ignorant, scale=model.scale)(training.responses[held])
         ratios[held] = np.abs(training.spectra[held] - spectra) / sigma
     return ratios

@@ -153,9 +153,14 @@ def fit_kernel_ridge(
 
 def keep_anchors(training: Training, most: int, rng: np.random.Generator) -> Training:
     """Return the samples, or of more than `most` the farthest points."""
+    return training.take(choose_anchors(training, most, rng))
+
+
+def choose_anchors(training: Training, most: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the indices of all samples, or of more than `most` those of the farthest points."""
     if len(training) <= most:
-        return training
-    return training.take(farthest_points(training.responses, most, rng))
+        return np.arange(len(training))
+    return farthest_points(training.responses, most, rng)
 
 
 def spread(training: Training) -> float:
