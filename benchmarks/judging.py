@@ -17,7 +17,7 @@ from PIL import Image
 
 from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.campaign.campaign import load_campaign
-from levkas.campaign.discovery.manifest import read_manifest
+from levkas.campaign.discovery.file_index import read_exposures
 from levkas.campaign.edits import read_edits
 from levkas.core.problems import Refused
 from levkas.core.text import read_json, read_text
@@ -178,7 +178,7 @@ def read_csv(path):
     """Read a table by what its name says it is."""
     kind = path.stem
     if kind == "exposures":
-        seconds = list(read_manifest(path).values())
+        seconds = list(read_exposures(path).values())
         finite(seconds, 0)
         check(all(seconds), seconds)
         return

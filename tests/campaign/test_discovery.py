@@ -531,7 +531,7 @@ def test_the_line_scan_has_580_bands_by_its_header(tmp_path, real_data):
 
 
 def test_a_manifest_tells_the_exposures_that_names_do_not(tmp_path):
-    from levkas.campaign.discovery.manifest import read_manifest
+    from levkas.campaign.discovery.file_index import read_exposures
 
     for name in ("dark", "white", "icon1"):
         (tmp_path / "raw").mkdir(exist_ok=True)
@@ -553,7 +553,7 @@ def test_a_manifest_tells_the_exposures_that_names_do_not(tmp_path):
     ]
     (tmp_path / "times.csv").write_text("file,exposure_s\nraw/icon1.tif,long\n")
     with pytest.raises(Refused, match="line 2 of the manifest"):
-        read_manifest(tmp_path / "times.csv")
+        read_exposures(tmp_path / "times.csv")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from levkas.database.spectral_tiff import (
     read_mtiff,
     read_stiff,
     read_tiff_pages,
-    write_mtiff,
     write_spectral_tiff,
     write_stiff,
 )
@@ -248,7 +247,11 @@ def test_what_is_no_tiff_is_refused(tmp_path):
 )
 def test_masks_are_read_as_they_were_written(tmp_path_factory, masks):
     path = tmp_path_factory.mktemp("mtiff") / "m.tif"
-    write_mtiff(path, masks)
+    with tifffile.TiffWriter(path) as tiff:
+        for label, mask in masks.items():
+            text = "".join(f"\\U{ord(c):08x}" for c in label).encode()  # tags of TIFF are ASCII
+            tags = [(65001, "s", len(text), text, True)]
+            tiff.write(255 * mask.astype(np.uint8), photometric="minisblack", extratags=tags)
     read = read_mtiff(path)
     assert read.keys() == masks.keys()
     assert all(np.array_equal(read[k], masks[k]) and read[k].dtype == bool for k in masks)

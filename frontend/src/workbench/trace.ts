@@ -53,7 +53,7 @@ export class TraceView {
       const { frame, session } = store;
       range.max = String(Math.max(lastRound(session.value), -1));
       range.disabled = this.play.disabled = !session.value?.trace;
-      this.root.hidden = Boolean(frame.value?.basis); // a dense map removes no pairs
+      this.root.hidden = Boolean(frame.value?.basis || frame.value?.is_reference); // nothing was removed
       this.go(this.atEnd ? Infinity : this.round.peek());
     });
     effect(() => {

@@ -14,7 +14,7 @@ from levkas.colour.srgb import preview
 from levkas.core.digests import hash_file
 from levkas.core.files import remove, together
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
-from levkas.database.catalogue import Entry
+from levkas.database.catalogue import ESTIMATED, MEASURED, Entry
 from levkas.database.credits import Credits
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.preview import write_preview
@@ -40,6 +40,8 @@ class Layer:
     credits : Credits
     centroids : mapping of label to float, nm
         Of the sensitivities of channels without a centre wavelength, for tag 65000.
+    estimate : mapping, optional
+        Of a layer that was estimated from others: its method, layers and training objects.
     """
 
     object: str
@@ -48,6 +50,7 @@ class Layer:
     px_per_mm: float = nan
     credits: Credits = field(default_factory=Credits)
     centroids: Mapping[str, float] = field(default_factory=dict)
+    estimate: Mapping[str, Any] | None = None
 
     @property
     def name(self) -> str:
@@ -67,6 +70,8 @@ class Layer:
             "camera": self.camera,
             "setup": self.setup,
             "px_per_mm": None if isnan(self.px_per_mm) else float(self.px_per_mm),
+            "kind": ESTIMATED if self.estimate is not None else None,
+            "estimate": self.estimate,
         }
         return {key: value for key, value in facts.items() if value is not None}
 
@@ -142,7 +147,7 @@ def entry_of_layer(
     height, width, count = shape
     return Entry(
         *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
-        *(quantity, verdict, hash_file(tiff)),
+        *(quantity, verdict, hash_file(tiff), MEASURED if layer.estimate is None else ESTIMATED),
     )
 
 

@@ -393,25 +393,6 @@ def decode_text(stored: str) -> str:
 # --- masks --------------------------------------------------------------------------------------
 
 
-def write_mtiff(path: str | Path, masks: Mapping[str, np.ndarray]) -> None:
-    """Write masks, (height, width) each, one page a label."""
-    from tifffile import TiffWriter
-
-    with replacing(path) as handle, TiffWriter(handle, byteorder="<") as tiff:
-        for label, mask in masks.items():
-            encoded = _encode_text(label)
-            tiff.write(
-                np.where(np.asarray(mask) > 0, np.uint8(255), np.uint8(0)),
-                photometric="minisblack",
-                compression="zlib",
-                compressionargs={"level": LEVEL},
-                metadata=None,
-                contiguous=False,
-                software=f"levkas {__version__}",
-                extratags=[(LABEL, "s", len(encoded), encoded, True)],
-            )
-
-
 def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:
     """Read masks: {label: (height, width) bool}.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 SAMPLED_ROUNDS = 120
 ALIGNED = 8
+NEEDED_PAIRS = 4
+"""A homography goes through any four pairs: only a fifth shows how far off it is."""
 MOST_OF_A_BYTE = 256
 BY_HAND = {mark: kind for kind, mark in MARKS.items()}
 
@@ -49,7 +52,7 @@ def describe(
         of `MARKS`, or empty.
     """
     view = session.view
-    matches = view.matches
+    matches = _without_residuals(view.matches)
     numbers, words = (_array, number_words) if packed else (_list, _words)
     pairs = np.round(np.hstack([matches.reference, matches.target]), 3)
     places = sha256(pairs.tobytes()).hexdigest()[:16]
@@ -146,6 +149,17 @@ def _list(values: np.ndarray, kind: str) -> list[Any]:
 
 def _words(words: np.ndarray) -> list[str]:
     return list(words.tolist())
+
+
+def _without_residuals(matches: Matches) -> Matches:
+    """Take the residuals from kept pairs that are no more than a map needs: they say nothing of it."""
+    kept = matches.kept
+    if kept.sum() > NEEDED_PAIRS:
+        return matches
+    unknown = np.where(kept, np.nan, matches.residual)
+    return replace(
+        matches, residual=unknown, leave_one_out=np.where(kept, np.nan, matches.leave_one_out)
+    )
 
 
 def _summary(matches: Matches, kept: np.ndarray) -> dict[str, Any]:

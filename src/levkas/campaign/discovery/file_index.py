@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import re
 import unicodedata
@@ -12,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.discovery.captures import CaptureRefused
-from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.discovery.patterns import Pattern, natural, ways_to_read
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
@@ -434,7 +436,7 @@ def _find_frames(
             found = find_files(index.campaign.root, patterns, known=known, folders=index.folders)
             frames += [replace(f, sensor=sensor) for f in found]
         if camera.manifest:
-            exposures = read_manifest(index.campaign.root / camera.manifest)
+            exposures = read_exposures(index.campaign.root / camera.manifest)
             frames = with_exposures(frames, exposures, index.campaign.root)
     except Refused as refused:
         index.broken[key] = refused
@@ -486,8 +488,8 @@ def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Pa
     """
     campaign = index.campaign
     targets = (*declared_targets(campaign), *index.objects)
-    known = {"target": targets, "setup": tuple(campaign.setups)}
-    ways = ways_to_read({name: {v.lower() for v in values} for name, values in known.items()})
+    setups = {name.lower() for name in campaign.setups}
+    ways = ways_to_read({"target": {name.lower() for name in targets}, "setup": setups})
     fitting = {f.path for frames in index.frames.values() for f in frames if f.target in targets}
     spelling = {name.lower(): name for name in targets}
     found: dict[tuple[str, str, str], tuple[Path, Pattern]] = {}
@@ -500,10 +502,70 @@ def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Pa
                 lower, index.folders, campaign.root, 0, "", set(), lambda n: composed(n).lower()
             ):
                 values = None if path in fitting else lower.read(text, ways)
-                if values is not None and (setup or values.get("setup", "") not in known["setup"]):
+                if values is not None and (setup or values.get("setup", "") not in setups):
                     target = values.get("target", "")
                     start = text.find(target)
                     own = path.as_posix()[-len(text) :][start : start + len(target)]
                     key = (spelling.get(target, own), camera, setup)
                     found.setdefault(key, (path, pattern))
     return found
+
+
+# --- exposures from a table, where neither names nor EXIF have them --------------------------------
+
+EXPECTED = "a CSV with the columns file and exposure_s, in UTF-8"
+
+
+def read_exposures(path: Path) -> dict[str, float]:
+    """Read a CSV with the columns file and exposure_s.
+
+    Returns
+    -------
+    exposures : dict of str to float, s
+        By the file's name as the table has it, with ``/``.
+
+    Raises
+    ------
+    CaptureRefused
+        Where it cannot be read; every row without an exposure > 0 is listed, at most ten.
+    """
+    exposures: dict[str, float] = {}
+    problems = []
+    try:
+        lines = io.StringIO(read_text(path, EXPECTED), newline="")
+        for number, row in enumerate(csv.DictReader(lines), start=2):
+            try:
+                name, seconds = str(row["file"]).strip(), float(row["exposure_s"])
+            except (KeyError, TypeError, ValueError):
+                name, seconds = "", 0.0
+            if not name or not 0 < seconds < 1e6:
+                problems.append(_bad_row(path, number, row))
+            exposures[name.replace("\\", "/")] = seconds
+    except TextRefused as refused:
+        problems = list(refused.problems)
+    except csv.Error as error:
+        problems = [
+            Problem(
+                "E_UNREADABLE",
+                "the manifest cannot be read",
+                str(path),
+                found=str(error),
+                expected=EXPECTED,
+                fix="Save it again as a table of two columns.",
+            )
+        ]
+    if problems:
+        raise CaptureRefused(*problems[:10])
+    return exposures
+
+
+def _bad_row(path: Path, number: int, row: dict[str, str]) -> Problem:
+    return Problem(
+        "E_VALUE",
+        f"line {number} of the manifest says no exposure",
+        str(path),
+        "exposure_s",
+        ", ".join(str(v) for v in row.values())[:80],
+        "columns file and exposure_s, in seconds",
+        "Write the exposure in seconds, a number above 0.",
+    )

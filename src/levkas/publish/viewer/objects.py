@@ -15,6 +15,7 @@ from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
 from levkas.core.text import parse_bounded, read_text
+from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
 from levkas.database.registrations import read_registration
@@ -244,6 +245,7 @@ def _write_layer(
         key=f"{number}/native",
     )
     return {
+        **(_say_estimate(told) if told.get("kind") == ESTIMATED else {}),
         "quantity": source.quantity,
         "rendering": source.rendering,
         "bands": [
@@ -262,6 +264,15 @@ def _write_layer(
         "reference_band": _reference_band(record, bands),
         "downloads": _downloads(item, tiff),
     }
+
+
+def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:
+    """Words for a layer that was made from others, in place of a verdict on its registration."""
+    facts = told.get("estimate") if isinstance(told.get("estimate"), dict) else {}
+    assert isinstance(facts, dict)
+    sources, training = (", ".join(map(str, facts.get(key) or [])) for key in ("from", "training"))
+    why = f"Estimated from {sources} by {facts.get('method')}, fitted on {training}: not a measurement."
+    return {"decision": "warn", "verdict": "estimated, not measured", "reasons": [why]}
 
 
 def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,6 +16,9 @@ from levkas.readers.spectra import are_spectra, parse_spectra
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+HERE = Path(__file__)
+"""Beside it stand tables of colour-science 0.4: BabelColor's average of 30 charts, and luminances of charts
+made after November 2014."""
 NAMES = {
     "ColorChecker24": ("colorchecker24", "colorcheckerclassic", "classic", "macbeth", "cc24"),
     "ColorCheckerSG": ("colorcheckersg", "sg", "ccsg", "sg140", "digitalsg"),
@@ -66,13 +70,9 @@ class Chart:
     @cached_property
     def luminances(self) -> np.ndarray:
         """(n,) relative luminances as published, for telling the chart and its orientation."""
-        # colour-science sets numpy's printing back to that of version 1.13 for the whole process.
-        with np.printoptions():
-            from colour import CCS_COLOURCHECKERS
-
-        kind = "ColorCheckerSG" if self.rows == 10 else "ColorChecker24"
-        published = CCS_COLOURCHECKERS[f"{kind} - After November 2014"].data.values()
-        return np.array([xyy[2] for xyy in published])
+        sg, classic = "luminances_sg.csv", "luminances_classic.csv"
+        table = HERE.with_name(sg if self.rows == 10 else classic)
+        return np.loadtxt(table, delimiter=",", skiprows=1, usecols=1)
 
 
 CHARTS = {
@@ -135,12 +135,8 @@ def reference_of(chart: Chart) -> ChartReference | None:
     """Return the published spectra of a chart: BabelColor's average of 30; of the SG there are none."""
     if chart.rows != 4:
         return None
-    with np.printoptions():
-        from colour import SDS_COLOURCHECKERS
-
-    patches = list(SDS_COLOURCHECKERS["BabelColor Average"].values())
-    spectra = np.array([sd.values for sd in patches])
-    return ChartReference(np.asarray(patches[0].wavelengths, float), spectra, "BabelColor average")
+    table = np.loadtxt(HERE.with_name("babelcolor_average.csv"), delimiter=",", skiprows=1)
+    return ChartReference(table[:, 0], np.ascontiguousarray(table[:, 1:].T), "BabelColor average")
 
 
 def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReference:
