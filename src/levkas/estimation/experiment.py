@@ -5,7 +5,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -22,6 +21,7 @@ from levkas.estimation.plan import (
     choose_methods,
     questions_of,
     splits_of,
+    title_of_database,
     wavelengths_of,
 )
 from levkas.estimation.report import EstimationReport, SourceReport
@@ -159,7 +159,7 @@ def run_experiment(plan: ExperimentPlan) -> Iterator[EstimationStep]:
             report = replace(report, models=tuple(_models_of(paintings, report)))
         found.append(report)
     whole = EstimationReport(
-        str(Path(plan.database).name),
+        title_of_database(database),
         target,
         wavelengths_of(database, target),
         plan.split,

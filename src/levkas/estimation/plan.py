@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from levkas.campaign.schema.cross_checks import closest_match
-from levkas.core.problems import Problem
+from levkas.campaign.schema.toml import read_toml
+from levkas.core.problems import Problem, Refused
 from levkas.database.layout import LayerId
 from levkas.database.reader import Database
 from levkas.database.registrations import read_registrations
@@ -228,3 +229,12 @@ def wavelengths_of(database: Database, layer: str) -> np.ndarray:
         if (key.camera, key.setup) in database[name].layers:
             return np.asarray(database[name][key.camera, key.setup].wavelength.values, float)
     return np.zeros(0)
+
+
+def title_of_database(database: Database) -> str:
+    """Return the title that database.toml gives, else the name of the folder."""
+    try:
+        told = read_toml(database.path / "database.toml").get("title")
+    except Refused:
+        told = None
+    return str(told or database.path.resolve().name)

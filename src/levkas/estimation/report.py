@@ -123,7 +123,7 @@ class EstimationReport:
     Parameters
     ----------
     database : str
-        Name of its folder.
+        Its title.
     target : str
         Layer whose spectra were estimated.
     wavelengths : ndarray, (bands,), nm
@@ -265,7 +265,7 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _text_of(source: SourceReport, target: str) -> str:
-    head = f"{'':2} {'method':28} {'RMSE':>7} {'median':>7} {'p95':>7} {'GFC':>7} {'ΔE00':>6} {'95 %':>6} {'random':>7}"
+    head = f"{'':2} {'method':36} {'RMSE':>7} {'median':>7} {'p95':>7} {'GFC':>7} {'ΔE00':>6} {'95 %':>6} {'random':>7}"
     places = source.ranking(source.scores)
     random = {score.method: score.rmse for score in source.random}
     lines = [
@@ -283,7 +283,7 @@ def _text_of(source: SourceReport, target: str) -> str:
             f"{100 * covered:5.1f}%" if covered is not None else f"{'–':>6}",
             f"{random[score.method]:7.4f}" if score.method in random else f"{'–':>7}",
         ]
-        lines.append(f"{places[score.method]:2} {title_of(score.method):28} {' '.join(cells)}")
+        lines.append(f"{places[score.method]:2} {title_of(score.method):36} {' '.join(cells)}")
     if source.ceiling is not None:
         lines.append(
             f"   the reference's own sigma is {source.ceiling:.4f}: nothing is ranked below it"
@@ -302,12 +302,12 @@ def _text_of(source: SourceReport, target: str) -> str:
 
 def _text_of_budget(budget: Budget) -> list[str]:
     lines = [f"   error budget, RMSE on {budget.fold}",
-             "   " + f"{'method':28}" + "".join(f"{c.replace('exposure', 'exp.'):>11}" for c in CONDITIONS) + f"{'per px':>9}"]  # fmt: skip
+             "   " + f"{'method':36}" + "".join(f"{c.replace('exposure', 'exp.'):>11}" for c in CONDITIONS) + f"{'per px':>9}"]  # fmt: skip
     for method, row in budget.rmse.items():
         cells = "".join(f"{row[c]:11.4f}" if c in row else f"{'–':>11}" for c in CONDITIONS)
         slope = budget.slope(method)
         lines.append(
-            f"   {title_of(method):28}{cells}" + (f"{slope:9.4f}" if slope is not None else "")
+            f"   {title_of(method):36}{cells}" + (f"{slope:9.4f}" if slope is not None else "")
         )
     shares = [s for m in budget.rmse if (s := budget.registration_share(m)) is not None]
     if shares and budget.position_sigma is not None:

@@ -212,17 +212,17 @@ class SampleSource:
         return shifted
 
     def position_sigma(self, names: Sequence[str], sources: Sequence[str]) -> float | None:
-        """Return the median distance between layers that registration leaves, reference px; None if unknown."""
+        """Return how well positions of the layers are known, median, reference px; None if unknown."""
         variances = []
-        for layer in sources:
-            medians = []
-            for name in names:
+        for name in names:
+            for layer in sources:
                 key = LayerId.parse(name, layer)
-                values = self.database[name].position_sigma(key.camera, setup=key.setup)
-                if values is not None:
-                    medians.append(float(np.nanmedian(values.values)))
-            if medians:
-                variances.append(float(np.mean(medians)) ** 2)
+                try:
+                    sigma = self.database[name].position_sigma(key.camera, setup=key.setup)
+                except Refused:  # no record of a registration
+                    continue
+                if sigma is not None:
+                    variances.append(float(np.nanmedian(sigma.values)) ** 2)
         return sqrt(sum(variances) / len(variances)) if variances else None
 
 

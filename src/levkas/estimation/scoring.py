@@ -17,7 +17,7 @@ from levkas.database.layout import LayerId
 from levkas.database.reader import Database
 from levkas.database.splits import split_objects
 from levkas.estimation.experiment import FEW_PIXELS, MOST_PIXELS, EstimationStep, named_seed
-from levkas.estimation.plan import ExperimentPlan, choose_layers, wavelengths_of
+from levkas.estimation.plan import ExperimentPlan, choose_layers, title_of_database, wavelengths_of
 from levkas.estimation.report import EstimationReport, SourceReport
 from levkas.estimation.samples import EstimationRefused, PaintSamples, SampleSource, require_layers
 from levkas.estimation.scores import (
@@ -126,8 +126,8 @@ def score_predictions(plan: ExperimentPlan, folder: str | Path) -> Iterator[Esti
         floor=metamer_floor(samples, FEW_PIXELS, np.random.default_rng(seed)),
         step=source.step(tested[0]),
     )
-    name = Path(plan.database).resolve().name
-    whole = EstimationReport(name, target, wavelengths, split.kind, (report,))
+    title = title_of_database(database)
+    whole = EstimationReport(title, target, wavelengths, split.kind, (report,))
     yield EstimationStep("report", len(tested), len(tested), report=whole)
 
 

@@ -79,7 +79,7 @@ def write_page(report: EstimationReport, folder: Path, *, overwrite: bool = Fals
 def render_estimation(report: EstimationReport, files: Sequence[str] = ()) -> str:
     """Return the page as HTML; error maps are pictures beside it."""
     page = {
-        "title": f"{report.target} estimated",
+        "title": f"Spectra of {report.target}, estimated",
         "subtitle": f"{report.database}: {SPLITS.get(report.split, report.split)}",
         "short": [_in_short(source, report.target) for source in report.sources],
         "notes": report.notes,
@@ -185,8 +185,8 @@ def _figures(source: SourceReport, report: EstimationReport, inks: dict[str, str
     ]
     figures = [
         Figure(
-            plot(bands, x="wavelength, nm", y="RMSE", from_zero=True),
-            "Error of every band, all methods, over paint.",
+            plot(bands, x="wavelength, nm", y="RMSE", from_zero=True, legend=False),
+            "Error of every band over paint; colours are those of the methods in the table.",
         ),
         _spectra(source, waves),
     ]
@@ -242,7 +242,7 @@ def _over(source: SourceReport, what: str, words: str, inks: dict[str, str]) -> 
     if lines and what == "sigma":
         ends = [min(lines[0].x), max(lines[0].x)]  # type: ignore[type-var]
         lines.append(Line("sigma itself", ends, ends, "soft", dashed=True))
-    return plot(lines, x=words, y="RMSE", from_zero=True) if lines else ""
+    return plot(lines, x=words, y="RMSE", from_zero=True, legend=False) if lines else ""
 
 
 def _shifts(budget: Budget, inks: dict[str, str]) -> Figure:
@@ -257,7 +257,7 @@ def _shifts(budget: Budget, inks: dict[str, str]) -> Figure:
                 inks.get(method, INKS[-1]),
             )
         )
-    svg = plot(lines, x="shift of the reference, px", y="RMSE", from_zero=True)
+    svg = plot(lines, x="shift of the reference, px", y="RMSE", from_zero=True, legend=False)
     return Figure(svg, f"What geometry costs: the reference shifted, on {budget.fold}.")
 
 

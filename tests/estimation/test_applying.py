@@ -1,0 +1,178 @@
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import levkas
+from levkas.cli import app
+from levkas.core.cube import Flag
+from levkas.core.problems import Refused
+from levkas.database.catalogue import read_catalogue
+from levkas.database.validation import validate
+from levkas.estimation.applying import apply_model
+from levkas.estimation.scoring import find_predictions
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, ["estimate", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def models(paintings, tmp_path_factory):
+    """Folder of models: Wiener and a Gaussian process from rgb."""
+    out = tmp_path_factory.mktemp("models") / "out"
+    ran = command(paintings, "--from", "rgb", "--method", "wiener", "--method", "gaussian-process",
+                  "--train", "icon1", "--test", "icon2", "--no-budget", "-o", out)  # fmt: skip
+    assert ran.exit_code == 0, ran.stderr
+    return out / "models"
+
+
+def test_an_estimated_layer_is_near_the_measured_one_and_never_called_one(own_paintings, models):
+    steps = list(apply_model(own_paintings, models / "rgb_wiener.npz", "vis-estimated"))
+    assert [s.done for s in steps] == [1, 2, 3]
+    layer = levkas.open(own_paintings)["icon3"]["vis-estimated"]
+    assert layer.attrs["kind"] == "estimated" and layer.attrs["estimate"]["method"] == "wiener"
+    assert layer.attrs["estimate"]["training"] == ["icon1", "icon2"]
+    assert not layer.attrs["estimate"]["in training"]
+    entries = {(e.object, e.camera): e.kind for e in read_catalogue(own_paintings) if not e.setup}
+    assert (
+        entries["icon3", "vis-estimated"] == "estimated" and entries["icon3", "vis"] == "measured"
+    )
+    measured = levkas.open(own_paintings)["icon3"]["vis"]
+    assert np.nanmean((layer.values - measured.values) ** 2) ** 0.5 < 0.12
+    assert validate(own_paintings).ok
+
+
+def test_flags_and_places_without_a_value_follow_the_source_layer(own_paintings, models):
+    list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess", objects=["icon1"]))
+    layer = levkas.open(own_paintings)["icon1"]["guess"]
+    assert (
+        np.isnan(layer.values[:2, :3]).all() and (layer.flags.values[:2, :3] & Flag.OUTSIDE).all()
+    )
+    assert (layer.flags.values[10, 12] & Flag.SATURATED).all()
+    assert "guess" not in levkas.open(own_paintings)["icon2"]
+
+
+def test_sigma_is_the_method_s_own_or_the_held_out_error_of_the_band(own_paintings, models):
+    for name in ("rgb_wiener", "rgb_gaussian-process"):
+        list(apply_model(own_paintings, models / f"{name}.npz", name, objects=["icon1"]))
+    facts = json.loads((models / "rgb_wiener.json").read_text())
+    database = levkas.open(own_paintings)["icon1"]
+    constant = database["rgb_wiener"].sigma.values[20, 20]
+    np.testing.assert_allclose(constant, facts["sigma"], rtol=0.01)  # sigma is stored rounded
+    own = database["rgb_gaussian-process"].sigma.values
+    assert np.nanstd(own[..., 5]) > 0
+
+
+def test_the_record_names_model_sources_and_training(own_paintings, models):
+    ran = command(own_paintings, "--apply", models / "rgb_wiener.npz", "-o", "guess", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    record = json.loads((own_paintings / "objects/icon1/icon1_guess.estimate.json").read_text())
+    tiff = next(
+        e
+        for e in read_catalogue(own_paintings)
+        if (e.object, e.camera, e.setup) == ("icon1", "rgb", "")
+    )
+    assert record["kind"] == "estimated" and record["sources"] == {"rgb": tiff.sha256}
+    assert record["in training"] and len(record["model"]["sha256"]) == 64
+
+
+def test_an_estimate_never_replaces_a_measurement_nor_is_estimated_to(own_paintings, models):
+    with pytest.raises(Refused, match="measured") as refused:
+        list(apply_model(own_paintings, models / "rgb_wiener.npz", "cam2"))
+    assert refused.value.problems[0].code == "E_EXISTS"
+    list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess"))
+    list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess"))  # its own may be replaced
+    ran = command(own_paintings, "--to", "guess", "--json")
+    assert json.loads(ran.stdout)["problems"][0]["code"] == "E_ESTIMATED"
+
+
+def test_a_model_without_its_facts_is_refused(own_paintings, models, tmp_path):
+    (tmp_path / "bare.npz").write_bytes((models / "rgb_wiener.npz").read_bytes())
+    with pytest.raises(Refused, match=r"bare\.json"):
+        list(apply_model(own_paintings, tmp_path / "bare.npz", "guess"))
+
+
+def test_the_viewer_says_that_a_layer_was_estimated(own_paintings, models):
+    from levkas.publish.viewer.objects import find_items, write_object
+
+    list(apply_model(own_paintings, models / "rgb_wiener.npz", "guess"))
+    written = {}
+    layers = {
+        layer["name"]: layer
+        for layer in write_object(written.__setitem__, find_items(own_paintings)[0])
+    }
+    assert (
+        layers["guess"]["verdict"] == "estimated, not measured"
+        and layers["guess"]["spectra"]["sigma"]
+    )
+    assert layers["vis"]["verdict"] != "estimated, not measured"
+
+
+# --- predictions made elsewhere ------------------------------------------------------------------
+
+
+@pytest.fixture
+def predictions(paintings, tmp_path):
+    """Predictions of icon2 that are off by 0.05 everywhere."""
+    folder = tmp_path / "network"
+    folder.mkdir()
+    values = levkas.open(paintings)["icon2"]["vis"].values
+    np.save(folder / "icon2_vis.npy", np.nan_to_num(values) + 0.05)
+    return folder
+
+
+def test_predictions_made_elsewhere_get_the_same_scores(paintings, predictions):
+    ran = command(paintings, "--score", predictions, "--from", "rgb", "--test", "icon2", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    (method,) = json.loads(ran.stdout)["results"][0]["methods"]
+    assert method["method"] == "network" and method["rmse"] == pytest.approx(0.05, rel=1e-4)
+
+
+def test_what_was_exported_for_the_challenges_scores_as_perfect(paintings, tmp_path):
+    pytest.importorskip("h5py")
+    from levkas.publish.export.run import export
+
+    list(export(paintings, "ntire", output=tmp_path / "out", objects=["icon2"], cameras=["vis"]))
+    folder = tmp_path / "out" / "vis"
+    ran = command(
+        paintings,
+        "--score",
+        folder,
+        "--from",
+        "rgb",
+        "--test",
+        "icon2",
+        "--json",
+        "-o",
+        tmp_path / "page",
+    )
+    assert ran.exit_code == 0, ran.stderr
+    assert json.loads(ran.stdout)["results"][0]["methods"][0]["rmse"] < 1e-6
+    assert (tmp_path / "page" / "estimation.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("harm", "code", "named"),
+    [
+        (lambda f: (f / "icon2_vis.npy").unlink(), "E_MISSING", "icon2_vis"),
+        (lambda f: np.save(f / "icon2_vis.npy", np.zeros((3, 4, 16))), "E_SIZE", "icon2_vis.npy"),
+        (lambda f: np.save(f / "icon1_vis.npy", np.zeros((40, 48, 16))), "E_SPLIT_LEAK", "icon1_vis.npy"),
+        (lambda f: (f / "icon2_vis.npy").write_bytes(b"no"), "E_UNREADABLE", "icon2_vis.npy"),
+        (lambda f: np.save(f / "icon2_vis.npy", np.full((40, 48, 16), np.nan)), "E_VALUE", "icon2_vis.npy"),
+    ],
+)  # fmt: skip
+def test_unusable_predictions_are_refused_by_name(paintings, predictions, harm, code, named):
+    harm(predictions)
+    ran = command(paintings, "--score", predictions, "--from", "rgb", "--test", "icon2", "--json")
+    (problem,) = json.loads(ran.stdout)["problems"]
+    assert ran.exit_code == 1 and problem["code"] == code
+    assert named in f"{problem['file']} {problem['expected']}"
+
+
+def test_every_missing_and_every_leaking_file_is_named_at_once(tmp_path):
+    np.save(tmp_path / "a_vis.npy", np.zeros(1))
+    with pytest.raises(Refused) as refused:
+        find_predictions(tmp_path, "vis", ["b", "c"], ["a"])
+    assert [p.code for p in refused.value.problems] == ["E_MISSING", "E_MISSING", "E_SPLIT_LEAK"]

@@ -1,0 +1,189 @@
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import levkas
+from levkas.cli import app
+from levkas.core.problems import Refused
+from levkas.estimation.experiment import run_experiment
+from levkas.estimation.plan import ExperimentPlan, choose_layers
+
+METHODS = ("wiener", "pseudo-inverse")
+
+
+def report_of(database, **options):
+    options = {"methods": METHODS, "budget": False, **options}
+    return list(run_experiment(ExperimentPlan(database, **options)))[-1].report
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, ["estimate", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def whole(paintings):
+    """The report of three methods with the error budget."""
+    return report_of(paintings, sources=["rgb"], methods=(*METHODS, "matern"), budget=True)
+
+
+def test_defaults_are_the_broad_cameras_and_the_spectral_layer(paintings):
+    target, groups = choose_layers(levkas.open(paintings), ExperimentPlan(paintings))
+    assert target == "vis" and sorted(groups) == [("cam2",), ("rgb",)]
+
+
+def test_each_painting_is_scored_while_it_is_held_out(whole):
+    source = whole.sources[0]
+    assert [f.name for f in source.split.folds] == ["icon1", "icon2", "icon3"]
+    assert source.scores[0].objects == ["icon1", "icon2", "icon3"]
+    assert source.pixels + source.gold_pixels == 3 * (40 * 48 - 7)
+
+
+def test_the_ceiling_is_the_reference_s_sigma_and_all_scores_lie_above_it(whole):
+    source = whole.sources[0]
+    assert source.ceiling == pytest.approx(0.004, rel=1e-3)  # as it was planted
+    assert all(score.rmse > source.ceiling for score in source.scores)
+
+
+def test_random_pixels_are_easier_than_a_painting_of_other_pigments(whole):
+    """A flexible method remembers the pigments it saw: unseen ones cost it half as much again, a linear one little."""
+    source = whole.sources[0]
+    random = {score.method: score.rmse for score in source.random}
+    ratio = {score.method: score.rmse / random[score.method] for score in source.scores}
+    assert ratio["matern"] > 1.5 and 1.0 < ratio["wiener"] < 1.2
+
+
+def test_the_budget_grows_from_computed_to_real_and_with_the_shift(whole):
+    """Patches of 4 px: a shift by one pixel moves a quarter of them into another paint."""
+    for row in whole.sources[0].budget.rmse.values():
+        assert row["computed"] < row["real"] * 1.05
+        assert row["real"] < row["shift 0.5"] < row["shift 1"]
+    assert whole.sources[0].budget.slope("wiener") > 0.02
+
+
+def test_an_exposure_breaks_what_is_not_homogeneous(whole):
+    rows = whole.sources[0].budget.rmse
+    assert rows["pseudo-inverse"]["exposure 0.5"] == pytest.approx(rows["pseudo-inverse"]["real"])
+    assert rows["wiener"]["exposure 0.5"] > rows["wiener"]["real"]
+
+
+def test_the_same_seed_gives_the_same_report_whatever_the_threads(paintings, monkeypatch):
+    found = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("LEVKAS_THREADS", threads)
+        methods = ("wiener", "matern", "gaussian-process")
+        found.append(report_of(paintings, sources=["rgb"], methods=methods, test=["icon1"]))
+    one, other = found
+    assert json.dumps(one.to_dict()) == json.dumps(other.to_dict())
+    assert one.tables() == other.tables()
+
+
+def test_layers_together_have_the_channels_of_both(paintings):
+    report = report_of(paintings, sources=["rgb,cam2"], methods=["wiener"])
+    assert report.sources[0].channels == 6 and report.sources[0].name == "rgb+cam2"
+
+
+def test_a_model_of_one_camera_is_tried_on_another(paintings):
+    report = report_of(paintings, sources=["rgb", "cam2"], split="camera", methods=["wiener"])
+    (source,) = report.sources
+    assert len(source.split.folds) == 6 and source.split.folds[0].name == "rgb → cam2, icon1"
+
+
+def test_a_model_of_one_lighting_errs_under_another(paintings):
+    """Red and blue were scaled by 1.1 and 0.9 under the other lighting."""
+    split = report_of(paintings, sources=["rgb"], split="lighting", methods=["wiener"])
+    same = report_of(paintings, sources=["rgb"], methods=["wiener"])
+    assert split.sources[0].scores[0].rmse > 1.1 * same.sources[0].scores[0].rmse
+
+
+def test_one_painting_is_estimated_from_its_own_blocks_and_the_text_says_so(one_painting):
+    report = report_of(one_painting, sources=["rgb"])
+    assert len(report.sources[0].split.folds) == 4 and "only painting" in report.text
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        (["--from", "rbg"], "E_VALUE"),
+        (["--from", "raw"], "E_QUANTITY"),
+        (["--to", "rgb"], "E_VALUE"),
+        (["--from", "vis"], "E_VALUE"),
+        (["--method", "wienr"], "E_METHOD"),
+        (["--split", "paintings"], "E_VALUE"),
+        (["--split", "chart"], "E_CHART_MISSING"),
+        (["--train", "icon1", "--test", "icon1"], "E_SPLIT_LEAK"),
+        (["--test", "icon9"], "E_VALUE"),
+        (["--split", "camera", "--from", "rgb", "--from", "rgb,cam2"], "E_BAND_COUNT"),
+    ],
+)
+def test_what_cannot_be_estimated_is_refused_with_status_1(paintings, options, code):
+    ran = command(paintings, "--json", *options)
+    report = json.loads(ran.stdout)
+    assert ran.exit_code == 1 and not report["ok"]
+    assert report["problems"][0]["code"] == code
+
+
+def test_suggestions_name_what_was_meant(paintings):
+    assert "Did you mean 'wiener'?" in command(paintings, "--method", "wienr").stderr
+    assert "Did you mean 'painting'?" in command(paintings, "--split", "paintings").stderr
+
+
+def test_fewer_samples_than_coefficients_are_refused_by_the_method(paintings, monkeypatch):
+    monkeypatch.setattr("levkas.estimation.experiment.TRAINING_SAMPLES", 3)
+    with pytest.raises(Refused) as refused:
+        report_of(paintings, sources=["rgb,cam2"], methods=["wiener"])
+    assert refused.value.problems[0].code == "E_TOO_FEW_SAMPLES"
+
+
+def test_the_command_writes_page_json_tables_maps_and_models(paintings, tmp_path):
+    out = tmp_path / "out"
+    ran = command(paintings, "--from", "rgb", "--method", "wiener", "--json", "-o", out)
+    assert ran.exit_code == 0, ran.stderr
+    told, kept = json.loads(ran.stdout), json.loads((out / "estimation.json").read_text())
+    assert told["results"] == kept["results"] and told["command"] == "estimate"
+    method = kept["results"][0]["methods"][0]
+    assert method["method"] == "wiener" and set(method["metrics"]["rmse"]) == {
+        "mean",
+        "median",
+        "p95",
+        "max",
+    }
+    assert len(method["bands"]) == 16 and method["over_distance"]
+    page = (out / "estimation.html").read_text(encoding="utf-8")
+    assert (
+        "Error budget" in page
+        and "optimistic" in page
+        and "http" not in page.replace("http-equiv", "").replace("http://www.w3.org", "")
+    )
+    for name in (
+        "scores.csv",
+        "bands.csv",
+        "curves.csv",
+        "budget.csv",
+        "ranking.csv",
+        "maps/rgb_wiener_icon2.png",
+        "models/rgb_wiener.npz",
+    ):
+        assert (out / name).stat().st_size > 50, name
+    assert (
+        command(
+            paintings, "--from", "rgb", "--method", "wiener", "-o", out, "--no-budget"
+        ).exit_code
+        == 0
+    )
+
+
+def test_error_maps_are_bright_where_the_errors_are(whole):
+    import io
+
+    from PIL import Image
+
+    from levkas.pages.estimation import draw_maps
+
+    source = whole.sources[0]
+    errors = next(e for e in source.scores[0].errors if e.object == "icon2")
+    png = draw_maps(source)[f"maps/rgb_{source.scores[0].method}_icon2.png"]
+    grey = np.asarray(Image.open(io.BytesIO(png)).convert("L"), float)
+    shown = grey[errors.rows, errors.columns]
+    assert np.corrcoef(shown, np.minimum(errors.metrics["rmse"], 0.1))[0, 1] > 0.8
