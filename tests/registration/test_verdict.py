@@ -191,7 +191,7 @@ def test_cells_that_nothing_bears_out_are_named(pictures):
     cells = measure_support(case.overlap, checks, matches.reference)
     assert cells["coverage"] == 1  # with windows of the whole picture
     verdict = judge(case)
-    assert verdict.decision == "warn" and "not borne out" in verdict.reasons[0]
+    assert verdict.decision == "warn" and "not confirmed" in verdict.reasons[0]
     assert all(x < 150 and y < 115 for x, y, _, _ in verdict.numbers["unsupported"])
 
 

@@ -82,7 +82,7 @@ export class LayerList {
     });
     const row = make("li", { class: "row" }, first, second);
     if (layer.decision === "refuse" || layer.decision === "warn") {
-      const reasons = [...layer.reasons, layer.next_step].filter(Boolean).join(" ");
+      const reasons = layer.reasons.join(" ");
       if (reasons) row.append(make("p", { class: "reasons" }, reasons));
     }
     effect(() => {

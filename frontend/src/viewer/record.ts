@@ -58,7 +58,6 @@ export interface Layer {
   decision: string;
   verdict: string;
   reasons: string[];
-  next_step: string;
   quantity: string;
   rendering: string;
   bands: Band[];

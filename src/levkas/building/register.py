@@ -112,8 +112,9 @@ def verdict_problems(
     record: dict[str, Any], capture: Capture, refused: Refused | None
 ) -> tuple[Problem, ...]:
     """Return the problems of a registration that is refused; none for one that is accepted."""
+    what = f"{capture.object}/{capture.layer} was left out: it could not be aligned"
     if refused is not None:
-        return tuple(refused.problems)
+        return tuple(replace(p, message=f"{what}: {p.message}") for p in refused.problems)
     verdict = record["verdict"]
     if verdict["decision"] != "refuse":
         return ()
@@ -121,7 +122,7 @@ def verdict_problems(
     return (
         Problem(
             "E_VERDICT",
-            f"{capture.object}/{capture.layer}: the registration cannot be believed: {reasons}",
+            f"{what}. {reasons}",
             field=f"cameras.{capture.camera}.registration",
             fix=verdict["next_step"] or None,
         ),

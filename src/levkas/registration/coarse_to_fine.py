@@ -33,6 +33,7 @@ from levkas.registration.models import Observations
 from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
 from levkas.registration.record import RegistrationRefused, Sigma
 from levkas.registration.uncertainty import measure_sigma
+from levkas.registration.verdict import BY_HAND, POINTS
 from levkas.registration.verification import (
     PermutationTest,
     coarsening,
@@ -304,8 +305,7 @@ def register_sensor(
                 "E_MATCHES",
                 "too few key points agree on any map of this sensor to the reference",
                 field=bands[0].sensor or None,
-                fix="Check that both show the same object, in focus and well exposed; give control "
-                "points if they do.",
+                fix=f"Check that both show the same object, in focus and well exposed; if they do, {POINTS}.",
             )
         )
     bands = by_wavelength(bands)
@@ -466,7 +466,7 @@ class _Way:
                     "E_FOLD",
                     "the map of this sensor folds, or is stretched more than a camera can",
                     field=self.task.bands[0].sensor or None,
-                    fix="Check that both show the same object; give control points if they do.",
+                    fix=BY_HAND,
                 )
             )
 

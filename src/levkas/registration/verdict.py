@@ -102,9 +102,10 @@ SETTINGS = VerdictSettings()
 ONLY = "sensor"
 
 OTHER = "Check that both pictures show the same object, the same way up and framed alike"
-POINTS = "give control points to start from"
+POINTS = "run `levkas inspect CAMPAIGN`, open this camera and click four places that you see in both pictures"
+BY_HAND = f"{OTHER}; if they do, {POINTS}."
 LOOK = "Look at both pictures in the report with the flicker before you rely on this camera."
-REGION = "Use nothing from there, or give control points there."
+REGION = "Use nothing from there, or add pairs there in `levkas inspect CAMPAIGN`."
 
 Numbers = Mapping[str, Any]
 
@@ -198,6 +199,15 @@ def _percent(share: float) -> str:
     return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
 
 
+def _off(error: float) -> str:
+    """Return how far off something is, as text.
+
+    >>> _off(0.5), _off(float("inf"))
+    ('0.50 px off', 'not predicted at all')
+    """
+    return f"{error:.2f} px off" if np.isfinite(error) else "not predicted at all"
+
+
 def _places(cells: Sequence[Sequence[float]]) -> str:
     """Return the first four of (x, y, width, height) as text."""
     where = "; ".join(", ".join(f"{v:.0f}" for v in cell) for cell in cells[:4])
@@ -241,7 +251,7 @@ def better_than_chance(n: Numbers) -> Objection | None:
     return Objection(
         "refuse" if refused else "warn",
         f"{share:.0%} of the windows are predicted better than windows that cannot match.",
-        OTHER + "." if refused else LOOK,
+        BY_HAND if refused else LOOK,
     )
 
 
@@ -253,7 +263,7 @@ def predicts_windows(n: Numbers) -> Objection | None:
     bad = not error < max(SETTINGS.bad_px, SETTINGS.bad_steps * step)
     return Objection(
         "refuse" if bad else "warn",
-        f"Windows that the model did not see are {error:.2f} px off: no one map fits all of them.",
+        f"Windows that the model did not see are {_off(error)}: no one map fits all of them.",
         f"{OTHER}; what has been bent or cut has no one map." if bad else LOOK,
     )
 
@@ -264,14 +274,14 @@ def does_not_fold(n: Numbers) -> Objection | None:
         return Objection(
             "refuse",
             "The map puts the reference wholly outside the other picture.",
-            f"{OTHER}.",
+            BY_HAND,
         )
     if n["folded"] == 0:
         return None
     return Objection(
         "refuse",
         f"The map folds over or has no answer in {100 * n['folded']:.0f} % of the overlap.",
-        f"{OTHER}; if they do, {POINTS}.",
+        BY_HAND,
         f"{OTHER}; if they do, lower the order of the polynomial.",
     )
 
@@ -286,7 +296,7 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
             "refuse",
             f"The map scales by {n['scale_min']:.2g} to {n['scale_max']:.2g}, beyond "
             f"{low:g} to {high:g}.",
-            f"{OTHER}.",
+            BY_HAND,
         )
     decisions = (
         SETTINGS.anisotropy.exceeded_by(n["anisotropy"]),
@@ -333,7 +343,7 @@ def windows_agree(n: Numbers) -> Objection | None:
             "warn" if sure else "refuse",
             f"Of {n['windows']} windows of the reference only {n['found']} are recognised where "
             "the map puts them: there is nothing to check the map by.",
-            LOOK if sure else f"{OTHER}.",
+            LOOK if sure else BY_HAND,
         )
     few = n["agreeing"] < SETTINGS.least_agreeing_share * n["found"]
     if few or n["window_median"] > n["tolerance"]:
@@ -341,7 +351,7 @@ def windows_agree(n: Numbers) -> Objection | None:
             "refuse",
             f"Of {n['found']} windows of the reference that are recognised, {n['agreeing']} lie "
             f"where the map puts them; they are {n['window_median']:.1f} px off in the median.",
-            f"{OTHER}; if they do, {POINTS}.",
+            BY_HAND,
             f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
         )
     return None
@@ -353,7 +363,7 @@ def fits_nowhere_else(n: Numbers) -> Objection | None:
         return Objection(
             "refuse",
             "Shifted elsewhere, the pictures agree better than here: this is not the place.",
-            f"{OTHER}; if they do, {POINTS}.",
+            BY_HAND,
             f"{OTHER}; if they do, try the method `levkas`, or {POINTS}.",
         )
     decision = SETTINGS.rival.exceeded_by(n["rival"])
@@ -391,14 +401,14 @@ def matches_cover(n: Numbers) -> Objection | None:
     if n["coverage"] < SETTINGS.coverage.refuse:
         return Objection(
             "refuse",
-            f"Only {100 * n['coverage']:.0f} % of what both pictures show is borne out by matches "
+            f"Only {100 * n['coverage']:.0f} % of what both pictures show is confirmed by matches "
             "or by comparison.",
-            f"{OTHER}.",
+            BY_HAND,
         )
     if n["off"] or n["coverage"] < SETTINGS.coverage.warn:
         return Objection(
             "warn",
-            f"The map is off or not borne out in {100 * (1 - n['coverage']):.0f} % of what both "
+            f"The map is off or not confirmed in {100 * (1 - n['coverage']):.0f} % of what both "
             f"pictures show {_places(n['unsupported'] + n['off'])}.",
             REGION,
         )
@@ -412,13 +422,13 @@ def windows_cover(n: Numbers) -> Objection | None:
     if n["off_share"] > SETTINGS.off_share or n["coverage"] < SETTINGS.least_coverage:
         return Objection(
             "refuse",
-            f"Of what both pictures show, {n['coverage']:.0%} is borne out by comparison, and the "
+            f"Of what both pictures show, {n['coverage']:.0%} is confirmed by comparison, and the "
             f"map is off in {n['off_share']:.0%}.",
-            f"{OTHER}.",
+            BY_HAND,
         )
     return Objection(
         "warn",
-        f"The map is off or not borne out in {1 - n['coverage']:.0%} of what both pictures show "
+        f"The map is off or not confirmed in {1 - n['coverage']:.0%} of what both pictures show "
         f"{_places(n['unsupported'] + n['off'])}.",
         REGION,
     )
@@ -451,7 +461,7 @@ def shows_the_same_painting(n: Numbers) -> Objection | None:
         return Objection(
             "refuse",
             f"{seen}, which sees the same light: it is another painting by the same pattern.",
-            f"{OTHER}.",
+            BY_HAND,
         )
     return Objection(
         "warn",

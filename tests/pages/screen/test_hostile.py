@@ -67,7 +67,7 @@ def test_hostile_titles_and_file_names_are_shown_and_do_nothing(browser, serve, 
         ]  # the first and last have one link less
         plain = plain or tags
         assert tags == plain, name
-        assert title in state["told"] and f"{title} Add pairs." in state["told"], name
+        assert state["told"].count(title) >= 2, name
 
 
 def test_a_spectrum_of_a_hostile_layer_is_read_and_saved_as_text(browser, folder):

@@ -36,6 +36,7 @@ FACTS = {
     **{"owner": "Owner", "inventory": "Inventory", "rights": "Rights"},
 }
 """Keys of object.toml, and what a page calls them."""
+LEFT_OUT = "Left out: it could not be aligned with the other cameras."
 KINDS = {".tif": "spectral TIFF", ".flags.tif": "flags", ".sigma.tif": "sigma", ".png": "preview"}
 UP = ("..", "..", "..")
 
@@ -116,12 +117,14 @@ def write_object(write: Write, item: Item) -> Iterator[dict[str, Any]]:
     for number, (camera, setup) in enumerate(item.layers):
         name = layer_name(camera, setup)
         record = item.registration(name)
-        decision = str(record.get("verdict", {}).get("decision", "accept"))
+        verdict = record.get("verdict", {})
+        decision = str(verdict.get("decision", "accept"))
+        # What to do about a layer that was left out is for those who build, not for readers.
+        reasons = verdict.get("reasons", []) if decision != "refuse" else [LEFT_OUT]
         layer = {
             **{"id": str(number), "name": name, "camera": camera, "setup": setup},
             **{"decision": decision, "verdict": _say(item, camera, setup, decision)},
-            "reasons": [str(r) for r in record.get("verdict", {}).get("reasons", [])],
-            "next_step": str(record.get("verdict", {}).get("next_step", "")),
+            "reasons": [str(reason) for reason in reasons],
             **{"quantity": "", "rendering": "", "bands": [], "pictures": []},
             **{"thumbnail": "", "spectra": None, "lattice": None, "downloads": []},
             "reference_band": 0,
