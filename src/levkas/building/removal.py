@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.building.build_records import STAGES, BuildRecords, Key, key_of
+from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
 from levkas.building.graph import keys_of
 from levkas.building.progress import Step
 from levkas.core.disk import DISK_CODES
@@ -73,6 +73,8 @@ def removal(keys: Sequence[Key], records: BuildRecords) -> list[Step]:
     told = describe(keys, records)
     if told and records.keep_removed:
         return [Step(REMOVED, "fresh", warnings=(f"{told}, and was kept",))]
+    if keys and not records.keep_removed:
+        records.forget(CATALOGUE)  # what it lists is about to change
     where = None
     for key in keys if not records.keep_removed else ():
         where = records.put_away(records.made_by(key)) or where
@@ -111,9 +113,11 @@ def withdraw(
         places.layer(capture.object, capture.camera, capture.setup, kind=kind)
         for kind in (".tif", ".flags.tif", ".sigma.tif", ".png")
     ]
-    for path in (*files, places.store(capture.object) / capture.layer):
-        if path.exists():
-            remove(path)
+    there = [p for p in (*files, places.store(capture.object) / capture.layer) if p.exists()]
+    if there:
+        records.forget(CATALOGUE)
+    for path in there:
+        remove(path)
 
 
 def put_away(name: str, camera: str, setup: str, records: BuildRecords) -> None:
@@ -125,6 +129,7 @@ def put_away(name: str, camera: str, setup: str, records: BuildRecords) -> None:
 def put_away_stage(key: Key, records: BuildRecords) -> None:
     """Move out what a stage made, and forget it."""
     if made := records.made_by(key):
+        records.forget(CATALOGUE)
         records.put_away(made)
         records.drop(key)
 
