@@ -239,7 +239,7 @@ class FixedPattern:
 
 
 def key(root: int, *names: str) -> np.ndarray:
-    """Return the key, uint64 (1,), of a thing that is told apart by `names`."""
+    """Return the key, uint64 (1,), of whatever has these `names`."""
     parts = [crc32(name.encode()) for name in names]
     return np.random.SeedSequence([root, *parts]).generate_state(1, np.uint64)
 

@@ -197,7 +197,7 @@ def _limits(pages: TiffPages, page: int, height: int) -> tuple[float, float]:
 
 
 def _halved(image: np.ndarray) -> np.ndarray:
-    """Mean of blocks of 2 x 2; an odd last row or column stands for itself."""
+    """Mean of blocks of 2 x 2; an odd last row or column is repeated."""
     height, width = image.shape
     made = np.empty((-(-height // 2), -(-width // 2)), np.uint8)
     for start in range(0, height, 2 * ROWS):

@@ -137,9 +137,9 @@ def test_colours_of_the_reference_itself_differ_by_nothing_and_a_gain_shows():
     nm = np.arange(400.0, 721, 10)
     reference = reference_of(CLASSIC)
     means = reference.at(nm)
-    same = compare_colours(means, nm, CLASSIC, reference)
+    same = compare_colours(means, nm, reference)
     assert same.difference.max() < 0.6  # bands end at 720 nm, the eye a little later
-    darker = compare_colours(0.8 * means, nm, CLASSIC, reference)
+    darker = compare_colours(0.8 * means, nm, reference)
     rows = {row.name: row for row in rate(darker, CLASSIC, uniformity=0.9)}
     assert rows["tone, worst grey"].value > 5 and rows["tone, worst grey"].iso == "none"
     assert rows["white balance, worst grey"].value < 1

@@ -41,7 +41,7 @@ UP = ("..", "..", "..")
 
 @dataclass
 class Item:
-    """An object of the database, and what pages will say of it."""
+    """An object of the database, with its layers and facts for the pages."""
 
     database: Path
     name: str
@@ -75,7 +75,7 @@ class Item:
             return {}
 
     def tiff(self, camera: str, setup: str) -> Path:
-        """Path of a layer's TIFF."""
+        """Return the path of a layer's TIFF."""
         stem = LayerId(self.name, camera, setup).stem
         return self.folder / f"{stem}.tif"
 
@@ -209,13 +209,13 @@ def _write_layer(
     record: dict[str, Any],
 ) -> dict[str, Any]:
     tiff = item.tiff(*layer)
-    told, bands, centroids = _describe(tiff)
+    metadata, bands, centroids = _describe(tiff)
     if not np.isfinite(centroids).any():
         centroids = _centroids(item.database / "cameras" / layer[0] / "sensitivity.csv", bands)
     reference = item.tiff(item.reference, "") if item.reference else tiff
     source = Source(
-        *(item.database, item.name, tiff, bands, str(told.get("quantity", "")), record),
-        rendering=str(told.get("rendering", "")),
+        *(item.database, item.name, tiff, bands, str(metadata.get("quantity", "")), record),
+        rendering=str(metadata.get("rendering", "")),
         reference=reference if reference.is_file() else None,
     )
     pictures, thumbnail = [], ""
@@ -264,18 +264,18 @@ def _write_layer(
 
 
 def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]]:
-    """What a TIFF says of itself: facts, bands, and where broad channels have their centroids."""
+    """Return metadata, bands, and centroids of broad channels of a TIFF."""
     pages = open_pages(tiff)
     text = next((t for t in pages.tags(METADATA) if t), "")
     try:
-        told = dict(parse_bounded(decode_text(str(text))))
+        metadata = dict(parse_bounded(decode_text(str(text))))
     except (ValueError, TypeError):
-        told = {}
+        metadata = {}
     count = len(pages)
     centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
     centres = np.atleast_1d(np.asarray(centres if centres is not None else [], float)).tolist()
     labels, known, widths = (
-        values if isinstance(values := told.get(key), list) and len(values) == count else None
+        values if isinstance(values := metadata.get(key), list) and len(values) == count else None
         for key in ("bands", "wavelength", "fwhm")
     )
     numbered = centres == list(range(count)) or len(centres) != count
@@ -285,7 +285,7 @@ def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]
         Band(str(label), math.nan if w is None else float(w), math.nan if f is None else float(f))
         for label, w, f in zip(labels, known, widths or [None] * count, strict=True)
     )
-    return told, bands, [math.nan] * count if numbered else centres
+    return metadata, bands, [math.nan] * count if numbered else centres
 
 
 def _centroids(path: Path, bands: tuple[Band, ...]) -> list[float]:
@@ -306,7 +306,7 @@ def _centroids(path: Path, bands: tuple[Band, ...]) -> list[float]:
 
 
 def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:
-    """Number of the camera's reference channel, whose native pixel a page tells; else the middle one."""
+    """Number of the camera's reference channel, whose native pixel a page shows; else the middle one."""
     label = record.get("target", {}).get("band")
     labels = [band.label for band in bands]
     return labels.index(label) if label in labels else len(labels) // 2

@@ -1,7 +1,7 @@
 """Pages of the viewer: the contact sheet of a database, and one page an object.
 
 All text from outside is escaped by the templates; records for scripts are JSON in which nothing can
-end the element it stands in. A policy in the page itself forbids inline scripts and other hosts.
+end the element that holds it. A policy in the page itself forbids inline scripts and other hosts.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def render_object(about: About, record: dict[str, Any]) -> str:
 
 
 def embed_json(record: Any) -> str:
-    r"""Return JSON that may stand in a script element: no ``<``, ``>``, ``&``, U+2028 or U+2029.
+    r"""Return JSON that is safe in a script element: no ``<``, ``>``, ``&``, U+2028 or U+2029.
 
     >>> embed_json("</script>&")
     '"\\u003c/script\\u003e\\u0026"'
@@ -82,7 +82,7 @@ def worst(decisions: Sequence[str]) -> str:
 
 
 def say_bytes(count: int) -> str:
-    """Say a size in decimal units.
+    """Format a size in decimal units.
 
     >>> say_bytes(1_234_567), say_bytes(900)
     ('1.2 MB', '900 B')
@@ -123,7 +123,7 @@ class About:
 
 
 def about_of(facts: Any) -> About:
-    """Return what pages say, from the facts of a publication (`levkas.publish.metadata.PublicationFacts`)."""
+    """Return the text of pages from the facts of a publication (`levkas.publish.metadata.PublicationFacts`)."""
     licence = facts.licence
     return About(
         title=facts.title or "Spectral image database",
@@ -137,7 +137,7 @@ def about_of(facts: Any) -> About:
 
 
 def cite(facts: Any) -> str:
-    """Say how to cite a database: makers (year). Title. Version. Publisher. DOI or address."""
+    """Return the citation of a database: makers (year). Title. Version. Publisher. DOI or address."""
     makers = "; ".join(person.inverted for person in facts.creators)
     year = facts.published[:4]
     parts = [

@@ -53,7 +53,7 @@ class ComparedLayer:
 
 @dataclass(frozen=True)
 class ComparedRow:
-    """What one method did on one layer; `facts` is what `levkas.quality.comparison.trial` says."""
+    """Result of one method on one layer; `facts` as `levkas.quality.comparison.trial.run_trial` returns them."""
 
     layer: ComparedLayer
     method: str
@@ -69,14 +69,14 @@ class ComparedRow:
 
     @property
     def finished(self) -> bool:
-        """True: a row is told when it is done."""
+        """True: a row is yielded when its method has ended."""
         return True
 
     @property
     def line(self) -> str:
         """One line for a terminal."""
-        said = self.facts.get("failure") or f"{self.facts.get('seconds', 0):.1f} s"
-        return f"{self.layer} {self.method}: {said[:100]}"
+        result = self.facts.get("failure") or f"{self.facts.get('seconds', 0):.1f} s"
+        return f"{self.layer} {self.method}: {result[:100]}"
 
     @property
     def errors(self) -> list[float]:
@@ -209,7 +209,7 @@ def _in_a_child(trial: Trial, limit_s: float) -> dict[str, Any]:
     try:
         facts: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     except (ValueError, IndexError):
-        last = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         return {"failure": f"ended with status {done.returncode}: {last[-160:]}"}
     return facts
 
@@ -265,12 +265,12 @@ class Comparison:
 
         Errors are means over layers of the means over bands; the worst is of any point of any band.
         """
-        told = []
+        summaries = []
         for name in self.methods:
             rows = [r for r in self.rows if r.method == name]
             good = [r for r in rows if not r.facts.get("failure")]
             records = [r.to_dict() for r in good]
-            told.append(
+            summaries.append(
                 {
                     "method": name,
                     "title": COMPARED[name].title,
@@ -286,7 +286,7 @@ class Comparison:
                     "peak_mib": _most(r.facts.get("peak_mib") for r in rows),
                 }
             )
-        return told
+        return summaries
 
     @property
     def text(self) -> str:
@@ -295,9 +295,9 @@ class Comparison:
         lines = [head]
         for one in self.summary():
             lines.append(
-                f"{one['title']:32} {one['failures']:>3}/{one['layers']:<3} {_said(one['error_mean'], 3):>8} "
-                f"{_said(one['error_worst_band'], 3):>11} {_said(one['error_max'], 2):>8} "
-                f"{_said(one['ssim'], 3):>6} {_said(one['seconds'], 1):>7} {_said(one['cpu_seconds'], 1):>7} {_said(one['peak_mib'], 0):>6}"
+                f"{one['title']:32} {one['failures']:>3}/{one['layers']:<3} {_formatted(one['error_mean'], 3):>8} "
+                f"{_formatted(one['error_worst_band'], 3):>11} {_formatted(one['error_max'], 2):>8} "
+                f"{_formatted(one['ssim'], 3):>6} {_formatted(one['seconds'], 1):>7} {_formatted(one['cpu_seconds'], 1):>7} {_formatted(one['peak_mib'], 0):>6}"
             )
         return "\n".join(lines)
 
@@ -319,7 +319,7 @@ def _most(values: Iterable[Any]) -> float | None:
     return max(_numbers(values), default=None)
 
 
-def _said(value: float | None, digits: int) -> str:
+def _formatted(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
@@ -360,7 +360,7 @@ def compare(
     ------
     ComparisonRefused, EvaluationRefused
     WriteRefused
-        Where a file of somebody else's stands in the way.
+        Where a file that Levkas did not write would be replaced.
     """
     from levkas.core.ownership import OwnFiles
     from levkas.quality.evaluation.layer_report import locate, read_check_points

@@ -36,7 +36,7 @@ class EvaluationRefused(Refused):
 
 @dataclass(frozen=True)
 class Assessment:
-    """Results a layer, as `evaluate --json` gives them, and what was wrong on the way."""
+    """Results of each layer, as `evaluate --json` gives them, and problems."""
 
     results: list[dict[str, Any]]
     problems: list[Problem] = field(default_factory=list)
@@ -99,7 +99,7 @@ def assess(
     EvaluationRefused
         Where there is no database, or the points cannot be read.
     WriteRefused
-        Where a file of somebody else's stands in the way of a map, or the disk refuses.
+        Where a map would replace a file that Levkas did not write, or the disk refuses.
     """
     from levkas.core.ownership import OwnFiles
 
@@ -155,9 +155,9 @@ def read_check_points(path: Path, database: Path | None = None, frame: str | Non
     ----------
     path : Path
         A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of any
-        program that `levkas.registration.control_points` knows.
+        program that `levkas.registration.control_points` reads.
     database : Path, optional
-        Says which layers there are and how large their pictures; for a file of another program.
+        Its layers and their sizes, for a file of another program.
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] of such a file.
 
@@ -233,20 +233,20 @@ def _assess_layer(
 def _checked(record: dict[str, Any], own: dict[str, np.ndarray]) -> list[dict[str, Any]]:
     """Errors at check points: those of the evaluation, and those that the campaign named."""
     bands = record.get("bands", {})
-    told = []
+    found = []
     for label, pairs in own.items():
         if label in bands:
             errors = position_errors(
                 from_dict(bands[label]["transform"]), pairs[:, :2], pairs[:, 2:]
             )
-            told.append({"of": "evaluation", **summarise_errors(label, errors).to_dict()})
+            found.append({"of": "evaluation", **summarise_errors(label, errors).to_dict()})
     declared: dict[str, list[float]] = {}
     for one in (record.get("errors") or {}).get("check_points", []):
         error = one["error"]
         declared.setdefault(one["band"], []).append(np.nan if error is None else error)
     for label, errors_ in declared.items():
-        told.append({"of": "campaign", **summarise_errors(label, np.array(errors_)).to_dict()})
-    return told
+        found.append({"of": "campaign", **summarise_errors(label, np.array(errors_)).to_dict()})
+    return found
 
 
 def _band_error(
@@ -272,7 +272,7 @@ def _band_error(
 
 
 def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float | None:
-    """SSIM of one published layer against the reference camera's; None where there is none."""
+    """Return the SSIM of one published layer against the reference camera's; None where there is none."""
     from levkas.quality.evaluation.similarity import structural_similarity
 
     reference, ours = record["reference"], _grey(output, record["object"], record)

@@ -1,7 +1,7 @@
 """Measurement of a chart: signal and noise of its patches, blur, colour, tone, white balance.
 
 Indicators stand beside the levels of FADGI and ISO 19264-1. They are never a certification: those
-standards want their own targets, densities and whole systems."""
+standards require their own targets, densities and whole systems."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ChartMeasure:
     Parameters
     ----------
     name : str
-        What it was called: target and layer, or a file.
+        Target and layer, or file.
     chart : Chart
     sightings : tuple of Sighting
         A sensor each.
@@ -59,7 +59,7 @@ class ChartMeasure:
     table : PatchTable
         Over all bands.
     preblurs : tuple of Preblur or None
-        A band each; None where it cannot be looked for: on demosaiced values.
+        A band each; None for demosaiced values.
     colours : Colours or None
         None where there are no reference spectra, or no visible band.
     rows : tuple of Row
@@ -209,29 +209,37 @@ def measure(
     bands = tuple(band for s in seen for band in s.cube.bands)
     preblurs = [p for s in seen for p in _preblurs(s, s.sensor in mosaics)]
     wavelengths = np.array([band.wavelength for band in bands], float)
-    told = [*notes, *_doubts(table, chart, bands, seen)]
+    remarks = [*notes, *_warnings(table, bands, seen)]
     if reference is not None and reference.note:
-        told.append(f"reference: {reference.note}")
+        remarks.append(f"reference: {reference.note}")
     colours, rows = None, []
     reflective = all(s.cube.quantity == "reflectance" for s in seen)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
     clean = table.saturated.max() <= SATURATED
     if reference is None:
-        told.append("no reference spectra: give --reference for colour differences")
+        remarks.append("no reference spectra: give --reference for colour differences")
     elif not reflective:
-        told.append("the cube is in counts: colours need a white")
+        remarks.append("the cube is in counts: colours need a white")
     elif visible.sum() >= 3 and clean:
-        colours = compare_colours(table.mean, wavelengths, chart, reference)
+        colours = compare_colours(table.mean, wavelengths, reference)
         rows = rate(colours, chart, uniformity=uniformity)
     elif not clean:
-        told.append("colours are not compared where patches saturate")
+        remarks.append("colours are not compared where patches saturate")
     return ChartMeasure(
-        name, chart, tuple(seen), bands, table, tuple(preblurs), colours, tuple(rows), tuple(told)
+        name,
+        chart,
+        tuple(seen),
+        bands,
+        table,
+        tuple(preblurs),
+        colours,
+        tuple(rows),
+        tuple(remarks),
     )
 
 
 def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
-    """What the noise says of every band; nothing of demosaiced ones, whose neighbours are alike."""
+    """Find the blur of every band from its noise; None for demosaiced ones, whose neighbours are correlated."""
     from levkas.quality.targets.patches import find_preblur
 
     if mosaic:
@@ -245,9 +253,7 @@ def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
     return found
 
 
-def _doubts(
-    table: PatchTable, chart: Chart, bands: Sequence[Band], seen: Sequence[Sighting]
-) -> list[str]:
+def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]) -> list[str]:
     doubts = []
     full = table.saturated.max(0)
     if full.max() > SATURATED:
@@ -299,7 +305,7 @@ class Colours(NamedTuple):
 
 
 def compare_colours(
-    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: ChartReference
+    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference
 ) -> Colours:
     """Compare the patches' colours with those of the reference spectra.
 
@@ -309,7 +315,6 @@ def compare_colours(
         Reflectance.
     wavelengths : ndarray, (bands,), nm
         NaN for broad channels.
-    chart : Chart
     reference : Reference
 
     Notes
