@@ -42,7 +42,7 @@ class NoAdvice(Refused):
 
 
 @dataclass(frozen=True)
-class Coached:
+class BandAdvice:
     """Advice for one band or one camera.
 
     Parameters
@@ -117,7 +117,7 @@ class Coached:
         }
 
 
-def coach(
+def advise_frames(
     frames: Sequence[str | Path],
     darks: Sequence[str | Path] = (),
     *,
@@ -127,7 +127,7 @@ def coach(
     saturation: float | None = None,
     exposure_s: float | None = None,
     is_white: bool = True,
-) -> list[Coached]:
+) -> list[BandAdvice]:
     """Advise how long to expose, from frames of a white or of the object itself.
 
     Parameters
@@ -150,7 +150,7 @@ def coach(
 
     Returns
     -------
-    coached : list of Coached
+    bands : list of BandAdvice
         By wavelength, then name.
 
     Raises
@@ -224,7 +224,7 @@ def _coach_band(
     scale: FullScale,
     pattern: str | Sequence[Sequence[str]] | None,
     is_white: bool,
-) -> Coached:
+) -> BandAdvice:
     full = scale.counts
     under = {shot.exposure_s: _dark_of(shot, darks) for shot in shots}
     levels = {t: float(np.median(dark.mean)) if dark else black for t, dark in under.items()}
@@ -256,7 +256,7 @@ def _coach_band(
     )
     if shot.exposure_s is None:
         notes.append("the exposure is not known: multiply the one that was set")
-    return Coached(
+    return BandAdvice(
         shot, advices, sensor, iso, notes, is_white, prnu is not None, full, scale.source
     )
 
@@ -407,10 +407,10 @@ def _from_name(name: str) -> tuple[float, float | None]:
 SHADES = " ▁▂▃▄▅▆▇█"
 
 
-def advice_text(coached: Sequence[Coached]) -> str:
+def advice_text(bands: Sequence[BandAdvice]) -> str:
     """Return advice for people: channels, histogram, time, why, and ISO."""
     lines: list[str] = []
-    for found in coached:
+    for found in bands:
         first, poorest = limiting(found.advices)
         shot = found.shot
         time = f"{shot.exposure_s:g} s" if shot.exposure_s else "unknown time"
@@ -429,19 +429,19 @@ def advice_text(coached: Sequence[Coached]) -> str:
             )
         lines.append(f"  ISO: {found.iso_advice}")
         lines += [f"  note: {note}" for note in found.notes]
-    lines.append(f"full scale: {coached[0].full:.0f} counts ({coached[0].full_from})")
-    lines.append(_why(coached[0]))
-    if len(coached) > 1 and all(c.first.time_s for c in coached):
-        total = sum(c.first.time_s or 0.0 for c in coached)
-        slow = max(coached, key=lambda c: c.first.time_s or 0.0)
+    lines.append(f"full scale: {bands[0].full:.0f} counts ({bands[0].full_from})")
+    lines.append(_why(bands[0]))
+    if len(bands) > 1 and all(c.first.time_s for c in bands):
+        total = sum(c.first.time_s or 0.0 for c in bands)
+        slow = max(bands, key=lambda c: c.first.time_s or 0.0)
         lines.append(
-            f"all {len(coached)} bands: {total:.3g} s a series; {slow.shot.name} takes longest, "
+            f"all {len(bands)} bands: {total:.3g} s a series; {slow.shot.name} takes longest, "
             f"{slow.first.time_s:.3g} s"
         )
     return "\n".join(lines)
 
 
-def _why(found: Coached) -> str:
+def _why(found: BandAdvice) -> str:
     """Return where the target comes from, with its numbers."""
     first = found.first
     full_well = first.reading.room / found.sensor.gain
@@ -459,7 +459,7 @@ def _why(found: Coached) -> str:
     )
 
 
-def _channel_line(found: Coached, advice: Advice) -> str:
+def _channel_line(found: BandAdvice, advice: Advice) -> str:
     reading = advice.reading
     bars = np.add.reduceat(reading.histogram, np.arange(0, len(reading.histogram), 2))
     height = np.ceil(8 * np.sqrt(bars / max(bars.max(), 1))).astype(int)

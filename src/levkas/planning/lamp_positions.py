@@ -26,7 +26,7 @@ EXPLAINED = 0.015  # rms that a white board, its noise and dust leave beside the
 
 
 @dataclass(frozen=True, eq=False)
-class HungLamps:
+class FittedPositions:
     """Lamps fitted to a white, beside their plan.
 
     Parameters
@@ -131,7 +131,7 @@ def fit_white(
     *,
     lamp: int | None = None,
     bent: bool = False,
-) -> HungLamps:
+) -> FittedPositions:
     """Fit the lamps of a lighting to captured whites.
 
     Parameters
@@ -164,7 +164,7 @@ def fit_white(
     thing = setup.object.model_copy(update={"size_mm": size})
     fitted = fit_lamps(light, lighting, thing, is_bent=bent, centre_mm=centre)
     notes = (*doubts, *_notes(lighting, fitted))
-    return HungLamps(fitted, drop(light), size, len(files), notes)
+    return FittedPositions(fitted, drop(light), size, len(files), notes)
 
 
 def _shining(setup: StudioSetup, lighting: Lighting, lamp: int | None) -> Lighting:
@@ -180,7 +180,7 @@ def _shining(setup: StudioSetup, lighting: Lighting, lamp: int | None) -> Lighti
     return replace(lighting, lamps=(lighting.lamps[lamp - 1],))
 
 
-def hung_text(found: HungLamps) -> str:
+def positions_text(found: FittedPositions) -> str:
     """Return what a white shows in lines, the lamps as a setup file would have them."""
     fitted = found.fitted
     lines = [

@@ -48,7 +48,7 @@ def load_setup(path: str | Path) -> StudioSetup:
     """
     path = find_setup(path)
     bench = _validate(path)
-    problems: list[Problem] = list(find_doubts(bench, str(path)))
+    problems: list[Problem] = list(find_doubtful_units(bench, str(path)))
     setup = _resolve(path, bench, problems)
     if setup is not None:
         fields = {p.field for p in problems}
@@ -428,7 +428,7 @@ NEAREST_BY_SIZE = 1.2
 """A lamp nearer than this many times the object's longer side cannot light it evenly."""
 
 
-def find_doubts(bench: Bench, file: str) -> Iterator[Problem]:
+def find_doubtful_units(bench: Bench, file: str) -> Iterator[Problem]:
     """Yield a question for every value whose unit cannot be right; `sure = true` answers it."""
     longest = max(bench.object.size_mm)
     yield from _object(bench, file)

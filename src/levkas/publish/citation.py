@@ -28,10 +28,10 @@ NAME = "CITATION.cff"
 def write_citation(publication: Publication) -> Iterator[str]:
     """Write CITATION.cff."""
     yield NAME
-    publication.write_text(NAME, spell_cff(publication.facts, describe_dataset(publication)))
+    publication.write_text(NAME, format_cff(publication.facts, describe_dataset(publication)))
 
 
-def spell_cff(facts: PublicationFacts, description: str) -> str:
+def format_cff(facts: PublicationFacts, description: str) -> str:
     """Return the file's text: YAML whose values are spelled as JSON, which every YAML reader takes."""
     record: dict[str, Any] = {
         "cff-version": "1.2.0",
@@ -68,7 +68,8 @@ def cite(facts: PublicationFacts) -> str:
     if facts.version:
         parts[-1] += f" (version {facts.version})"
     parts += [facts.publisher] if facts.publisher else []
-    return ". ".join(parts) + ". [Data set]" + (f" {DOI}{facts.doi}" if facts.doi else "")
+    address = DOI + facts.doi if facts.doi else facts.url
+    return f"{'. '.join(parts)}. [Data set] {address}".rstrip()
 
 
 def _author(person: Person) -> dict[str, str]:

@@ -17,7 +17,7 @@ from levkas.geometry.transforms import Inverse, Transform
 from levkas.workbench import pictures
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
 from levkas.workbench.pictures import ShownPicture, encode, tinted, warped_tile
-from levkas.workbench.session import look, refused
+from levkas.workbench.session import apply_corrections, refused
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, SensorFrames
@@ -141,7 +141,7 @@ class RegistrationView:
         OperationRefused
         """
         edits = self.session.changed("move" if to else "add", pair, to)
-        self.trial, self.trials = look(self.session.found, edits), self.trials + 1
+        self.trial, self.trials = apply_corrections(self.session.found, edits), self.trials + 1
         kept = self.trial.matches.residual[self.trial.matches.kept]
         good = kept[np.isfinite(kept)]
         mean = round(float(good.mean()), 4) if len(good) else None

@@ -262,7 +262,7 @@ class CorrectionSession:
     def view(self) -> CorrectionResult:
         """What the corrections make of the pairs, computed once a change."""
         if self._view is None:
-            self._view = look(self.found, self.edits)
+            self._view = apply_corrections(self.found, self.edits)
         return self._view
 
     @property
@@ -372,7 +372,7 @@ class CorrectionSession:
         else:
             with ThreadPoolExecutor(1) as beside:  # the disk is waited for while the fit is made
                 saving = beside.submit(self.save, self.edits, edits)
-                view = look(self.found, edits)
+                view = apply_corrections(self.found, edits)
                 try:
                     written = saving.result()
                 except EditsConflict as conflict:
@@ -383,7 +383,7 @@ class CorrectionSession:
         return written
 
 
-def look(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
+def apply_corrections(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
     """Replay the removal of outliers on what was found and corrected."""
     given = ManualPoints(**edits.pairs())
     marked = given.mark(found.matches.reference, found.matches.target)

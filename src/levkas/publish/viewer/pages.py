@@ -10,11 +10,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files as resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas import __version__
 from levkas.pages.page import DECISIONS
+from levkas.publish.citation import cite
+
+if TYPE_CHECKING:
+    from levkas.publish.metadata import PublicationFacts
 
 POLICY = (
     "default-src 'none'; script-src 'self' file:; style-src 'self' file:; "
@@ -45,11 +49,11 @@ def render_object(about: About, record: dict[str, Any]) -> str:
         object=record["object"],
         links=record["links"],
         downloads=[
-            {**file, "size": say_bytes(file["bytes"])}
+            {**file, "size": format_bytes(file["bytes"])}
             for layer in record["layers"]
             for file in layer["downloads"]
         ]
-        + [{**file, "size": say_bytes(file["bytes"])} for file in record["downloads"]],
+        + [{**file, "size": format_bytes(file["bytes"])} for file in record["downloads"]],
         record=Markup(embed_json(record)),
     )
 
@@ -81,10 +85,10 @@ def worst(decisions: Sequence[str]) -> str:
     return next((decision for decision in ORDER if decision in decisions), "accept")
 
 
-def say_bytes(count: int) -> str:
+def format_bytes(count: int) -> str:
     """Format a size in decimal units.
 
-    >>> say_bytes(1_234_567), say_bytes(900)
+    >>> format_bytes(1_234_567), format_bytes(900)
     ('1.2 MB', '900 B')
     """
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
@@ -122,8 +126,8 @@ class About:
         return asdict(self)
 
 
-def about_of(facts: Any) -> About:
-    """Return the text of pages from the facts of a publication (`levkas.publish.metadata.PublicationFacts`)."""
+def about_of(facts: PublicationFacts) -> About:
+    """Return the text of pages from the facts of a publication."""
     licence = facts.licence
     return About(
         title=facts.title or "Spectral image database",
@@ -134,20 +138,6 @@ def about_of(facts: Any) -> About:
         description=facts.description,
         version=facts.version,
     )
-
-
-def cite(facts: Any) -> str:
-    """Return the citation of a database: makers (year). Title. Version. Publisher. DOI or address."""
-    makers = "; ".join(person.inverted for person in facts.creators)
-    year = facts.published[:4]
-    parts = [
-        f"{makers} ({year})" if makers and year else makers or year,
-        facts.title,
-        f"Version {facts.version}" if facts.version else "",
-        facts.publisher,
-        f"https://doi.org/{facts.doi}" if facts.doi else facts.url,
-    ]
-    return ". ".join(part.rstrip(".") for part in parts if part) + "."
 
 
 def _address(text: str) -> str:

@@ -20,6 +20,7 @@ from levkas.core.problems import Problem
 from levkas.database.registrations import read_registration, read_registrations
 from levkas.quality.comparison.methods import COMPARED, find_peers
 from levkas.quality.comparison.trial import Trial
+from levkas.quality.evaluation.layer_report import checks_by_band, locate, read_check_points
 from levkas.quality.evaluation.native_layers import ComparisonRefused
 
 Checks = Mapping[tuple[str, str, str], np.ndarray]
@@ -164,7 +165,9 @@ def run_rows(
     layers = [one for one in layers_of(database) if not objects or one.object in objects]
     done, total = 0, len(layers) * len(methods)
     for layer in layers:
-        own = _of_layer(database, layer, checks)
+        path = database / "objects" / layer.object / "registration" / f"{layer.name}.json"
+        points = checks_by_band(checks, read_registration(path), layer.name)
+        own = {band: pairs.tolist() for band, pairs in points.items()}
         for method in methods:
             name = f"{layer.object}_{layer.name.replace('@', '_')}_{method}_ssim.png"
             page = output.folder / name if output else None
@@ -180,17 +183,6 @@ def run_rows(
             drawn = name if page and page.is_file() and not facts.get("failure") else ""
             done += 1
             yield ComparedRow(layer, method, facts, drawn, done, total)
-
-
-def _of_layer(database: Path, layer: ComparedLayer, checks: Checks) -> dict[str, list[list[float]]]:
-    """Check points of a layer by band; those of no band are of the camera's reference channel."""
-    path = database / "objects" / layer.object / "registration" / f"{layer.name}.json"
-    channel = str((read_registration(path).get("target") or {}).get("band", ""))
-    found: dict[str, list[list[float]]] = {}
-    for (name, here, band), pairs in checks.items():
-        if (name, here) == (layer.object, layer.name):
-            found.setdefault(band or channel, []).extend(pairs.tolist())
-    return found
 
 
 def _in_a_child(trial: Trial, limit_s: float) -> dict[str, Any]:
@@ -362,8 +354,6 @@ def compare(
     WriteRefused
         Where a file that Levkas did not write would be replaced.
     """
-    from levkas.core.ownership import OwnFiles
-    from levkas.quality.evaluation.layer_report import locate, read_check_points
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)

@@ -101,7 +101,7 @@ def _gather_frames(
         for channel, found in blocks.items():
             kind.setdefault(channel, []).append(found)
     sensor.levels = find_levels(histogram)
-    add_stand_ins(sensor, frames, objects)
+    pair_single_shots(sensor, frames, objects)
     if not sensor.darks and (hidden or bench.black is not None):
         put_black(sensor, 0.0 if bench.black is None else bench.black)
     _scaling(sensor, objects, bands, hidden=not any(levels.values()))
@@ -342,7 +342,7 @@ def _spread_along_samples(
 MOST_STAND_INS = 5
 
 
-def add_stand_ins(
+def pair_single_shots(
     sensor: SensorStacks, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
 ) -> None:
     """Pair single frames of a tunable filter where no lit stack has two shots, with a note.

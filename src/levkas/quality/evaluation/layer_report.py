@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -186,8 +187,10 @@ def _sizes(database: Path) -> dict[tuple[str, str], tuple[Size, Size]]:
     return sizes
 
 
-def _by_band(checks: Checks, record: dict[str, Any], layer: str) -> dict[str, np.ndarray]:
-    """Check points of a layer by band; those of no band are of the camera's reference channel."""
+def checks_by_band(
+    checks: Mapping[tuple[str, str, str], np.ndarray], record: dict[str, Any], layer: str
+) -> dict[str, np.ndarray]:
+    """Return check points of a layer by band, (n, 4) each; those of no band are of the camera's reference channel."""
     channel = str((record.get("target") or {}).get("band", ""))
     found: dict[str, np.ndarray] = {}
     for (name, here, band), pairs in checks.items():
@@ -208,7 +211,7 @@ def _assess_layer(
     layer = layer_name(camera, setup)
     decision = record["verdict"]["decision"]
     truth = read_truth(truth_folder, name, camera)
-    own = _by_band(checks, record, layer)
+    own = checks_by_band(checks, record, layer)
     bands = [
         _band_error(label, band, record, truth, own.get(label))
         for label, band in record.get("bands", {}).items()

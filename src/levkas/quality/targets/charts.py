@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from levkas.core.problems import Problem, Refused
+from levkas.geometry.transforms import Homography
 from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
@@ -244,9 +245,9 @@ def place_patches(
     """
     corners = np.asarray(corners, float).reshape(4, 2)
     _check_convex(corners)
-    matrix = _homography(chart.corners, corners)
+    place = _homography(chart.corners, corners)
     half = sampled / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-    areas = _project(matrix, (chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
+    areas = place((chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
     beyond = np.any((areas < 0) | (areas > np.array(size) - 1.0), axis=(1, 2))
     if beyond.any():
         names = [chart.patches[i] for i in np.flatnonzero(beyond)]
@@ -318,17 +319,13 @@ def _check_convex(corners: np.ndarray) -> None:
         )
 
 
-def _homography(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+def _homography(source: np.ndarray, target: np.ndarray) -> Homography:
+    """Return the homography through four pairs of points, (4, 2) each."""
     rows = []
     for (x, y), (u, v) in zip(source, target, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
     solved = np.linalg.solve(np.array(rows), target.ravel())
-    return np.append(solved, 1.0).reshape(3, 3)
-
-
-def _project(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    mapped = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+    return Homography(np.append(solved, 1.0).reshape(3, 3))
 
 
 def pixels_of(area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
