@@ -1,7 +1,5 @@
 """Corrections on planted pairs: what an edit makes of the fit, and undo without end."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +7,7 @@ from hypothesis import strategies as st
 
 from levkas.campaign.edits import FrameEdits
 from levkas.registration.record import Matches
-from levkas.workbench.answer import describe, to_bytes
+from levkas.workbench.answer import describe, from_bytes, to_bytes
 from levkas.workbench.session import OPERATIONS, CorrectionSession, OperationRefused, RecordedPairs
 
 SIZE = (1000, 800)
@@ -33,20 +31,6 @@ def plant(n=300, wrong=0, off=4.0, seed=0, stop=6.0):
 def words(column):
     """The words of a column of `describe`."""
     return [column["words"][code] for code in column["codes"]]
-
-
-def from_bytes(body):
-    """What `to_bytes` was given, read as the screen reads it."""
-    start = 4 + int.from_bytes(body[:4], "little")
-
-    def column(record):
-        if set(record) != {"kind", "shape", "at"}:
-            return record
-        count = int(np.prod(record["shape"]))
-        values = np.frombuffer(body, f"<{record['kind']}", count, start + record["at"])
-        return values.reshape(record["shape"])
-
-    return dict(json.loads(body[4:start], object_hook=column))
 
 
 def pair_of(session, row):

@@ -100,6 +100,24 @@ def to_bytes(answer: dict[str, Any]) -> bytes:
     return b"".join((len(text).to_bytes(4, "little"), text, *parts))
 
 
+def from_bytes(body: bytes) -> dict[str, Any]:
+    """Return what `to_bytes` was given.
+
+    >>> from_bytes(to_bytes({"round": np.array([1, -1], "<i4")}))
+    {'round': array([ 1, -1], dtype=int32)}
+    """
+    start = 4 + int.from_bytes(body[:4], "little")
+
+    def column(record: dict[str, Any]) -> Any:
+        if set(record) != {"kind", "shape", "at"}:
+            return record
+        count = int(np.prod(record["shape"]))
+        values = np.frombuffer(body, f"<{record['kind']}", count, start + record["at"])
+        return values.reshape(record["shape"])
+
+    return dict(json.loads(body[4:start], object_hook=column))
+
+
 def number_words(words: np.ndarray) -> dict[str, Any]:
     """Return words, each once, and the number of each in its place.
 
