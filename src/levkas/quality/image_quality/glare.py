@@ -7,18 +7,13 @@ paint's, but under another lighting it is darker by about the same in every band
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
-from levkas.core.machine import count_threads
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from levkas.core.threads import in_threads
 
 WHITE_PAINT = 0.9
 """Reflectance of the whitest paint: what saturates below it is overexposed, not glare."""
@@ -112,7 +107,7 @@ def find_glare(
     """
     height, width = values.shape[:2]
     signs, noise = np.zeros((height, width), np.uint8), _noise(sigma)
-    _over_rows(lambda a, b: _judge_pixels(a, b, values, flags, noise, signs), height)
+    in_threads(_judge_pixels, height, values, flags, noise, signs)
     lifted = np.zeros((height, width), bool)
     if other is not None:
         if gains is None:
@@ -147,7 +142,7 @@ def mark_glare(
     [[[16, 0]]]
     """
     noise = _noise(sigma)
-    _over_rows(lambda a, b: _mark_bands(a, b, values, flags, noise, squared), len(values))
+    in_threads(_mark_bands, len(values), values, flags, noise, squared)
 
 
 def flag_glare(flags: np.ndarray, found: Glare) -> None:
@@ -159,14 +154,6 @@ def flag_glare(flags: np.ndarray, found: Glare) -> None:
 
 def _noise(sigma: np.ndarray | None) -> np.ndarray:
     return np.zeros((0, 0, 0), np.float32) if sigma is None else sigma
-
-
-def _over_rows(work: Callable[[int, int], None], height: int) -> None:
-    """Do some rows in each thread."""
-    edges = np.linspace(0, height, 2 * count_threads() + 1).astype(int).tolist()
-    with ThreadPoolExecutor(count_threads()) as pool:
-        for job in [pool.submit(work, *edge) for edge in pairwise(edges)]:
-            job.result()
 
 
 @njit(nogil=True, cache=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from levkas.colour.gamut import xyz_to_lab
 from levkas.colour.srgb import observer_under_d65, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
@@ -352,12 +353,7 @@ def lab_of(xyz: np.ndarray) -> np.ndarray:
     >>> [round(float(v)) for v in lab_of(np.array([0.9505, 1.0, 1.089]) / 2)]
     [76, 0, 0]
     """
-    white = observer_under_d65()[1].sum(0)
-    t = np.maximum(np.asarray(xyz, float) / white, 0)
-    f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29)
-    return np.stack(
-        [116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], -1
-    )
+    return xyz_to_lab(np.maximum(xyz, 0), observer_under_d65()[1].sum(0))
 
 
 def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
