@@ -135,7 +135,7 @@ def simulate_campaign(
         write_tables(aside, models)
         write_campaign_toml(
             aside, models, session.panels,
-            reference=REFERENCE, chart=CHART if chosen.charts else None,
+            chart=CHART if chosen.charts else None,
             setup=SETUP if under_lamp else None, upright=grid,
         )  # fmt: skip
     yield Simulated(
@@ -392,7 +392,6 @@ def write_campaign_toml(
     models: Mapping[str, CameraModel],
     panels: Mapping[str, Panel],
     *,
-    reference: tuple[str, str],
     chart: str | None,
     setup: tuple[str, str] | None,
     upright: bool,
@@ -401,7 +400,7 @@ def write_campaign_toml(
     parts = [
         '[campaign]\ntitle = "A simulated campaign"\ncreator = "levkas simulate"\n'
         'date = "2019"\nlicence = "CC0-1.0"\n'
-        f'reference = {{ camera = "{reference[0]}", band = "{reference[1]}" }}\n'
+        f'reference = {{ camera = "{REFERENCE[0]}", band = "{REFERENCE[1]}" }}\n'
     ]
     if upright:
         parts.append(

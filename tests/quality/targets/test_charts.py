@@ -12,13 +12,12 @@ from levkas.quality.targets.charts import (
     place_patches,
     reference_of,
 )
-from levkas.quality.targets.locating import locate_chart
+from levkas.quality.targets.locating import locate_chart, locate_in_cube
 from levkas.quality.targets.measuring import (
     Sighting,
     compare_colours,
     delta_e_2000,
     lab_of,
-    locate_in_cube,
     measure,
     rate,
 )

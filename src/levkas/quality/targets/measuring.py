@@ -16,9 +16,6 @@ from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
-    ChartRefused,
-    place_patches,
-    turned_corners,
 )
 from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patches, noise_planes
 
@@ -28,9 +25,6 @@ if TYPE_CHECKING:
     from levkas.quality.targets.charts import Chart, ChartReference
     from levkas.quality.targets.locating import Located
     from levkas.quality.targets.patches import Preblur
-
-NEAR = 0.5
-"""How far, in pitches, one sensor of a camera may see a chart from where another does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,48 +132,6 @@ def _digits(values: Any) -> Any:
     return float(f"{float(values):.5g}")
 
 
-def locate_in_cube(
-    cube: Cube,
-    chart: Chart,
-    reference: ChartReference | None,
-    *,
-    corners: np.ndarray | None = None,
-    near: np.ndarray | None = None,
-) -> Located:
-    """Locate a chart in the cube of one sensor.
-
-    Parameters
-    ----------
-    cube : Cube
-    chart, reference, corners
-        As for `locating.locate_chart`.
-    near : ndarray, (4, 2), optional
-        Corners, px, that another sensor of the camera gave. Where the patches rank otherwise than
-        the published ones, as in the infrared, corners within half a pitch of these are taken.
-
-    Raises
-    ------
-    ChartRefused
-    """
-    from levkas.quality.targets.locating import Located, find_corners, patch_means
-    from levkas.quality.targets.locating import locate_chart as locate
-
-    wavelengths = np.array([band.wavelength for band in cube.bands], float)
-    try:
-        return locate(cube.values, wavelengths, chart, reference, corners=corners)
-    except ChartRefused as refused:
-        if near is None or corners is not None or refused.problems[0].code != "E_CHART_ORDER":
-            raise
-        # An infrared channel ranks the patches otherwise than the eye: the place must be the same.
-        ways = turned_corners(find_corners(cube.values, chart))
-        way = min(ways, key=lambda c: float(np.abs(c - near).max()))
-        pitch = float(np.linalg.norm(near[1] - near[0])) / (chart.columns - 1)
-        if float(np.abs(way - near).max()) > NEAR * pitch:
-            raise
-        areas = place_patches(way, chart, (cube.values.shape[1], cube.values.shape[0]))
-        return Located(way, areas, 1.0, patch_means(cube.values, areas))
-
-
 def measure(
     name: str,
     chart: Chart,
@@ -279,6 +231,8 @@ LEVELS = {
     "white": ((2.0, 4.0, 6.0, 8.0), (3.0, 4.0, 5.0)),
 }
 """FADGI 2023 (4 to 1 stars) and ISO 19264-1:2021 (levels A, B, C): largest values."""
+
+
 LEAST_COVERAGE = 0.9
 
 
