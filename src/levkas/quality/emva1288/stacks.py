@@ -186,7 +186,7 @@ MOST_PAIRS = 64
 
 
 def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
-    """A line scanner: each line of dark and white is a shot of all samples and bands.
+    """Gather the stacks of a line scanner: each line of dark and white is a shot of all samples and bands.
 
     A push-broom camera looks at one place of the white all the time. A mirror leads the view over the board, so
     that each line has other light; two neighbouring ones, brought to one level block by block, stand in for
@@ -294,7 +294,7 @@ def _codes_of(shots: Sequence[FrameRef]) -> np.ndarray:
 def _laid_out(stack: Template) -> tuple[Template, int]:
     """Return a line, (samples, bands), as a plane to cut into blocks, and the side of these.
 
-    A block of 16 x 16 sensels wants 16 bands. Of fewer, each block is 16 neighbouring samples of one band, laid in
+    A block of 16 x 16 sensels needs 16 bands. Of fewer, each block is 16 neighbouring samples of one band, laid in
     four rows of four.
     """
     samples, bands = stack.mean.shape
