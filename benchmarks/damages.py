@@ -20,7 +20,7 @@ from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import write_manifest
 from levkas.database.store import write_index
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 
 KINDS = ("bit", "block", "cut", "swap", "missing", "extra")
 BLOCK = 512

@@ -24,7 +24,7 @@ from levkas import database as levkas_database
 from levkas.core.cube import Band, Cube
 from levkas.database.catalogue import write_catalogue
 from levkas.database.layers import Layer, write_layer
-from levkas.database.spectral_tiff import LEVEL, planes_of, write_spectral_tiff
+from levkas.database.spectral_tiff import LEVEL, TiffHeader, planes_of, write_spectral_tiff
 from levkas.database.store import SQUEEZE, chunks_of, write_layer_store
 
 ROUNDS = 3
@@ -47,12 +47,8 @@ def noisy_cube(height: int, width: int, bands: int) -> Cube:
 
 def our_tiff(cube: Cube, folder: Path) -> None:
     """Write the values as a spectral TIFF."""
-    write_spectral_tiff(
-        folder / "ours.tif",
-        planes_of(cube.values),
-        shape=cube.values.shape[:2],
-        wavelengths=[band.wavelength for band in cube.bands],
-    )
+    header = TiffHeader(cube.values.shape[:2], [band.wavelength for band in cube.bands])
+    write_spectral_tiff(folder / "ours.tif", planes_of(cube.values), header)
 
 
 def their_tiff(cube: Cube, folder: Path) -> None:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from levkas.building.spectra import read_sensitivity, read_spectrum
 from levkas.campaign.campaign import load_campaign
-from levkas.campaign.discovery.manifest import read_manifest
+from levkas.campaign.discovery.file_index import read_exposures
 from levkas.campaign.edits import read_edits
 from levkas.core.problems import Refused
 from levkas.core.text import read_json, read_text
@@ -28,8 +28,8 @@ from levkas.quality.targets.charts import Chart, parse_reference
 from levkas.readers.envi import open_envi
 from levkas.readers.frames import read_facts, read_frame
 from levkas.readers.images import read_exif
+from levkas.registration.control_points.dialects import read_points
 from levkas.registration.control_points.layers import is_table_of_frames, read_table_of_frames
-from levkas.registration.control_points.reading import read_points
 
 SLOW_S = 2.0
 """Of the processor, not of the clock: on a busy machine a file may wait for as long as it likes."""
@@ -178,7 +178,7 @@ def read_csv(path):
     """Read a table by what its name says it is."""
     kind = path.stem
     if kind == "exposures":
-        seconds = list(read_manifest(path).values())
+        seconds = list(read_exposures(path).values())
         finite(seconds, 0)
         check(all(seconds), seconds)
         return

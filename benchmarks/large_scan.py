@@ -77,7 +77,7 @@ def work(folder: Path, memory: float) -> None:
     import resource
     import threading
 
-    from levkas.building.scan_opening import open_scan
+    from levkas.building.scans import open_scan
     from levkas.building.streaming import resample_scan
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import load_campaign

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from levkas.geometry.transforms import Affine, Polynomial
-from levkas.registration.outliers import clean
+from levkas.registration.outliers import RemovalTerms, clean
 
 SIZE = (1392, 1040)
 REJECT, STOP = 108.0, 1.0
@@ -40,7 +40,7 @@ def matches(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def run(target: np.ndarray, reference: np.ndarray) -> np.ndarray:
     trace = clean(
-        target, reference, scale=Affine.identity(), reject=REJECT, stop=STOP, size=SIZE,
+        target, reference, RemovalTerms(Affine.identity(), REJECT, STOP), size=SIZE,
         target_size=SIZE,
     ).trace  # fmt: skip
     return trace.removed[trace.removed >= 0]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import typer.main
-from typer._click import Context  # typer carries its own click
+from typer.testing import CliRunner
 
 
 def reference() -> str:
@@ -18,28 +18,18 @@ def reference() -> str:
         "prints one object: `levkas`, `command`, `ok`, `problems`, and what it reports.",
         "",
     ]
-    for name, command in _with_subcommands(group):
-        context = Context(
-            command, info_name=f"levkas {name}", terminal_width=96, max_content_width=96
-        )
-        parts += [
-            f"## `levkas {name}`",
-            "",
-            "```text",
-            command.get_help(context).rstrip(),
-            "```",
-            "",
-        ]
+    runner, width = CliRunner(), {"terminal_width": 96, "max_content_width": 96}
+    for name in _with_subcommands(group):
+        shown = runner.invoke(app, [*name.split(), "--help"], prog_name="levkas", **width)
+        parts += [f"## `levkas {name}`", "", "```text", shown.output.rstrip(), "```", ""]
     return "\n".join(line.rstrip() for line in parts)
 
 
-def _with_subcommands(group: typer.main.TyperGroup) -> list:
-    """Return (name, command) sorted, those of a group right after it: ``plan exposure``."""
+def _with_subcommands(group: typer.main.TyperGroup) -> list[str]:
+    """Return the names of commands, sorted, those of a group right after it: ``plan exposure``."""
     found = []
     for name, command in sorted(group.commands.items()):
-        found.append((name, command))
-        inner = sorted(getattr(command, "commands", {}).items())
-        found += [(f"{name} {sub}", below) for sub, below in inner]
+        found += [name, *(f"{name} {inner}" for inner in sorted(getattr(command, "commands", {})))]
     return found
 
 

@@ -11,11 +11,7 @@ HOUSE = Path(levkas.__file__).parent
 FILES = sorted(HOUSE.rglob("*.py"))
 MOST_LINES, MOST_BODY, MOST_PARAMETERS, MOST_DEPTH, MOST_ENTRIES = 600, 60, 8, 5, 18
 WIDE = {
-    "levkas.database.layers.write_layer",
-    "levkas.database.spectral_tiff.write_spectral_tiff",
-    "levkas.database.spectral_tiff.write_encoded_pages",
     "levkas.database.streaming_writer.write_rows",
-    "levkas.registration.outliers.clean",
 }
 PUBLIC = {"levkas.simulation.campaigns.simulate_campaign"}
 """Functions of `levkas.__all__`: programs of others call them, and their parameters may only grow."""

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { across, upwards } from "../src/shared/plot";
-import { niceTop, runs, ticks } from "../src/viewer/chart";
+import { describeDoubts, levels, niceTop, runs, ticks, valueRange } from "../src/viewer/chart";
 import { thinOut } from "../src/workbench/curve";
 
 const BOX = { width: 360, height: 220, left: 40, right: 20, top: 10, bottom: 30 };
@@ -23,13 +23,51 @@ test("an axis ends at the next round number", () => {
   expect(niceTop(0.0121)).toBeCloseTo(0.016, 12);
 });
 
-test("a line is cut at wide gaps", () => {
-  const samples = [400, 480, 561, 600].map((nm) => ({ nm }));
-  expect(runs(samples).map((run) => run.map(({ nm }) => nm))).toEqual([
+test("a line is cut at wide gaps and at values that are not to be trusted", () => {
+  const cut = (samples: { nm: number; doubts: unknown[] }[]): number[][] =>
+    runs(samples).map((run) => run.map(({ nm }) => nm));
+  const sound = [400, 480, 561, 600].map((nm) => ({ nm, doubts: [] as unknown[] }));
+  expect(cut(sound)).toEqual([
     [400, 480],
     [561, 600],
   ]);
-  expect(runs([])).toEqual([]);
+  expect(cut([])).toEqual([]);
+  sound[1]!.doubts = ["saturated"];
+  expect(cut(sound)).toEqual([[400], [561, 600]]);
+});
+
+test("values below zero are within the range, and zero is a level", () => {
+  const [low, top] = valueRange([
+    { value: -0.03, sigma: 0.01 },
+    { value: 0.5, sigma: NaN },
+  ]);
+  expect([low, top]).toEqual([expect.closeTo(-0.03, 12), expect.closeTo(0.6, 12)]);
+  expect(levels(-0.03, 0.6)).toContain(0);
+  expect(levels(0, 1)).toEqual([0, 0.2, 0.4, 0.6000000000000001, 0.8, 1]);
+  for (const top of [0.016, 0.6, 1.2, 3, 800]) {
+    const count = levels(0, top).length;
+    expect(count).toBeGreaterThan(2);
+    expect(count).toBeLessThan(8);
+  }
+});
+
+test("what is not to be trusted is said in a sentence", () => {
+  const marks = [
+    { bit: 2, word: "saturated", colour: "#f00", trusted: false },
+    { bit: 8, word: "defect, replaced", colour: "#0f0", trusted: true },
+    { bit: 16, word: "glare", colour: "#ff0", trusted: false },
+  ];
+  const bands = Array.from({ length: 4 }, (_, i) => ({
+    label: String(i),
+    wavelength: 400 + i,
+    centroid: null,
+    fwhm: null,
+  }));
+  const say = (flags: number[]): string =>
+    describeDoubts({ bands }, { flags: Uint8Array.from(flags) }, marks);
+  expect(say([0, 8, 0, 0])).toBe("");
+  expect(say([2, 2, 0, 0])).toBe("2 of 4 bands are saturated here.");
+  expect(say([2, 18, 0, 0])).toBe("2 of 4 bands are saturated, 1 shows glare here.");
 });
 
 test("thousands of values are thinned out to their largest, few are all kept", () => {

@@ -1,7 +1,8 @@
 import { expect, test } from "vitest";
 import { isSafeAddress } from "../src/shared/element";
 import { restore } from "../src/viewer/spectra";
-import type { Pair, SessionState } from "../src/workbench/record";
+import { confirms, enlargement, quantile } from "../src/workbench/basis";
+import type { Pair, SessionState, Windows } from "../src/workbench/record";
 import { rowAt } from "../src/workbench/store";
 import { latestOnly } from "../src/workbench/threshold";
 import { rowsAt } from "../src/workbench/trace";
@@ -29,6 +30,15 @@ test("a round rests on what was not cut, removed before, deleted or a check poin
   expect(rowsAt(session, -1)).toEqual([0, 1, 2, 3]);
   expect(rowsAt(session, 0)).toEqual([0, 1, 3]);
   expect(rowsAt(session, 1)).toEqual([0, 1]);
+});
+
+test("shifts of windows are enlarged by a round number, and only windows in their place confirm", () => {
+  const columns = { shift_x: [0.01, 0.02, 0.03, 0.04], shift_y: [0, 0, 0, 0] };
+  expect(enlargement(columns as unknown as Windows, 10)).toBe(200);
+  expect(quantile([3, null, 1, 2], 0.5)).toBe(2);
+  const checks = { x: [0, 1, 2], y: [0, 0, 0], shift_x: [0, 3, 0], shift_y: [1.9, 0, 0] };
+  const all = { ...checks, found: [true, true, false], tolerance: 1 };
+  expect([0, 1, 2].map((row) => confirms(all, row))).toEqual([true, false, false]);
 });
 
 test("of values that come while one is on its way only the last is sent", async () => {

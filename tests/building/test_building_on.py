@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from levkas.building import build, status, summarise
 from levkas.cli import app
 from levkas.core.digests import hash_tree
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 
 
 @pytest.fixture(scope="module")

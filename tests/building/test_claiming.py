@@ -14,7 +14,7 @@ from levkas.cli import app
 from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.problems import Refused
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 from levkas.quality.evaluation.layer_report import assess
 
 

@@ -45,7 +45,7 @@ from levkas.database import spectral_tiff
 from levkas.database.catalogue import COLUMNS
 from levkas.database.manifest import is_partial, read_manifest
 from levkas.database.store import ROOT
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 
 KINDS = ("full", "failing", "kill")
 SCENES = ("new", "over", "withdrawn", "joint")
@@ -475,16 +475,15 @@ def test_a_failed_write_leaves_no_threads_to_be_collected(tmp_path, monkeypatch)
     monkeypatch.setattr(files, "fault", Fault(3, "failing"))
     planes = [np.zeros((40, 50), np.float32)] * 5
     with pytest.raises(Refused) as refused:
-        spectral_tiff.write_spectral_tiff(
-            tmp_path / "a.tif", planes, shape=(40, 50), wavelengths=range(5)
-        )
+        header = spectral_tiff.TiffHeader((40, 50), range(5))
+        spectral_tiff.write_spectral_tiff(tmp_path / "a.tif", planes, header)
     assert refused.value.problems[0].code == "E_IO"
     assert pools and all(pool._shutdown for pool in pools)
 
 
 CHILD = """
 import os, sys
-from levkas import files
+from levkas.core import files
 from levkas.building import build
 calls = []
 def die(step, path):
@@ -534,7 +533,12 @@ def write_carelessly(patch):
         files.make_folder(path)
         yield files.Folder(Path(path), Path(path))
 
-    for name in ("files", "database.spectral_tiff", "database.store", "building.template_cache"):
+    for name in (
+        "core.files",
+        "database.spectral_tiff",
+        "database.store",
+        "building.template_cache",
+    ):
         module = importlib.import_module(f"levkas.{name}")
         for function in (replacing, publishing):
             if hasattr(module, function.__name__):

@@ -14,7 +14,7 @@ from levkas.building.build_records import BuildRecords, Key
 from levkas.building.claiming import in_turn
 from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 
 BUILD = """
 import sys, time

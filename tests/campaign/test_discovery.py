@@ -531,7 +531,7 @@ def test_the_line_scan_has_580_bands_by_its_header(tmp_path, real_data):
 
 
 def test_a_manifest_tells_the_exposures_that_names_do_not(tmp_path):
-    from levkas.campaign.discovery.manifest import read_manifest
+    from levkas.campaign.discovery.file_index import read_exposures
 
     for name in ("dark", "white", "icon1"):
         (tmp_path / "raw").mkdir(exist_ok=True)
@@ -553,4 +553,45 @@ def test_a_manifest_tells_the_exposures_that_names_do_not(tmp_path):
     ]
     (tmp_path / "times.csv").write_text("file,exposure_s\nraw/icon1.tif,long\n")
     with pytest.raises(Refused, match="line 2 of the manifest"):
-        read_manifest(tmp_path / "times.csv")
+        read_exposures(tmp_path / "times.csv")
+
+
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [
+        ("photo/Icon2.tif", "photo/icon2.tif"),
+        ("Photo/icon2.tif", "photo/icon2.tif"),
+        ("photo/icon2_Visible.tif", "photo/icon2_visible.tif"),
+    ],
+)
+@pytest.mark.parametrize("objects", ['objects = ["icon1", "icon2"]', ""])
+def test_a_file_in_other_upper_and_lower_case_is_refused_with_both_spellings(
+    tmp_path, file, expected, objects
+):
+    suffix = "_visible" if "isible" in file else ""
+    touch(tmp_path, "uv/icon1.tif", "uv/icon2.tif", f"photo/icon1{suffix}.tif", file)
+    photo = PHOTO.replace("{target}", f"{{target}}{suffix}")
+    keys = photo + '[cameras.uv]\nkind = "image"\nfiles = "uv/{target}.tif"\n'
+    captures, refusals = find_captures(campaign(tmp_path, keys, objects, reference="uv"))
+    named = [c.object for c in captures if c.camera == "photo"]
+    if objects or file[-9:] != "Icon2.tif":
+        assert named == ["icon1"]
+        (problem,) = refusals["icon2", "photo", ""].problems
+        assert (problem.found, problem.expected) == (file, expected)
+    else:  # an object of its own, which has no reference image
+        assert list(refusals) == [("Icon2", "uv", "")]
+
+
+def test_an_object_that_is_only_there_in_another_case_is_refused(tmp_path):
+    touch(tmp_path, "photo/icon1.tif", "Photo/icon2.tif")
+    captures, refusals = find_captures(campaign(tmp_path, PHOTO, "", reference="photo"))
+    assert [c.object for c in captures] == ["icon1"]
+    assert refusals["icon2", "photo", ""].problems[0].found == "Photo/icon2.tif"
+
+
+def test_files_beside_the_frames_in_another_case_are_no_fault_of_a_capture_that_is_whole(tmp_path):
+    touch(tmp_path, "photo/icon1.tif", "Photo/icon1.tif", "photo/Icon3.tif")
+    captures, refusals = find_captures(
+        campaign(tmp_path, PHOTO, 'objects = ["icon1"]', reference="photo")
+    )
+    assert ([c.object for c in captures], refusals) == (["icon1"], {})

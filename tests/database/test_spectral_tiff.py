@@ -12,14 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from levkas.database import spectral_tiff
 from levkas.database.credits import Credits
 from levkas.database.spectral_tiff import (
+    TiffHeader,
     encode_strip,
     planes_of,
     read_mtiff,
     read_stiff,
     read_tiff_pages,
-    write_mtiff,
     write_spectral_tiff,
     write_stiff,
 )
@@ -34,8 +35,9 @@ def smooth_cube(height=150, width=700, bands=5, seed=0):
 
 
 def write(path, cube, **options):
-    options = {"wavelengths": range(400, 400 + 10 * cube.shape[2], 10), "rgb": RGB} | options
-    write_spectral_tiff(path, planes_of(cube), shape=cube.shape[:2], dtype=cube.dtype, **options)
+    threads, centres = options.pop("threads", None), range(400, 400 + 10 * cube.shape[2], 10)
+    facts = {"wavelengths": centres, "dtype": cube.dtype, "rgb": RGB} | options
+    write_spectral_tiff(path, planes_of(cube), TiffHeader(cube.shape[:2], **facts), threads=threads)
 
 
 cubes = hnp.arrays(
@@ -102,10 +104,8 @@ def test_the_bytes_do_not_depend_on_threads_or_on_what_is_kept_of_a_plane(tmp_pa
 
     for threads in (1, 3):
         write(tmp_path / f"{threads}.tif", cube, threads=threads)
-    nm = range(400, 450, 10)
-    write_spectral_tiff(
-        tmp_path / "reused.tif", reused(), shape=cube.shape[:2], wavelengths=nm, rgb=RGB
-    )
+    header = TiffHeader(cube.shape[:2], range(400, 450, 10), rgb=RGB)
+    write_spectral_tiff(tmp_path / "reused.tif", reused(), header)
     first, second, third = (p.read_bytes() for p in sorted(tmp_path.iterdir()))
     assert first == second == third
 
@@ -120,9 +120,10 @@ def test_rows_and_bands_are_read_alone(tmp_path):
     assert pages.read(60, 60).shape == (0, 700, 5)
 
 
-def test_bigtiff_is_read_too(tmp_path):
+def test_bigtiff_is_read_too(tmp_path, monkeypatch):
     cube = smooth_cube(20, 30, 3)
-    write(tmp_path / "a.tif", cube, bigtiff=True)
+    monkeypatch.setattr(spectral_tiff, "CLASSIC_LIMIT", 0)
+    write(tmp_path / "a.tif", cube)
     assert (tmp_path / "a.tif").read_bytes()[:4] == b"II\x2b\x00"
     np.testing.assert_array_equal(read_stiff(tmp_path / "a.tif")[0], cube)
 
@@ -176,9 +177,8 @@ def test_bands_of_another_number_or_size_leave_no_file(tmp_path):
         (4, [planes[0].T], "E_SIZE"),
     ):
         with pytest.raises(TiffRefused) as info:
-            write_spectral_tiff(
-                tmp_path / "a.tif", planes + more, shape=(4, 5), wavelengths=range(count)
-            )
+            header = TiffHeader((4, 5), range(count))
+            write_spectral_tiff(tmp_path / "a.tif", planes + more, header)
         assert info.value.problems[0].code == code
     assert list(tmp_path.iterdir()) == []
 
@@ -223,7 +223,7 @@ def test_a_missing_strip_is_an_error_not_zeros(tmp_path):
     with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as tiff:
         tag = tiff.pages[2].tags["StripByteCounts"]
         tag.overwrite((0, *tag.value[1:]))
-    with pytest.raises(TiffRefused, match="lacks strips"):
+    with pytest.raises(TiffRefused, match="lacks a strip"):
         read_stiff(tmp_path / "a.tif")
 
 
@@ -247,7 +247,11 @@ def test_what_is_no_tiff_is_refused(tmp_path):
 )
 def test_masks_are_read_as_they_were_written(tmp_path_factory, masks):
     path = tmp_path_factory.mktemp("mtiff") / "m.tif"
-    write_mtiff(path, masks)
+    with tifffile.TiffWriter(path) as tiff:
+        for label, mask in masks.items():
+            text = "".join(f"\\U{ord(c):08x}" for c in label).encode()  # tags of TIFF are ASCII
+            tags = [(65001, "s", len(text), text, True)]
+            tiff.write(255 * mask.astype(np.uint8), photometric="minisblack", extratags=tags)
     read = read_mtiff(path)
     assert read.keys() == masks.keys()
     assert all(np.array_equal(read[k], masks[k]) and read[k].dtype == bool for k in masks)

@@ -15,7 +15,7 @@ from levkas.database.catalogue import DatabaseRefused, Entry, write_catalogue
 from levkas.database.layers import Layer, write_layer
 from levkas.database.manifest import NAME, write_manifest
 from levkas.database.store import write_index
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 
 
 def cube_of(labels, seed):

@@ -14,8 +14,8 @@ from levkas.core.disk import WriteRefused
 from levkas.core.ownership import MARK
 from levkas.core.problems import Refused
 from levkas.publish.export.run import FORMS, export
+from levkas.registration.control_points.dialects import write_points
 from levkas.registration.control_points.points import ControlPoints
-from levkas.registration.control_points.reading import write_points
 
 
 def exported(database, form, folder, **options):

@@ -7,7 +7,7 @@ import pytest
 
 from levkas.geometry.transforms import Affine
 from levkas.pages.figures import draw_trace
-from levkas.registration.outliers import clean, frame_corners
+from levkas.registration.outliers import RemovalTerms, clean, frame_corners
 from levkas.registration.record import Matches
 
 
@@ -17,8 +17,8 @@ def traced(wrong):
     reference = target + rng.normal(0, 0.05, target.shape)
     reference[:wrong] += 8.0
     found = clean(
-        target, reference, scale=Affine.identity(), reject=30.0, stop=1.0, size=(300, 200),
-        target_size=(300, 200), order=2,
+        target, reference, RemovalTerms(Affine.identity(), 30.0, 1.0, order=2), size=(300, 200),
+        target_size=(300, 200),
     )  # fmt: skip
     return Matches.of(reference, target), found.trace
 

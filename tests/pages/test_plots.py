@@ -2,7 +2,9 @@
 
 import re
 
-from levkas.pages.plots import Line, plot
+from matplotlib.patches import Circle
+
+from levkas.pages.plots import Line, new_figure, plot, to_svg
 
 
 def marks(svg):
@@ -34,3 +36,21 @@ def test_a_plot_has_the_colours_of_its_page_a_name_for_readers_and_the_same_byte
     assert "var(--ref)" in one and "var(--tgt)" in one and "#0101" not in one
     assert 'role="img" aria-label="y &amp; z over x"' in one and "&lt;a&gt;" in one
     assert "metadata" not in one and "<!--" not in one and ' id="axes' not in one
+
+
+def test_bytes_do_not_depend_on_where_objects_lie_in_memory():
+    """A line that is cut along a shape: matplotlib names the shape by its address."""
+
+    def draw():
+        figure = new_figure()
+        axes = figure.subplots()
+        circle = Circle((0.5, 0.5), 0.4, transform=axes.transData)
+        axes.plot([0, 1], [0, 1])[0].set_clip_path(circle)
+        kept.append(figure)
+        return to_svg(figure, "cut")
+
+    kept: list = []
+    first, second = draw(), draw()
+    assert first == second
+    places = {name for name in re.findall(r"url\(#([^)]+)\)", first)}
+    assert places and all(f'id="{name}"' in first for name in places)

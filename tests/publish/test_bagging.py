@@ -4,7 +4,7 @@ import pytest
 import levkas
 from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 from levkas.publish import run
 
 

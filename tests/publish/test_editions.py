@@ -4,7 +4,7 @@ import pytest
 import levkas
 from levkas.core.cube import Band, Cube, Flag
 from levkas.database.layers import Layer, write_tiffs
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 from levkas.publish.editions import credits_of, fit_size, map_of, shrink
 
 

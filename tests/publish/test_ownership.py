@@ -13,7 +13,7 @@ from levkas.core.digests import hash_tree
 from levkas.core.problems import Refused
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.manifest import NAME, write_manifest
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 from levkas.publish import run
 
 

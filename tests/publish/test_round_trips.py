@@ -14,7 +14,7 @@ import levkas
 from levkas.core.cube import Band, Cube, band_labels
 from levkas.core.rounding import round_sigma
 from levkas.database.layers import Layer, write_layer, write_tiffs
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 from levkas.publish.export.envi import write_envi
 from levkas.publish.export.layer import ExportLayer
 

@@ -6,7 +6,7 @@ from levkas.core.digests import hash_tree
 from levkas.core.disk import WriteRefused
 from levkas.core.problems import Refused
 from levkas.database.manifest import NAME, write_manifest
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 from levkas.publish import run
 from levkas.publish.metadata import licence_of, read_facts
 from levkas.publish.publication import PublishRefused

@@ -5,7 +5,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from levkas.database.validate import validate
+from levkas.database.validation import validate
 from levkas.pages.screen import ScreenMissing, read_built
 
 

@@ -800,7 +800,7 @@ def json_that_is_a_pipe(folder):
 
 
 def readers():
-    from levkas.campaign.discovery.manifest import read_manifest
+    from levkas.campaign.discovery.file_index import read_exposures
     from levkas.campaign.schema.toml import read_toml
     from levkas.core.text import read_json
     from levkas.readers.frames import read_facts, read_frame
@@ -808,7 +808,7 @@ def readers():
     return {
         "frame": (read_facts, read_frame),
         "toml": (read_toml,),
-        "manifest": (read_manifest,),
+        "manifest": (read_exposures,),
         "json": (read_json,),
     }
 

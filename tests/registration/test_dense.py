@@ -16,7 +16,13 @@ from levkas.registration.features import (
     mirror_descriptors,
 )
 from levkas.registration.initial import find_initial_transform
-from levkas.registration.local_shifts import Predictor, WindowShifts
+from levkas.registration.local_shifts import (
+    Predictor,
+    WindowShifts,
+    highpass,
+    reduce,
+    smoothing_warp,
+)
 from levkas.registration.model_selection import HOMOGRAPHY, MODELS, SelectionTerms, select_model
 from levkas.registration.models import (
     Observations,
@@ -25,7 +31,6 @@ from levkas.registration.models import (
     inflate_covariance,
 )
 from levkas.registration.predictors import principal_components
-from levkas.registration.sampling import highpass, reduce, warp
 
 RNG = np.random.default_rng
 
@@ -36,7 +41,9 @@ def texture(rng, shape=(150, 190), sigma=1.6):
 
 def moved(image, shift):
     """See `image` at p + shift."""
-    return warp(image, Affine(np.array([[1, 0, shift[0]], [0, 1, shift[1]]], float)), image.shape)
+    return smoothing_warp(
+        image, Affine(np.array([[1, 0, shift[0]], [0, 1, shift[1]]], float)), image.shape
+    )
 
 
 def lattice(n=20, size=(400.0, 300.0)):
@@ -83,7 +90,7 @@ def test_windows_of_a_masked_target_are_unusable_and_others_keep_their_answer():
 
 def test_warp_reproduces_a_ramp_and_reduce_keeps_its_place():
     x = np.mgrid[:60, :80][1].astype(np.float32)
-    seen = warp(x, Affine(np.array([[1.0, 0, 3.3], [0, 1, 2.6]])), (40, 50))
+    seen = smoothing_warp(x, Affine(np.array([[1.0, 0, 3.3], [0, 1, 2.6]])), (40, 50))
     assert np.nanmax(np.abs(seen - (x[:40, :50] + 3.3))) < 1e-5
     assert np.allclose(reduce(x, 4)[0, :3], [1.5, 5.5, 9.5])
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from levkas.geometry.transforms import Affine, Composed, Homography, Lens
-from levkas.registration.chromatic import ChromaticShifts
+from levkas.registration.chromatic import ChromaticShifts, pool_chromatic
 from levkas.registration.joint import SensorObservations, adjust_jointly
 from levkas.registration.model_selection import SelectionTerms, select_model
 from levkas.registration.models import Observations
-from levkas.registration.pooled_chromatic import pool_chromatic
 
 SIZE = np.array([420.0, 320.0])
 CELL = 12.0
@@ -149,7 +148,7 @@ def off(one, truth=COLOURS):
 
 def test_bands_of_several_captures_are_known_better_than_of_one():
     alone = [measured(k) for k in range(6)]
-    together = [pool_chromatic(alone, k) for k in range(len(alone))]
+    together = [pool_chromatic(one, alone[:k] + alone[k + 1 :]) for k, one in enumerate(alone)]
     before, after = (np.mean([off(c) for c in some]) for some in (alone, together))
     assert after < 0.65 * before
     assert all((t.variances <= a.variances).all() for t, a in zip(together, alone, strict=True))
@@ -159,7 +158,7 @@ def test_bands_that_really_differ_from_capture_to_capture_stay_apart():
     rng_of = [np.random.default_rng(50 + k) for k in range(6)]
     real = [COLOURS + rng.normal(0, 0.5, COLOURS.shape) for rng in rng_of]
     alone = [measured(k, noise=0.02, drift=0.5) for k in range(6)]
-    together = [pool_chromatic(alone, k) for k in range(len(alone))]
+    together = [pool_chromatic(one, alone[:k] + alone[k + 1 :]) for k, one in enumerate(alone)]
     for one, shared, truth in zip(alone, together, real, strict=True):
         assert off(shared, truth) < 1.2 * off(one, truth)
 
@@ -169,15 +168,15 @@ def test_what_all_bands_have_in_common_is_never_shared():
     moved = ChromaticShifts(
         "similarity", alone[0].centre, 210.0, alone[0].amounts + 2.0, alone[0].variances
     )
-    shared = pool_chromatic([moved, *alone[1:]])
+    shared = pool_chromatic(moved, alone[1:])
     np.testing.assert_allclose(shared.amounts.mean(0), moved.amounts.mean(0), atol=0.01)
 
 
 def test_one_capture_alone_and_bands_never_measured_come_back_as_they_are():
     one = measured(0)
-    assert pool_chromatic([one]) is one
+    assert pool_chromatic(one, []) is one
     blind = ChromaticShifts("similarity", one.centre, 210.0, one.amounts, None)
-    np.testing.assert_array_equal(pool_chromatic([blind, blind]).amounts, one.amounts)
+    np.testing.assert_array_equal(pool_chromatic(blind, [blind]).amounts, one.amounts)
 
 
 # --- what is kept -----------------------------------------------------------------------------

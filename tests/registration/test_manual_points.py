@@ -7,7 +7,7 @@ from levkas.geometry.transforms import Affine, Homography
 from levkas.registration import BandImage, register
 from levkas.registration.initial import fit_initial_transform
 from levkas.registration.manual_points import ManualPoints, nearest_rows
-from levkas.registration.outliers import clean
+from levkas.registration.outliers import RemovalTerms, clean
 from levkas.registration.record import RegistrationRefused
 
 SIZE = (800, 600)
@@ -24,7 +24,7 @@ def plant(n=300, wrong=60, seed=3):
 
 def cleaned(target, reference, **options):
     return clean(
-        target, reference, scale=Affine.identity(), reject=60.0, stop=1.0, size=SIZE,
+        target, reference, RemovalTerms(Affine.identity(), 60.0, 1.0), size=SIZE,
         target_size=SIZE, **options,
     )  # fmt: skip
 

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 METADATA = "Metadata-Version: 2.1\nName: fancy\nVersion: 1.0\n"
 MODULE = """
 import numpy as np
@@ -58,22 +60,70 @@ method = "fancy"
 shift = 2.5
 """
 
+BROKEN = """
+import sys
+from pathlib import Path
 
-def test_an_installed_package_adds_a_method(tmp_path):
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
+from levkas.registration import BandImage, RegistrationRefused, register
+
+toml = Path(sys.argv[1])
+try:
+    load_campaign(toml)
+except CampaignInvalid as refused:
+    print(refused.problems[0].field, "|", refused.problems[0].message)
+try:
+    register([], [], reference_band="a", method="fancy")
+except RegistrationRefused as refused:
+    print(refused.problems[0].message)
+toml.write_text(toml.read_text().partition("[registration]")[0])
+print(load_campaign(toml).registration_of("vis"))
+"""
+
+
+def run_with(tmp_path, module, script):
+    """Run a script beside an installed package whose method `fancy` is in `module`."""
     info = tmp_path / "site" / "fancy-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(METADATA)
     (info / "entry_points.txt").write_text("[levkas.registration]\nfancy = fancy_method:METHOD\n")
-    (tmp_path / "site" / "fancy_method.py").write_text(MODULE)
+    (tmp_path / "site" / "fancy_method.py").write_text(module)
     toml = tmp_path / "campaign.toml"
     toml.write_text(CAMPAIGN)
-    script = f"import sys; sys.path.insert(0, {str(tmp_path / 'site')!r})\n{SCRIPT}"
-    done = subprocess.run(
+    script = f"import sys; sys.path.insert(0, {str(tmp_path / 'site')!r})\n{script}"
+    return subprocess.run(
         [sys.executable, "-c", script, str(toml)], capture_output=True, text=True, check=False
     )
+
+
+def test_an_installed_package_adds_a_method(tmp_path):
+    done = run_with(tmp_path, MODULE, SCRIPT)
     assert done.stdout.splitlines() == [
         "{'method': 'fancy', 'shift': 2.5}",
         "[[2.5, 0.0]]",
         "the method 'levkas' has no `shift` | Take it out, or write method = \"fancy\".",
         "E_VALUE registration.shift",
     ], done.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "why"),
+    [
+        (
+            "import nowhere_to_be_found",
+            "raises ModuleNotFoundError: No module named 'nowhere_to_be_found'",
+        ),
+        ("METHOD = print", "is no Method with a function"),
+    ],
+)
+def test_a_method_that_cannot_be_loaded_is_named_and_stops_only_who_chooses_it(
+    tmp_path, module, why
+):
+    done = run_with(tmp_path, module, BROKEN)
+    why = f"fancy_method:METHOD {why}"
+    assert done.stdout.splitlines() == [
+        f"registration.method | method must be another one: 'fancy' cannot be used, {why}",
+        f"there is no registration method 'fancy': {why}",
+        "{}",
+    ], done.stderr
+    assert done.stderr.count(f"the registration method 'fancy' cannot be used: {why}") == 1

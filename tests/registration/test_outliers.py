@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from levkas.geometry.transforms import Affine, Polynomial, frame_of
-from levkas.registration.outliers import clean, cut, remove_outliers
+from levkas.registration.outliers import RemovalTerms, clean, cut, remove_outliers
 from levkas.registration.record import RegistrationRefused
 
 SIZE = (1392, 1040)
@@ -46,7 +46,7 @@ def plain_loop(target, reference, *, reject, stop, order=3):
 
 
 def assert_same_as_plain(target, reference, **options):
-    steps = list(remove_outliers(target, reference, scale=STILL, **options))
+    steps = list(remove_outliers(target, reference, RemovalTerms(STILL, **options)))
     plain = plain_loop(target, reference, **options)
     assert [s.worst for s in steps] == [worst for worst, _ in plain]
     # Rounding of a thousand updates: a millionth of what separates two pairs here.
@@ -109,14 +109,14 @@ def test_removal_equals_the_plain_loop(seed, share, stop):
 def test_the_order_of_matches_does_not_matter(seed):
     target, reference, _ = plant(150, 60, seed=seed)
     order = np.random.default_rng(seed).permutation(150)
-    one = [s.worst for s in remove_outliers(target, reference, scale=STILL, reject=110, stop=1)]
-    two = remove_outliers(target[order], reference[order], scale=STILL, reject=110, stop=1)
+    one = [s.worst for s in remove_outliers(target, reference, RemovalTerms(STILL, 110, 1))]
+    two = remove_outliers(target[order], reference[order], RemovalTerms(STILL, 110, 1))
     assert [int(order[s.worst]) for s in two] == one
 
 
 def test_planted_outliers_go_and_the_map_is_recovered():
     target, reference, bad = plant(600, 250, seed=1)
-    done = clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+    done = clean(target, reference, RemovalTerms(STILL, 108, 1), size=SIZE, target_size=SIZE)
     assert not done.kept[bad].any()
     assert done.kept[~bad].mean() > 0.99
     truth = plant(600, 0, seed=1, noise=0.0)[1]
@@ -137,7 +137,7 @@ def test_cut_is_under_scale_alone():
 
 def test_trace_redraws_every_round():
     target, reference, _ = plant(200, 60, seed=2, radius=180)
-    done = clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+    done = clean(target, reference, RemovalTerms(STILL, 108, 1), size=SIZE, target_size=SIZE)
     trace = done.trace
     assert trace.rounds == len(trace.corners) == len(trace.removed)
     assert trace.largest[-1] <= 1 < trace.largest[-2] and trace.removed[-1] == -1
@@ -155,7 +155,7 @@ def test_trace_redraws_every_round():
 
 def test_leave_one_out_is_the_error_of_a_fit_without_the_pair():
     target, reference, _ = plant(60, 10, seed=4)
-    done = clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+    done = clean(target, reference, RemovalTerms(STILL, 108, 1), size=SIZE, target_size=SIZE)
     k = int(np.flatnonzero(done.kept)[5])
     others = done.kept.copy()
     others[k] = False
@@ -167,7 +167,7 @@ def test_leave_one_out_is_the_error_of_a_fit_without_the_pair():
 def test_inputs_are_not_changed():
     target, reference, _ = plant(100, 20, seed=0)
     copies = target.copy(), reference.copy()
-    list(remove_outliers(target, reference, scale=STILL, reject=108, stop=1))
+    list(remove_outliers(target, reference, RemovalTerms(STILL, 108, 1)))
     np.testing.assert_array_equal(target, copies[0])
     np.testing.assert_array_equal(reference, copies[1])
 
@@ -175,7 +175,7 @@ def test_inputs_are_not_changed():
 def test_too_few_matches_are_refused_with_the_trace():
     target, reference, _ = plant(9, 0, seed=0)
     with pytest.raises(RegistrationRefused, match="at least 10 matches, got 9") as refusal:
-        clean(target, reference, scale=STILL, reject=108, stop=1, size=SIZE, target_size=SIZE)
+        clean(target, reference, RemovalTerms(STILL, 108, 1), size=SIZE, target_size=SIZE)
     assert refusal.value.problems[0].code == "E_MATCHES"
     assert refusal.value.trace.rounds == 0
 
@@ -183,23 +183,17 @@ def test_too_few_matches_are_refused_with_the_trace():
 def test_matches_on_a_line_are_refused():
     target = np.stack([np.linspace(0, 900, 40), np.linspace(0, 300, 40)], 1)
     with pytest.raises(RegistrationRefused, match="too few lines"):
-        list(remove_outliers(target, target + 1, scale=STILL, reject=108, stop=1))
+        list(remove_outliers(target, target + 1, RemovalTerms(STILL, 108, 1)))
 
 
 @pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), "3", True])
 @pytest.mark.parametrize("name", ["reject", "stop"])
 def test_thresholds_that_are_no_positive_numbers_are_refused(name, bad):
-    target, reference, _ = plant(40, 0, seed=0)
     with pytest.raises(RegistrationRefused) as refusal:
-        list(
-            remove_outliers(
-                target, reference, scale=STILL, **({"reject": 108.0, "stop": 1.0} | {name: bad})
-            )
-        )
+        RemovalTerms(STILL, **({"reject": 108.0, "stop": 1.0} | {name: bad}))
     assert refusal.value.problems[0].field == f"registration.{name}"
 
 
 def test_reject_below_stop_is_refused():
-    target, reference, _ = plant(40, 0, seed=0)
     with pytest.raises(RegistrationRefused, match="more than stop"):
-        list(remove_outliers(target, reference, scale=STILL, reject=1.0, stop=2.0))
+        RemovalTerms(STILL, reject=1.0, stop=2.0)

@@ -11,6 +11,7 @@ from levkas.registration.mirhashemi2019 import (
     measure_chance,
     measure_held_out,
 )
+from levkas.registration.outliers import RemovalTerms
 from levkas.registration.record import Matches
 from levkas.registration.verdict import MATCHES, RULES, WINDOWS, objections_to
 from levkas.registration.verification import measure_shape, measure_support
@@ -39,8 +40,8 @@ def scattered(n, seed=0, noise=0.2):
 
 
 def evidence(pictures, transform=STILL, matches=None, **known):
-    known = {"scale": STILL, "reject": 24.0} | known
-    return Evidence(transform, matches or scattered(200), *pictures, **known)
+    terms = RemovalTerms(STILL, reject=24.0, stop=1.0)
+    return Evidence(transform, matches or scattered(200), *pictures, terms, **known)
 
 
 def test_a_right_map_is_accepted_with_its_numbers(pictures):

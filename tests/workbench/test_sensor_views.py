@@ -11,6 +11,7 @@ from levkas.campaign.campaign import load_campaign
 from levkas.campaign.edits import read_edits
 from levkas.geometry.transforms import Affine
 from levkas.workbench.library import Library, id_of
+from levkas.workbench.server.routes import describe_frame
 
 SHIFT = np.array([7.0, -4.0])
 """From a place in the first sensor's picture to the same place in the second's."""
@@ -91,6 +92,18 @@ def test_a_correction_of_the_second_sensor_reaches_the_build_as_its_own(folder):
     assert given["left"].added.tolist() == [[50.0, 60.0, 70.0, 80.0]]
     again = Library(folder).open(id_of("icon", "xray", "right"))
     assert len(again.session.edits.deleted) == 1 and not again.session.edits.added
+
+
+def test_each_sensor_shows_the_windows_that_its_own_map_rests_on(folder):
+    path = folder / "database/objects/icon/registration/xray.json"
+    record = json.loads(path.read_text())
+    sensors = [{"sensor": "left"}, {"sensor": "right", "windows": {"x": [1.0]}, "count": 1}]
+    path.write_text(json.dumps(record | {"trace": {"kind": "windows", "sensors": sensors}}))
+    library = Library(folder)
+    told = [
+        describe_frame(library.open(id_of("icon", "xray", name)))["basis"] for name in ("", "right")
+    ]
+    assert told == [None, sensors[1]]
 
 
 def test_a_trial_changes_nothing(folder):

@@ -1,8 +1,10 @@
 // Spectra as a chart: a line with its one-sigma band for narrow bands, points with bars for broad ones.
+// A value that is not to be trusted is a hollow, struck mark, and no line leads through it.
 import { draw } from "../shared/element";
 import type { Point } from "../shared/pane";
 import { across, joined, level, startChart, upwards } from "../shared/plot";
-import type { Layer } from "./record";
+import { marksOf } from "./numbers";
+import type { Layer, Mark } from "./record";
 import type { Spectrum } from "./spectra";
 
 export interface Curve {
@@ -11,51 +13,89 @@ export interface Curve {
   colour: string;
 }
 
-/** A band in the chart: where it lies, nm, what it measured, and whether it is broad. */
-interface Sample {
+/** A band in the chart: where it lies and how wide it is, nm, what it measured, and its flags. */
+export interface Sample {
   nm: number;
+  width: number;
   value: number;
   sigma: number;
   broad: boolean;
+  /** Flags for which the value is not to be trusted. */
+  doubts: Doubt[];
 }
 
-const BOX = { width: 360, height: 220, left: 38, right: 16, top: 10, bottom: 30 };
-const LEVELS = 4;
+type Doubt = Pick<Mark, "word" | "colour">;
+export type Range = [low: number, top: number];
+
+const BOX = { width: 360, height: 220, left: 52, right: 16, top: 10, bottom: 30 };
 const GAP_NM = 80; // a line is not drawn over a wider gap
 const OUTSIDE = 1; // the flag of a pixel that a camera did not see
 const STEPS_NM = [10, 20, 50, 100, 200, 500];
 const TOPS = [1, 1.2, 1.6, 2, 3, 4, 6, 8, 10];
+const LEVEL_STEPS = [1, 2, 2.5, 5, 10];
 
 /** Draw curves of one quantity; null where there is nothing to draw over wavelength. */
-export function drawChart(curves: Curve[], quantity: string): SVGElement | null {
-  const series = curves.map((curve) => ({ colour: curve.colour, samples: samplesOf(curve) }));
+export function drawChart(
+  curves: Curve[],
+  { quantity, marks, range }: { quantity: string; marks: Mark[]; range: Range | null },
+): SVGElement | null {
+  const series = curves.map((curve) => ({
+    colour: curve.colour,
+    samples: samplesOf(curve, marks),
+  }));
   const all = series.flatMap(({ samples }) => samples);
   if (!all.length) return null;
   const [from, to] = rangeOf(all.map(({ nm }) => nm));
-  const top = niceTop(Math.max(...all.map(({ value, sigma }) => value + (sigma || 0)), 1e-6));
-  const x = across(BOX, from, to);
-  const y = upwards(BOX, 0, top);
-  const place = (nm: number, value: number): Point => [x(nm), y(Math.max(value, 0))];
-  const chart = startChart(BOX, `${quantity} over wavelength; the numbers are in the table below`);
-  for (let i = 0; i <= LEVELS; i++) {
-    const value = (top * i) / LEVELS;
+  const [low, top] = range ?? valueRange(all);
+  const [x, y] = [across(BOX, from, to), upwards(BOX, low, top)];
+  const place = (nm: number, value: number): Point => [x(nm), y(value)];
+  const label = `${quantity} over wavelength; the numbers are in the table below`;
+  const chart = startChart(BOX, label);
+  chart.dataset["low"] = String(low);
+  chart.dataset["top"] = String(top);
+  for (const value of levels(low, top)) {
     const text = String(Number(value.toPrecision(3)));
-    chart.append(level(BOX, y(value), text, i ? "grid" : "axis"));
+    chart.append(level(BOX, y(value), text, value ? "grid" : "axis"));
   }
-  const foot = { y: BOX.height - 14, "text-anchor": "middle" };
-  for (const nm of ticks(from, to)) chart.append(draw("text", { x: x(nm), ...foot }, String(nm)));
-  const corner = { x: BOX.width - BOX.right, y: BOX.height - 2, "text-anchor": "end" };
-  chart.append(draw("text", { ...corner, class: "unit" }, "nm"));
-  for (const { colour, samples } of series)
-    chart.append(
-      draw(
-        "g",
-        { stroke: colour, fill: colour },
-        ...runs(samples.filter(({ broad }) => !broad)).flatMap((run) => drawLine(run, place)),
-        ...samples.filter(({ broad }) => broad).flatMap((one) => drawPoint(one, place)),
-      ),
+  chart.append(...drawAxes(from, to, x, quantity), frame());
+  const inside = draw("g", { "clip-path": "url(#chart-frame)" });
+  for (const { colour, samples } of series) {
+    const narrow = runs(samples.filter(({ broad }) => !broad));
+    const lines = narrow.flatMap((run) => drawLine(run, place));
+    const points = samples.filter(({ broad }) => broad).flatMap((one) => drawPoint(one, x, place));
+    const doubtful = samples.filter(({ doubts }) => doubts.length);
+    inside.append(
+      draw("g", { stroke: colour, fill: colour }, ...lines, ...points),
+      ...doubtful.map((one) => drawDoubt(one, colour, place)),
     );
+  }
+  chart.append(inside);
   return chart;
+}
+
+function drawAxes(
+  from: number,
+  to: number,
+  x: (nm: number) => number,
+  quantity: string,
+): SVGElement[] {
+  const foot = { y: BOX.height - 14, "text-anchor": "middle" };
+  const corner = { x: BOX.width - BOX.right, y: BOX.height - 2, "text-anchor": "end" };
+  const middle = (BOX.top + BOX.height - BOX.bottom) / 2;
+  const beside = { "text-anchor": "middle", transform: `translate(11 ${middle}) rotate(-90)` };
+  return [
+    ...ticks(from, to).map((nm) => draw("text", { x: x(nm), ...foot }, String(nm))),
+    draw("text", { ...corner, class: "unit" }, "Wavelength, nm"),
+    draw("text", { ...beside, class: "unit" }, quantity),
+  ];
+}
+
+/** What lies outside a range that is kept is cut at the frame. */
+function frame(): SVGElement {
+  const { left, right, top, bottom, width, height } = BOX;
+  const size = { width: width - left - right + 12, height: height - top - bottom + 8 };
+  const area = draw("rect", { x: left - 6, y: top - 4, ...size });
+  return draw("defs", {}, draw("clipPath", { id: "chart-frame" }, area));
 }
 
 function drawLine(run: Sample[], place: (nm: number, value: number) => Point): SVGElement[] {
@@ -72,33 +112,107 @@ function drawLine(run: Sample[], place: (nm: number, value: number) => Point): S
   return elements;
 }
 
+/** Draw a broad band: a diamond, one sigma upright, and from end to end of its full width at half maximum. */
 function drawPoint(
-  { nm, value, sigma }: Sample,
+  { nm, width, value, sigma, doubts }: Sample,
+  across: (nm: number) => number,
   place: (nm: number, value: number) => Point,
 ): SVGElement[] {
   const [x, y] = place(nm, value);
+  const elements: SVGElement[] = [];
+  if (Number.isFinite(sigma)) {
+    const [y1, y2] = [place(nm, value - sigma)[1], place(nm, value + sigma)[1]];
+    elements.push(draw("line", { x1: x, x2: x, y1, y2, class: "bar" }));
+  }
+  if (width > 0) {
+    const [x1, x2] = [across(nm - width / 2), across(nm + width / 2)];
+    elements.push(draw("line", { x1, x2, y1: y, y2: y, class: "bar width" }));
+  }
   const size = { x: x - 3, y: y - 3, width: 6, height: 6 };
-  const diamond = draw("rect", { ...size, transform: `rotate(45 ${x} ${y})`, class: "dot" });
-  if (!Number.isFinite(sigma)) return [diamond];
-  const [y1, y2] = [place(nm, value - sigma)[1], place(nm, value + sigma)[1]];
-  return [draw("line", { x1: x, x2: x, y1, y2, class: "bar" }), diamond];
+  if (!doubts.length)
+    elements.push(draw("rect", { ...size, transform: `rotate(45 ${x} ${y})`, class: "dot" }));
+  return elements;
 }
 
-function samplesOf({ layer, spectrum: { values, sigma, flags } }: Curve): Sample[] {
-  const samples = layer.bands.flatMap(({ wavelength, centroid }, i) => {
-    const [nm, value] = [wavelength ?? centroid, values[i]!];
-    if (nm === null || !Number.isFinite(value) || (flags?.[i] ?? 0) & OUTSIDE) return [];
-    return { nm, value, sigma: sigma?.[i] ?? NaN, broad: wavelength === null };
+/** Draw a value that is not to be trusted: hollow and struck through, in the colour of its flag. */
+function drawDoubt(
+  { nm, value, doubts }: Sample,
+  colour: string,
+  place: (nm: number, value: number) => Point,
+): SVGElement {
+  const [cx, cy] = place(nm, value);
+  const strike = { x1: cx - 4.5, y1: cy + 4.5, x2: cx + 4.5, y2: cy - 4.5 };
+  return draw(
+    "g",
+    { class: "doubt", stroke: colour },
+    draw("title", {}, `${nm.toFixed(0)} nm: ${doubts.map(({ word }) => word).join(", ")}`),
+    draw("circle", { cx, cy, r: 3.2, stroke: doubts[0]!.colour }),
+    draw("line", strike),
+  );
+}
+
+function samplesOf({ layer, spectrum: { values, sigma, flags } }: Curve, marks: Mark[]): Sample[] {
+  const samples = layer.bands.flatMap(({ wavelength, centroid, fwhm }, i) => {
+    const [nm, value, bits] = [wavelength ?? centroid, values[i]!, flags?.[i] ?? 0];
+    if (nm === null || !Number.isFinite(value) || bits & OUTSIDE) return [];
+    const doubts = marksOf(bits, marks).filter(({ trusted }) => !trusted);
+    const broad = wavelength === null;
+    return { nm, width: fwhm ?? NaN, value, sigma: sigma?.[i] ?? NaN, broad, doubts };
   });
   return samples.sort((a, b) => a.nm - b.nm);
 }
 
-/** Cut samples where the gap to the one before is too wide for a line. */
-export function runs<T extends { nm: number }>(samples: T[]): T[][] {
+/** Say in words how many bands of a layer are not to be trusted here, and why; empty where all are. */
+export function describeDoubts(
+  { bands }: Pick<Layer, "bands">,
+  { flags }: Pick<Spectrum, "flags">,
+  marks: Mark[],
+): string {
+  const counts = new Map<string, number>();
+  for (const bits of flags ?? [])
+    for (const { word, trusted } of marksOf(bits, marks))
+      if (!trusted) counts.set(word, (counts.get(word) ?? 0) + 1);
+  const parts = [...counts].map(([word, n], i) => {
+    const [is, are] = VERBS[word] ?? [`is ${word}`, `are ${word}`];
+    const verb = n === 1 ? is : are;
+    return i ? `${n} ${verb}` : `${n} of ${bands.length} bands ${verb}`;
+  });
+  return parts.length ? `${parts.join(", ")} here.` : "";
+}
+
+const VERBS: Record<string, [singular: string, plural: string]> = {
+  glare: ["shows glare", "show glare"],
+  moved: ["moved between shots", "moved between shots"],
+};
+
+/** From 0, or the round number below the least value, to the round number above the largest. */
+export function valueRange(samples: Pick<Sample, "value" | "sigma">[]): Range {
+  const values = samples.map(({ value }) => value);
+  const upper = samples.map(({ value, sigma }) => value + (sigma || 0));
+  const least = Math.min(...values);
+  return [least < 0 ? -niceTop(-least) : 0, niceTop(Math.max(...upper, 1e-6))];
+}
+
+/** Round values from `low` to `top`, about five; 0 is among them where it lies between. */
+export function levels(low: number, top: number): number[] {
+  const power = 10 ** Math.floor(Math.log10((top - low) / 4));
+  const step = power * LEVEL_STEPS.find((n) => n * power * 5 >= top - low)!;
+  const first = Math.ceil(low / step - 1e-9);
+  const count = Math.floor(top / step + 1e-9) - first + 1;
+  return Array.from({ length: count }, (_, i) => (first + i) * step || 0);
+}
+
+/** Cut samples where the gap to the one before is too wide for a line, and at values not to be trusted. */
+export function runs<T extends { nm: number; doubts: unknown[] }>(samples: T[]): T[][] {
   const result: T[][] = [];
+  let open = false;
   for (const [i, sample] of samples.entries()) {
-    if (i && sample.nm - samples[i - 1]!.nm <= GAP_NM) result.at(-1)!.push(sample);
-    else result.push([sample]);
+    const near = i > 0 && sample.nm - samples[i - 1]!.nm <= GAP_NM;
+    if (!sample.doubts.length) {
+      if (open && near) result.at(-1)!.push(sample);
+      else result.push([sample]);
+    }
+    open = !sample.doubts.length;
   }
   return result;
 }

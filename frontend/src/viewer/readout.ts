@@ -1,7 +1,7 @@
 // The pixel under the cursor: every camera's spectrum with sigma, and where each camera recorded it.
 import { make, saveFile, swatch } from "../shared/element";
 import type { Point } from "../shared/pane";
-import { drawChart } from "./chart";
+import { describeDoubts, drawChart, type Range } from "./chart";
 import { Lattice } from "./lattice";
 import { describeChannels, numbersTable, toCsv, type Reading } from "./numbers";
 import type { Layer, PageRecord } from "./record";
@@ -21,6 +21,8 @@ export class Readout {
   private readonly sources: Source[];
   private readonly place = make("p", { class: "place", role: "status" });
   private readonly drawing = make("div", { class: "drawing" });
+  private readonly keep = make("input", { type: "checkbox" });
+  private range: Range | null = null;
   private readonly key = make("ul", { class: "key" });
   private readonly table = make("table", { class: "numbers" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save as CSV");
@@ -50,7 +52,9 @@ export class Readout {
       make("summary", {}, "Numbers"),
       make("div", scroll, this.table),
     );
-    host.append(this.place, this.drawing, this.key, numbers, this.save);
+    const keep = make("label", { class: "keep" }, this.keep, " Keep this range of values");
+    host.append(this.place, this.drawing, keep, this.key, numbers, this.save);
+    this.keep.addEventListener("change", () => this.render(this.pixel, this.readings));
     this.save.addEventListener("click", () => this.saveTable());
     this.clear();
   }
@@ -83,9 +87,14 @@ export class Readout {
       spectrum && !this.hidden.has(layer) ? { layer, colour, spectrum } : [],
     );
     const reflectance = curves.filter(({ layer }) => layer.quantity === "reflectance");
-    const chart = reflectance.length
-      ? drawChart(reflectance, "Reflectance")
-      : drawChart(curves, "Counts");
+    const quantity = reflectance.length ? "Reflectance" : "Counts";
+    const range = this.keep.checked ? this.range : null;
+    const chart = drawChart(reflectance.length ? reflectance : curves, {
+      quantity,
+      marks: this.record.flags,
+      range,
+    });
+    if (chart) this.range = [Number(chart.dataset["low"]), Number(chart.dataset["top"])];
     this.drawing.replaceChildren(chart ?? make("div", { class: "chart blank" }));
     this.key.replaceChildren(...readings.map((reading) => this.keyOf(reading)));
     this.table.replaceChildren(...numbersTable(readings, this.record.flags));
@@ -116,7 +125,15 @@ export class Readout {
         y: String(native[1]),
       });
     const channels = spectrum && describeChannels(layer, spectrum);
-    return make("li", {}, button, place, channels && make("span", { class: "channels" }, channels));
+    const doubts = spectrum && native && describeDoubts(layer, spectrum, this.record.flags);
+    return make(
+      "li",
+      {},
+      button,
+      place,
+      channels && make("span", { class: "channels" }, channels),
+      doubts && make("span", { class: "doubts" }, doubts),
+    );
   }
 
   private millimetres([x, y]: Point): string {

@@ -1,6 +1,7 @@
 // The registration workbench, served by `levkas inspect`.
 import { effect } from "@preact/signals-core";
 import "../shared/base.css";
+import { BasisView } from "./basis";
 import "./workbench.css";
 import { radioGroup, slider } from "../shared/controls";
 import { make } from "../shared/element";
@@ -68,11 +69,13 @@ function build(store: Store): void {
   const views = make("div", { class: "views", "data-mode": "side" });
   const [nav, bar, refused] = [make("div"), make("div", { class: "bar" }), refusal(store)];
   const table = new PairTable(store);
-  const [pair, verdict, trace] = [
+  const [pair, verdict, basis, trace] = [
     new PairCard(store),
     new VerdictCard(store),
+    new BasisView(store),
     new TraceView(store),
   ];
+  const tools = [verdict.root, pair.root, basis.root, trace.root];
   const [top, opened] = header(store);
   document.body.append(
     top,
@@ -81,7 +84,7 @@ function build(store: Store): void {
       { class: "desk" },
       nav,
       make("main", { class: "middle" }, bar, refused, views, table.root),
-      make("aside", { "aria-label": "Verdict and tools" }, verdict.root, pair.root, trace.root),
+      make("aside", { "aria-label": "Verdict and tools" }, ...tools),
     ),
   );
   const stage = new PairStage(views, store);

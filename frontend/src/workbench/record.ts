@@ -28,6 +28,36 @@ export interface CameraRow {
   corrections: string;
 }
 
+/** Windows of a dense registration, a list a column; px of the reference. */
+export interface Windows {
+  x: number[];
+  y: number[];
+  shift_x: number[];
+  shift_y: number[];
+  sigma: (number | null)[];
+  /** How far each lies from a map that was fitted without its part of the picture. */
+  held_out: (number | null)[];
+  weight: number[];
+}
+
+/** What the map of a dense registration rests on. */
+export interface Basis {
+  /** The band of the windows; "fused" where those of several were put together. */
+  source: string;
+  /** The band of the checks. */
+  band: string;
+  count: number;
+  windows: Windows;
+  checks: {
+    x: number[];
+    y: number[];
+    shift_x: number[];
+    shift_y: number[];
+    found: boolean[];
+    tolerance: number;
+  } | null;
+}
+
 export interface FrameInfo {
   id: string;
   object: string;
@@ -47,6 +77,7 @@ export interface FrameInfo {
   verdict: { decision: string; reasons: string[]; next_step: string };
   ladder: Record<string, number>[];
   chosen: string[];
+  basis: Basis | null;
 }
 
 export interface Trace {

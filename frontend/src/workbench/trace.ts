@@ -1,4 +1,4 @@
-// How the outliers left: the paper's Figure 9 as a picture to scrub through, its Figure 10 beneath.
+// How the outliers of the paper's method left: its Figure 9 as a picture to scrub through, its Figure 10 beneath.
 import { effect, signal } from "@preact/signals-core";
 import { make } from "../shared/element";
 import { onTheme } from "../shared/theme";
@@ -11,8 +11,6 @@ import { thresholdSlider } from "./threshold";
 const PLAY_MS = 4000;
 const PLAY = "▶";
 const PAUSE = "❚❚";
-const IDLE =
-  "Both belong to the paper's method. The default method made this map and has neither: here they redraw the figure alone.";
 
 export class TraceView {
   readonly root: HTMLElement;
@@ -35,7 +33,6 @@ export class TraceView {
     const label = "Round of the removal";
     const facts = { type: "range", min: -1, max: 0, value: 0, id: "round", "aria-label": label };
     const range = make("input", facts);
-    const idle = make("p", { class: "soft", id: "thresholds-idle", hidden: true }, IDLE);
     const reject =
       "Pairs farther apart than this under scale alone are dropped at once (the paper's T1).";
     const stop = "The worst pair leaves until none is farther off than this (the paper's T2).";
@@ -49,7 +46,6 @@ export class TraceView {
       this.status,
       thresholdSlider(store, "reject", "Cut at the start", reject),
       thresholdSlider(store, "stop", "Stop at", stop),
-      idle,
     );
     range.addEventListener("input", () => this.go(Number(range.value)));
     this.play.addEventListener("click", () => this.toggle());
@@ -57,7 +53,7 @@ export class TraceView {
       const { frame, session } = store;
       range.max = String(Math.max(lastRound(session.value), -1));
       range.disabled = this.play.disabled = !session.value?.trace;
-      idle.hidden = !frame.value?.built || frame.value.method === "mirhashemi2019";
+      this.root.hidden = Boolean(frame.value?.basis || frame.value?.is_reference); // nothing was removed
       this.go(this.atEnd ? Infinity : this.round.peek());
     });
     effect(() => {

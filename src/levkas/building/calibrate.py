@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,13 +17,11 @@ from levkas.building.exposures import (
     defects_of,
     expose,
     flatten,
-    line_noise,
     mark_glare_in,
     noise_of,
     require_same_size,
     white_of,
 )
-from levkas.building.line_templates import best_white, noise_behind_mirror, thinned
 from levkas.building.native_cubes import (
     GROUP,
     ROWS,
@@ -34,46 +31,33 @@ from levkas.building.native_cubes import (
     require_memory,
     write_native,
 )
-from levkas.building.scan_opening import open_scan
-from levkas.building.scans import Scan, is_streamed
+from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
 from levkas.building.spectra import broad_centroids, white_reflectance
 from levkas.building.streaming import write_scan
 from levkas.calibration.defects import replace_defects
-from levkas.calibration.denoising import denoise, describe_removed
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import mean_variance
-from levkas.calibration.pushbroom import average_lines, join_strips
 from levkas.calibration.sensor_context import (
     CodesRefused,
     SensorContext,
-    by_exposure,
-    doubt_scaling,
     doubts_of,
     exposure_of,
-    placed,
-    read_cube,
     require_exposures,
-    templates_by_exposure,
-    timed,
-    times_in,
-    times_of,
 )
-from levkas.calibration.templates import CalibrationRefused, Template, average, describe_gaps
-from levkas.calibration.whites import WhiteBoard, thinning
+from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
+from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
 from levkas.core.files import together
 from levkas.core.problems import Problem, Refused
-from levkas.core.rounding import round_root
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 if TYPE_CHECKING:
     from levkas.building.template_cache import TemplateCache
     from levkas.calibration.noise_fit import NoiseModel
-    from levkas.calibration.pushbroom import Seam
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef
     from levkas.database.layout import Places
@@ -119,7 +103,7 @@ def write_calibrated(
         "warnings": list(made.warnings),
         "captured": made.captured or "",
         "learnt": dict(made.learnt),
-        "focus": focus_of(made) if isinstance(made, Native) else made.focus,
+        "focus": focus_of(made) if isinstance(made, Native) else made.summary.focus,
     }
     return Written(files, notes, warnings=made.warnings)
 
@@ -241,119 +225,6 @@ def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | No
     """Return the method that is declared, or the kind's own; None for the pattern's own."""
     beam_splitter = camera.kind == "sensors" and len(pattern) == 2
     return camera.demosaic or ("bilinear" if beam_splitter else None)
-
-
-def develop_cube(context: SensorContext) -> Noted:
-    """A line scan: dark and white averaged along the scan, or frames for a mirror scanner."""
-    sensor, mirror = context.sensor, context.camera.scan == "mirror"
-    make = partial(_scan_template, context)
-    darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
-    require_same_size(context, _shape_of(sensor.object[0]), darks, whites)
-    step = thinning(whites[0].mean.shape[:2]) if mirror and whites else 1
-    chosen = best_white(whites, step) if whites else 0
-    white = whites[chosen] if whites else None
-    note_light(
-        context.told,
-        thinned(white, step) if white else None,
-        [thinned(d, step) for d in darks],
-        None,
-        [b.label for b in sensor.bands],
-        period=(step, step),
-    )
-    if mirror:
-        of_white = by_exposure(sensor.white)[chosen][1][0] if white else None
-        noise = noise_behind_mirror(context, of_white)
-    else:
-        noise = line_noise(context, darks, white)
-    _require_one_time(context, white)
-    strips = [_strip(context, frame, darks, white, noise) for frame in sensor.object]
-    notes = [note for strip in strips for note in strip.notes]
-    whole = strips[0]
-    if len(strips) > 1:
-        whole, seams = join_strips(strips)
-        notes.extend(_describe_seam(i, seam) for i, seam in enumerate(seams, 1))
-    values, variance = whole.values, whole.variance
-    if context.camera.denoise:
-        values, variance, note = _denoised(values, variance)
-        notes.append(note)
-    return cube_of(context, values, whole.flags, variance, whole.quantity), notes
-
-
-def _scan_template(context: SensorContext, frames: Sequence[FrameRef]) -> Template:
-    """Average the lines of dark or white frames; of a mirror scanner the frames."""
-    blocks = (context.checked(read_cube(frame), frame) for frame in frames)
-    join = average if context.camera.scan == "mirror" else average_lines
-    return context.whole(join(blocks, saturation=context.saturation), frames)
-
-
-def _strip(
-    context: SensorContext,
-    frame: FrameRef,
-    darks: list[Template],
-    white: Template | None,
-    noise: NoiseModel | None,
-) -> Calibrated:
-    """Flat-field one strip of a line scan."""
-    block, times = context.checked(read_cube(frame), frame), times_of(frame)
-    shot = timed(
-        context.whole(average(iter([block]), saturation=context.saturation), [frame]), times
-    )
-    del block
-    flat = flatten(
-        context,
-        shot,
-        darks,
-        white,
-        board=WhiteBoard(
-            white_reflectance(context.campaign, context.sensor.bands),
-            labels=[b.label for b in context.sensor.bands],
-        ),
-        noise=noise,
-    )
-    doubt = doubt_scaling(context, times, times_in(white)) if white else ""
-    return replace(flat, notes=(doubt, *flat.notes))
-
-
-def _shape_of(frame: FrameRef) -> tuple[int, ...]:
-    """(lines, samples, bands) of a cube, from its headers."""
-    facts = read_facts(frame.path)
-    if facts.pages > 1:
-        return (*facts.shape[:2], facts.pages)
-    return facts.shape if len(facts.shape) == 3 else (*facts.shape, 1)
-
-
-def _require_one_time(context: SensorContext, white: Template | None) -> None:
-    """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
-    strips = by_exposure(context.sensor.object)
-    if white is None and len(strips) > 1:
-        problem = Problem(
-            "E_EXPOSURES",
-            f"{context.camera.name}: strips of several exposures, and no white",
-            field="targets.white",
-            found=", ".join(frames[0].path.name for _, frames in strips),
-            expected="strips of one exposure, or a white",
-            fix="Capture a white, or leave the other exposures out of `files`.",
-        )
-        raise CalibrationRefused(placed(problem, context.sensor.object))
-
-
-def _describe_seam(number: int, seam: Seam) -> str:
-    worst = float(np.nanmax(np.abs(seam.difference)))
-    return (
-        f"strips {number} and {number + 1} share {seam.overlap} samples (shift {seam.shift} lines); "
-        f"the seam differs by {100 * seam.rms:.1f} % rms, by {100 * worst:.1f} % in its worst band"
-    )
-
-
-def _denoised(
-    values: np.ndarray, variance: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray | None, str]:
-    """Project a cube on its signal subspace (HySime), and say what that took away."""
-    if variance is not None:  # rounded as the sigma of lines that are read some at a time
-        variance = np.square(round_root(variance, out=variance), out=variance)
-    made = denoise(values, variance)
-    note = describe_removed(made.subspace, made.removed, made.removed_most)
-    return made.values, made.variance, note
 
 
 def develop_image(context: SensorContext) -> Noted:
@@ -501,6 +372,6 @@ DEVELOPERS = {
     "mosaic": develop_mosaic,
     "sensors": develop_mosaic,
     "bands": develop_bands,
-    "cube": develop_cube,
+    "cube": develop_scan,
     "image": develop_image,
 }

@@ -6,15 +6,14 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import BuildRecords, Key, key_of
+from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest
 from levkas.building.progress import Step
-from levkas.building.removal import CATALOGUE
 from levkas.building.sources import code_version
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.captures import Capture
 from levkas.core.ownership import IMPRINT, MARK
-from levkas.database.layout import Places
+from levkas.database.layout import LayerId, Places
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -93,7 +92,28 @@ def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
     ours |= {TABLE, IMPRINT, MANIFEST}
     there = [n for n in list_files(places.output) if n not in ours and not is_partial(n)]
     there = [n for n in there if not _OF_ALL_LAYERS.fullmatch(n)]
+    estimated = _estimated_files(places)
+    there = [n for n in there if not n.startswith(estimated)]
     return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
+
+
+def _estimated_files(places: Places) -> tuple[str, ...]:
+    """Return how the names of files of estimated layers begin; ``levkas estimate --apply`` makes them."""
+    from levkas.database.catalogue import ESTIMATED, DatabaseRefused, read_catalogue
+
+    try:
+        entries = [e for e in read_catalogue(places.output) if e.kind == ESTIMATED]
+    except DatabaseRefused:
+        return ()
+    layers = [LayerId(e.object, e.camera, e.setup) for e in entries]
+    return tuple(
+        beginning
+        for layer in layers
+        for beginning in (
+            f"objects/{layer.object}/{layer.stem}.",
+            f"zarr/{layer.object}.zarr/{layer.name}/",
+        )
+    )
 
 
 def foreign_files(others: dict[str, str]) -> tuple[str, ...]:
@@ -129,7 +149,7 @@ def _entries(
     places: Places, records: BuildRecords, captures: list[Capture], names: list[str], *, whole: bool
 ) -> list[Entry]:
     """One row a layer that stands in the database."""
-    from levkas.database.catalogue import DatabaseRefused, entry_of, read_catalogue
+    from levkas.database.catalogue import ESTIMATED, DatabaseRefused, entry_of, read_catalogue
 
     built = {(c.object, c.camera, c.setup) for c in captures}
     try:
@@ -139,7 +159,8 @@ def _entries(
     entries = [
         e
         for e in stood
-        if (not whole and e.object not in names)
+        if e.kind == ESTIMATED
+        or (not whole and e.object not in names)
         or (
             records.keep_removed
             and (e.object, e.camera, e.setup) not in built

@@ -15,7 +15,6 @@ import numpy as np
 from levkas.core.cube import Band, Cube
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
-from levkas.database.layout import LayerId
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
-    from levkas.database.catalogue import Entry
     from levkas.database.layout import Places
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
@@ -410,10 +408,10 @@ def subjects_of(
     for entry in entries:
         if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
             continue
-        layer = LayerId(entry.object, entry.camera, entry.setup).stem
-        file = database / "objects" / entry.object / f"{layer}.tif"
-        check_inside(database, file, file.with_name(f"{layer}.flags.tif"))
-        yield Subject(_name(entry), chart_of(kind), {"": file}, bool(objects))
+        file = database / f"{entry.layer.path}.tif"
+        check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
+        name = f"{entry.object}/{entry.layer.name}"
+        yield Subject(name, chart_of(kind), {"": file}, bool(objects))
 
 
 def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
@@ -432,11 +430,6 @@ def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
             camera = record.stem[len(record.parent.name) + 1 :]
             name = f"{record.parent.name}/{camera}"
             yield camera, Subject(name, chart_of(str(told["chart"])), files, True)
-
-
-def _name(entry: Entry) -> str:
-    setup = f"@{entry.setup}" if entry.setup else ""
-    return f"{entry.object}/{entry.camera}{setup}"
 
 
 def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zipfile import BadZipFile
 
 from levkas.building import fingerprints
-from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written, key_of
+from levkas.building.build_records import BuildRecords, Key, Written, key_of
 from levkas.building.fingerprints import Inputs, measured_path
 from levkas.building.graph import Graph, Task
 from levkas.building.progress import Step
@@ -265,7 +265,6 @@ class Executor:
 
     def _compute(self, task: Task) -> Write | Step:
         """Do what a task computes; return what writes it, or the step of one that was refused."""
-        self.records.forget(CATALOGUE)  # what it lists is about to change
         self._before.setdefault(task.key, self.records.products(task.key))
         stages: Mapping[str, Callable[[Task], Write]] = {
             "calibrate": self._calibrate,

@@ -329,18 +329,12 @@ def cube_of(
     flags: np.ndarray,
     variance: np.ndarray | None,
     quantity: str,
-    *,
-    exact: bool = False,
 ) -> Cube:
-    """Return values, flags and sigma of one sensor; what could not be said is 0 and flagged.
-
-    Values that are `exact` are still to be rounded.
-    """
+    """Return values, flags and sigma of one sensor, rounded; what is not known is 0 and flagged."""
     sigma = None
     if variance is not None:
         sigma = round_root(variance, out=variance if variance.dtype == np.float32 else None)
-    if not exact:
-        values = round_values(values, out=values if values.dtype == np.float32 else None)
+    values = round_values(values, out=values if values.dtype == np.float32 else None)
     lost = ~np.isfinite(values)
     if lost.any():
         values = np.where(lost, np.float32(0), values)
@@ -355,18 +349,8 @@ def defects_of(darks: list[Template], white: Template | None, pattern: Any) -> n
     return find_defects(darks[-1] if darks else None, white, pattern)
 
 
-def mark_glare_in(cube: Cube, *, squared: bool = False) -> Cube:
-    """Return reflectance with GLARE in its flags, each value judged by itself.
-
-    With `squared` its sigma is the square of it.
-    """
+def mark_glare_in(cube: Cube) -> Cube:
+    """Return reflectance with GLARE in its flags, each value judged by itself."""
     if cube.quantity == "reflectance":
-        mark_glare(cube.values, cube.flags, cube.sigma, squared=squared)
+        mark_glare(cube.values, cube.flags, cube.sigma)
     return cube
-
-
-def line_noise(
-    context: SensorContext, darks: Sequence[Template], white: Template | None
-) -> NoiseModel | None:
-    """Noise of a push-broom camera: its white is one line, seen many times."""
-    return noise_of(context, [], [white] if white else [], list(darks))

@@ -11,10 +11,9 @@ import numpy as np
 
 from levkas.building.register import Measured, draw_figures, verdict_problems
 from levkas.geometry import from_dict
-from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.geometry.transforms import Affine, Composed, Transform, solve_2x2
 from levkas.registration.joint import JointResult, SensorObservations, adjust_jointly
 from levkas.registration.manual_points import measure_checks, nearest_rows
-from levkas.registration.models import solve_2x2
 from levkas.registration.record import Matches, Sigma, describe_windows
 from levkas.registration.uncertainty import measure_sigma, with_chromatic
 from levkas.registration.verdict import ONLY, judge_windows

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from levkas.campaign.schema.tables import GridKeys
     from levkas.database.layout import Places
     from levkas.registration import BandImage
-    from levkas.registration.prepared_reference import PreparedReference
+    from levkas.registration.predictors import PreparedReference
 
     Grey = tuple[np.ndarray, np.ndarray]
     Region = tuple[float, float, float, float]
@@ -76,7 +76,7 @@ class ReferenceFrame:
 
         `own` where the reference camera itself is registered: all its bands are held until then.
         """
-        from levkas.registration.prepared_reference import PreparedReference
+        from levkas.registration.predictors import PreparedReference
 
         if self._prepared is None:
             self._prepared = PreparedReference(self.images, self.band, region)

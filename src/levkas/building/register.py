@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from levkas.database.layout import Places
     from levkas.geometry.grid import Grid
     from levkas.registration import BandImage
-    from levkas.registration.prepared_reference import PreparedReference
+    from levkas.registration.predictors import PreparedReference
 
 _COLUMNS = tuple(column.name for column in fields(Matches))
 _WORDS = ("state", "reason")

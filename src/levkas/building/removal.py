@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
+from levkas.building.build_records import STAGES, BuildRecords, Key, key_of
 from levkas.building.graph import keys_of
 from levkas.building.progress import Step
 from levkas.core.disk import DISK_CODES
@@ -73,8 +73,6 @@ def removal(keys: Sequence[Key], records: BuildRecords) -> list[Step]:
     told = describe(keys, records)
     if told and records.keep_removed:
         return [Step(REMOVED, "fresh", warnings=(f"{told}, and was kept",))]
-    if keys and not records.keep_removed:
-        records.forget(CATALOGUE)  # what it lists is about to change
     where = None
     for key in keys if not records.keep_removed else ():
         where = records.put_away(records.made_by(key)) or where
@@ -108,7 +106,6 @@ def withdraw(
             remove(places.output / name)
         records.drop(key)
     # By name, not by record: an interrupted build has dropped the record and left the files.
-    records.forget(CATALOGUE)
     records.forget(key_of(capture, "resample"))
     files = [
         places.layer(capture.object, capture.camera, capture.setup, kind=kind)
@@ -128,7 +125,6 @@ def put_away(name: str, camera: str, setup: str, records: BuildRecords) -> None:
 def put_away_stage(key: Key, records: BuildRecords) -> None:
     """Move out what a stage made, and forget it."""
     if made := records.made_by(key):
-        records.forget(CATALOGUE)
         records.put_away(made)
         records.drop(key)
 

@@ -1,49 +1,67 @@
-"""Line scans too large for memory: calibrated some lines at a time, whenever they are asked for."""
+"""Line scans: calibrated by blocks of lines, which are held in memory, or passed on where they are too many."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from levkas.building.exposures import mark_glare_in
-from levkas.building.line_templates import FrameLines, gaps_marked
-from levkas.calibration.denoising import describe_removed
-from levkas.calibration.lines import LineField
-from levkas.calibration.sensor_context import Times, timed, times_of
+from levkas.building.capture_statistics import Middle
+from levkas.building.exposures import cube_of, flatten, mark_glare_in
+from levkas.building.scan_templates import (
+    FrameLines,
+    ScanFile,
+    ScanTemplates,
+    block_lines,
+    gaps_marked,
+    lines_of,
+    templates_of_scan,
+)
+from levkas.building.spectra import white_reflectance
+from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
+from levkas.calibration.flatfield import Calibrated, describe_darks
+from levkas.calibration.pushbroom import join_strips
+from levkas.calibration.sensor_context import (
+    SensorContext,
+    by_exposure,
+    doubt_scaling,
+    doubts_of,
+    placed,
+    require_exposures,
+    timed,
+    times_in,
+    times_of,
+)
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
-    bands_alike,
+    average,
     describe_lost,
     gaps_of,
     no_values,
 )
 from levkas.calibration.whites import WhiteBoard
-from levkas.core.cube import UNRELIABLE, Cube, Flag
-from levkas.core.machine import count_threads, tile_rows
-from levkas.core.rounding import round_root, round_values
+from levkas.core.cube import UNRELIABLE, Band, Cube
+from levkas.core.problems import Problem
+from levkas.core.rounding import round_root
+from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Sequence
 
-    from levkas.calibration.denoising import Projecting, Subspace
-    from levkas.calibration.noise_fit import NoiseModel
-    from levkas.calibration.sensor_context import SensorContext
+    from levkas.building.template_cache import TemplateCache
+    from levkas.calibration.pushbroom import Seam
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
-    from levkas.core.cube import Band, Cube
-    from levkas.readers.envi import EnviFile
 
 STREAMED_SAMPLES = 400_000_000
-"""A cube of more samples, of a mirror scanner of a third as many, is streamed. Layers, maps and records end
-in the same bytes either way; the range on the report's page is then that of every sixteenth pixel. A constant,
-so that which way a scan goes does not hang on the memory that happens to be there."""
-BLOCK_SAMPLES = 8_000_000
-"""Calibrated at once, where $LEVKAS_TILE does not say how many lines."""
+"""A scan of more samples, of a mirror scanner of a third as many, is not held in memory. Layers, maps and
+records end in the same bytes either way but for the last bits of resampled values; the range on the report's
+page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
 LOOKED_AT_PX = 1_000_000
 """Most pixels of a band as registration sees it."""
 
@@ -53,8 +71,6 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
 
     Dark and white of a mirror scanner are as large, and have to be ENVI files too.
     """
-    from levkas.readers.frames import read_facts
-
     camera, sensor = campaign.cameras[capture.camera], capture.sensors[0]
     if camera.kind != "cube" or capture.camera == campaign.reference.camera:
         return False
@@ -68,116 +84,161 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
     return all(one.kind == "envi" for one in facts) and samples > STREAMED_SAMPLES
 
 
-@dataclass(frozen=True, eq=False)
-class RawLines:
-    """Some lines as they are in the file, with the darks and the white that belong to them.
+class FlatLines(NamedTuple):
+    """Flat-fielded lines, and how many values of each band, (bands,), a frame had lost."""
 
-    Templates are one line high for all, or as high as `codes`.
-    """
-
-    codes: np.ndarray
-    darks: tuple[Template, ...]
-    white: Template | None
+    flat: Calibrated
+    lost: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
-    """One line scan with its templates, in place of `Native`.
+class Strip:
+    """One file of a line scan, with what its lines are flat-fielded by."""
 
-    Parameters
-    ----------
-    opened : EnviFile
-    bench : SensorContext
-    darks : tuple of Template or FrameLines
-    white : Template, FrameLines or None
-        One line each, or of a mirror scanner what its lines are read from.
-    noise : NoiseModel or None
-    reflectance : float or ndarray
-        Of the white.
-    where : str
-        Object and layer, for warnings.
-    aligns, captured
-        As of `Native`.
-    doubts : tuple of str
-        Warnings that are known before a line is read.
-    told : list of str
-        Warnings that `Passage` adds when all lines have been seen.
-    focus : list of dict
-        As `focusing.focus_of` gives it; known when all lines have been seen.
-    """
-
-    opened: EnviFile
-    bench: SensorContext
-    darks: tuple[Template | FrameLines, ...]
-    white: Template | FrameLines | None
-    noise: NoiseModel | None
-    reflectance: Any
-    where: str
-    captured: str | None = None
-    doubts: tuple[str, ...] = ()
-    aligns: Mapping[str, object] = field(default_factory=dict)
-    pictures: list[BandImage] = field(default_factory=list)
-    told: list[str] = field(default_factory=list)
-    focus: list[dict[str, Any]] = field(default_factory=list)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """As of `Native`."""
-        return (*self.doubts, *self.told)
+    context: SensorContext
+    file: ScanFile
+    templates: ScanTemplates
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """(lines, samples, bands)."""
-        lines, samples, bands = self.opened.facts.shape
+        return self.file.shape
+
+    @cached_property
+    def reflectance(self) -> Any:
+        """Of the white, a number or one a band."""
+        return white_reflectance(self.context.campaign, self.context.sensor.bands)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What exposures leave in doubt, known before a line is calibrated."""
+        context, times = self.context, times_of(self.file.frame)
+        darks = [lines_of(dark, 0, 1) for dark in self.templates.darks]
+        white = None if self.templates.white is None else lines_of(self.templates.white, 0, 1)
+        doubt = doubt_scaling(context, times, times_in(white)) if white is not None else ""
+        none = np.zeros((1, 1, len(context.sensor.bands)), bool)
+        shot = timed(Template(none.astype(np.float32), None, 1, none, none), times)
+        notes = (doubt, *describe_darks(shot, darks, white, context.black))
+        return tuple(note for note in notes if note)
+
+    def flat(self, start: int, stop: int) -> FlatLines:
+        """Flat-field lines `start` to `stop`; the same values for any block that they are part of."""
+        context, frame = self.context, self.file.frame
+        codes = context.checked(self.file.read(start, stop, turned=False), frame)
+        shot = average(iter([codes]), saturation=context.saturation)
+        shot = timed(gaps_marked(shot), times_of(frame))
+        darks = [lines_of(dark, start, stop) for dark in self.templates.darks]
+        white = self.templates.white
+        lit = None if white is None else lines_of(white, start, stop)
+        flat = flatten(
+            context,
+            shot,
+            darks,
+            lit,
+            board=WhiteBoard(
+                self.reflectance,
+                labels=[band.label for band in context.sensor.bands],
+                checked=start > 0 or isinstance(white, FrameLines),
+            ),
+            noise=self.templates.noise,
+        )
+        lost = gaps_of(shot, *darks, lit)
+        if lost is None:
+            return FlatLines(flat, np.zeros(codes.shape[2], np.int64))
+        return FlatLines(flat, np.broadcast_to(lost, codes.shape).sum((0, 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedStrips:
+    """Strips of one scan that were flat-fielded and joined, in memory."""
+
+    whole: Calibrated
+    notes: tuple[str, ...]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(lines, samples, bands)."""
+        lines, samples, bands = self.whole.values.shape
         return int(lines), int(samples), int(bands)
+
+    def flat(self, start: int, stop: int) -> FlatLines:
+        """Return lines `start` to `stop`; what was lost is in the notes already."""
+        rows, whole = slice(start, stop), self.whole
+        variance = None if whole.variance is None else whole.variance[rows].copy()
+        parts = whole.values[rows].copy(), whole.flags[rows].copy(), variance
+        return FlatLines(Calibrated(*parts, whole.quantity), np.zeros(self.shape[2], np.int64))
+
+
+class ScanSummary(NamedTuple):
+    """What one pass over all lines of a scan shows: notes, pictures for registration, focus by band."""
+
+    notes: tuple[str, ...]
+    pictures: list[BandImage]
+    focus: list[dict[str, Any]]
+
+
+@dataclass(eq=False)
+class Scan:
+    """One line scan whose lines are calibrated whenever they are needed, in place of `Native`.
+
+    Parameters
+    ----------
+    context : SensorContext
+    source : Strip or JoinedStrips
+        Of its flat-fielded lines.
+    where : str
+        Object and layer, for warnings.
+    aligns, captured
+        As of `Native`.
+    """
+
+    context: SensorContext
+    source: Strip | JoinedStrips
+    where: str = ""
+    captured: str | None = None
+    aligns: Mapping[str, object] = field(default_factory=dict)
+    _summary: ScanSummary | None = field(default=None, init=False)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """As of `Native`; complete when all lines have been calibrated once."""
+        seen = self._summary.notes if self._summary else ()
+        return tuple(dict.fromkeys(f"{self.where}: {note}" for note in (*self._doubts, *seen)))
+
+    @cached_property
+    def _doubts(self) -> tuple[str, ...]:
+        return (*doubts_of(self.context), *self.source.notes)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(lines, samples, bands)."""
+        return self.source.shape
 
     @property
     def bands(self) -> tuple[Band, ...]:
         """All bands."""
-        return self.bench.sensor.bands
+        return self.context.sensor.bands
+
+    @cached_property
+    def _first(self) -> Calibrated:
+        return self.source.flat(0, 1).flat
 
     @property
     def quantity(self) -> str:
         """``"reflectance"`` where there is a white, else ``"counts"``."""
-        return "counts" if self.white is None else "reflectance"
+        return self._first.quantity
 
-    @cached_property
+    @property
     def has_sigma(self) -> bool:
         """Whether the noise is known."""
-        return self._flat(self._raw(0, 1)).sigma is not None
-
-    @cached_property
-    def field(self) -> LineField | None:
-        """The flat field of every line; None where each line has its own, as behind a mirror, or each band its times."""
-        lines = [one for one in self.darks if isinstance(one, Template)]
-        if len(lines) < len(self.darks) or isinstance(self.white, FrameLines):
-            return None
-        if isinstance(self.times, tuple) or bands_alike(*lines, self.white):
-            return None
-        return LineField.of(
-            lines,
-            self.white,
-            exposure_s=self.times,
-            shape=self.shape[1:],
-            reflectance=self.reflectance,
-            black=self.bench.black,
-            noise=self.noise,
-            labels=[band.label for band in self.bands],
-        )
-
-    @cached_property
-    def times(self) -> Times:
-        """Exposure of the object."""
-        return times_of(self.bench.sensor.object[0])
+        return self._first.variance is not None
 
     @cached_property
     def subspace(self) -> Subspace | None:
-        """The signal subspace of the whole scan where HySime is asked for; found in one passage."""
-        from levkas.calibration.denoising import find_subspace
-
-        if not self.bench.camera.denoise:
+        """The signal subspace of the whole scan where HySime is asked for; found in one pass."""
+        if not self.context.camera.denoise:
             return None
-        return find_subspace(_as_numbers(self._flat(raw)) for raw in self.raw_blocks())
+        return find_subspace(block.flat.values for block in self._flat_blocks(0, self.shape[0]))
 
     @property
     def factor(self) -> int:
@@ -188,7 +249,7 @@ class Scan:
     @property
     def learnt(self) -> dict[str, dict[str, Any]]:
         """What was learnt of the sensor, as of `Native`."""
-        return {self.bench.sensor.name: self.bench.told}
+        return {self.context.sensor.name: self.context.told}
 
     def without_sigma(self) -> Scan:
         """Return the scan itself: it holds nothing."""
@@ -198,216 +259,116 @@ class Scan:
         """Return [width, height] of any band."""
         return [self.shape[1], self.shape[0]]
 
-    def lines(
-        self, start: int, stop: int, into: Cube | None = None, *, squared: bool = False
-    ) -> Cube:
-        """Calibrate lines `start` to `stop`; the same values for any block that they are part of.
+    def blocks(self, start: int, stop: int) -> Iterator[Cube]:
+        """Yield lines `start` to `stop`, calibrated, some at a time."""
+        projecting = Projecting(self.subspace) if self.subspace else None
+        for block in self._flat_blocks(start, stop):
+            yield self._finished(block.flat, projecting)
 
-        They are written to the arrays of `into`, of as many lines, where it is given; `squared`, the
-        square of sigma takes its place.
+    def whole(self) -> tuple[Cube, tuple[str, ...]]:
+        """Calibrate all lines; return them in memory, and notes.
+
+        Raises CalibrationRefused where a band has no finite value at all.
         """
-        whole = self.room(stop - start) if into is None else into
-        step = lines_at_once(self.shape)
-        for y in range(start, stop, step):
-            last = min(y + step, stop)
-            part = rows_of(whole, y - start, last - start)
-            self.calibrated(self._raw(y, last), into=part, squared=squared)
-        return whole
+        values, flags = np.empty(self.shape, np.float32), np.empty(self.shape, np.uint8)
+        sigma = np.empty(self.shape, np.float32) if self.has_sigma else None
+        calibration, y = ScanPass(self), 0
+        for block in calibration.blocks():
+            rows = slice(y, y + len(block.values))
+            y = rows.stop
+            values[rows], flags[rows] = block.values, block.flags
+            if sigma is not None:
+                sigma[rows] = block.sigma
+        cube = Cube(values, flags, sigma, self.bands, self.quantity)
+        return cube, (*self.source.notes, *calibration.notes())
 
-    def room(self, lines: int) -> Cube:
-        """Return arrays for so many lines, not filled."""
-        shape = (lines, *self.shape[1:])
-        sigma = np.empty(shape, np.float32) if self.has_sigma else None
-        values, flags = np.empty(shape, np.float32), np.empty(shape, np.uint8)
-        return Cube(values, flags, sigma, self.bands, self.quantity)
+    def passed(self) -> Iterator[Cube]:
+        """Yield all lines, calibrated; pictures, focus and warnings are known when the last has been taken.
 
-    def blocks(self) -> Iterator[Cube]:
-        """Yield all lines, some at a time."""
-        return (self.calibrated(raw) for raw in self.raw_blocks())
-
-    def raw_blocks(self) -> Iterator[RawLines]:
-        """Yield all lines as they are in the file."""
-        step = lines_at_once(self.shape)
-        for start in range(0, self.shape[0], step):
-            yield self._raw(start, min(start + step, self.shape[0]))
-
-    def calibrated(
-        self,
-        raw: RawLines,
-        projecting: Projecting | None = None,
-        into: Cube | None = None,
-        *,
-        squared: bool = False,
-    ) -> Cube:
-        """Calibrate raw lines; `projecting` gathers what HySime takes away.
-
-        They are written to the arrays of `into` where it is given, with `squared` as for `lines`.
+        Raises CalibrationRefused where a band has no finite value at all.
         """
-        from levkas.calibration.denoising import Projecting
-
-        cube = self._flat(raw, into, squared)
-        values = cube.values
-        if self.subspace is not None:
-            spread = cube.sigma
-            if spread is not None and not squared:
-                np.square(spread, out=spread)
-            project = projecting or Projecting(self.subspace)
-            projected, variance = project(_as_numbers(cube), spread)
-            values = np.where(np.isnan(projected), cube.values, projected)
-            if spread is not None and variance is not None:
-                round_root(variance, out=spread)
-                if squared:
-                    np.square(spread, out=spread)
-        if self._exact:
-            out = None if into is None else into.values
-            cube = replace(cube, values=round_values(values, out=out))
-        return mark_glare_in(cube, squared=squared)
-
-    def _raw(self, start: int, stop: int) -> RawLines:
-        codes = self.opened.read_lines(start, stop, turned=False)
-        return RawLines(
-            self.bench.checked(codes, self.bench.sensor.object[0]),
-            tuple(_lines_of(dark, start, stop) for dark in self.darks),
-            None if self.white is None else _lines_of(self.white, start, stop),
-        )
+        calibration, pictures = ScanPass(self), Pictures(self)
+        middle = Middle(self.shape, self.bands)
+        for cube in calibration.blocks():
+            pictures.add(cube)
+            middle.add(cube)
+            yield cube
+        self._summary = ScanSummary(calibration.notes(), pictures.images(), middle.focus())
 
     @property
-    def _exact(self) -> bool:
-        """Whether values are rounded when noise is taken away, and not before."""
-        return bool(self.bench.camera.denoise)
-
-    def _flat(self, raw: RawLines, into: Cube | None = None, squared: bool = False) -> Cube:
-        if self.field is None or raw.codes.dtype not in (np.uint8, np.uint16):
-            cube = self._flat_by_frames(raw, into)
-            if squared and cube.sigma is not None:
-                np.square(cube.sigma, out=cube.sigma)
-            return cube
-        made = self.field.develop(
-            raw.codes,
-            saturation=self.bench.saturation,
-            threads=count_threads(),
-            exact=self._exact,
-            squared=squared,
-            out=None if into is None else (into.values, into.flags, into.sigma),
-        )
-        return Cube(*made, self.bands, self.quantity)
-
-    def _flat_by_frames(self, raw: RawLines, into: Cube | None) -> Cube:
-        """Calibrate lines as whole frames are; the white of a mirror scanner was looked at as it was opened."""
-        from levkas.building.exposures import cube_of, flatten
-        from levkas.calibration.templates import average
-
-        flat = flatten(
-            self.bench,
-            timed(
-                gaps_marked(average(iter([raw.codes]), saturation=self.bench.saturation)),
-                self.times,
-            ),
-            list(raw.darks),
-            raw.white,
-            board=WhiteBoard(
-                self.reflectance,
-                labels=[band.label for band in self.bands],
-                checked=isinstance(self.white, FrameLines),
-            ),
-            noise=self.noise,
-        )
-        parts = flat.values, flat.flags, flat.variance, flat.quantity
-        cube = cube_of(self.bench, *parts, exact=self._exact)
-        if into is None:
-            return cube
-        into.values[...], into.flags[...] = cube.values, cube.flags
-        if into.sigma is not None and cube.sigma is not None:
-            into.sigma[...] = cube.sigma
-        return into
+    def summary(self) -> ScanSummary:
+        """What a pass over all lines shows; one is made where there was none."""
+        if self._summary is None:
+            for _ in self.passed():
+                pass
+        assert self._summary is not None
+        return self._summary
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""
-        if not self.pictures:
-            reducer = Reducer(self)
-            for cube in self.blocks():
-                reducer.add(cube)
-            self.pictures.extend(reducer.images())
-        return self.pictures
+        return self.summary.pictures
+
+    def _flat_blocks(self, start: int, stop: int) -> Iterator[FlatLines]:
+        step = block_lines(self.shape)
+        for y in range(start, stop, step):
+            yield self.source.flat(y, min(y + step, stop))
+
+    def _finished(self, flat: Calibrated, projecting: Projecting | None) -> Cube:
+        """Round flat-fielded lines and flag glare; `projecting` takes noise away before."""
+        values, variance = flat.values, flat.variance
+        if projecting is not None:
+            if variance is not None:
+                variance = np.square(round_root(variance))
+            values, variance = projecting(values, variance)
+        return mark_glare_in(cube_of(self.context, values, flat.flags, variance, flat.quantity))
 
 
-def _lines_of(template: Template | FrameLines, start: int, stop: int) -> Template:
-    """Return the lines of a template that belong to some of the scan, or the one that serves all."""
-    return template.lines(start, stop) if isinstance(template, FrameLines) else template
-
-
-def _as_numbers(cube: Cube) -> np.ndarray:
-    """Return the values, NaN where there is none: `developing.cube_of` writes 0 there."""
-    return np.where(cube.flags & np.uint8(Flag.OUTSIDE), np.float32(np.nan), cube.values)
-
-
-def rows_of(cube: Cube, start: int, stop: int) -> Cube:
-    """Return rows `start` to `stop` of a cube, in its memory."""
-    rows = slice(start, stop)
-    sigma = None if cube.sigma is None else cube.sigma[rows]
-    return replace(cube, values=cube.values[rows], flags=cube.flags[rows], sigma=sigma)
-
-
-def lines_at_once(shape: tuple[int, int, int]) -> int:
-    """Return how many lines of a scan, (lines, samples, bands), are calibrated at a time."""
-    lines, samples, bands = shape
-    return tile_rows(BLOCK_SAMPLES // (samples * bands), lines)
-
-
-class Passage:
-    """All lines of a scan, calibrated once, and what is to be told of them.
-
-    To be iterated over once; `Scan.told` has the warnings then.
-    """
+class ScanPass:
+    """One pass over all lines of a scan, which counts what frames lost and what denoising takes away."""
 
     def __init__(self, scan: Scan) -> None:
-        from levkas.calibration.denoising import Projecting
-
         self._scan = scan
         self._lost = np.zeros(scan.shape[2], np.int64)
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
-    def __iter__(self) -> Iterator[Cube]:
-        """Yield some lines at a time.
+    def blocks(self) -> Iterator[Cube]:
+        """Yield all lines, calibrated, some at a time."""
+        for block in self._scan._flat_blocks(0, self._scan.shape[0]):
+            self._lost += block.lost
+            yield self._scan._finished(block.flat, self._projecting)
 
-        Raises CalibrationRefused where a band has no finite value at all.
-        """
-        for raw in self._scan.raw_blocks():
-            whole = raw.codes.dtype.kind in "ui"
-            lost = np.zeros((1, 1, 1), bool) if whole else ~np.isfinite(raw.codes)
-            if (templates := gaps_of(*raw.darks, raw.white)) is not None:
-                lost = lost | templates
-            if lost.any():
-                self._lost += np.broadcast_to(lost, raw.codes.shape).sum((0, 1))
-            yield self._scan.calibrated(raw, self._projecting)
-        self._tell()
-
-    def _tell(self) -> None:
-        from levkas.calibration.sensor_context import placed
-
-        bench, shape = self._scan.bench, self._scan.shape
-        every = shape[0] * shape[1]
-        if (empty := np.flatnonzero(self._lost == every)).size:
-            refused = no_values(int(empty[0]), shape)
-            raise CalibrationRefused(*(placed(p, bench.sensor.object) for p in refused.problems))
-        notes = []
-        if count := int(self._lost.sum()):
-            notes.append(describe_lost(count, every * shape[2], bench.camera.name))
+    def notes(self) -> tuple[str, ...]:
+        """Say what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
+        notes = describe_loss(self._scan.context, self._lost, self._scan.shape)
         if (made := self._projecting) is not None:
             notes.append(describe_removed(made.subspace, made.removed, made.most))
-        self._scan.told[:] = [f"{self._scan.where}: {note}" for note in notes]
+        return tuple(notes)
 
 
-class Reducer:
-    """Gathers the pictures of a scan while its lines pass by."""
+def describe_loss(
+    context: SensorContext, lost: np.ndarray, shape: tuple[int, int, int]
+) -> list[str]:
+    """Say how many values of a scan are no finite numbers, of counts by band; nothing where all are.
+
+    Raises CalibrationRefused where a band has no finite value at all.
+    """
+    every = shape[0] * shape[1]
+    if (empty := np.flatnonzero(lost == every)).size:
+        refused = no_values(int(empty[0]), shape)
+        raise CalibrationRefused(*(placed(p, context.sensor.object) for p in refused.problems))
+    count = int(lost.sum())
+    return [describe_lost(count, every * shape[2], context.camera.name)] if count else []
+
+
+class Pictures:
+    """Every band of a scan as registration sees it, gathered while its lines pass by."""
 
     def __init__(self, scan: Scan) -> None:
-        self._scan, self._factor = scan, scan.factor
+        self._bands, self._factor = scan.bands, scan.factor
         lines, samples, bands = scan.shape
         height, width = lines // self._factor, samples // self._factor
         self._sums = np.zeros((bands, height, width), np.float32)
         self._counts = np.zeros((bands, height, width), np.uint16)
-        self._row: tuple[np.ndarray, np.ndarray] | None = None
         self._line = 0
 
     def add(self, cube: Cube) -> None:
@@ -436,5 +397,76 @@ class Reducer:
                 (sums / np.maximum(counts, 1)).astype(np.float32),
                 counts >= least,
             )
-            for band, sums, counts in zip(self._scan.bands, self._sums, self._counts, strict=True)
+            for band, sums, counts in zip(self._bands, self._sums, self._counts, strict=True)
         ]
+
+
+def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Scan:
+    """Open a line scan of one file: dark, white and noise are prepared, no line of the object is read.
+
+    Raises Refused as `calibrate.develop` does.
+    """
+    sensor = capture.sensors[0]
+    facts = read_facts(sensor.object[0].path)
+    camera = campaign.cameras[capture.camera]
+    context = SensorContext(campaign, camera, sensor, facts, templates)
+    require_exposures(context)
+    where, aligns = f"{capture.object}/{capture.layer}", {sensor.name: sensor.align}
+    return Scan(context, _strips_of(context)[0], where, facts.captured, aligns)
+
+
+def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:
+    """Calibrate a line scan that is held in memory, strips joined; return it with notes.
+
+    Raises
+    ------
+    CalibrationRefused
+        As `flat_field` does, and where strips cannot be joined.
+    """
+    strips = _strips_of(context)
+    _require_one_time(context, strips[0].templates)
+    source: Strip | JoinedStrips = strips[0]
+    if len(strips) > 1:
+        source = _joined(strips)
+    cube, notes = Scan(context, source).whole()
+    return cube, [*notes]
+
+
+def _strips_of(context: SensorContext) -> list[Strip]:
+    files = [ScanFile.open(frame) for frame in context.sensor.object]
+    templates = templates_of_scan(context, files[0].shape)
+    return [Strip(context, file, templates) for file in files]
+
+
+def _joined(strips: Sequence[Strip]) -> JoinedStrips:
+    """Flat-field strips and join them from left to right."""
+    made = [strip.flat(0, strip.shape[0]) for strip in strips]
+    whole, seams = join_strips([block.flat for block in made])
+    notes = []
+    for strip, block in zip(strips, made, strict=True):
+        notes += [*strip.notes, *describe_loss(strip.context, block.lost, strip.shape)]
+    notes += [_describe_seam(number, seam) for number, seam in enumerate(seams, 1)]
+    return JoinedStrips(whole, tuple(dict.fromkeys(notes)))
+
+
+def _require_one_time(context: SensorContext, templates: ScanTemplates) -> None:
+    """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
+    strips = by_exposure(context.sensor.object)
+    if templates.white is None and len(strips) > 1:
+        problem = Problem(
+            "E_EXPOSURES",
+            f"{context.camera.name}: strips of several exposures, and no white",
+            field="targets.white",
+            found=", ".join(frames[0].path.name for _, frames in strips),
+            expected="strips of one exposure, or a white",
+            fix="Capture a white, or leave the other exposures out of `files`.",
+        )
+        raise CalibrationRefused(placed(problem, context.sensor.object))
+
+
+def _describe_seam(number: int, seam: Seam) -> str:
+    worst = float(np.nanmax(np.abs(seam.difference)))
+    return (
+        f"strips {number} and {number + 1} share {seam.overlap} samples (shift {seam.shift} lines); "
+        f"the seam differs by {100 * seam.rms:.1f} % rms, by {100 * worst:.1f} % in its worst band"
+    )

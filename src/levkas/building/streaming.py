@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from levkas.building.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
-from levkas.building.held_lines import HeldLines
+from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.cube import Band, Cube, Flag
-from levkas.core.files import spooling
+from levkas.core.files import make_folder, spooling
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root, round_values
 from levkas.database.grey import grey_of
+from levkas.database.layers import Layer
+from levkas.database.streaming_writer import SpooledTiffs
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import Warped, source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
@@ -52,27 +54,71 @@ def write_scan(
     credits: Credits,
     centroids: Mapping[str, float],
 ) -> list[Path]:
-    """Write the calibrated lines as `native.write_native` would; the scan keeps its pictures and their focus."""
-    from levkas.building.capture_statistics import Middle
-    from levkas.building.scans import Passage, Reducer
-    from levkas.core.files import make_folder
-    from levkas.database.layers import Layer
-    from levkas.database.streaming_writer import SpooledTiffs
-
+    """Write the calibrated lines of a scan as `native_cubes.write_native` would."""
     sensor = capture.sensors[0].name
     base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
     make_folder(base.parent)
     layer = Layer(
         capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
     )
-    reducer, middle = Reducer(scan), Middle(scan.shape, scan.bands)
     with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
-        for cube in Passage(scan):
+        for cube in scan.passed():
             tiffs.write_rows(cube)
-            reducer.add(cube)
-            middle.add(cube)
-        scan.pictures[:], scan.focus[:] = reducer.images(), middle.focus()
         return tiffs.finish(layer, scan.bands, scan.quantity)
+
+
+class HeldLines:
+    """Two stretches of calibrated lines in turn: while one is read from, the next one is filled.
+
+    Lines that both have are copied, not calibrated again. What `hold` returned last but one is
+    written over.
+    """
+
+    def __init__(self, scan: Scan) -> None:
+        self._scan = scan
+        self._rooms: list[Cube] = []
+        self._last: tuple[int, int, Cube] | None = None
+
+    def hold(self, start: int, stop: int) -> Cube:
+        """Return lines `start` to `stop`; in place of sigma stands its square."""
+        lines = _rows_of(self._room(stop - start), 0, stop - start)
+        fresh = start
+        if self._last is not None:
+            first, end, before = self._last
+            if first <= start < end:
+                fresh = min(end, stop)
+                old = _rows_of(before, start - first, fresh - first)
+                lines.values[: fresh - start] = old.values
+                lines.flags[: fresh - start] = old.flags
+                if lines.sigma is not None:
+                    lines.sigma[: fresh - start] = old.sigma
+        for cube in self._scan.blocks(fresh, stop):
+            rows = slice(fresh - start, fresh - start + len(cube.values))
+            fresh += len(cube.values)
+            lines.values[rows], lines.flags[rows] = cube.values, cube.flags
+            if lines.sigma is not None and cube.sigma is not None:
+                np.square(cube.sigma, out=lines.sigma[rows])
+        self._last = start, stop, lines
+        return lines
+
+    def _room(self, lines: int) -> Cube:
+        """Return the room that is free, as large as asked for."""
+        room = self._rooms.pop(0) if len(self._rooms) == 2 else None
+        if room is None or len(room.values) < lines:
+            room = None  # the smaller one goes before the larger one comes
+            shape = (lines, *self._scan.shape[1:])
+            sigma = np.empty(shape, np.float32) if self._scan.has_sigma else None
+            arrays = np.empty(shape, np.float32), np.empty(shape, np.uint8), sigma
+            room = Cube(*arrays, self._scan.bands, self._scan.quantity)
+        self._rooms.append(room)
+        return room
+
+
+def _rows_of(cube: Cube, start: int, stop: int) -> Cube:
+    """Return rows `start` to `stop` of a cube, in its memory."""
+    rows = slice(start, stop)
+    sigma = None if cube.sigma is None else cube.sigma[rows]
+    return replace(cube, values=cube.values[rows], flags=cube.flags[rows], sigma=sigma)
 
 
 @dataclass
@@ -136,8 +182,6 @@ def white_of(scan: Scan) -> float | None:
 
     It is found in the picture of the whole scan, whatever rows come first.
     """
-    from levkas.colour.srgb import counts_white, find_rendering
-
     if scan.quantity == "reflectance":
         return None
     seen = [np.where(i.valid, i.values, np.float32(np.nan))[::4, ::4] for i in scan.images()]
@@ -180,7 +224,7 @@ def resample_scan(
             Problem(
                 "E_SIZE",
                 "the scan lies askew: a few rows or columns of the grid need too many of its lines",
-                str(scan.opened.facts.path),
+                str(scan.context.sensor.object[0].path),
                 "grid.rotate",
                 fix="Turn the grid so that the scan's lines run along its rows or columns.",
             )

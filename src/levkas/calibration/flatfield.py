@@ -25,8 +25,9 @@ from levkas.calibration.templates import (
     read_only,
 )
 from levkas.calibration.whites import PERFECT, WhiteBoard, check_white, reflectance_table
-from levkas.core.compiled import njit, prange
+from levkas.core.compiled import njit
 from levkas.core.cube import Flag
+from levkas.core.machine import over_rows
 from levkas.core.problems import Problem
 
 
@@ -136,19 +137,22 @@ def flat_field(
         lit, lit_saturated = Side.of_shots(white), as_marks(white.saturated)
     sides = Side.of_shots(shot), Side.of_dark(under), lit, Side.of_dark(white_under)
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
-    scale = read_only(scale)
-    seen, back, ref, ref_back = sides
-    masks = _Marks(*map(read_only, marks))
-    values, flags = _flatten(seen.mean, back.mean, ref.mean, ref_back.mean, scale, masks)
-    variance = None
-    if noise is not None or all(side.known for side in sides):
-        model = tuple(map(float, model_of(noise, under, white_under)))
-        shared = under.mean is white_under.mean
-        found = _propagate(seen, back, ref, ref_back, shared, scale, model)
-        variance = found.reshape(shot.mean.shape)
+    known = noise is not None or all(side.known for side in sides)
+    shape, size = shot.mean.shape, sides[0].mean.shape
+    made = np.empty(size, np.float32), np.empty(size, np.uint8)
+    variance = np.empty(size if known else (0, 0), np.float32)
+    width = size[1]
+    inputs = (
+        tuple(side.as_wide_as(width) for side in sides),
+        _Marks(*(_widened(mark, width) for mark in marks)),
+        _widened(np.asarray(scale, np.float64), width),
+        tuple(map(float, model_of(noise, under, white_under))),
+        under.mean is white_under.mean,
+    )
+    over_rows(lambda y, end: _flatten(y, end, *inputs, (*made, variance)), size[0])
+    values, flags = (part.reshape(shape) for part in made)
     quantity = "counts" if white is None else "reflectance"
-    shape = shot.mean.shape
-    return Calibrated(values.reshape(shape), flags.reshape(shape), variance, quantity, notes)
+    return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 
 
 def _join_bands(
@@ -206,6 +210,12 @@ class Side(NamedTuple):
     def known(self) -> bool:
         """Whether its variance can be told."""
         return self.freedom > 0 or self.share == 0
+
+    def as_wide_as(self, width: int) -> Side:
+        """Return the side with one number repeated for all columns."""
+        return self._replace(
+            mean=_widened(self.mean, width), variance=_widened(self.variance, width)
+        )
 
 
 def exact_side(value: float) -> Side:
@@ -295,41 +305,59 @@ class _Marks(NamedTuple):
     bad: np.ndarray
 
 
-@njit(parallel=True, cache=True)
-def _flatten(shot, dark, white, white_dark, table, marks):  # type: ignore[no-untyped-def]
-    """Return values (shot − dark)/(white − white_dark) · table, and flags.
+@njit(nogil=True, cache=True, error_model="numpy")
+def _flatten(start, stop, sides, marks, table, model, shared, out):  # type: ignore[no-untyped-def]
+    """Fill rows `start` to `stop` of values (shot − dark)/(white − white_dark) · table, flags and variance.
 
-    Means are (h, w) views; one of height or width 1 stands for all rows or columns. `table` is
-    repeated over the pixels: white reflectance times the ratio of exposures.
+    Parameters
+    ----------
+    sides : four Side, as wide as the shot, of one row or all
+        Of shot, dark, white and the white's dark.
+    marks : _Marks
+    table : ndarray, (rows, w), float64
+        White reflectance times the ratio of exposures, repeated over the rows.
+    model : (gain, variance without light of the object's exposure, that of the white's, step)
+        A gain below 0: there is no noise model.
+    shared : bool
+        One dark serves both.
+    out : (values, flags, variance), (h, w)
+        No variance is worked out where its size is 0.
     """
-    saturated, white_saturated, black, bad = marks
-    height, width = shot.shape
-    values = np.empty((height, width), np.float32)
-    flags = np.empty((height, width), np.uint8)
-    for y in prange(height):
-        dy, wy, vy = y % dark.shape[0], y % white.shape[0], y % white_dark.shape[0]
-        sy, by, ty = y % white_saturated.shape[0], y % bad.shape[0], y % table.shape[0]
-        dx, wx, vx = dark.shape[1] > 1, white.shape[1] > 1, white_dark.shape[1] > 1
-        sx, bx = white_saturated.shape[1] > 1, bad.shape[1] > 1
-        columns, tx = table.shape[1], 0
-        for x in range(width):
-            lit = np.float64(white[wy, x * wx]) - np.float64(white_dark[vy, x * vx])
-            value = np.float64(shot[y, x]) - np.float64(dark[dy, x * dx])
-            flag = SATURATED if saturated[y, x] or white_saturated[sy, x * sx] else np.uint8(0)
-            if black[y, x]:
-                flag |= BLACK
-            if bad[by, x * bx]:
-                flag |= DEFECT
-            if lit > 0.0 and value == value:
-                values[y, x] = value / lit * table[ty, tx]
-            else:
-                values[y, x] = np.nan
-                flag |= DEFECT
-            flags[y, x] = flag
-            tx += 1
-            if tx == columns:
-                tx = 0
-    return values, flags
+    values, flags, variance = out
+    alike = all_lines_alike(sides)
+    shares = np.empty((3, values.shape[1] if variance.size > 0 else 0))
+    for y in range(start, stop):
+        flatten_line(y, sides, marks, table, values[y], flags[y])
+        if variance.size > 0:
+            if y == start or not alike:
+                fill_shares(y, sides, model, shares)
+            propagate_line(y, sides, table, model, shared, shares, variance[y])
+
+
+@njit(error_model="numpy")
+def row_of(array, y):  # type: ignore[no-untyped-def]
+    """Return a row of an array whose rows are repeated."""
+    return array[y % array.shape[0]]
+
+
+@njit(error_model="numpy")
+def flatten_line(y, sides, marks, table, values, flags):  # type: ignore[no-untyped-def]
+    """Fill values and flags of row `y`."""
+    shot, dark, white, white_dark = sides
+    seen, back, lit, under = (
+        row_of(shot.mean, y), row_of(dark.mean, y), row_of(white.mean, y), row_of(white_dark.mean, y)
+    )  # fmt: skip
+    saturated, black = row_of(marks.saturated, y), row_of(marks.black, y)
+    white_saturated, bad = row_of(marks.white_saturated, y), row_of(marks.bad, y)
+    scale = row_of(table, y)
+    for x in range(values.size):
+        light = np.float64(lit[x]) - np.float64(under[x])
+        value = np.float64(seen[x]) - np.float64(back[x])
+        lost = not (light > 0.0 and value == value)
+        values[x] = np.nan if lost else value / light * scale[x]
+        flag = SATURATED if saturated[x] | white_saturated[x] else np.uint8(0)
+        flag |= BLACK if black[x] else np.uint8(0)
+        flags[x] = flag | (DEFECT if bad[x] or lost else np.uint8(0))
 
 
 @njit(cache=True, nogil=True)
@@ -366,56 +394,67 @@ def of_mean(share, signal, measured, freedom, gain, read, step):  # type: ignore
     return share * shown + alike
 
 
-@njit(parallel=True, cache=True)
-def _propagate(of_shot, of_dark, of_white, of_white_dark, shared, table, model):  # type: ignore[no-untyped-def]
-    """Return the variance of `_flatten`'s values from four `Side`s; `shared`: one dark serves both.
+@njit
+def all_lines_alike(sides):  # type: ignore[no-untyped-def]
+    """Tell whether dark and white are one line, which stands for all lines of the shot."""
+    _, dark, white, white_dark = sides
+    means = max(white.mean.shape[0], white_dark.mean.shape[0])
+    spreads = max(white.variance.shape[0], white_dark.variance.shape[0], dark.variance.shape[0])
+    return means == 1 and spreads == 1
 
-    `model` is (gain, variance without light of the object's exposure, that of the white's, step from
-    code to code); a gain below 0: there is no noise model.
-    """
-    shot, shot_variance, shot_freedom, shot_share = of_shot
-    dark, dark_variance, dark_freedom, dark_share = of_dark
-    white, white_variance, white_freedom, white_share = of_white
-    white_dark, white_dark_variance, white_dark_freedom, white_dark_share = of_white_dark
+
+@njit(error_model="numpy")
+def fill_shares(y, sides, model, shares):  # type: ignore[no-untyped-def]
+    """Fill the variances of the means of white, dark and the white's dark in row `y`, (3, w)."""
+    _, dark, white, white_dark = sides
     gain, read, white_read, step = model
-    height, width = shot.shape
-    result = np.empty((height, width), np.float32)
-    for y in prange(height):
-        dy, wy, vy = y % dark.shape[0], y % white.shape[0], y % white_dark.shape[0]
-        dx, wx, vx = dark.shape[1] > 1, white.shape[1] > 1, white_dark.shape[1] > 1
-        s1, d1 = shot_variance.shape[1] > 1, dark_variance.shape[1] > 1
-        w1, v1 = white_variance.shape[1] > 1, white_dark_variance.shape[1] > 1
-        s0, d0 = y % shot_variance.shape[0], y % dark_variance.shape[0]
-        w0, v0 = y % white_variance.shape[0], y % white_dark_variance.shape[0]
-        ty = y % table.shape[0]
-        columns, tx = table.shape[1], 0
-        for x in range(width):
-            lit = np.float64(white[wy, x * wx]) - np.float64(white_dark[vy, x * vx])
-            signal = np.float64(shot[y, x]) - np.float64(dark[dy, x * dx])
-            scale = table[ty, tx]
-            tx += 1
-            if tx == columns:
-                tx = 0
-            if not lit > 0.0:
-                result[y, x] = np.nan
-                continue
-            r = signal / lit
-            shot_part = of_mean(
-                shot_share, signal, shot_variance[s0, x * s1], shot_freedom, gain, read, step
-            )
-            white_part = of_mean(
-                white_share, lit, white_variance[w0, x * w1], white_freedom, gain, white_read, step
-            )
-            dark_part = of_mean(
-                dark_share, 0.0, dark_variance[d0, x * d1], dark_freedom, gain, read, step
-            )
-            if shared:
-                total = shot_part + r * r * white_part + (1.0 - r) ** 2 * dark_part
-            else:
-                variance = white_dark_variance[v0, x * v1]
-                under = of_mean(
-                    white_dark_share, 0.0, variance, white_dark_freedom, gain, white_read, step
-                )
-                total = shot_part + dark_part + r * r * (white_part + under)
-            result[y, x] = total * (scale / lit) ** 2
-    return result
+    lit, under = row_of(white.mean, y), row_of(white_dark.mean, y)
+    of_white, of_dark = row_of(white.variance, y), row_of(dark.variance, y)
+    of_under = row_of(white_dark.variance, y)
+    for x in range(shares.shape[1]):
+        light = np.float64(lit[x]) - np.float64(under[x])
+        shares[0, x] = of_mean(
+            white.share, light, np.float64(of_white[x]), white.freedom, gain, white_read, step
+        )
+        shares[1, x] = of_mean(
+            dark.share, 0.0, np.float64(of_dark[x]), dark.freedom, gain, read, step
+        )
+        shares[2, x] = of_mean(
+            white_dark.share,
+            0.0,
+            np.float64(of_under[x]),
+            white_dark.freedom,
+            gain,
+            white_read,
+            step,
+        )
+
+
+@njit(error_model="numpy")
+def propagate_line(y, sides, table, model, shared, shares, variance):  # type: ignore[no-untyped-def]
+    """Fill the variance of the values of row `y`."""
+    shot, dark, white, white_dark = sides
+    gain, read, _, step = model
+    seen, back, spread = row_of(shot.mean, y), row_of(dark.mean, y), row_of(shot.variance, y)
+    lit, under, scale = row_of(white.mean, y), row_of(white_dark.mean, y), row_of(table, y)
+    single = gain >= 0.0 and shot.share == 1.0 and shot.freedom == 0.0
+    for x in range(variance.size):
+        light = np.float64(lit[x]) - np.float64(under[x])
+        signal = np.float64(seen[x]) - np.float64(back[x])
+        if single:  # all of the model's, whatever rounding hides of it
+            own = read + gain * max(signal, 0.0)
+        else:
+            own = of_mean(shot.share, signal, np.float64(spread[x]), shot.freedom, gain, read, step)
+        r = signal / light
+        rest = 1.0 - r if shared else 1.0
+        total = own + r * r * shares[0, x] + rest * rest * shares[1, x]
+        if not shared:
+            total += r * r * shares[2, x]
+        variance[x] = total * (scale[x] / light) ** 2 if light > 0.0 else np.nan
+
+
+def _widened(array: np.ndarray, width: int) -> np.ndarray:
+    """Return a (rows, period) array with its columns repeated to a width, that cannot be written to."""
+    if array.shape[1] != width:
+        array = array[:, np.arange(width) % array.shape[1]]
+    return read_only(np.ascontiguousarray(array))

@@ -2,11 +2,13 @@
 
 A row holds what a campaign has to know of a method, so that it can be checked without the registration
 itself; `levkas.registration` binds the functions of the built-in ones. An installed package adds a method by an
-entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`.
+entry point of the group `levkas.registration`: its name is the method's, and it loads a `Method`. A method that
+cannot be loaded is named in a warning; only campaigns that choose it are refused.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -93,6 +95,10 @@ METHODS = {
 }
 
 
+#: Method of an installed package → why it cannot be used.
+UNUSABLE: dict[str, str] = {}
+
+
 def method_of(keys: dict[str, Any]) -> Method:
     """Return the method that keys of [registration] name, else the default one."""
     return METHODS[keys.get("method") or DEFAULT_METHOD]
@@ -111,6 +117,21 @@ def owners_of(option: str) -> list[str]:
     ]
 
 
+def _load_installed() -> None:
+    """Add the methods of installed packages; warn of those that cannot be loaded."""
+    for entry in entry_points(group=GROUP):
+        try:
+            row = entry.load()
+        except Exception as error:  # whatever the code of another package raises
+            UNUSABLE[entry.name] = f"{entry.value} raises {type(error).__name__}: {error}"
+            continue
+        if isinstance(row, Method) and callable(row.register):
+            METHODS.setdefault(entry.name, row)
+        else:
+            UNUSABLE[entry.name] = f"{entry.value} is no Method with a function"
+    for name, why in UNUSABLE.items():
+        warnings.warn(f"the registration method {name!r} cannot be used: {why}", stacklevel=2)
+
+
 # Last, so that a package whose method is loaded finds all names of this module.
-for _entry in entry_points(group=GROUP):
-    METHODS.setdefault(_entry.name, _entry.load())
+_load_installed()

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from levkas import __version__
-from levkas.cli import build, demo, doctor, evaluate, inspect, measure, plan, publish
+from levkas.cli import build, demo, doctor, estimate, evaluate, inspect, measure, plan, publish
 
 app = typer.Typer(
     name="levkas",
@@ -58,6 +58,7 @@ for _name, _command in {
     "look": build.look,
     "build": build.build,
     "status": build.status,
+    "estimate": estimate.estimate,
     "evaluate": evaluate.evaluate,
     "validate": build.validate,
     "chart": measure.chart,

@@ -105,7 +105,7 @@ def validate(
     as_json: Json = False,
 ) -> None:
     """Find every damage of a database and name the file."""
-    from levkas.database.validate import validate as validate_database
+    from levkas.database.validation import validate as validate_database
 
     quiet = as_json or not sys.stderr.isatty()
     report = validate_database(

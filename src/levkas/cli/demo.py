@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -87,16 +87,26 @@ def simulate(
     scale: Annotated[
         float | None, typer.Option(help="1 is the paper's size; less shrinks it.")
     ] = None,
-    objects: Annotated[int, typer.Option(help="Number of painted panels.", min=1)] = 1,
+    objects: Annotated[
+        int,
+        typer.Option(help="Number of painted panels, each with pigments of its own.", min=1),
+    ] = 1,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
     setups: Annotated[bool, typer.Option(help="Also the 45-degree lighting.")] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate a five-camera campaign with known truth."""
     from levkas.simulation import simulate_campaign
+    from levkas.simulation.presets import choose_preset
 
+    chosen = choose_preset(preset, scale=scale, objects=objects)
     steps = simulate_campaign(
-        folder, preset=preset, scale=scale, objects=objects, seed=seed, setups=setups
+        folder,
+        preset=replace(chosen, own_pigments=objects > 1),
+        scale=scale,
+        objects=objects,
+        seed=seed,
+        setups=setups,
     )
     draw_steps(steps, as_json)
     print_report("simulate", as_json, True, [], campaign=str(folder))

@@ -13,11 +13,13 @@ from levkas.core.files import write_changed
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_text
 from levkas.database.containment import check_inside, check_plain_names
+from levkas.database.layout import LayerId
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 NAME = "catalogue.csv"
+MEASURED, ESTIMATED = "measured", "estimated"
 
 
 class DatabaseRefused(Refused):
@@ -28,7 +30,8 @@ class DatabaseRefused(Refused):
 class Entry:
     """One layer: an object by a camera under a setup ("" for the default one).
 
-    `bands` is their number, `width` and `height` are of the grid, `sha256` is of the layer's TIFF.
+    `bands` is their number, `width` and `height` are of the grid, `sha256` is of the layer's TIFF, `kind` is
+    ``"measured"``, or ``"estimated"`` where the layer was made from others.
     """
 
     object: str
@@ -41,14 +44,23 @@ class Entry:
     quantity: str
     verdict: str
     sha256: str
+    kind: str = MEASURED
+
+    @property
+    def layer(self) -> LayerId:
+        """Which layer it is."""
+        return LayerId(self.object, self.camera, self.setup)
 
     def to_row(self) -> list[str]:
-        """Return the cells; an unknown sampling is empty."""
+        """Return the cells; an unknown sampling is empty. A measured layer's row does not tell its kind."""
         cells = [getattr(self, field.name) for field in fields(self)]
+        cells = cells[:-1] if self.kind == MEASURED else cells
         return ["" if isinstance(c, float) and math.isnan(c) else str(c) for c in cells]
 
 
-COLUMNS = tuple(field.name for field in fields(Entry))
+KIND = "kind"
+"""Column that only a catalogue with an estimated layer has."""
+COLUMNS = tuple(field.name for field in fields(Entry) if field.name != KIND)
 
 
 def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
@@ -62,9 +74,10 @@ def write_catalogue(database: str | Path, entries: Iterable[Entry]) -> Path:
     """
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(COLUMNS)
     rows = sorted(entries, key=lambda entry: (entry.object, entry.camera, entry.setup))
-    table.writerows(entry.to_row() for entry in rows)
+    columns = COLUMNS if all(entry.kind == MEASURED for entry in rows) else (*COLUMNS, KIND)
+    table.writerow(columns)
+    table.writerows([*entry.to_row(), entry.kind][: len(columns)] for entry in rows)
     path = Path(database) / NAME
     write_changed(path, text.getvalue().encode())
     return path
@@ -93,7 +106,7 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
                 fix="Give the folder of a database, or build the campaign first.",
             )
         ) from error
-    if not rows or tuple(rows[0]) != COLUMNS:
+    if not rows or tuple(rows[0]) not in (COLUMNS, (*COLUMNS, KIND)):
         found = ",".join(rows[0])[:120] if rows else "an empty file"
         expected = ",".join(COLUMNS)
         raise DatabaseRefused(
@@ -116,9 +129,11 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
 
 def entry_of(row: list[str]) -> Entry:
     """Return the entry of one row of the catalogue; raises ValueError where it is none."""
-    if len(row) != len(COLUMNS):
+    if len(row) not in (len(COLUMNS), len(COLUMNS) + 1):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
-    cells = dict(zip(COLUMNS, row, strict=True))
+    cells = dict(zip((*COLUMNS, KIND), [*row, MEASURED][: len(COLUMNS) + 1], strict=True))
+    if cells[KIND] not in (MEASURED, ESTIMATED):
+        raise ValueError(f"no kind of layer: {cells[KIND]!r}")
     check_plain_names(cells["object"], cells["camera"], cells["setup"] or "-")
     return Entry(
         object=cells["object"],
@@ -131,4 +146,5 @@ def entry_of(row: list[str]) -> Entry:
         quantity=cells["quantity"],
         verdict=cells["verdict"],
         sha256=cells["sha256"],
+        kind=cells[KIND],
     )

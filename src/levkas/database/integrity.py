@@ -18,12 +18,11 @@ import numpy as np
 from levkas.campaign.schema.toml import read_toml
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import parse_bounded, parse_json
-from levkas.database.lazy_array import check_description
-from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE
+from levkas.database.lazy_array import read_description
+from levkas.database.tiff_pages import DAMAGE, FIRST_PRIVATE, opening_tiff
 from levkas.readers.facts import check_expansion, check_memory
 
 PNG = b"\x89PNG\r\n\x1a\n"
-PLAIN = 1  # tag Compression
 FIX = "Copy it anew, or build it again."
 CRATE = "ro-crate-metadata.json"
 """Lists all files of a publication, and so has no bound of its own."""
@@ -78,55 +77,23 @@ def check_tiff(path: Path) -> tuple[TiffFacts | None, list[Problem]]:
     Returns
     -------
     facts : TiffFacts or None
-        None where not even the directory can be read.
+        None where a directory or a strip is missing or cut off.
     problems : list of Problem
     """
-    from tifffile import TiffFile
-
-    problems: list[Problem] = []
     try:
-        with TiffFile(path) as tiff:
-            pages: list[Any] = list(tiff.pages)
-            if not pages:
-                return None, [damaged(path, "it has no pages")]
-            end = tiff.pages.next_page_offset
-            tiff.filehandle.seek(end or 0)
-            if end is None or any(tiff.filehandle.read(tiff.tiff.offsetsize)):
-                found = f"{len(pages)} pages"
-                problems.append(damaged(path, "the list of pages breaks off", found=found))
-            size, itemsize = path.stat().st_size, pages[0].dtype.itemsize
-            check_expansion(path, sum(page.size for page in pages), itemsize, size)
+        with opening_tiff(path) as pages:
+            itemsize = np.dtype(pages[0].dtype).itemsize
+            check_expansion(path, sum(p.size for p in pages), itemsize, path.stat().st_size)
+            facts = _facts(pages)
             for index, page in enumerate(pages):
-                problems += _check_page(path, page, index, path.stat().st_size)
-            return _facts(pages), problems
-    except (*DAMAGE, Refused) as error:
-        return None, [*problems, damaged(path, _reason(error))]
-
-
-def _check_page(path: Path, page: Any, index: int, size: int) -> Iterator[Problem]:
-    counts, offsets, expected = page.databytecounts, page.dataoffsets, int(np.prod(page.chunked))
-    if len(counts) != expected or len(offsets) != expected or 0 in counts or 0 in offsets:
-        here = sum(1 for o, c in zip(offsets, counts, strict=False) if o and c)
-        yield damaged(
-            path, f"page {index} lacks strips", code="E_TRUNCATED", found=here, expected=expected
-        )
-        return
-    end = max(o + c for o, c in zip(offsets, counts, strict=True))
-    if end > size:
-        told = {"found": f"{size} bytes", "expected": f"{end} bytes"}
-        yield damaged(path, f"page {index} is cut off", code="E_TRUNCATED", **told)
-        return
-    if page.compression == PLAIN and sum(counts) < page.nbytes and page.bitspersample % 8 == 0:
-        told = {"found": f"{sum(counts)} bytes", "expected": f"{page.nbytes} bytes"}
-        yield damaged(path, f"page {index} is too short", code="E_TRUNCATED", **told)
-        return
-    try:
-        for decoded, _, _ in page.segments(maxworkers=2):
-            if decoded is None:
-                yield damaged(path, f"page {index} lacks a strip", code="E_TRUNCATED")
-                return
-    except DAMAGE as error:
-        yield damaged(path, f"page {index}: {_reason(error)}")
+                try:
+                    if any(decoded is None for decoded, _, _ in page.segments(maxworkers=2)):
+                        raise ValueError("it lacks a strip")
+                except DAMAGE as error:
+                    return facts, [damaged(path, f"page {index}: {_reason(error)}")]
+            return facts, []
+    except Refused as refused:
+        return None, list(refused.problems)
 
 
 def _facts(pages: list[Any]) -> TiffFacts:
@@ -244,7 +211,7 @@ def check_array(path: Path, names: Iterable[str]) -> list[Problem]:
     names = sorted(names)
     try:
         if (path / "zarr.json").exists():
-            check_description(path)
+            read_description(path)
         array = zarr.open_array(str(path), mode="r")
         steps = array.shards or array.chunks
         grid = [range(-(-size // step)) for size, step in zip(array.shape, steps, strict=True)]

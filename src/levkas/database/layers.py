@@ -14,11 +14,11 @@ from levkas.colour.srgb import preview
 from levkas.core.digests import hash_file
 from levkas.core.files import remove, together
 from levkas.core.rounding import SIGMA_DROP, is_rounded, round_sigma
-from levkas.database.catalogue import Entry
+from levkas.database.catalogue import ESTIMATED, MEASURED, Entry
 from levkas.database.credits import Credits
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import planes_of, write_spectral_tiff
+from levkas.database.spectral_tiff import TiffHeader, planes_of, write_spectral_tiff
 from levkas.database.store import write_layer_store
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ class Layer:
     credits : Credits
     centroids : mapping of label to float, nm
         Of the sensitivities of channels without a centre wavelength, for tag 65000.
+    estimate : mapping, optional
+        Of a layer that was estimated from others: its method, layers and training objects.
     """
 
     object: str
@@ -48,6 +50,7 @@ class Layer:
     px_per_mm: float = nan
     credits: Credits = field(default_factory=Credits)
     centroids: Mapping[str, float] = field(default_factory=dict)
+    estimate: Mapping[str, Any] | None = None
 
     @property
     def name(self) -> str:
@@ -67,6 +70,8 @@ class Layer:
             "camera": self.camera,
             "setup": self.setup,
             "px_per_mm": None if isnan(self.px_per_mm) else float(self.px_per_mm),
+            "kind": ESTIMATED if self.estimate is not None else None,
+            "estimate": self.estimate,
         }
         return {key: value for key, value in facts.items() if value is not None}
 
@@ -77,9 +82,7 @@ def write_layer(
     cube: Cube,
     *,
     verdict: str = "accept",
-    sensitivity: tuple[np.ndarray, np.ndarray] | None = None,
     encoded: bool = False,
-    white: float | None = None,
     zarr: bool = True,
     threads: int | None = None,
     before: Callable[[], object] | None = None,
@@ -94,8 +97,8 @@ def write_layer(
         On the grid.
     verdict : str
         For the catalogue.
-    sensitivity, encoded, white
-        For the picture, as in `levkas.colour.srgb.preview`.
+    encoded : bool
+        Whether the values are encoded as sRGB, for the picture.
     zarr : bool
         Whether the Zarr layer is written too.
     threads : int, optional
@@ -116,7 +119,7 @@ def write_layer(
         Where the disk refuses; all files are then the old ones, unless it refuses a name.
     """
     database = Path(database)
-    picture, description = preview(cube, sensitivity=sensitivity, encoded=encoded, white=white)
+    picture, description = preview(cube, encoded=encoded)
     cube = rounded(cube)
     base = database / "objects" / layer.object / layer.stem
     png = base.with_name(base.name + ".png")
@@ -144,7 +147,7 @@ def entry_of_layer(
     height, width, count = shape
     return Entry(
         *(layer.object, layer.camera, layer.setup, count, width, height, layer.px_per_mm),
-        *(quantity, verdict, hash_file(tiff)),
+        *(quantity, verdict, hash_file(tiff), MEASURED if layer.estimate is None else ESTIMATED),
     )
 
 
@@ -174,18 +177,16 @@ def write_tiffs(
     written = []
     for suffix, values, more in parts:
         path = base.with_name(base.name + suffix)
-        write_spectral_tiff(
-            path,
-            planes_of(values),
-            shape=(values.shape[0], values.shape[1]),
-            wavelengths=centres_of(cube.bands, layer.centroids),
-            text=describe_bands(cube.bands, more),
+        header = TiffHeader(
+            (values.shape[0], values.shape[1]),
+            centres_of(cube.bands, layer.centroids),
+            describe_bands(cube.bands, more),
             dtype=values.dtype,
             rgb=rgb if suffix == ".tif" else None,
             px_per_mm=facts.get("px_per_mm"),
             credits=layer.credits,
-            threads=threads,
         )
+        write_spectral_tiff(path, planes_of(values), header, threads=threads)
         written.append(path)
     return written
 

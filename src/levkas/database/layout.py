@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
+"""Arrays of a Zarr layer, and the endings of the TIFFs that hold the same numbers."""
+
 
 @dataclass(frozen=True)
 class LayerId:
@@ -38,6 +41,21 @@ class LayerId:
     def stem(self) -> str:
         """``OBJECT_CAMERA`` or ``OBJECT_CAMERA_SETUP``: how its files begin."""
         return _stem(self.object, self.camera, self.setup)
+
+    @property
+    def path(self) -> str:
+        """Its TIFFs and preview, without their endings, relative to the database."""
+        return f"objects/{self.object}/{self.stem}"
+
+    @property
+    def group(self) -> str:
+        """Its Zarr group, relative to the database."""
+        return f"zarr/{self.object}.zarr/{self.name}"
+
+    @property
+    def record(self) -> str:
+        """Its registration record, without its ending, relative to the database."""
+        return f"objects/{self.object}/registration/{self.name}"
 
 
 @dataclass(frozen=True)

@@ -1,114 +1,104 @@
-"""Pixels read when they are asked for, from a Zarr group or a spectral TIFF; never zeros for gaps."""
+"""Pixels read when they are needed, from a Zarr group or a spectral TIFF; never zeros for gaps."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
-from math import nan, prod
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from levkas.core.cube import Band
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import LARGEST_TABLE, read_json
+from levkas.core.text import read_json
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.containment import check_inside
 from levkas.database.tiff_pages import DAMAGE, TiffPages, open_pages
+
+if TYPE_CHECKING:
+    import zarr
 
 MOST_SAMPLES = 1 << 26
 """Of a chunk, which is decoded as a whole."""
 
 
-class Pixels(BackendArray):
-    """The (y, x, band) numbers of one file or group, as xarray's lazy indexing wants them."""
+class LazyArray(BackendArray):
+    """An array of one file or group, for `xarray.core.indexing.LazilyIndexedArray`."""
 
     path: Path
     shape: tuple[int, ...]
     dtype: np.dtype
 
-    def __getitem__(self, key: Any) -> Any:
+    def _places(self, key: tuple[Any, ...]) -> list[np.ndarray]:
+        """Return the rows, columns and bands that a key selects, rising."""
+        return [np.atleast_1d(np.arange(n)[k]) for n, k in zip(self.shape, key, strict=True)]
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         support = indexing.IndexingSupport.OUTER
         return indexing.explicit_indexing_adapter(key, self.shape, support, self._read)
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
-        """Read the outer product of three integers, slices or arrays."""
-        places = [_places(part, size) for part, size in zip(key, self.shape, strict=True)]
-        if any(len(p) == 0 for p in places):
-            block = np.empty([len(p) for p in places], self.dtype)
-        else:
-            block = self._block(*places)
-        whole = tuple(0 if isinstance(part, (int, np.integer)) else slice(None) for part in key)
-        return block[whole]
-
-    def _block(self, rows: np.ndarray, columns: np.ndarray, bands: np.ndarray) -> np.ndarray:
+        """Read the outer product of integers, slices of positive step and rising arrays."""
         raise NotImplementedError
 
 
-def _places(part: Any, size: int) -> np.ndarray:
-    if isinstance(part, slice):
-        return np.arange(size)[part]
-    return np.atleast_1d(np.asarray(part)) % size
+class ZarrArray(LazyArray):
+    """An array of a layer's group; shards that are missing or lie elsewhere are refused.
 
-
-def _span(places: np.ndarray) -> tuple[int, int]:
-    return int(places.min()), int(places.max()) + 1
-
-
-class ZarrPixels(Pixels):
-    """An array of a layer's group."""
+    Raises
+    ------
+    DatabaseRefused
+        Where its description is damaged, or asks for chunks that no memory holds.
+    """
 
     def __init__(self, path: Path, root: Path) -> None:
-        import zarr
-
         self.path, self._root = path, root
-        check_description(path)
+        facts = read_description(path)
         try:
-            self._array = zarr.open_array(str(path), mode="r", zarr_format=3)
+            kind = facts["data_type"]
+            self.dtype = np.dtype(object if kind == "string" else kind)
+            self.attributes = dict(facts.get("attributes", {}))
         except DAMAGE as error:
             raise DatabaseRefused(_damaged(path / "zarr.json", error)) from error
-        self.shape, self.dtype = self._array.shape, np.dtype(self._array.dtype)
+        self.shape = tuple(facts["shape"])
+
+    @cached_property
+    def _array(self) -> zarr.Array[Any]:
+        import zarr
+
+        try:
+            return zarr.open_array(str(self.path), mode="r", zarr_format=3)
+        except DAMAGE as error:
+            raise DatabaseRefused(_damaged(self.path / "zarr.json", error)) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.path, self._root)
 
-    def _block(self, rows: np.ndarray, columns: np.ndarray, bands: np.ndarray) -> np.ndarray:
-        spans = [_span(places) for places in (rows, columns, bands)]
-        self._check_shards(spans)
+    def _read(self, key: tuple[Any, ...]) -> np.ndarray:
+        places = self._places(key)
+        if all(len(p) for p in places):
+            self._check_shards([(int(p[0]), int(p[-1])) for p in places])
         try:
-            if all(
-                len(p) == b - a for p, (a, b) in zip((rows, columns, bands), spans, strict=True)
-            ):
-                block = np.asarray(self._array[tuple(slice(a, b) for a, b in spans)])
-                offsets = [p - a for p, (a, _) in zip((rows, columns, bands), spans, strict=True)]
-                if all(np.all(np.diff(p) > 0) for p in offsets):
-                    return block
-                return block[np.ix_(*offsets)]
-            return np.asarray(self._array.oindex[rows, columns, bands])
+            return np.asarray(self._array.oindex[key])
         except DAMAGE as error:
             raise DatabaseRefused(_damaged(self.path, error)) from error
 
     def _check_shards(self, spans: list[tuple[int, int]]) -> None:
         # Zarr takes a missing shard for one that was never written, and gives the fill value.
         shards = self._array.shards or self._array.chunks
-        ranges = [range(a // s, (b - 1) // s + 1) for (a, b), s in zip(spans, shards, strict=True)]
+        ranges = [range(a // s, b // s + 1) for (a, b), s in zip(spans, shards, strict=True)]
         for place in product(*ranges):
             shard = self.path.joinpath("c", *map(str, place))
             if not shard.is_file():
-                problem = Problem(
-                    "E_TRUNCATED",
-                    "a part of the layer is missing",
-                    str(shard),
-                    fix="Build it again.",
-                )
-                raise DatabaseRefused(problem)
+                what, fix = "a part of the layer is missing", "Build it again."
+                raise DatabaseRefused(Problem("E_TRUNCATED", what, str(shard), fix=fix))
             check_inside(self._root, shard)
 
 
-class TiffPixels(Pixels):
+class TiffPixels(LazyArray):
     """The band pages of a spectral TIFF; of each band only the strips that are needed are read."""
 
     def __init__(self, pages: TiffPages) -> None:
@@ -116,101 +106,26 @@ class TiffPixels(Pixels):
         self.shape, self.dtype = pages.shape, pages.dtype
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopen_tiff, (self._pages.path,)
+        return _reopen_tiff, (self.path,)
 
-    def _block(self, rows: np.ndarray, columns: np.ndarray, bands: np.ndarray) -> np.ndarray:
-        start, stop = _span(rows)
-        block = self._pages.read(start, stop, [int(b) for b in bands])
-        return block[np.ix_(rows - start, columns)]
+    def _read(self, key: tuple[Any, ...]) -> np.ndarray:
+        rows, columns, bands = self._places(key)
+        start, stop = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)
+        block = self._pages.read(start, stop, bands.tolist())[np.ix_(rows - start, columns)]
+        return block[tuple(0 if isinstance(k, int | np.integer) else slice(None) for k in key)]
 
 
 def _reopen_tiff(path: Path) -> TiffPixels:
     return TiffPixels(open_pages(path))
 
 
-@dataclass(frozen=True)
-class Group:
-    """What a layer's group says: its arrays with their attributes, and its bands."""
-
-    arrays: tuple[str, ...]
-    attributes: dict[str, dict[str, Any]]
-    bands: tuple[Band, ...]
-
-
-def read_group(path: Path) -> Group:
-    """Read the description of a layer's Zarr group.
+def read_description(path: Path) -> dict[str, Any]:
+    """Read the description of an array of Zarr 3.
 
     Raises
     ------
     DatabaseRefused
-    """
-    try:
-        attributes = {
-            name: _attributes(path / name)
-            for name in ("values", "flags", "sigma")
-            if (path / name / "zarr.json").is_file()
-        }
-        columns = [_read_whole(path / name) for name in ("band", "wavelength", "fwhm")]
-        bands = [
-            Band(str(label), _number(wavelength), _number(width))
-            for label, wavelength, width in zip(*columns, strict=True)
-        ]
-    except DAMAGE as error:
-        raise DatabaseRefused(_damaged(path, error)) from error
-    return Group(tuple(attributes), attributes, tuple(bands))
-
-
-def _read_whole(path: Path) -> np.ndarray:
-    """Read a small array of a group: as Levkas writes it within a tenth of the time that zarr takes."""
-    import zarr
-
-    check_description(path)
-    found = _decode_whole(path)
-    if found is not None:
-        return found
-    return np.asarray(zarr.open_array(str(path), mode="r", zarr_format=3)[:])
-
-
-def _decode_whole(path: Path) -> np.ndarray | None:
-    """Decode the only chunk of an array; None where it is of another form, or damaged: zarr says how."""
-    try:
-        from google_crc32c import value as crc32c
-        from numcodecs import blosc
-        from numcodecs.vlen import VLenUTF8
-
-        record = read_json(path / "zarr.json")
-        data = (path / "c" / "0").read_bytes()
-        first, *packing = [codec["name"] for codec in record["codecs"]]
-        endian = record["codecs"][0].get("configuration", {}).get("endian", "little")
-        whole = record["chunk_grid"]["configuration"]["chunk_shape"] == record["shape"]
-        good = crc32c(data[:-4]) == int.from_bytes(data[-4:], "little")
-        if not (whole and good and packing == ["blosc", "crc32c"]):
-            return None
-        if int.from_bytes(data[4:8], "little") > LARGEST_TABLE:
-            return None
-        raw = blosc.decompress(data[:-4])
-        if (first, record["data_type"]) == ("vlen-utf8", "string"):
-            values = VLenUTF8().decode(raw)
-        elif (first, record["data_type"], endian) == ("bytes", "float64", "little"):
-            values = np.frombuffer(raw, "<f8")
-        else:
-            return None
-    except (Refused, ImportError, OSError, ValueError, KeyError, TypeError, RuntimeError):
-        return None
-    return values if list(values.shape) == record["shape"] else None
-
-
-def check_description(path: Path) -> None:
-    """Refuse an array whose description cannot be read, or asks for chunks that no memory holds.
-
-    Parameters
-    ----------
-    path : Path
-        Folder of an array of Zarr 3.
-
-    Raises
-    ------
-    DatabaseRefused
+        Where it cannot be read, or asks for chunks that no memory holds.
     """
     place = path / "zarr.json"
     try:
@@ -228,15 +143,7 @@ def check_description(path: Path) -> None:
         raise DatabaseRefused(*refused.problems) from None
     except DAMAGE as error:
         raise DatabaseRefused(_damaged(place, error)) from error
-
-
-def _attributes(path: Path) -> dict[str, Any]:
-    record = read_json(path / "zarr.json")["attributes"]
-    return {key: value for key, value in record.items() if key != "coordinates"}
-
-
-def _number(value: Any) -> float:
-    return nan if np.isnan(value) else float(value)
+    return record
 
 
 def _damaged(path: Path, error: BaseException) -> Problem:

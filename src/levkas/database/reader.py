@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray
 from xarray.core import indexing
 
@@ -16,16 +17,14 @@ from levkas.core.problems import Problem
 from levkas.core.text import parse_bounded
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
-from levkas.database.layout import LayerId, layer_name
-from levkas.database.lazy_array import TiffPixels, ZarrPixels, read_group
+from levkas.database.layout import KINDS, LayerId, layer_name
+from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS
 from levkas.database.tiff_pages import TiffPages, open_pages
 
 if TYPE_CHECKING:
     from levkas.database.pixel_frames import FrameMap
-
-KINDS = {"values": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif"}
 
 
 class Database(Mapping[str, "Object"]):
@@ -150,7 +149,7 @@ class Object(Mapping[Any, "LayerArray"]):
             raise KeyError(
                 f"{self.name} has no layer {layer_name(camera, setup)!r}; it has: {there}"
             )
-        return Origin(self.path, self.name, camera, setup).open(kind)
+        return Origin(self.path, LayerId(self.name, camera, setup)).open(kind)
 
 
 @dataclass(frozen=True)
@@ -158,27 +157,21 @@ class Origin:
     """Where a layer's array comes from, and what has been selected of it since."""
 
     path: Path
-    object: str
-    camera: str
-    setup: str
+    layer: LayerId
     selections: tuple[tuple[str, dict[str, Any]], ...] = field(default=())
 
     def open(self, kind: str) -> LayerArray:
         """Open the values, flags or sigma of the layer, selected as the array was."""
-        group = self.path / "zarr" / f"{self.object}.zarr" / layer_name(self.camera, self.setup)
+        group = self.path / self.layer.group
         if (group / "zarr.json").is_file():
             array = _from_zarr(group, kind, self.path)
         else:
-            check_inside(self.path, tiff := self._tiff(kind))
+            check_inside(self.path, tiff := self.path / (self.layer.path + KINDS[kind]))
             array = open_pixels(tiff)
-        array._origin = Origin(self.path, self.object, self.camera, self.setup)
+        array._origin = Origin(self.path, self.layer)
         for method, arguments in self.selections:
             array = getattr(array, method)(**arguments)
         return array
-
-    def _tiff(self, kind: str) -> Path:
-        stem = LayerId(self.object, self.camera, self.setup).stem
-        return self.path / "objects" / self.object / (stem + KINDS[kind])
 
 
 class LayerArray(xarray.DataArray):
@@ -207,7 +200,7 @@ class LayerArray(xarray.DataArray):
         """Return the map between two frames of pixels of the object, for whole images."""
         from levkas.database.pixel_frames import find_map
 
-        return find_map(self._beside.path, self._beside.object, source, target)
+        return find_map(self._beside.path, self._beside.layer.object, source, target)
 
     def isel(self, *args: Any, **kwargs: Any) -> LayerArray:
         """Select by position, as xarray does."""
@@ -232,17 +225,23 @@ class LayerArray(xarray.DataArray):
         origin: Origin | None = getattr(self, "_origin", None)
         if origin is not None and isinstance(result, LayerArray):
             arguments = {**({"indexers": args[0]} if args else {}), **kwargs}
-            chosen = (*origin.selections, (method, arguments))
-            result._origin = Origin(origin.path, origin.object, origin.camera, origin.setup, chosen)
+            result._origin = replace(origin, selections=(*origin.selections, (method, arguments)))
         return result
 
 
 def _from_zarr(group: Path, kind: str, root: Path) -> LayerArray:
     check_inside(root, *group.glob("*/zarr.json"), *group.glob("*/c/0"))
-    facts = read_group(group)
-    if kind not in facts.arrays:
+    if not (group / kind / "zarr.json").is_file():
         raise _missing(group / kind, kind)
-    return _array(ZarrPixels(group / kind, root), facts.bands, facts.attributes[kind], kind)
+    pixels = ZarrArray(group / kind, root)
+    labels, centres, widths = (ZarrArray(group / k, root) for k in ("band", "wavelength", "fwhm"))
+    facts = {key: fact for key, fact in pixels.attributes.items() if key != "coordinates"}
+    columns = (
+        [str(label) for label in np.asarray(labels)],
+        indexing.LazilyIndexedArray(centres),
+        indexing.LazilyIndexedArray(widths),
+    )
+    return _labelled(pixels, columns, facts, kind)
 
 
 @dataclass(frozen=True)
@@ -271,7 +270,9 @@ def open_pixels(path: Path) -> LayerArray:
     described = describe_pages(pages)
     kind = described.quantity.split(" ")[0]
     name = kind if kind in KINDS else "values"
-    return _array(TiffPixels(pages), described.bands, described.facts, name)
+    bands = described.bands
+    columns = [b.label for b in bands], [b.wavelength for b in bands], [b.fwhm for b in bands]
+    return _labelled(TiffPixels(pages), columns, described.facts, name)
 
 
 def describe_pages(pages: TiffPages) -> Described:
@@ -291,25 +292,27 @@ def describe_pages(pages: TiffPages) -> Described:
     return Described(tuple(bands), record)
 
 
-def _array(
-    pixels: Any, bands: tuple[Band, ...], attributes: dict[str, Any], name: str
+def _labelled(
+    pixels: LazyArray, columns: tuple[Any, Any, Any], attributes: dict[str, Any], name: str
 ) -> LayerArray:
-    coordinates = {
-        "band": [band.label for band in bands],
-        "wavelength": ("band", [band.wavelength for band in bands], {"units": "nm"}),
-        "fwhm": ("band", [band.fwhm for band in bands], {"units": "nm"}),
-    }
-    if len(pixels.shape) != 3 or pixels.shape[2] != len(bands):
+    """Return pixels with the labels, centres and widths of their bands."""
+    labels, centres, widths = columns
+    if len(pixels.shape) != 3 or {len(c) for c in columns} != {pixels.shape[2]}:
         raise DatabaseRefused(
             Problem(
                 "E_SIZE",
                 f"the {name} are not of as many bands as the layer has",
                 str(pixels.path),
                 found=" x ".join(map(str, pixels.shape)),
-                expected=f"rows, columns and {len(bands)} bands",
+                expected=f"rows, columns and {len(labels)} bands",
                 fix="Copy the database anew, or build it again.",
             )
         )
+    coordinates = {
+        "band": labels,
+        "wavelength": ("band", centres, {"units": "nm"}),
+        "fwhm": ("band", widths, {"units": "nm"}),
+    }
     lazy = indexing.LazilyIndexedArray(pixels)
     return LayerArray(lazy, coordinates, DIMENSIONS, name=name, attrs=attributes)
 

@@ -10,6 +10,7 @@ import contextlib
 import warnings
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,19 +40,53 @@ CLASSIC_LIMIT = 4_000_000_000
 PREDICTORS = {"f": 3, "u": 2, "i": 2}
 
 
+@dataclass(frozen=True)
+class TiffHeader:
+    """Facts of a spectral TIFF beside the pixels of its bands.
+
+    Parameters
+    ----------
+    shape : (height, width)
+    wavelengths : sequence of float, nm
+        Tag 65000, one a band: centres, centroids of sensitivities, or 0 … n−1 for channels without
+        any.
+    text : str
+        Tag 65111.
+    dtype : numpy dtype
+        Of the pages; uint8 for flags and masks.
+    rgb : ndarray, (any height, any width, 3), uint8, optional
+        sRGB render for page 0.
+    px_per_mm : float, optional
+        Sampling, for the resolution tags.
+    credits : Credits
+    """
+
+    shape: tuple[int, int]
+    wavelengths: Sequence[float]
+    text: str = ""
+    dtype: Any = np.float32
+    rgb: np.ndarray | None = None
+    px_per_mm: float | None = None
+    credits: Credits = field(default_factory=Credits)
+
+    @property
+    def strip_rows(self) -> int:
+        """Rows of a strip."""
+        return strip_rows(self.shape[1], self.dtype)
+
+    @property
+    def big(self) -> bool:
+        """Whether the pages may pass what the offsets of a classic TIFF reach."""
+        samples = self.shape[0] * self.shape[1] * len(self.wavelengths)
+        return np.dtype(self.dtype).itemsize * samples > CLASSIC_LIMIT
+
+
 def write_spectral_tiff(
     path: str | Path,
     planes: Iterable[np.ndarray],
+    header: TiffHeader,
     *,
-    shape: tuple[int, int],
-    wavelengths: Sequence[float],
-    text: str = "",
-    dtype: Any = np.float32,
-    rgb: np.ndarray | None = None,
-    px_per_mm: float | None = None,
-    credits: Credits | None = None,
     threads: int | None = None,
-    bigtiff: bool | None = None,
 ) -> None:
     """Write one page a band as the planes arrive; the same bytes for any number of threads.
 
@@ -60,22 +95,9 @@ def write_spectral_tiff(
     path : path
     planes : iterable of ndarray, (height, width)
         One a wavelength, in order; each is done with before the next is asked for.
-    shape : (height, width)
-    wavelengths : sequence of float, nm
-        Tag 65000: centres, centroids of sensitivities, or 0 … n−1 for channels without any.
-    text : str
-        Tag 65111.
-    dtype : numpy dtype, default float32
-        Of the pages; uint8 for flags and masks.
-    rgb : ndarray, (any height, any width, 3), uint8, optional
-        sRGB render for page 0.
-    px_per_mm : float, optional
-        Sampling, for the resolution tags.
-    credits : Credits, optional
+    header : TiffHeader
     threads : int, optional
         For compression.
-    bigtiff : bool, optional
-        Default: past 4 GB.
 
     Raises
     ------
@@ -84,22 +106,8 @@ def write_spectral_tiff(
     WriteRefused
         Where the disk refuses.
     """
-    dtype, count = np.dtype(dtype), len(wavelengths)
-    pages = _compressed(
-        _checked(Path(path), planes, shape, dtype, count), strip_rows(shape[1], dtype), threads
-    )
-    write_encoded_pages(
-        path,
-        pages,
-        shape=shape,
-        wavelengths=wavelengths,
-        text=text,
-        dtype=dtype,
-        rgb=rgb,
-        px_per_mm=px_per_mm,
-        credits=credits,
-        bigtiff=bigtiff,
-    )
+    checked = _checked(Path(path), planes, header)
+    write_encoded_pages(path, _compressed(checked, header.strip_rows, threads), header)
 
 
 def strip_rows(width: int, dtype: Any) -> int:
@@ -108,44 +116,31 @@ def strip_rows(width: int, dtype: Any) -> int:
 
 
 def write_encoded_pages(
-    path: str | Path,
-    pages: Generator[list[bytes], None, None],
-    *,
-    shape: tuple[int, int],
-    wavelengths: Sequence[float],
-    text: str,
-    dtype: Any,
-    rgb: np.ndarray | None,
-    px_per_mm: float | None,
-    credits: Credits | None,
-    bigtiff: bool | None = None,
+    path: str | Path, pages: Generator[list[bytes], None, None], header: TiffHeader
 ) -> None:
     """Write pages whose strips `encode_strip` has made; otherwise as `write_spectral_tiff`."""
     from tifffile import TiffWriter
 
-    dtype = np.dtype(dtype)
-    if bigtiff is None:
-        bigtiff = dtype.itemsize * shape[0] * shape[1] * len(wavelengths) > CLASSIC_LIMIT
-    rows = strip_rows(shape[1], dtype)
-    common = _common_tags(px_per_mm)
-    first = _first_tags(text, wavelengths, credits if rgb is None else None)
+    dtype, credits = np.dtype(header.dtype), header.credits
+    common = _common_tags(header.px_per_mm)
+    first = _first_tags(header, credits if header.rgb is None else Credits())
     with (
         # Its threads must not wait for the garbage collector.
         contextlib.closing(pages),
         replacing(path) as handle,
-        TiffWriter(handle, bigtiff=bigtiff, byteorder="<") as tiff,
+        TiffWriter(handle, bigtiff=header.big, byteorder="<") as tiff,
     ):
-        if rgb is not None:
-            _write_render(tiff, rgb, common, credits or Credits())
+        if header.rgb is not None:
+            _write_render(tiff, header.rgb, common, credits)
         for index, encoded in enumerate(pages):
             tiff.write(
                 iter(encoded),
-                shape=shape,
+                shape=header.shape,
                 dtype=dtype,
                 photometric="minisblack",
                 compression="zlib",
                 predictor=PREDICTORS[dtype.kind] if dtype.itemsize > 1 else None,
-                rowsperstrip=rows,
+                rowsperstrip=header.strip_rows,
                 **common,
                 **(first if index == 0 else {"software": False}),
             )
@@ -158,14 +153,14 @@ def _common_tags(px_per_mm: float | None) -> dict[str, Any]:
     return tags
 
 
-def _first_tags(text: str, wavelengths: Sequence[float], credits: Credits | None) -> dict[str, Any]:
-    encoded = _encode_text(text)
-    centres = tuple(float(w) for w in wavelengths)
+def _first_tags(header: TiffHeader, credits: Credits) -> dict[str, Any]:
+    encoded = _encode_text(header.text)
+    centres = tuple(float(w) for w in header.wavelengths)
     extra: list[tuple[Any, ...]] = [
         (WAVELENGTHS, "f", len(centres), centres, True),
         (METADATA, "s", len(encoded), encoded, True),
     ]
-    return _credit_tags(credits or Credits(), extra)
+    return _credit_tags(credits, extra)
 
 
 def _credit_tags(credits: Credits, extra: list[tuple[Any, ...]]) -> dict[str, Any]:
@@ -198,16 +193,14 @@ def _write_render(
     )
 
 
-def _checked(
-    path: Path, planes: Iterable[np.ndarray], shape: tuple[int, int], dtype: np.dtype, count: int
-) -> Iterator[np.ndarray]:
-    found = 0
+def _checked(path: Path, planes: Iterable[np.ndarray], header: TiffHeader) -> Iterator[np.ndarray]:
+    shape, found, count = tuple(header.shape), 0, len(header.wavelengths)
     for plane in planes:
-        if plane.shape != tuple(shape):
-            _refuse("E_SIZE", path, f"band {found} has another size", plane.shape, tuple(shape))
+        if plane.shape != shape:
+            _refuse("E_SIZE", path, f"band {found} has another size", plane.shape, shape)
         found += 1
         if found <= count:
-            yield np.ascontiguousarray(plane, dtype)
+            yield np.ascontiguousarray(plane, header.dtype)
     if found != count:
         _refuse("E_BAND_COUNT", path, "bands and wavelengths do not fit", found, count)
 
@@ -304,15 +297,14 @@ def write_stiff(
     if rgb is not None and (rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8):
         found = f"{rgb.shape} {rgb.dtype}"
         _refuse("E_SIZE", Path(path), "the RGB render does not fit", found, "(h, w, 3) uint8")
-    write_spectral_tiff(
-        path,
-        planes_of(cube),
-        shape=(cube.shape[0], cube.shape[1]),
-        wavelengths=[float(w) for w in wavelengths],
-        text=metadata,
+    header = TiffHeader(
+        (cube.shape[0], cube.shape[1]),
+        [float(w) for w in wavelengths],
+        metadata,
         dtype=cube.dtype if keep else np.float32,
         rgb=rgb,
     )
+    write_spectral_tiff(path, planes_of(cube), header)
 
 
 def read_stiff(
@@ -399,25 +391,6 @@ def decode_text(stored: str) -> str:
 
 
 # --- masks --------------------------------------------------------------------------------------
-
-
-def write_mtiff(path: str | Path, masks: Mapping[str, np.ndarray]) -> None:
-    """Write masks, (height, width) each, one page a label."""
-    from tifffile import TiffWriter
-
-    with replacing(path) as handle, TiffWriter(handle, byteorder="<") as tiff:
-        for label, mask in masks.items():
-            encoded = _encode_text(label)
-            tiff.write(
-                np.where(np.asarray(mask) > 0, np.uint8(255), np.uint8(0)),
-                photometric="minisblack",
-                compression="zlib",
-                compressionargs={"level": LEVEL},
-                metadata=None,
-                contiguous=False,
-                software=f"levkas {__version__}",
-                extratags=[(LABEL, "s", len(encoded), encoded, True)],
-            )
 
 
 def read_mtiff(path: str | Path) -> dict[str, np.ndarray]:

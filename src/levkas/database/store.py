@@ -268,7 +268,10 @@ def _store(folder: Folder) -> Any:
     class FolderStore(LocalStore):
         """Every write goes through the one module that writes."""
 
-        async def _set(self, key: str, value: Any, exclusive: bool = False) -> None:
+        async def set(self, key: str, value: Any) -> None:
+            await asyncio.to_thread(self.set_sync, key, value)
+
+        async def set_if_not_exists(self, key: str, value: Any) -> None:
             await asyncio.to_thread(self.set_sync, key, value)
 
         def set_sync(self, key: str, value: Any) -> None:

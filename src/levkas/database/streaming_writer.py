@@ -22,7 +22,13 @@ from levkas.core.files import spooling, together
 from levkas.database.catalogue import Entry
 from levkas.database.layers import Layer, centres_of, describe_bands, entry_of_layer, rounded
 from levkas.database.preview import write_preview
-from levkas.database.spectral_tiff import GROUP, encode_strips, strip_rows, write_encoded_pages
+from levkas.database.spectral_tiff import (
+    GROUP,
+    TiffHeader,
+    encode_strips,
+    strip_rows,
+    write_encoded_pages,
+)
 from levkas.database.store import writing_layer
 
 if TYPE_CHECKING:
@@ -167,17 +173,16 @@ class SpooledTiffs:
         written = []
         for kind, spool in self._spools.items():
             path = self.base.with_name(f"{self.base.name}{KINDS[kind]}.tif")
-            write_encoded_pages(
-                path,
-                spool.pages(),
-                shape=self.shape[:2],
-                wavelengths=centres_of(bands, layer.centroids),
-                text=describe_bands(bands, more[kind]),
+            header = TiffHeader(
+                self.shape[:2],
+                centres_of(bands, layer.centroids),
+                describe_bands(bands, more[kind]),
                 dtype=DTYPES[kind],
                 rgb=rgb if kind == "values" else None,
                 px_per_mm=facts.get("px_per_mm"),
                 credits=layer.credits,
             )
+            write_encoded_pages(path, spool.pages(), header)
             spool.drop()  # the next pages may need its space
             written.append(path)
         return written

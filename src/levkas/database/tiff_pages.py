@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import struct
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -11,21 +14,20 @@ import numpy as np
 
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem, Refused
-from levkas.readers.facts import UnreadableCapture
-from levkas.readers.tiff import kinds_of_pages
+from levkas.readers.facts import COPY_AGAIN, UnreadableCapture, check_ratio
+from levkas.readers.tiff import LARGEST_RATIO, check_strips, kinds_of_pages
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-    from tifffile import TiffFile, TiffPage
+    from tifffile import TiffPage
 
 DAMAGE = (
     *(RuntimeError, ValueError, IndexError, KeyError, TypeError, AttributeError),
     *(struct.error, OverflowError, ZeroDivisionError, MemoryError, AssertionError, OSError),
 )
 FIRST_PRIVATE = 65000
-MOST_COMPRESSED = 1200
-"""Deflate cannot shrink further than 1032 to 1: a file that declares more is damaged or hostile."""
+FIX = "The file is damaged or no TIFF: copy it anew, or build it again."
 
 
 class TiffRefused(Refused):
@@ -115,38 +117,46 @@ def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
     TiffRefused
         ``E_UNREADABLE``, ``E_TRUNCATED`` (data or pages missing), ``E_SIZE`` (pages that differ).
     """
+    path = Path(path)
+    with opening_tiff(path) as pages:
+        tags = [{t.code: t.value for t in p.tags if t.code >= FIRST_PRIVATE} for p in pages]
+        render = pages[0] if uniform and pages[0].ndim == 3 else None
+        first = 0 if render is None else 1
+        _check_bands(path, pages[first:], uniform)
+        return TiffPages(path, render, pages[first:], tags[first:])
+
+
+@contextmanager
+def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
+    """Open all pages of a TIFF whose directories and strips lie in the file; its errors are refusals.
+
+    Raises
+    ------
+    TiffRefused
+        Also where the block that uses the pages raises what damaged files lead tifffile to.
+    """
     from tifffile import TiffFile
 
-    path = Path(path)
     try:
-        if path.exists():
-            _check_directories(path)
+        if path.exists() and not path.is_file():  # to open a pipe waits for ever
+            raise ValueError("it is no file")
+        kinds = kinds_of_pages(path)
         with TiffFile(path) as tiff:
             pages: list[Any] = list(tiff.pages)
-            if not pages:
-                raise ValueError("it has no pages")
-            _check_chain(path, tiff)
-            size = path.stat().st_size
+            if len(pages) != len(kinds) or not pages:
+                raise ValueError(f"{len(pages)} of its {len(kinds)} pages can be read")
             for index, page in enumerate(pages):
-                _check_page(path, page, index, size)
-            tags = [{t.code: t.value for t in p.tags if t.code >= FIRST_PRIVATE} for p in pages]
+                if not prod(page.chunked):
+                    raise ValueError(f"page {index} declares no pixels")
+                check_strips(path, tiff, page, f"page {index}")
+                stored = sum(page.databytecounts)
+                check_ratio(path, page.nbytes, stored, ratio=LARGEST_RATIO)
+            yield pages
+    except UnreadableCapture as refused:
+        again = (replace(p, fix=FIX) if p.fix == COPY_AGAIN else p for p in refused.problems)
+        raise TiffRefused(*again) from None
     except DAMAGE as error:
         raise TiffRefused(_unreadable(path, error)) from error
-    render = pages[0] if uniform and pages[0].ndim == 3 else None
-    first = 0 if render is None else 1
-    _check_bands(path, pages[first:], uniform)
-    return TiffPages(path, render, pages[first:], tags[first:])
-
-
-def _check_directories(path: Path) -> None:
-    """Refuse what would keep a decoder reading for ever; what is cut off is told of by the checks that follow."""
-    if not path.is_file():  # to open a pipe waits for ever
-        raise ValueError("it is no file")
-    try:
-        kinds_of_pages(path)
-    except UnreadableCapture as refused:
-        if refused.problems[0].code != "E_TRUNCATED":
-            raise TiffRefused(*refused.problems) from None
 
 
 def _check_bands(path: Path, pages: list[TiffPage], uniform: bool) -> None:
@@ -163,31 +173,6 @@ def _check_bands(path: Path, pages: list[TiffPage], uniform: bool) -> None:
                 expected=f"{pages[0].shape} {pages[0].dtype}" if pages else "one page a band",
             )
         )
-
-
-def _check_chain(path: Path, tiff: TiffFile) -> None:
-    place, width = tiff.pages.next_page_offset, tiff.tiff.offsetsize
-    if place is None:
-        raise ValueError("the list of pages has no end")
-    tiff.filehandle.seek(place)
-    if tiff.filehandle.read(width) != bytes(width):
-        raise TiffRefused(_truncated(path, "the list of pages breaks off", len(tiff.pages)))
-
-
-def _check_page(path: Path, page: TiffPage, index: int, size: int) -> None:
-    expected = int(np.prod(page.chunked))
-    if expected == 0:
-        raise ValueError(f"page {index} declares no pixels")
-    counts, offsets = page.databytecounts, page.dataoffsets
-    if len(counts) != expected or len(offsets) != expected or 0 in counts or 0 in offsets:
-        raise TiffRefused(_truncated(path, f"page {index} lacks strips", len(counts), expected))
-    end = max(o + c for o, c in zip(offsets, counts, strict=True))
-    if end > size:
-        raise TiffRefused(
-            _truncated(path, f"page {index} is cut off", f"{size} bytes", f"{end} bytes")
-        )
-    if page.nbytes > MOST_COMPRESSED * max(1, sum(counts)):
-        raise ValueError(f"page {index} declares {page.nbytes} bytes, far more than it can hold")
 
 
 def _segments(page: TiffPage, start: int, stop: int) -> range:
@@ -216,17 +201,6 @@ def _place(handle: BinaryIO, page: TiffPage, number: int, plane: np.ndarray, sta
     part[...] = rows[: part.shape[0], : part.shape[1]]
 
 
-def _truncated(path: Path, message: str, found: Any, expected: Any = None) -> Problem:
-    return Problem(
-        "E_TRUNCATED",
-        f"{path.name}: {message}",
-        file=str(path),
-        found=str(found),
-        expected=None if expected is None else str(expected),
-        fix="The file is incomplete: copy it anew, or build it again.",
-    )
-
-
 def _unreadable(path: Path, error: BaseException, index: int | None = None) -> Problem:
     reason = " ".join(str(error).split())[:200] or type(error).__name__
     where = "" if index is None else f" in band page {index}"
@@ -235,5 +209,5 @@ def _unreadable(path: Path, error: BaseException, index: int | None = None) -> P
         f"{path.name} cannot be read{where}: {reason}",
         file=str(path),
         expected="a TIFF, whole",
-        fix="The file is damaged or no TIFF: copy it anew, or build it again.",
+        fix=FIX,
     )

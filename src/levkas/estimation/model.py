@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from levkas.core.machine import steady_libraries
 from levkas.core.problems import Problem, Refused
 from levkas.core.threads import each
 from levkas.estimation.training import Training
 
-BLOCK = 4096
-"""Pixels that are estimated at a time: their kernels with 1,500 anchors fill 25 MB as float32."""
+BLOCK = 1024
+"""Pixels that are estimated at a time: their kernels with 1,500 anchors fill 12 MB."""
 
 
 class Model(Protocol):
@@ -21,8 +22,6 @@ class Model(Protocol):
 
     def __call__(self, responses: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]: ...
     def arrays(self) -> dict[str, np.ndarray]: ...
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,10 @@ class EstimationMethod:
     ----------
     name, title : str
         On the command line, and in tables.
-    fit : callable
-        ``fit(training, rng)`` returns a `Model`.
-    model : type
-        Of the models it fits: ``model.from_arrays`` reads a stored one.
+    fitter : callable
+        ``fitter(training, rng)`` returns a `Model`.
+    read : callable
+        ``read(arrays)`` makes a model again of what its ``arrays()`` returned.
     equation : str
         LaTeX.
     source : str
@@ -45,10 +44,15 @@ class EstimationMethod:
 
     name: str
     title: str
-    fit: Callable[[Training, np.random.Generator], Model]
-    model: type[Model]
+    fitter: Callable[[Training, np.random.Generator], Model]
+    read: Callable[[dict[str, np.ndarray]], Model]
     equation: str
     source: str
+
+    def fit(self, training: Training, rng: np.random.Generator) -> Model:
+        """Fit the method, with linear algebra that sums in one order on any number of processors."""
+        with steady_libraries():
+            return self.fitter(training, rng)
 
 
 def in_blocks(
@@ -81,5 +85,6 @@ def in_blocks(
             )
         )
     starts = range(0, max(len(responses), 1), BLOCK)
-    blocks = each(estimate, [responses[start : start + BLOCK] for start in starts])
+    with steady_libraries():
+        blocks = each(estimate, [responses[start : start + BLOCK] for start in starts])
     return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))

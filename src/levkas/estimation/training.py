@@ -235,7 +235,7 @@ def held_out_residuals(
     ridge : float
         > 0 where values are 0.
     groups : ndarray, (n,), optional
-        Samples of one group are held out together; each by itself by default.
+        Samples of one group are held out together; each by itself without, or with one group only.
 
     Returns
     -------
@@ -246,13 +246,14 @@ def held_out_residuals(
     With the hat matrix H = U diag(s / (s + λ)) Uᵀ, e = (I − H) y / (1 − h) a sample and
     e_G = (I − H_GG)⁻¹ (y − H y)_G a group; [hastie2009]_, Eq. (7.64).
     """
-    shrunk = 1 / (1 + ridge / values)
+    with np.errstate(over="ignore"):  # a value near 0 is shrunk to 0
+        shrunk = 1 / (1 + ridge / values)
     residuals = targets - vectors @ (shrunk[:, None] * (vectors.T @ targets))
-    if groups is None:
+    if groups is None or (groups == groups[0]).all():
         leverage = np.square(vectors) @ shrunk
         return np.asarray(residuals / np.maximum(1 - leverage, 1e-9)[:, None])
     for group in np.unique(groups):
         held = np.flatnonzero(groups == group)
-        rest = np.eye(len(held)) - (vectors[held] * shrunk) @ vectors[held].T
+        rest = (1 + 1e-9) * np.eye(len(held)) - (vectors[held] * shrunk) @ vectors[held].T
         residuals[held] = np.linalg.solve(rest, residuals[held])
     return np.asarray(residuals)

@@ -43,7 +43,7 @@ def invert(transform: Transform, points: np.ndarray, start: np.ndarray) -> np.nd
         miss = transform(p) - goal
         if not np.any(np.abs(miss) > INVERSE_TOLERANCE_PX):
             break
-        p = p - _solve(transform.jacobian(p), miss)
+        p = p - solve_2x2(transform.jacobian(p), miss)
     else:
         miss = transform(p) - goal
     with np.errstate(invalid="ignore"):
@@ -51,15 +51,18 @@ def invert(transform: Transform, points: np.ndarray, start: np.ndarray) -> np.nd
     return np.where(good[:, None], p, np.nan)
 
 
-def _solve(jacobian: np.ndarray, miss: np.ndarray) -> np.ndarray:
-    a, b = jacobian[:, 0, 0], jacobian[:, 0, 1]
-    c, d = jacobian[:, 1, 0], jacobian[:, 1, 1]
-    det = a * d - b * c
+def solve_2x2(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve n systems of two equations, (n, 2, 2) and (n, 2); infinite where one is singular.
+
+    Examples
+    --------
+    >>> solve_2x2(np.array([[[2.0, 1.0], [0.0, 4.0]]]), np.array([[4.0, 8.0]])).tolist()
+    [[1.0, 2.0]]
+    """
+    a, b, c, d = (matrices[:, i, j] for i in (0, 1) for j in (0, 1))
+    x, y = right.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        return (
-            np.stack([d * miss[:, 0] - b * miss[:, 1], a * miss[:, 1] - c * miss[:, 0]], 1)
-            / det[:, None]
-        )
+        return np.stack([d * x - b * y, a * y - c * x], 1) / (a * d - b * c)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +127,41 @@ class Homography:
 
     matrix: np.ndarray
 
+    @classmethod
+    def fit(cls, source: np.ndarray, target: np.ndarray) -> Homography:
+        """Return the map of `source` to `target`, both (n, 2), n >= 4, by the direct linear transform.
+
+        Coordinates are centred and scaled first ([hartley1997]_).
+
+        Raises
+        ------
+        ValueError
+            Where the points determine none.
+
+        Examples
+        --------
+        >>> corners = np.array([[0.0, 0], [9, 0], [9, 9], [0, 9]])
+        >>> Homography.fit(corners, 2 * corners + 1)(np.array([[4.0, 5.0]])).round(9).tolist()
+        [[9.0, 11.0]]
+        """
+        frames = [_centred(points) for points in (source, target)]
+        (x, y), (u, v) = (
+            (points @ frame[:2, :2].T + frame[:2, 2]).T
+            for points, frame in zip((source, target), frames, strict=True)
+        )
+        one, nil = np.ones_like(x), np.zeros_like(x)
+        rows = np.concatenate(
+            [
+                np.stack([x, y, one, nil, nil, nil, -u * x, -u * y, -u], 1),
+                np.stack([nil, nil, nil, x, y, one, -v * x, -v * y, -v], 1),
+            ]
+        )
+        centred = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+        matrix = np.linalg.inv(frames[1]) @ centred @ frames[0]
+        if not abs(matrix[2, 2]) > 1e-9:
+            raise ValueError("these points determine no homography")
+        return cls(matrix / matrix[2, 2])
+
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return _project(self.matrix, points)
 
@@ -141,6 +179,15 @@ class Homography:
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
         return {"kind": "homography", "matrix": np.asarray(self.matrix, float).tolist()}
+
+
+def _centred(points: np.ndarray) -> np.ndarray:
+    """Return the similarity, (3, 3), that centres points and scales them to -1..1."""
+    centre = points.mean(0)
+    spread = max(float(np.abs(points - centre).max()), 1e-9)
+    return np.array(
+        [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
+    )
 
 
 def _project(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:

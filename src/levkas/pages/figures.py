@@ -25,43 +25,52 @@ MOST_PAIRS = 400
 PANEL_PX = 280
 
 
-def draw_trace(matches: Matches, trace: Trace | None) -> list[Figure]:
-    """Return Figures 9 and 10 of a registration, or one panel of its pairs where it left no trace."""
+def draw_trace(matches: Matches, trace: Trace) -> list[Figure]:
+    """Return Figures 9 and 10 of a registration by the paper's method; none without matches."""
     if len(matches) == 0:
         return []
-    if trace is None:
-        return [Figure(_draw_pairs(matches), _PAIRS)]
     return [Figure(_draw_course(matches, trace), _COURSE), Figure(_draw_largest(trace), _LARGEST)]
 
 
 def draw_basis(trace: Mapping[str, Any], size: Sequence[int]) -> list[Figure]:
-    """Return a figure a sensor of what a dense map rests on, as `describe_basis` tells it; none of other traces."""
+    """Return a figure a sensor of what a dense map rests on, of `levkas.registration.record.describe_windows`; none of other traces."""
     if trace.get("kind") != "windows":
         return []
     return [
-        Figure(_basis(sensor, size), _said_of_basis(sensor))
+        Figure(_basis(sensor, size), _basis_caption(sensor))
         for sensor in trace["sensors"]
         if "windows" in sensor
     ]
 
 
-def _said_of_basis(sensor: Mapping[str, Any]) -> str:
+def _basis_caption(sensor: Mapping[str, Any]) -> str:
     windows, count = sensor["windows"], sensor["count"]
     shown = len(windows["x"])
     some = f" ({shown} of them drawn)" if shown < count else ""
     whose = "all bands together" if sensor["source"] == "fused" else sensor["source"]
-    told = (
+    caption = (
         f"What the map{' of sensor ' + sensor['sensor'] if sensor['sensor'] else ''} rests on, in reference "
         f"pixels. Left: {count} windows{some} of {whose} that it was fitted to, the fainter the less they weigh; lines lead "
         f"from where the map puts each to where it is seen, {_enlargement(sensor):g} times as long, the longest cut."
     )
+    sigma, held = (_median(windows[name]) for name in ("sigma", "held_out"))
+    if sigma is not None and held is not None:
+        caption += (
+            f" In the median their shifts are known to {sigma:.2g} px (sigma), and a map that is fitted without "
+            f"them misses them by {held:.2g} px."
+        )
     if sensor["checks"] is None:
-        return told
+        return caption
     return (
-        f"{told} Right: windows of {sensor['band']} that were free to be found 12 px around: blue ones lie where "
+        f"{caption} Right: windows of {sensor['band']} that were free to be found 12 px around: blue ones lie where "
         "the map puts them, red ones elsewhere, hollow ones were not recognised. Where there are no blue ones "
         "nothing confirms the map."
     )
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
 
 
 def _enlargement(sensor: Mapping[str, Any]) -> float:
@@ -98,11 +107,8 @@ def _basis(sensor: Mapping[str, Any], size: Sequence[int]) -> str:
         here = (weight >= low) & (weight < high)
         _draw_errors(axes[0], points[here], points[here] + shift[here], opacity)
         _draw_dots(axes[0], points[here], "ref", opacity)
-    held = [v for v in windows["held_out"] if v is not None]
-    scatter = f", single ones scatter by {np.median(held):.2g} px" if held else ""
-    _frame_panel(
-        axes[0], frame_corners((int(size[0]), int(size[1]))), f"{sensor['count']} windows{scatter}"
-    )
+    frame = frame_corners((int(size[0]), int(size[1])))
+    _frame_panel(axes[0], frame, f"{sensor['count']} windows")
     length = _rounded_down(0.2 * size[0] / enlarged)
     axes[0].plot([0, length * enlarged], [1.06 * size[1]] * 2, color=themed("soft"))
     axes[0].annotate(
@@ -135,18 +141,6 @@ _LARGEST = (
     "The largest error at each round as the worst pair leaves (the paper's Figure 10); the first "
     "point is the cut under scale alone at `reject`, the dashed line is `stop`."
 )
-_PAIRS = "Pairs of control points in reference pixels: kept ones red, removed ones gray."
-
-
-@in_style
-def _draw_pairs(matches: Matches) -> str:
-    figure = _panel_figure(1, 1, np.ptp(matches.reference, axis=0))
-    axes = figure.subplots()
-    kept = matches.kept
-    _draw_dots(axes, matches.reference[~kept][:MOST_PAIRS], "soft")
-    _draw_dots(axes, matches.reference[kept][:: max(1, int(kept.sum()) // MOST_PAIRS)], "ref")
-    _frame_panel(axes, None, f"{int(kept.sum())} pairs")
-    return to_svg(figure, "pairs of control points")
 
 
 @in_style
@@ -215,10 +209,9 @@ def _panel_figure(columns: int, rows: int, size: Sequence[float] | np.ndarray) -
     return new_figure(columns * PANEL_PX, rows * height)
 
 
-def _frame_panel(axes: Axes, corners: np.ndarray | None, title: str) -> None:
+def _frame_panel(axes: Axes, corners: np.ndarray, title: str) -> None:
     """Outline the reference frame; y goes down, as in pictures."""
-    if corners is not None:
-        _outline(axes, corners, "currentColor")
+    _outline(axes, corners, "currentColor")
     axes.set_title(title, fontsize=10, loc="left")
     axes.set(aspect="equal")
     axes.invert_yaxis()

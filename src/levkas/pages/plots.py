@@ -7,6 +7,7 @@ light or dark with its page. The same data give the same bytes.
 from __future__ import annotations
 
 import colorsys
+import hashlib
 import io
 import re
 import threading
@@ -97,11 +98,20 @@ def to_svg(figure: Figure, label: str) -> str:
     body = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font-size: \1", body)
     for name, place in _PLACES.items():
         body = body.replace(place, name if name == "currentColor" else f"var(--{name})")
-    body = re.sub(r"\s*\n\s*", "\n", body).strip()
+    body = _number_ids(re.sub(r"\s*\n\s*", "\n", body).strip())
     return (
         f'<svg {box[0]} role="img" aria-label="{escape(label)}">'
         f"{body.replace('xlink:href', 'href')}"
     )
+
+
+def _number_ids(body: str) -> str:
+    """Name clip paths and markers by order and content; matplotlib names some by memory addresses."""
+    names = dict.fromkeys(re.findall(r' id="([^"]+)"', body))
+    for number, name in enumerate(names):
+        body = re.sub(rf'(?<=["#]){re.escape(name)}(?=[")])', f"@{number}", body)
+    digest = hashlib.sha256(body.encode()).hexdigest()[:8]
+    return re.sub(r'(?<=["#])@(\d+)(?=[")])', rf"p{digest}-\1", body)
 
 
 @dataclass(frozen=True)

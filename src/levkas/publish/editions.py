@@ -20,8 +20,6 @@ from levkas.core.digests import hash_file
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
-from levkas.database.consistency import stem_of
-from levkas.database.layout import layer_name
 from levkas.database.registrations import read_registration
 from levkas.database.splits import NAME as SPLITS
 from levkas.database.splits import split_objects
@@ -55,7 +53,7 @@ def write_medium(publication: Publication) -> Iterator[str]:
         return
     entries = []
     for entry in read_catalogue(publication.source):
-        yield f"{entry.object}/{layer_name(entry.camera, entry.setup)}"
+        yield f"{entry.object}/{entry.layer.name}"
         entries.append(_write_layer(publication, root, entry))
     yield "catalogue"
     write_catalogue(root, entries)
@@ -154,11 +152,11 @@ def _write_layer(publication: Publication, root: Path, entry: Entry) -> Entry:
     from levkas.database.layers import Layer, write_layer
 
     size = fit_size(entry.width, entry.height)
-    source = publication.source / f"{stem_of(entry)}.tif"
+    source = publication.source / f"{entry.layer.path}.tif"
     _check(publication, source)
     if size == (entry.width, entry.height):
-        group = f"zarr/{entry.object}.zarr/{layer_name(entry.camera, entry.setup)}/"
-        stem = stem_of(entry)
+        group = f"{entry.layer.group}/"
+        stem = entry.layer.path
         for name in publication.manifest.files:
             if name.startswith((f"{stem}.", group)):
                 _copy(publication, root, name)

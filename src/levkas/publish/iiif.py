@@ -18,8 +18,6 @@ from levkas.colour.srgb import srgb_profile
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.core.text import parse_json
-from levkas.database.consistency import stem_of
-from levkas.database.layout import layer_name
 from levkas.publish.publication import PublishRefused, describe_dataset
 
 if TYPE_CHECKING:
@@ -49,7 +47,7 @@ def write_iiif(publication: Publication) -> Iterator[str]:
         layers = _layers(publication, name)
         shown = []
         for entry in layers:
-            layer = layer_name(entry.camera, entry.setup)
+            layer = entry.layer.name
             yield f"{name}/{layer}"
             picture, rendering = _picture(publication, entry)
             service = address(base, FOLDER, name, layer)
@@ -169,7 +167,7 @@ def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
     from levkas.database.reader import describe_pages
     from levkas.database.tiff_pages import open_pages
 
-    pages = open_pages(publication.root / f"{stem_of(entry)}.tif")
+    pages = open_pages(publication.root / f"{entry.layer.path}.tif")
     picture = pages.read_render()
     if picture is None:
         picture = np.zeros((entry.height, entry.width, 3), np.uint8)
@@ -177,7 +175,7 @@ def _picture(publication: Publication, entry: Entry) -> tuple[np.ndarray, str]:
 
 
 def _image(entry: Entry, service: str, shape: tuple[int, ...], rendering: str) -> dict[str, Any]:
-    label = f"{layer_name(entry.camera, entry.setup)}: {entry.bands} bands"
+    label = f"{entry.layer.name}: {entry.bands} bands"
     return {
         "id": f"{service}/full/max/0/default.jpg",
         "type": "Image",
@@ -209,7 +207,7 @@ def _metadata(facts: dict[str, Any], layers: list[Entry]) -> list[dict[str, Any]
         "Size": " x ".join(f"{s:g}" for s in facts.get("size_mm", ())) + " mm",
         "Owner": facts.get("owner"),
         "Inventory number": facts.get("inventory"),
-        "Layers": ", ".join(layer_name(e.camera, e.setup) for e in layers),
+        "Layers": ", ".join(e.layer.name for e in layers),
     }
     if not facts.get("size_mm"):
         pairs.pop("Size")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.flags import MARKS
-from levkas.database.layout import layer_name
 from levkas.publish.citation import cite
 from levkas.publish.publication import describe_dataset
 
@@ -108,7 +107,7 @@ def _files(publication: Publication, root: Path) -> str:
 
 def _reading(entries: tuple[Entry, ...]) -> str:
     first = entries[0]
-    layer = layer_name(first.camera, first.setup)
+    layer = first.layer.name
     key = f'"{first.camera}", "{first.setup}"' if first.setup else f'"{first.camera}"'
     return f"""## How to read it
 

@@ -364,7 +364,7 @@ def _not_there(final: Path, why: str) -> Problem:
 
 def _check_whole(publication: Publication) -> None:
     """Read everything that was written again, and compare; every edition by its own manifest."""
-    from levkas.database.validate import check_files
+    from levkas.database.validation import check_files
 
     found = [
         p for root in publication.roots.values() for s in check_files(root) for p in s.problems

@@ -13,7 +13,6 @@ import numpy as np
 from levkas.colour.gamut import VIEWS, gamut_cells, lab_colours, lab_of, munsell_lab
 from levkas.colour.srgb import LEAST_COVERAGE, visible_coverage
 from levkas.core.cube import Flag
-from levkas.database.consistency import stem_of
 from levkas.database.preview import encode_png
 
 if TYPE_CHECKING:
@@ -144,7 +143,7 @@ def _shows_colour(publication: Publication, entry: Entry) -> bool:
     camera = publication.facts.reference.partition(":")[0]
     if entry.camera != camera or entry.setup or entry.quantity != "reflectance":
         return False
-    bands = open_tiff(publication.root / f"{stem_of(entry)}.tif").bands
+    bands = open_tiff(publication.root / f"{entry.layer.path}.tif").bands
     wavelengths = np.array([band.wavelength for band in bands])
     known = len(bands) >= 3 and bool(np.isfinite(wavelengths).all())
     return known and visible_coverage(wavelengths) >= LEAST_COVERAGE
@@ -154,7 +153,7 @@ def _cells_of(publication: Publication, entry: Entry) -> np.ndarray:
     from levkas.database.reader import describe_pages
     from levkas.database.tiff_pages import open_pages
 
-    path = publication.root / f"{stem_of(entry)}.tif"
+    path = publication.root / f"{entry.layer.path}.tif"
     values, flags = open_pages(path), path.with_name(f"{path.stem}.flags.tif")
     marks = open_pages(flags) if flags.is_file() else None
     wavelengths = [band.wavelength for band in describe_pages(values).bands]

@@ -95,12 +95,12 @@ def register(
 
     given = {name: pairs for name, pairs in (given or {}).items() if pairs}
     further = {name: options.pop(name) for name in FURTHER & options.keys()}
-    asked = Request(reference, target, reference_band, region=region, given=given, **further)
-    check_request(asked, method, METHODS)
-    read = read_options(METHODS[method].options, options)
+    request = Request(reference, target, reference_band, region=region, given=given, **further)
+    check_request(request, method, METHODS)
+    chosen = read_options(METHODS[method].options, options)
     run = _function(method)
     with steady_libraries():
-        found = run(asked, read)
+        found = run(request, chosen)
     return _with_checks(found, target, given)
 
 

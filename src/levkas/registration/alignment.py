@@ -8,10 +8,10 @@ import numpy as np
 
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed, Inverse, Transform
-from levkas.registration.bands import BandImage, grey, stretch
+from levkas.registration.bands import BandImage, grey, pull, stretch
 from levkas.registration.features import find_key_points
 from levkas.registration.matching import match
-from levkas.registration.outliers import remove_outliers
+from levkas.registration.outliers import RemovalTerms, remove_outliers
 from levkas.registration.record import RegistrationRefused
 
 if TYPE_CHECKING:
@@ -19,10 +19,8 @@ if TYPE_CHECKING:
 
 #: Share of the diagonal beyond which matches are cut, and largest error, px, that is kept.
 REJECT_SHARE, STOP_PX = 1 / 16, 1.0
-#: Matches that a model needs.
-LEAST_MATCHES = {"rigid": 8, "affine": 12}
-#: Share of a resampled pixel that has to be valid.
-EDGE = 0.999
+#: Matches that have to be kept.
+LEAST_MATCHES = 12
 
 
 def sensors_of(images: Sequence[BandImage]) -> dict[str, list[BandImage]]:
@@ -37,7 +35,6 @@ def align_sensors(
     images: Sequence[BandImage],
     *,
     given: Mapping[str, Any] | None = None,
-    model: str = "affine",
     first: str | None = None,
 ) -> dict[str, Transform]:
     """Find how the sensors of one camera lie to one another.
@@ -47,8 +44,6 @@ def align_sensors(
     images : sequence of BandImage
     given : mapping of sensor name to (2, 3) matrix or Transform, optional
         Native px of the first sensor → this sensor, where it is known.
-    model : {"affine", "rigid"}
-        Of what is measured; rigid is a rotation and a shift.
     first : str, optional
         The sensor that all are aligned to instead of the first that is met.
 
@@ -67,8 +62,6 @@ def align_sensors(
     The sensors look through one lens, so that they differ by little: matches farther apart than
     1/16 of the diagonal are cut at once, and the worst removed until none is above 1 px.
     """
-    if model not in LEAST_MATCHES:
-        raise ValueError(f"model must be one of {sorted(LEAST_MATCHES)}, got {model!r}")
     groups = sensors_of(images)
     origin = next(iter(groups))
     known = {name: _transform(name, matrix) for name, matrix in (given or {}).items()}
@@ -79,7 +72,7 @@ def align_sensors(
         elif name in known:
             alignments[name] = known[name]
         else:
-            alignments[name] = _measure(groups[origin], groups[name], model)
+            alignments[name] = _measure(groups[origin], groups[name])
     if first is None or first == origin:
         return alignments
     back = Inverse(alignments[first])
@@ -97,7 +90,7 @@ def camera_grey(
     Returns
     -------
     values, valid : ndarray, (h, w), float32 and bool
-        As `images.grey` gives them; a pixel is valid where every sensor saw it.
+        As `bands.grey` gives them; a pixel is valid where every sensor saw it.
     """
     groups = sensors_of(images)
     values, valid = grey(groups[first])
@@ -106,34 +99,13 @@ def camera_grey(
     total = values * np.float64(len(groups[first]))
     for name, bands in groups.items():
         if name != first:
-            part, seen = _resample(*grey(bands), alignments[name], values.shape)
+            part, seen = pull(*grey(bands), alignments[name], values.shape)
             total += part * len(bands)
             valid &= seen
     return (total / len(images)).astype(np.float32), valid
 
 
-def _resample(
-    values: np.ndarray, valid: np.ndarray, transform: Transform, shape: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pull an image on to another sensor's grid, linearly, row by row."""
-    from scipy.ndimage import map_coordinates
-
-    h, w = shape
-    filled = np.where(valid, values, 0).astype(np.float32)
-    weight = valid.astype(np.float32)
-    out, seen = np.zeros(shape, np.float32), np.zeros(shape, bool)
-    columns = np.arange(w, dtype=float)
-    for start in range(0, h, 256):
-        rows = np.arange(start, min(start + 256, h), dtype=float)
-        x, y = np.meshgrid(columns, rows)
-        places = transform(np.stack([x.ravel(), y.ravel()], 1)).T[::-1]
-        block = slice(start, start + len(rows))
-        out[block] = map_coordinates(filled, places, order=1).reshape(len(rows), w)
-        seen[block] = map_coordinates(weight, places, order=1).reshape(len(rows), w) > EDGE
-    return out, seen
-
-
-def _measure(first: list[BandImage], other: list[BandImage], model: str) -> Affine:
+def _measure(first: list[BandImage], other: list[BandImage]) -> Affine:
     """Fit first → other to key points that both greys share."""
     pictures = []
     for bands in (first, other):
@@ -145,22 +117,14 @@ def _measure(first: list[BandImage], other: list[BandImage], model: str) -> Affi
     scale = Affine.scaling(*np.divide(first[0].size, other[0].size))
     reject = REJECT_SHARE * float(np.hypot(*first[0].size))
     try:
-        rounds = list(remove_outliers(b, a, scale=scale, reject=reject, stop=STOP_PX, order=1))
+        rounds = list(remove_outliers(b, a, RemovalTerms(scale, reject, STOP_PX, order=1)))
     except RegistrationRefused as refusal:
         raise _apart(first, other, len(a)) from refusal
     kept = np.linalg.norm(scale(b) - a, axis=1) < reject
     kept[[step.worst for step in rounds if step.removed]] = False
-    if kept.sum() < LEAST_MATCHES[model]:
+    if kept.sum() < LEAST_MATCHES:
         raise _apart(first, other, int(kept.sum()))
-    return Affine.fit(a[kept], b[kept]) if model == "affine" else _rigid(a[kept], b[kept])
-
-
-def _rigid(source: np.ndarray, target: np.ndarray) -> Affine:
-    """Return the rotation and shift of `source` to `target` by least squares ([kabsch1976]_)."""
-    a, b = source - source.mean(0), target - target.mean(0)
-    u, _, vt = np.linalg.svd(a.T @ b)
-    turn = (u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-    return Affine(np.column_stack([turn, target.mean(0) - turn @ source.mean(0)]))
+    return Affine.fit(a[kept], b[kept])
 
 
 def _transform(name: str, given: Any) -> Transform:
@@ -188,7 +152,7 @@ def _apart(first: list[BandImage], other: list[BandImage], found: int) -> Regist
             f"sensors {names} show too little in common to be aligned",
             field="align",
             found=f"{found} matches",
-            expected=f"at least {LEAST_MATCHES['affine']}",
+            expected=f"at least {LEAST_MATCHES}",
             fix="Give the 2x3 matrix as `align`, or align on an object with more structure.",
         )
     )

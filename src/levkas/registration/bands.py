@@ -1,4 +1,4 @@
-"""Bands as registration sees them: single images, averages, contrast stretches, the object's outline.
+"""Images of bands: averages, contrast stretches, square roots, resampling, the object's outline.
 
 Dense registration compares square roots of the bands (noise becomes even, [anscombe1948]_) with small
 holes inpainted; key points are looked for in averages over bands.
@@ -8,18 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import nan
+from math import ceil, nan
 from typing import Any
 
 import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.threads import each
-from levkas.geometry.transforms import Affine
+from levkas.geometry.transforms import Affine, Transform
 
 STRETCH_PERCENT = (0.5, 99.5)
 #: Share of the bands that must be valid where their mean is.
 LEAST_BANDS_SHARE = 0.5
+#: Px between the nodes of a lattice on which maps are evaluated.
+LATTICE_PX = 8
+#: Rows that are interpolated at once; share of an interpolated pixel that has to be valid.
+PULLED_ROWS, WHOLE_SHARE = 256, 0.999
 #: Sampled values of which the range of an image is estimated.
 SAMPLED_PX = 100_000
 #: Added before the square root, in units of the 99th percentile: noise about zero stays finite.
@@ -34,7 +38,7 @@ OUTLINE_SHARE = 0.01
 
 @dataclass(frozen=True)
 class BandImage:
-    """One band as registration sees it.
+    """Image of one band.
 
     Parameters
     ----------
@@ -72,6 +76,22 @@ class BandImage:
     def size(self) -> tuple[int, int]:
         """(width, height)."""
         return self.values.shape[1], self.values.shape[0]
+
+
+def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
+    """Return the bands by wavelength where all are known, else as they come."""
+    known = all(np.isfinite(band.wavelength) for band in bands)
+    return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
+
+
+def region_mask(region: Sequence[float] | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Return which pixels of a frame, (h, w) bool, lie in (x, y, width, height), px; all without a region."""
+    inside = np.ones(shape, bool)
+    if region is not None:
+        x, y, width, height = (round(float(v)) for v in region)
+        inside[:] = False
+        inside[max(y, 0) : max(y + height, 0), max(x, 0) : max(x + width, 0)] = True
+    return inside
 
 
 def grey(images: Sequence[BandImage]) -> tuple[np.ndarray, np.ndarray]:
@@ -157,6 +177,71 @@ def area_average(
     share = cv2.resize(weight, (new_w, new_h), interpolation=cv2.INTER_AREA)
     mean = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
     return mean, share >= 0.5, Affine.scaling(w / new_w, h / new_h)
+
+
+def pull(
+    values: np.ndarray, valid: np.ndarray, transform: Transform, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate an image linearly on a grid of `shape`, some rows at a time.
+
+    Parameters
+    ----------
+    values, valid : ndarray, (h, w), float32 and bool
+    transform : Transform
+        Grid px → px of the image.
+    shape : (height, width) of the grid
+
+    Returns
+    -------
+    values, valid : ndarray, `shape`, float32 and bool
+        Valid where all that is interpolated is.
+    """
+    from scipy.ndimage import map_coordinates
+
+    h, w = shape
+    filled = np.where(valid, values, 0).astype(np.float32)
+    weight = valid.astype(np.float32)
+    out, seen = np.zeros((h, w), np.float32), np.zeros((h, w), bool)
+    lattice = evaluate_lattice(transform, (h, w))
+    for start in range(0, h, PULLED_ROWS):
+        block = slice(start, min(start + PULLED_ROWS, h))
+        places = _between_nodes(lattice, np.arange(h)[block], 0)
+        places = _between_nodes(places, np.arange(w), 1)
+        known = np.isfinite(places).all(-1, keepdims=True)
+        places = np.moveaxis(np.where(known, places, -9.0), -1, 0)[::-1]
+        out[block] = map_coordinates(filled, places, order=1)
+        seen[block] = map_coordinates(weight, places, order=1) > WHOLE_SHARE
+    return out, seen
+
+
+def evaluate_lattice(transform: Transform, shape: tuple[int, int], step: float = 1.0) -> np.ndarray:
+    """Return where every 8th px of a grid lies under a map, (rows, columns, 2).
+
+    Between them a map is interpolated linearly: to 1e-4 px for lenses with up to one per cent of distortion.
+
+    Parameters
+    ----------
+    transform : Transform
+        Source px → target px.
+    shape : (height, width) of the grid
+    step : float
+        Source px per px of the grid.
+    """
+    rows, columns = (ceil((n - 1) / LATTICE_PX) + 1 for n in shape)
+    x, y = np.meshgrid(np.arange(columns) * LATTICE_PX, np.arange(rows) * LATTICE_PX)
+    points = (np.stack([x, y], -1).reshape(-1, 2) + 0.5) * step - 0.5
+    return np.ascontiguousarray(transform(points).reshape(rows, columns, 2))
+
+
+def _between_nodes(lattice: np.ndarray, places: np.ndarray, axis: int) -> np.ndarray:
+    """Interpolate a lattice linearly along one axis at px `places`, (n,)."""
+    before = places // LATTICE_PX
+    after = np.minimum(before + 1, lattice.shape[axis] - 1)
+    share = ((places - before * LATTICE_PX) / LATTICE_PX).reshape(
+        (-1, 1, 1) if axis == 0 else (-1, 1)
+    )
+    low, high = np.take(lattice, before, axis), np.take(lattice, after, axis)
+    return np.asarray((1 - share) * low + share * high)
 
 
 def stretch(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -283,8 +368,8 @@ def _means_around(image, places, taps):  # type: ignore[no-untyped-def]
     return out
 
 
-def segment_foreground(image: np.ndarray, *, margin: int = MARGIN_PX) -> np.ndarray:
-    """Return where the object is, (h, w) bool, `margin` px inside its outline.
+def segment_foreground(image: np.ndarray) -> np.ndarray:
+    """Return where the object is, (h, w) bool, 4 px inside its outline.
 
     The background is what is as even as the frame's rim and connected to it. Where the rim is not
     even, or nothing is left, everything is object.
@@ -329,24 +414,24 @@ def segment_foreground(image: np.ndarray, *, margin: int = MARGIN_PX) -> np.ndar
     body = ndimage.binary_fill_holes(bodies == 1 + np.bincount(bodies.ravel())[1:].argmax())
     if body.mean() < LEAST_OBJECT:
         return everything
-    return ndimage.binary_erosion(body, iterations=margin) if margin else body
+    return np.asarray(ndimage.binary_erosion(body, iterations=MARGIN_PX))
 
 
 def describe_mask(body: np.ndarray, region: Sequence[float] | None) -> dict[str, Any]:
-    """Return what of the reference is compared, JSON-ready.
+    """Return the mask of the reference, within which it is compared, JSON-ready.
 
     Parameters
     ----------
     body : ndarray of bool, (h, w)
         Of `segment_foreground`.
     region : (x, y, width, height), reference px, optional
-        As it was asked for.
+        Of the request.
 
     Returns
     -------
     mask : dict
-        ``automatic``: whether an object was told from its background; ``share`` of the frame that it takes;
-        ``outline``: its corners, (n, 2) reference px, empty where nothing was told apart; ``region``.
+        ``automatic``: whether an object was segmented from its background; ``share`` of the frame that it takes;
+        ``outline``: its corners, (n, 2) reference px, empty where none was segmented; ``region``.
 
     Examples
     --------

@@ -4,12 +4,17 @@ A lens magnifies every wavelength a little differently, a filter wheel shifts ev
 Each band is displaced by the same few fields, shift and magnification freely, others with a prior that
 they are small. The amounts of each field are a Gaussian process over wavelength ([rasmussen2006]_): a constant,
 a squared exponential and a part of each band's own, with scales of the highest marginal likelihood.
+
+Lateral colour belongs to the lens and to the filters, not to the painting: captures of one camera measure the
+same amounts, each with its own errors. How much these really differ from capture to capture (a filter that is
+put in anew, another focus) shows in them as well. Each capture is drawn to the others as far as they agree: a
+meta-analysis with random effects ([dersimonian1986]_), pooled over the bands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -39,6 +44,10 @@ class ChromaticSettings:
         Variances of the smooth part and of each band's own, in units of the amounts' mean square.
     least_bands : int
         Of different wavelengths from which amounts are smoothed.
+    least_variance : float, px²
+        Amounts of a capture that is pooled are never known better.
+    pool_rounds : int
+        Of taking out what all bands of a capture have in common.
     """
 
     blocks: int = 8
@@ -48,6 +57,8 @@ class ChromaticSettings:
     smooth: tuple[float, ...] = (0.0, 1.0, 10.0)
     own: tuple[float, ...] = (0.0, 0.01, 0.1, 1.0)
     least_bands: int = 4
+    least_variance: float = 1e-10
+    pool_rounds: int = 5
 
 
 SETTINGS = ChromaticSettings()
@@ -80,7 +91,7 @@ class ChromaticShifts:
     Parameters
     ----------
     kind : str
-        The richest fields that were taken, a key of the ladder of this file.
+        The richest fields that were taken, of `KINDS`.
     centre, spread : (2,) and float, reference px
     amounts : ndarray, (bands, fields), px
     variances : ndarray, (bands, fields), px², or None
@@ -102,7 +113,7 @@ class ChromaticShifts:
         return np.asarray((fields**2).mean(0) @ self.variances[band])
 
     def transform(self, band: int) -> Polynomial:
-        """Return reference px ↦ where the base map has to be asked for this band."""
+        """Return the map from reference px to where the base map is evaluated for this band."""
         coefficients = np.einsum("f,fka->ka", self.amounts[band], _tensor(self.amounts.shape[1]))
         coefficients[1:3] += self.spread * np.eye(2)
         coefficients[0] += self.centre
@@ -129,7 +140,7 @@ def fit_chromatic(
     Parameters
     ----------
     seen : one `WindowShifts` a band, all on the same lattice
-    before : Chromatic
+    before : ChromaticShifts
         What the windows were warped with.
     wavelengths : nm, NaN where unknown
     common : ndarray, (n, 2), px, optional
@@ -169,12 +180,6 @@ def _size(kind: str) -> int:
     return sum(len(fields) for _, fields in _FIELDS[: KINDS.index(kind) + 1])
 
 
-def groups_of(kind: str) -> list[tuple[int, int]]:
-    """Return (first, after the last) of the columns of each group of fields up to `kind`."""
-    ends = [_size(name) for name in KINDS[: KINDS.index(kind) + 1]]
-    return list(zip([0, *ends], ends, strict=False))
-
-
 def _tensor(count: int) -> np.ndarray:
     fields = [field for _, group in _FIELDS for field in group][:count]
     tensor = np.zeros((count, 10, 2))
@@ -187,7 +192,7 @@ def _tensor(count: int) -> np.ndarray:
 def _system(
     windows: WindowShifts, design: np.ndarray, earlier: np.ndarray, common: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (2, n, f).
+    """Return normal matrix (f, f) and right side (f,) of a band's total amounts; `design` is (2, n, f).
 
     What a prediction gets wrong pulls all windows along a stroke or a patch the same way. The
     matrix is deflated until the gradients of whole blocks scatter as it says they should.
@@ -223,7 +228,7 @@ def _reweighted(
 
 @njit(nogil=True, cache=True)
 def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
-    """Normal matrix and right side of `design`, (2, n, count), under weights of 2 x 2."""
+    """Return normal matrix and right side of `design`, (2, n, count), under weights of 2 x 2."""
     matrix, right = np.zeros((count, count)), np.zeros(count)
     for n in range(design.shape[1]):
         a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
@@ -238,7 +243,7 @@ def _normal(design, information, goal, count):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def _gradients(design, information, residual, blocks, size):  # type: ignore[no-untyped-def]
-    """What the windows of each block pull at the first `size` amounts, (blocks, size)."""
+    """Return the gradients of the first `size` amounts, summed over each block, (blocks, size)."""
     summed = np.zeros((blocks.max() + 1, size))
     for n in range(design.shape[1]):
         a, b, c = information[n, 0, 0], information[n, 0, 1], information[n, 1, 1]
@@ -267,7 +272,7 @@ def _amounts(
     earlier: np.ndarray,
     apart: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Amounts of each band less those of its prediction, and variances; infinite where unseen.
+    """Return amounts of each band less those of its prediction, and variances; infinite where unseen.
 
     The price is on the squares of what is returned: what a band is apart from its prediction.
     """
@@ -351,3 +356,89 @@ def _posterior(
             known = np.linalg.solve(factor, seen @ prior)
             variance = np.maximum(np.diag(prior) - (known**2).sum(0), 0.0)
     return mean, variance
+
+
+# --- several captures
+
+
+def pool_chromatic(mine: ChromaticShifts, others: Sequence[ChromaticShifts]) -> ChromaticShifts:
+    """Return the shifts of one capture, drawn to those of others; as they are without any.
+
+    Parameters
+    ----------
+    mine : ChromaticShifts
+    others : sequence of ChromaticShifts
+        Of the same bands in the same order and the same frame, one a capture.
+
+    Notes
+    -----
+    What all bands of a capture have in common belongs to its base map and is never shared: base maps
+    may weigh the bands differently. A band that was measured nowhere stays.
+    """
+    if not others:
+        return mine
+    amounts, known = _stacked([mine, *others])
+    common = _common(amounts, known)
+    spread = _between(amounts - common, known)
+    with np.errstate(divide="ignore"):
+        trusted = np.where(known > 0, 1 / (1 / known + spread), 0.0)[1:]
+        total = trusted.sum(0)
+        prior = np.where(total > 0, 1 / (1 / total + spread), 0.0)
+    expected = _mean(trusted, (amounts - common)[1:]) + common[0]
+    whole = known[0] + prior
+    values = (known[0] * amounts[0] + prior * expected) / np.where(whole > 0, whole, 1.0)
+    fixed = ~mine.amounts.any(1) & (whole > 0).any(1)
+    values = np.where((whole > 0) & ~fixed[:, None], values, amounts[0])
+    kind = max((one.kind for one in (mine, *others)), key=_size)
+    if mine.variances is None:
+        return replace(mine, kind=kind, amounts=values)
+    before = np.zeros_like(values)
+    before[:, : mine.variances.shape[1]] = mine.variances
+    with np.errstate(divide="ignore"):
+        variances = np.where(known[0] > 0, 1 / whole, before)
+    return replace(mine, kind=kind, amounts=values, variances=variances)
+
+
+def _stacked(measured: Sequence[ChromaticShifts]) -> tuple[np.ndarray, np.ndarray]:
+    """Return amounts and inverse variances, (captures, bands, fields); 0 where nothing is known."""
+    bands, width = len(measured[0].amounts), max(m.amounts.shape[1] for m in measured)
+    amounts, known = np.zeros((2, len(measured), bands, width))
+    for k, one in enumerate(measured):
+        size = one.amounts.shape[1]
+        amounts[k, :, :size] = one.amounts
+        if one.variances is not None:
+            known[k, :, :size] = 1 / np.maximum(one.variances, SETTINGS.least_variance)
+    return amounts, known
+
+
+def _mean(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    total = weights.sum(0)
+    return np.asarray((weights * values).sum(0) / np.where(total > 0, total, 1.0))
+
+
+def _common(amounts: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return what all bands of a capture have more than those of the others, (captures, 1, fields)."""
+    common = np.zeros((len(amounts), 1, amounts.shape[2]))
+    total = known.sum(1, keepdims=True)
+    for _ in range(SETTINGS.pool_rounds):
+        apart = amounts - _mean(known, amounts - common)
+        common = (known * apart).sum(1, keepdims=True) / np.where(total > 0, total, 1.0)
+        common -= common.mean(0)
+    return common
+
+
+def _between(apart: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the variance between captures of every field, (fields,) px², one for the fields of a group."""
+    spread = np.zeros(apart.shape[2])
+    squares = (known * (apart - _mean(known, apart)) ** 2).sum(0)
+    total, twice = known.sum(0), (known**2).sum(0)
+    times = (known > 0).sum(0)
+    ends = [_size(kind) for kind in KINDS]
+    for first, last in zip([0, *ends], ends, strict=False):
+        part = np.zeros(times.shape, bool)
+        part[:, first:last] = times[:, first:last] > 1
+        if part.any():
+            excess = (squares - (times - 1))[part].sum()
+            scale = (total[part] - twice[part] / total[part]).sum()
+            spread[first:last] = max(float(excess / scale), 0.0)
+    return spread

@@ -18,6 +18,7 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Composed, Transform
+from levkas.registration.bands import by_wavelength
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.initial import (
     InitialTransform,
@@ -25,13 +26,12 @@ from levkas.registration.initial import (
     is_plausible,
     seed_with_points,
 )
-from levkas.registration.local_shifts import WindowShifts
+from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
 from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
 from levkas.registration.record import RegistrationRefused, Sigma
-from levkas.registration.sampling import highpass
 from levkas.registration.uncertainty import measure_sigma
 from levkas.registration.verification import (
     PermutationTest,
@@ -193,7 +193,7 @@ class SensorTask:
 
 @dataclass(frozen=True)
 class RefinedMap:
-    """The map of one sensor, refined in one way.
+    """Map of one sensor after one refinement, with yielding or with stiff models.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class RefinedMap:
 
     @property
     def is_good(self) -> bool:
-        """Whether no other way needs to be tried."""
+        """Whether the map needs no refinement with stiff models."""
         near = self.selected.held_out_error < SETTINGS.good * self.step
         return near and self.evidence["share_above_chance"] > PermutationTest.PARTLY
 
@@ -262,12 +262,6 @@ class RegisteredSensor:
     sigma: dict[str, Sigma] = field(default_factory=dict)
     initial: InitialTransform | None = None
     refined: RefinedMap | None = None
-
-
-def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:
-    """Return the bands by wavelength where all are known, else as they come."""
-    known = all(np.isfinite(band.wavelength) for band in bands)
-    return sorted(bands, key=lambda band: band.wavelength) if known else list(bands)
 
 
 def register_sensor(
@@ -370,7 +364,7 @@ def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
 
 
 class _Way:
-    """The state of one refinement: base map, grid, chromatic shifts and windows of the last round."""
+    """State of one refinement: base map, grid, chromatic shifts and windows of the last round."""
 
     selected: SelectedModel
     windows: list[WindowShifts]
@@ -470,7 +464,7 @@ class _Way:
             raise RegistrationRefused(
                 Problem(
                     "E_FOLD",
-                    "the map of this sensor folds or stretches beyond belief",
+                    "the map of this sensor folds, or is stretched more than a camera can",
                     field=self.task.bands[0].sensor or None,
                     fix="Check that both show the same object; give control points if they do.",
                 )

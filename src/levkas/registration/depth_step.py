@@ -15,8 +15,8 @@ import numpy as np
 
 from levkas.geometry.depth_step import LedgeShift
 from levkas.geometry.pixel_maps_kernel import share_inside
-from levkas.geometry.transforms import Composed, Transform, design_matrix, frame_of
-from levkas.registration.models import Observations, fit_polynomial, solve_2x2
+from levkas.geometry.transforms import Composed, Transform, design_matrix, frame_of, solve_2x2
+from levkas.registration.models import Observations, fit_polynomial
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ WEIGHTS = np.repeat([0.25, 0.5, 0.25], 3) / 3
 
 @dataclass(frozen=True)
 class DepthStep:
-    """Where a step in depth lies, reference px.
+    """Place of a step in depth, reference px.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def _moved(step: DepthStep, k: int, by: float) -> DepthStep:
 
 
 class _Residual:
-    """What a polynomial leaves, and how much of it a step would explain."""
+    """Residuals of a polynomial, and how much of them a step explains."""
 
     def __init__(self, observations: Observations, order: int) -> None:
         self.points = observations.points

@@ -36,10 +36,16 @@ class FeatureSettings:
         summation.
     orb_points : int
         Of ORB before the strongest of each cell are kept; OpenCV's 500 lie where contrast is highest.
+    fast_threshold : int, grey levels
+        Of FAST, in ORB.
+    kaze_threshold : float
+        Of the detector of KAZE and AKAZE.
     key_points : int
         Of a grey picture that the default method keeps, the strongest first.
     edge_threshold : int
         Of SIFT, above which an extremum lies on an edge; in the default method.
+    most_greys : int
+        Means of parts of the spectrum in which key points are found, beside that of all bands.
     edge_px : float
         Scale at which the gradient's magnitude is taken.
     """
@@ -49,8 +55,11 @@ class FeatureSettings:
     balance_cells: int = 8
     root_levels: int = 512
     orb_points: int = 40_000
+    fast_threshold: int = 5
+    kaze_threshold: float = 3e-4
     key_points: int = 4000
     edge_threshold: int = 12
+    most_greys: int = 4
     edge_px: float = 2.0
 
 
@@ -191,23 +200,26 @@ def _whole(found: KeyPoints, descriptors: np.ndarray) -> KeyPoints:
     return KeyPoints(found.points, found.sizes, found.angles, found.responses, levels)
 
 
-def kaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
+def kaze(picture: np.ndarray) -> KeyPoints:
     """KAZE ([alcantarilla2012]_); in OpenCV 4, and in OpenCV 5 only with its extra modules."""
-    finder = _opencv("KAZE_create", "kaze")(threshold=contrast)
+    finder = _opencv("KAZE_create", "kaze")(threshold=SETTINGS.kaze_threshold)
     found = _gather(*finder.detectAndCompute(picture, None), width=64)
     return _whole(found, found.descriptors)
 
 
-def akaze(picture: np.ndarray, *, contrast: float = 3e-4) -> KeyPoints:
+def akaze(picture: np.ndarray) -> KeyPoints:
     """AKAZE ([alcantarilla2013]_), binary descriptors; in OpenCV as `kaze` is."""
-    finder = _opencv("AKAZE_create", "akaze")(threshold=contrast)
+    finder = _opencv("AKAZE_create", "akaze")(threshold=SETTINGS.kaze_threshold)
     return _gather(*finder.detectAndCompute(picture, None), width=61)
 
 
-def orb(picture: np.ndarray, *, contrast: int = 5) -> KeyPoints:
-    """ORB ([rublee2011]_), binary descriptors; in every OpenCV. `contrast` is the threshold of FAST, grey levels."""
+def orb(picture: np.ndarray) -> KeyPoints:
+    """ORB ([rublee2011]_), binary descriptors; in every OpenCV."""
     finder = _opencv("ORB_create", "orb")(
-        nfeatures=SETTINGS.orb_points, fastThreshold=contrast, scaleFactor=1.2, nlevels=8
+        nfeatures=SETTINGS.orb_points,
+        fastThreshold=SETTINGS.fast_threshold,
+        scaleFactor=1.2,
+        nlevels=8,
     )
     return _gather(*finder.detectAndCompute(picture, None), width=32)
 
@@ -269,6 +281,50 @@ def _gather(key_points: Any, descriptors: Any, *, width: int) -> KeyPoints:
 
 
 # --- features of the grey pictures of a camera
+
+
+class GreyImages(Sequence[np.ndarray]):
+    """Grey images of a camera: the mean of all bands at one contrast, and up to four others, computed when first used.
+
+    Those are the bands themselves where they are few, else means of parts of the spectrum.
+    """
+
+    def __init__(self, images: Sequence[np.ndarray]) -> None:
+        self._images = images
+        parts = np.array_split(np.arange(len(images)), min(SETTINGS.most_greys, len(images)))
+        self._groups = [range(len(images)), *(parts if len(images) > 1 else ())]
+        self._made: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def freeze(self) -> None:
+        """Compute all of them, and free the bands."""
+        for i in range(len(self)):
+            self[i]
+        self._images = []
+
+    def __getitem__(self, i: Any) -> Any:
+        if isinstance(i, slice):
+            return [self[k] for k in range(*i.indices(len(self)))]
+        if i not in self._made:
+            self._made[i] = _mean([self._images[k] for k in self._groups[i]])
+        return self._made[i]
+
+
+def _mean(images: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean of images, each in units of its standard deviation, over what is finite."""
+    total, count = np.zeros((2, *images[0].shape), np.float32)
+    for image in images:
+        known = np.isfinite(image)
+        some = image[::2, ::2][known[::2, ::2]]
+        if not some.size:
+            continue
+        spread = np.float32(max(float(np.std(some)), 1e-12))
+        total += np.where(known, image / spread, np.float32(0))
+        count += known
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(total / count)
 
 
 class CameraFeatures:

@@ -10,13 +10,12 @@ find nothing, or something else.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.core.machine import count_threads
+from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Homography, Polynomial, Transform
 from levkas.registration.features import (
     KeyPoints,
@@ -31,6 +30,7 @@ from levkas.registration.matching import (
     match_widely,
     unique_rows,
 )
+from levkas.registration.models import Observations, fit_similarity
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ class InitialSettings:
     ----------
     long_side : int, px
         Of the pictures in which key points are found first; then twice that.
-    most_pairs, most_threads : int
-        Pairs of grey pictures beyond the first that are tried, and how many at a time.
+    most_pairs : int
+        Pairs of grey pictures beyond the first that are tried.
     sure_share : float
         Share of matches that agree from which the mirror image is not tried.
     least_likeness : float
@@ -64,7 +64,6 @@ class InitialSettings:
 
     long_side: int = 1000
     most_pairs: int = 8
-    most_threads: int = 2
     sure_share: float = 0.3
     least_likeness: float = 0.8
     reach: float = 3.0
@@ -80,7 +79,7 @@ SETTINGS = InitialSettings()
 
 @dataclass(frozen=True)
 class InitialTransform:
-    """A first map of one sensor and the matches on which it rests.
+    """Initial map of one sensor and the matches on which it rests.
 
     Parameters
     ----------
@@ -168,14 +167,11 @@ def _attempt(
 def _match_pictures(
     ours: ScaledFeatures, theirs: ScaledFeatures, pairs: Sequence[tuple[int, int]], mirror: bool
 ) -> list[TentativeMatches]:
-    """Match all pairs of pictures, two at a time where there are several."""
-    with ThreadPoolExecutor(count_threads(SETTINGS.most_threads)) as pool:
-        wanted = [(ours, i) for i in sorted({i for i, _ in pairs})]
-        wanted += [(theirs, j) for j in sorted({j for _, j in pairs})]
-        list(pool.map(lambda one: one[0][one[1]], wanted))
-        return list(
-            pool.map(lambda ij: match_mutually(ours[ij[0]], theirs[ij[1]], mirror=mirror), pairs)
-        )
+    """Match all pairs of pictures, several at a time."""
+    wanted = [(ours, i) for i in sorted({i for i, _ in pairs})]
+    wanted += [(theirs, j) for j in sorted({j for _, j in pairs})]
+    each(lambda pictures: pictures[0][pictures[1]], wanted)
+    return each(lambda ij: match_mutually(ours[ij[0]], theirs[ij[1]], mirror=mirror), pairs)
 
 
 def _search_widely(
@@ -403,13 +399,19 @@ def fit_initial_transform(pairs: np.ndarray) -> InitialTransform:
     p, q = pairs[:, :2], pairs[:, 2:]
     affine = Affine.fit(p, q)
     mirrored = bool(np.linalg.det(affine.matrix[:, :2]) < 0)
-    similarity = _fit_similarity(p, q, mirrored)
+    turned = np.broadcast_to(np.diag([1.0, -1.0 if mirrored else 1.0]), (len(p), 2, 2))
+    similarity = fit_similarity(
+        Observations(p, q, turned, np.broadcast_to(np.eye(2), turned.shape))
+    )
     reach = SETTINGS.reach * _scale(similarity, p)
     kept = np.ones(len(p), bool)
     for chosen in (similarity, affine):
         if np.linalg.norm(chosen(p) - q, axis=1).max() <= reach:
             return InitialTransform(chosen, p, q, kept, mirrored)
-    return InitialTransform(_fit_homography(p, q) or affine, p, q, kept, mirrored)
+    try:
+        return InitialTransform(Homography.fit(p, q), p, q, kept, mirrored)
+    except ValueError:
+        return InitialTransform(affine, p, q, kept, mirrored)
 
 
 def _rematch_all(
@@ -437,37 +439,3 @@ def _contradicts(found: InitialTransform, fixed: np.ndarray, shape: tuple[int, .
     off = np.nan_to_num(miss / np.maximum(scale, 1e-9), nan=np.inf)
     most = max(SETTINGS.least_contradiction, SETTINGS.contradiction_share * max(shape))
     return bool(np.median(off) > most)
-
-
-def _fit_similarity(p: np.ndarray, q: np.ndarray, mirrored: bool) -> Affine:
-    sign = -1.0 if mirrored else 1.0
-    centre, middle = p.mean(0), q.mean(0)
-    u, v = (p - centre).T
-    one = np.stack([np.stack([u, -v * sign], 1), np.stack([v * sign, u], 1)], 1).reshape(-1, 2)
-    a, b = np.linalg.lstsq(one, (q - middle).reshape(-1), rcond=None)[0]
-    linear = np.array([[a, -b * sign], [b, a * sign]])
-    return Affine(np.column_stack([linear, middle - linear @ centre]))
-
-
-def _fit_homography(p: np.ndarray, q: np.ndarray) -> Homography | None:
-    """Direct linear transform on centred, scaled coordinates ([hartley1997]_); None where none is determined."""
-
-    def frame(points: np.ndarray) -> np.ndarray:
-        centre = points.mean(0)
-        spread = max(float(np.abs(points - centre).max()), 1e-9)
-        return np.array(
-            [[1 / spread, 0, -centre[0] / spread], [0, 1 / spread, -centre[1] / spread], [0, 0, 1]]
-        )
-
-    a, b = frame(p), frame(q)
-    x, y = (p @ a[:2, :2].T + a[:2, 2]).T
-    u, v = (q @ b[:2, :2].T + b[:2, 2]).T
-    one, nil = np.ones_like(x), np.zeros_like(x)
-    rows = np.concatenate(
-        [
-            np.stack([x, y, one, nil, nil, nil, -u * x, -u * y, -u], 1),
-            np.stack([nil, nil, nil, x, y, one, -v * x, -v * y, -v], 1),
-        ]
-    )
-    matrix = np.linalg.inv(b) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ a
-    return Homography(matrix / matrix[2, 2]) if abs(matrix[2, 2]) > 1e-9 else None

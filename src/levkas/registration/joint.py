@@ -5,7 +5,7 @@ place. What others of its captures observed is transferred to the frame of one o
 (the paintings may lie anywhere), and one map is fitted to all of it and to what this capture observed.
 That shared map is one more model in the selection for the capture, also behind plain ones for how this
 painting lies: it is taken only where it predicts blocks of this very capture, left out of the fit, better
-than all that the capture found alone. Chromatic shifts are pooled as `pooled_chromatic` does.
+than all that the capture found alone. Chromatic shifts are pooled with those of captures in the same pose.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.chromatic import ChromaticShifts
+from levkas.registration.chromatic import ChromaticShifts, pool_chromatic
 from levkas.registration.depth_step import depth_step_of
 from levkas.registration.model_selection import (
     HOMOGRAPHY,
@@ -30,7 +30,6 @@ from levkas.registration.model_selection import (
 )
 from levkas.registration.model_selection import SETTINGS as SELECTION
 from levkas.registration.models import Observations, fit_projective
-from levkas.registration.pooled_chromatic import pool_chromatic
 
 
 @dataclass(frozen=True)
@@ -191,7 +190,7 @@ def adjust_jointly(mine: SensorObservations, others: Sequence[SensorObservations
     """
     if mine.seen is None:
         posed = [k for k, other in enumerate(others) if _have_same_bands(mine, other)]
-        pooled = pool_chromatic([mine.chromatic, *(others[k].chromatic for k in posed)])
+        pooled = pool_chromatic(mine.chromatic, [others[k].chromatic for k in posed])
         return JointResult(mine.base, pooled, None, None, tuple(posed))
     laid = [_transfer(mine, other, depth_step_of(mine.base)[1]) for other in others]
     posed = [
@@ -202,7 +201,7 @@ def adjust_jointly(mine: SensorObservations, others: Sequence[SensorObservations
     mates = [
         k for k, one in enumerate(laid) if one is not None and one.excess < SETTINGS.most_excess
     ]
-    pooled = pool_chromatic([mine.chromatic, *(others[k].chromatic for k in posed)])
+    pooled = pool_chromatic(mine.chromatic, [others[k].chromatic for k in posed])
     alone = JointResult(mine.base, pooled, None, None, tuple(posed))
     if not mates:
         return alone

@@ -1,4 +1,4 @@
-"""The default method: key points for the initial transform, dense shifts for every band, models by held-out blocks.
+"""Default method: key points for the initial transform, dense shifts for every band, models by held-out blocks.
 
 `docs/explanation/registration.md` describes it on one page.
 """
@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.geometry.transforms import Transform
+from levkas.geometry.transforms import Transform, solve_2x2
 from levkas.registration.bands import sqrt_images
 from levkas.registration.coarse_to_fine import RegisteredSensor, register_sensor
-from levkas.registration.features import CameraFeatures
+from levkas.registration.features import CameraFeatures, GreyImages
 from levkas.registration.joint import SensorObservations
-from levkas.registration.prepared_reference import GreyImages, PreparedReference
+from levkas.registration.predictors import PreparedReference
 from levkas.registration.record import (
     Matches,
     MatchState,
@@ -163,7 +163,7 @@ def _matches(sensor: RegisteredSensor) -> Matches:
         return Matches.none()
     miss = initial.target - found.base(initial.reference)
     jacobian = found.base.jacobian(initial.reference)
-    residual = np.linalg.norm(np.linalg.solve(jacobian, miss[..., None])[..., 0], axis=1)
+    residual = np.linalg.norm(solve_2x2(jacobian, miss), axis=1)
     kept = initial.kept
     reason = np.where(kept, "", "does not agree with the map of the others").astype(object)
     if initial.reason is not None:

@@ -11,11 +11,17 @@ so that the fraction of a pixel at which a sample falls does not bias the shift.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.core.compiled import njit
 from levkas.core.threads import in_threads
 from levkas.registration import local_shifts_kernel as kernels
+from levkas.registration.bands import LATTICE_PX, evaluate_lattice
+
+if TYPE_CHECKING:
+    from levkas.geometry.transforms import Transform
 
 #: Side of a cell, px; a window is three cells wide.
 CELL_PX = 16
@@ -23,11 +29,13 @@ CELL_PX = 16
 RIDGE = 1e-4
 #: Share of a window that has to be valid.
 LEAST_COVER = 0.6
+#: Standard deviation of the local mean that a high-pass filter subtracts, px.
+HIGHPASS_PX = 3.0
 
 
 @dataclass(frozen=True)
 class WindowShifts:
-    """What dense refinement saw: one row a window.
+    """Shifts of one band against its predictors; one row a window.
 
     Parameters
     ----------
@@ -50,7 +58,7 @@ class WindowShifts:
 
 
 class Predictor:
-    """Reference images made ready, so that each band of each camera costs one pass.
+    """Reference images with the sums of their products, so that each band of each camera costs one pass.
 
     Parameters
     ----------
@@ -128,7 +136,7 @@ class Predictor:
     def _products(
         self, target: np.ndarray, number: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Sums of the target with the predictors; of all that it covers in cells that it cuts."""
+        """Return the sums of the target's products with the predictors, and all sums anew of cells that it covers in part."""
         cut = (number > 0) & (number < self.counts)
         slots = np.full(number.shape, -1)
         slots[cut] = np.arange(int(cut.sum()))
@@ -140,3 +148,144 @@ class Predictor:
             *(target, self._images, self._known, self.cell, (number, slots), (lines, partial)),
         )
         return slots, lines, partial
+
+
+# --- resampling before windows are compared
+
+
+def smoothing_warp(
+    image: np.ndarray, transform: Transform, shape: tuple[int, int], *, step: float = 1.0
+) -> np.ndarray:
+    """Return `image` seen in the frame of `transform`'s source through a cubic B-spline.
+
+    Parameters
+    ----------
+    image : ndarray, (h, w), float32
+        NaN where invalid.
+    transform : Transform
+        Output px (times `step`, about pixel corners) → px of `image`.
+    shape : (height, width) of the output
+    step : float
+        Source px per output px.
+
+    Returns
+    -------
+    warped : ndarray, `shape`, float32
+        NaN where the kernel touches what is invalid or outside.
+    """
+    lattice = evaluate_lattice(transform, shape, step)
+    out = np.full(shape, np.nan, np.float32)
+    in_threads(_warp, shape[0], np.ascontiguousarray(image, np.float32), lattice, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _warp(start, stop, image, lattice, out):  # type: ignore[no-untyped-def]
+    h, w = image.shape
+    flat, width = image.reshape(-1), out.shape[1]
+    last = lattice.shape[0] - 1
+    nodes = np.empty((lattice.shape[1], 2))
+    for i in range(start, stop):
+        fy = i / LATTICE_PX
+        ly = min(int(fy), last)
+        my = min(ly + 1, last)
+        ty = fy - ly
+        for n in range(len(nodes)):
+            nodes[n, 0] = (1 - ty) * lattice[ly, n, 0] + ty * lattice[my, n, 0]
+            nodes[n, 1] = (1 - ty) * lattice[ly, n, 1] + ty * lattice[my, n, 1]
+        for left in range(0, width, LATTICE_PX):
+            n = left // LATTICE_PX
+            _warp_span(flat, h, w, nodes[n], nodes[min(n + 1, len(nodes) - 1)], out[i, left:])
+
+
+@njit(cache=True)
+def _warp_span(image, h, w, near, far, out):  # type: ignore[no-untyped-def]
+    """Fill up to `LATTICE_PX` pixels whose places lie on a straight line from `near` to `far`."""
+    slope_x, slope_y = (far[0] - near[0]) / LATTICE_PX, (far[1] - near[1]) / LATTICE_PX
+    for j in range(min(LATTICE_PX, len(out))):
+        x, y = near[0] + j * slope_x, near[1] + j * slope_y
+        if not (x >= 1.0 and y >= 1.0 and x < w - 2.0 and y < h - 2.0):
+            continue
+        x0, y0 = int(x), int(y)
+        u = _spline_weights(np.float32(x - x0))
+        v = _spline_weights(np.float32(y - y0))
+        total = np.float32(0.0)
+        for r in range(4):
+            p = (y0 - 1 + r) * w + x0 - 1
+            line = u[0] * image[p] + u[1] * image[p + 1]
+            total += v[r] * (line + (u[2] * image[p + 2] + u[3] * image[p + 3]))
+        out[j] = total
+
+
+@njit(inline="always")
+def _spline_weights(t):  # type: ignore[no-untyped-def]
+    sixth, half, two = np.float32(1 / 6), np.float32(0.5), np.float32(2 / 3)
+    s = np.float32(1.0) - t
+    tt, ss = t * t, s * s
+    return ss * s * sixth, two - tt + half * tt * t, two - ss + half * ss * s, tt * t * sixth
+
+
+def reduce(image: np.ndarray, n: int) -> np.ndarray:
+    """Return the means of n x n blocks, (h // n, w // n) float32; NaN where a pixel is invalid."""
+    out = np.empty((image.shape[0] // n, image.shape[1] // n), np.float32)
+    in_threads(_reduce, out.shape[0], np.ascontiguousarray(image, np.float32), n, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _reduce(start, stop, image, n, out):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        for j in range(out.shape[1]):
+            total = 0.0
+            for a in range(n):
+                for b in range(n):
+                    total += image[i * n + a, j * n + b]
+            out[i, j] = total / (n * n)
+
+
+def highpass(image: np.ndarray) -> np.ndarray:
+    """Return `image` less its local mean over what is valid (Gaussian, sigma 3 px); NaN stays NaN.
+
+    Glare, shading and the difference of two cameras' flat fields are smooth; paint is not. Without
+    its slow part the residual of a prediction is nearly white, which least squares takes for granted.
+    """
+    taps = np.exp(-0.5 * (np.arange(-8, 9) / HIGHPASS_PX) ** 2)
+    taps = (taps / taps.sum()).astype(np.float32)
+    image = np.ascontiguousarray(image, np.float32)
+    across, share, out = (np.zeros(image.shape, np.float32) for _ in range(3))
+    in_threads(_average_rows, image.shape[0], image, taps, across, share)
+    in_threads(_average_columns, image.shape[0], image, taps, across, share, out)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def _average_rows(start, stop, image, taps, across, share):  # type: ignore[no-untyped-def]
+    w = image.shape[1]
+    reach = len(taps) // 2
+    for i in range(start, stop):
+        value = np.zeros(w + 2 * reach, np.float32)
+        mask = np.zeros(w + 2 * reach, np.float32)
+        for j in range(w):
+            if np.isfinite(image[i, j]):
+                value[j + reach] = image[i, j]
+                mask[j + reach] = 1.0
+        for k in range(len(taps)):
+            for j in range(w):
+                across[i, j] += taps[k] * value[j + k]
+                share[i, j] += taps[k] * mask[j + k]
+
+
+@njit(nogil=True, cache=True)
+def _average_columns(start, stop, image, taps, across, share, out):  # type: ignore[no-untyped-def]
+    h, w = image.shape
+    reach = len(taps) // 2
+    for i in range(start, stop):
+        total = np.zeros(w, np.float32)
+        weight = np.zeros(w, np.float32)
+        for k in range(max(0, i - reach), min(h, i + reach + 1)):
+            tap = taps[k - i + reach]
+            for j in range(w):
+                total[j] += tap * across[k, j]
+                weight[j] += tap * share[k, j]
+        for j in range(w):
+            out[i, j] = image[i, j] - total[j] / max(weight[j], np.float32(1e-6))

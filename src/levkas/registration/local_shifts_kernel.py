@@ -1,4 +1,4 @@
-"""Compiled loops of dense refinement: sums over cells, windows of cells, gains and shift of each.
+"""Compiled loops of the local shifts: sums over cells, windows of cells, gains and shift of each.
 
 What depends on the predictors alone is summed, centred and freed of bias and ramp once for every
 window; a band then costs one row of sums a cell. Only windows whose cells the band covers in part
@@ -58,7 +58,7 @@ def find_known(start, stop, images, known):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def sum_squares(start, stop, images, known, cell, grams, counts):  # type: ignore[no-untyped-def]
-    """Sums of products of what `_see` gives over each cell, where all of it is known."""
+    """Sum the products of what `_see` gives over each cell, where all of it is known."""
     k = images.shape[0]
     table = np.empty((3 + 3 * k, cell * cell))
     for r in range(start, stop):
@@ -121,7 +121,7 @@ def count_cover(start, stop, target, known, cell, number):  # type: ignore[no-un
 
 @njit(nogil=True, cache=True)
 def sum_products(start, stop, target, images, known, cell, cover, out):  # type: ignore[no-untyped-def]
-    """Sums of the target's products, its square last; of all products anew in partial cells.
+    """Sum the target's products, its square last, and all products anew in partial cells.
 
     Columns side by side, the rows of a cell one by one, these in single precision: as if the
     target had noise of 1e-7.
@@ -271,7 +271,7 @@ def _free(g, d, r, c, n, gram, mixed, ramp):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def sum_windows(start, stop, cells, counts, cell, cover, out):  # type: ignore[no-untyped-def]
-    """Sums of every 3 x 3 window of cells under tent weights, without bias and ramp.
+    """Sum every 3 x 3 window of cells under tent weights, without bias and ramp.
 
     `out` is (able, gram, mixed, ramp); `able` is left at the weighted number of pixels, and at 0 where a window is of no use.
     """

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.geometry.transforms import solve_2x2
 from levkas.registration.record import HandMark, Matches, MatchState
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class ManualPoints:
 
     @property
     def fixed(self) -> np.ndarray:
-        """All pairs that are never removed, (n, 4)."""
+        """Pairs that are never removed, (n, 4)."""
         return np.concatenate([self.added, self.pinned, self.restored])
 
     def reduced(self, factor: int) -> ManualPoints:
@@ -178,14 +179,8 @@ def _near_few(pairs: np.ndarray, among: np.ndarray) -> np.ndarray:
 def measure_checks(checks: np.ndarray, transform: Transform) -> np.ndarray:
     """Return how far check points, (n, 4), are off, (n,), reference px; `transform` maps the reference."""
     miss = checks[:, 2:] - transform(checks[:, :2])
-    jacobian = transform.jacobian(checks[:, :2])
-    with np.errstate(invalid="ignore"):
-        good = np.isfinite(jacobian).all((1, 2)) & (np.abs(np.linalg.det(jacobian)) > 1e-12)
-    errors = np.full(len(checks), np.nan)
-    if good.any():
-        moved = np.linalg.solve(jacobian[good], miss[good][..., None])[..., 0]
-        errors[good] = np.hypot(*moved.T)
-    return errors
+    errors = np.hypot(*solve_2x2(transform.jacobian(checks[:, :2]), miss).T)
+    return np.where(np.isfinite(errors), errors, np.nan)
 
 
 def with_checks(matches: Matches, checks: np.ndarray, errors: np.ndarray) -> Matches:

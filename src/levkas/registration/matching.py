@@ -26,7 +26,7 @@ BLOCK_ROWS = 1024
 
 @dataclass(frozen=True)
 class Neighbours:
-    """The two nearest target descriptors of every reference descriptor, and the way back.
+    """Two nearest target descriptors of every reference descriptor, and nearest reference descriptors.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The registration of [mirhashemi2019]_, section 3.5, as a named mode: nothing cleverer than the paper.
+"""The registration of [mirhashemi2019]_, section 3.5, nothing cleverer than the paper.
 
 SIFT on the mean of all bands of each camera, matching, one cut at `reject` under scale alone, the
 worst pair removed until the largest error is at most `stop`, and a third-order polynomial fitted
@@ -8,7 +8,7 @@ the paper leaves them as they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +16,11 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.geometry.transforms import Affine, Composed, Inverse, Polynomial, Transform
 from levkas.registration.alignment import align_sensors, camera_grey
-from levkas.registration.bands import BandImage, area_average, stretch
+from levkas.registration.bands import BandImage, area_average, region_mask, stretch
 from levkas.registration.features import KeyPoints, find_key_points
 from levkas.registration.manual_points import ManualPoints, MarkedMatches
 from levkas.registration.matching import RATIO, match
-from levkas.registration.outliers import Cleaned, clean, remove_outliers
+from levkas.registration.outliers import Cleaned, RemovalTerms, clean, remove_outliers
 from levkas.registration.record import (
     Matches,
     MatchState,
@@ -127,8 +127,6 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
         return _own(request.reference, sensor, request.align)
     ours = AlignedCamera.of(request.reference, sensor, None)
     theirs = AlignedCamera.of(request.target, request.target[0].sensor, request.align)
-    reject = options.reject or float(np.hypot(*ours.size)) * SETTINGS.reject_share
-    stop, order = options.stop or 1.0, options.order or 3
     kind: dict[str, Any] = {
         "detector": options.detector or "sift",
         "matching": options.matching or "mutual-ratio",
@@ -139,20 +137,21 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
     scale = scale_only(ours.size, theirs.size)
     if region is not None and inside is not None:
         scale = _scale_of_regions(region, inside)
+    reject = options.reject or float(np.hypot(*ours.size)) * SETTINGS.reject_share
+    terms = RemovalTerms(scale, reject, options.stop or 1.0, options.order or 3)
     hand = request.given.get(theirs.sensor, ManualPoints())
     matched = find_matches(
         ours, theirs, scale, (region, inside), may_be_none=len(hand.fixed) > 0, **kind
     )
     found = hand.mark(matched.reference, matched.target)
     cleaned = clean(
-        found.target, found.reference, scale=scale, reject=reject, stop=stop,
-        size=ours.size, target_size=theirs.size, order=order,
+        found.target, found.reference, terms, size=ours.size, target_size=theirs.size,
         pinned=found.fixed, dropped=found.dropped,
     )  # fmt: skip
-    matches, transform = _describe(found, cleaned, stop), Inverse(cleaned.model)
+    matches, transform = _describe(found, cleaned, terms.stop), Inverse(cleaned.model)
     evidence = Evidence(
-        transform, matches, (ours.values, ours.valid), (theirs.values, theirs.valid),
-        None if region is None else tuple(region), scale, reject, stop, order,
+        transform, matches, (ours.values, ours.valid), (theirs.values, theirs.valid), terms,
+        None if region is None else tuple(region),
     )  # fmt: skip
     return Registration(
         method="mirhashemi2019",
@@ -163,11 +162,11 @@ def register_mirhashemi2019(request: Request, options: PaperOptions) -> Registra
         trace=cleaned.trace,
         model={
             "kind": "polynomial",
-            "order": order,
+            "order": terms.order,
             "direction": "target to reference",
             "parameters": 2 * len(cleaned.model.coefficients),
-            "reject": reject,
-            "stop": stop,
+            "reject": terms.reject,
+            "stop": terms.stop,
             **kind,
             "sensors": {name: t.to_dict() for name, t in theirs.alignments.items()},
         },
@@ -217,18 +216,13 @@ def find_matches(
 def _key_points(
     camera: AlignedCamera, region: Sequence[float] | None, scale: float, detector: str
 ) -> tuple[KeyPoints, Affine]:
-    valid = camera.valid
-    if region is not None:
-        x, y, w, h = (round(float(v)) for v in region)
-        inside = np.zeros_like(valid)
-        inside[max(y, 0) : max(y + h, 0), max(x, 0) : max(x + w, 0)] = True
-        valid = valid & inside
+    valid = camera.valid & region_mask(region, camera.valid.shape)
     values, valid, back = area_average(camera.values, valid, scale)
     return find_key_points(stretch(values, valid), valid, detector=detector), back
 
 
 def _describe(found: MarkedMatches, cleaned: Cleaned, stop: float) -> Matches:
-    """Say of every match whether it was kept, or when and why it left."""
+    """Return the matches with their state: kept, or when and why they left."""
     reasons = np.array(
         [REASONS.get(r, f"worst of its round, above {stop:g} px") for r in cleaned.round], object
     )
@@ -261,7 +255,7 @@ def _statistics(matches: Matches) -> dict[str, Any]:
 
 
 def _spread(camera: AlignedCamera, transform: Transform) -> dict[str, Transform]:
-    """Give every band the map of the camera's frame, then that of its sensor."""
+    """Return for every band the map of the camera's frame, then that of its sensor."""
     transforms: dict[str, Transform] = {}
     for image in camera.images:
         same = image.sensor == camera.sensor
@@ -312,7 +306,7 @@ def _no_matches(a: KeyPoints, b: KeyPoints) -> RegistrationRefused:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a registration on matches is judged by.
+    """Evidence on a registration that rests on matches.
 
     Parameters
     ----------
@@ -321,34 +315,23 @@ class Evidence:
     matches : Matches
     reference, target : (values, valid), each (h, w), float32 and bool
         The grey pictures.
+    terms : RemovalTerms
+        On which outliers were removed.
     region : (x, y, width, height), reference px, or None
         Where the object lies.
-    scale : Transform or None
-        Scale-only map target → reference, if matches were cut under it.
-    reject, stop : float, reference px
-    order : int
-        Of the polynomial that was fitted target → reference.
     """
 
     transform: Transform
     matches: Matches
     reference: tuple[np.ndarray, np.ndarray]
     target: tuple[np.ndarray, np.ndarray]
+    terms: RemovalTerms
     region: tuple[float, ...] | None = None
-    scale: Transform | None = None
-    reject: float = np.inf
-    stop: float = 1.0
-    order: int = 3
 
     @property
     def overlap(self) -> Overlap:
         """The part of the object that both pictures show."""
         return Overlap(self.transform, self.reference[1], self.target[1], self.region)
-
-    @property
-    def terms(self) -> int:
-        """Coefficients of the polynomial, for x′ and y′ each."""
-        return (self.order + 1) * (self.order + 2) // 2
 
 
 def judge(evidence: Evidence) -> Verdict:
@@ -357,21 +340,21 @@ def judge(evidence: Evidence) -> Verdict:
 
 
 def measure(evidence: Evidence) -> dict[str, Any]:
-    """Return all numbers that the rules look at, by name."""
+    """Return the numbers that the rules of the verdict take, by name."""
     matches = evidence.matches
     search = search_windows(
         evidence.reference, evidence.target, evidence.transform, region=evidence.region
     )
     # What a working pixel of the comparison cannot show is not held against the map.
-    tolerance = max(evidence.stop, search.step)
+    tolerance = max(evidence.terms.stop, search.step)
     checks = CheckWindows(
         search.centres, search.shift, search.found, tolerance, WINDOWS.window * search.step
     )
     return {
         "matches": len(matches),
         "kept": int(matches.kept.sum()),
-        "terms": evidence.terms,
-        "stop": evidence.stop,
+        "terms": evidence.terms.coefficients,
+        "stop": evidence.terms.stop,
         "tolerance": tolerance,
         **measure_chance(evidence, np.random.default_rng(SETTINGS.seed)),
         **measure_held_out(evidence),
@@ -399,8 +382,8 @@ def measure_held_out(evidence: Evidence) -> dict[str, Any]:
     fold = _folds(reference)
     for k in np.unique(fold):
         out = fold == k
-        if (~out).sum() >= evidence.terms:
-            model = Polynomial.fit(target[~out], reference[~out], order=evidence.order)
+        if (~out).sum() >= evidence.terms.coefficients:
+            model = Polynomial.fit(target[~out], reference[~out], order=evidence.terms.order)
             errors[out] = np.linalg.norm(model(target[out]) - reference[out], axis=1)
     if not len(errors):
         return {"held_out_median": np.inf, "held_out_p90": np.inf}
@@ -426,31 +409,26 @@ def measure_chance(evidence: Evidence, rng: np.random.Generator) -> dict[str, An
     -------
     numbers : dict
         ``chance_kept``: the most that were kept in five trials with as many matches, each paired
-        with a random place within `reject`; 0 where nothing was cut under scale.
+        with a random place within `reject`.
     """
-    if evidence.scale is None or not np.isfinite(evidence.reject):
-        return {"chance_kept": 0}
-    matches, limit = evidence.matches, SETTINGS.chance_matches
+    matches, terms, limit = evidence.matches, evidence.terms, SETTINGS.chance_matches
     near = matches.round != 0
-    placed = evidence.scale(matches.target[near])
+    placed = terms.scale(matches.target[near])
     used = placed if len(placed) <= limit else rng.permutation(placed)[:limit]
     most = 0
     for _ in range(SETTINGS.chance_trials):
         angle = rng.uniform(0, 2 * np.pi, len(used))
-        radius = evidence.reject * np.sqrt(rng.uniform(0, 1, len(used)))
+        radius = terms.reject * np.sqrt(rng.uniform(0, 1, len(used)))
         paired = used + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-        most = max(most, _count_kept(used, paired, evidence))
+        most = max(most, _count_kept(used, paired, terms))
     # Beyond what the coefficients absorb, the count grows with the number of matches.
-    more = most - evidence.terms
-    return {"chance_kept": round(evidence.terms + more * max(1.0, len(placed) / limit))}
+    more = most - terms.coefficients
+    return {"chance_kept": round(terms.coefficients + more * max(1.0, len(placed) / limit))}
 
 
-def _count_kept(target: np.ndarray, reference: np.ndarray, evidence: Evidence) -> int:
-    rounds = remove_outliers(
-        target, reference, scale=Affine.identity(), reject=2 * evidence.reject,
-        stop=evidence.stop, order=evidence.order,
-    )  # fmt: skip
+def _count_kept(target: np.ndarray, reference: np.ndarray, terms: RemovalTerms) -> int:
+    near = replace(terms, scale=Affine.identity(), reject=2 * terms.reject)
     try:
-        return len(target) - sum(step.removed for step in rounds)
+        return len(target) - sum(step.removed for step in remove_outliers(target, reference, near))
     except RegistrationRefused:
-        return evidence.terms
+        return terms.coefficients

@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from levkas.geometry.transforms import Composed, Transform
+from levkas.geometry.transforms import Composed, Transform, solve_2x2
 from levkas.registration.depth_step import (
     ORDERS,
     DepthStep,
@@ -28,7 +28,6 @@ from levkas.registration.models import (
     fit_similarity,
     fit_spline,
     inflate_covariance,
-    solve_2x2,
 )
 
 Fit = Callable[[Observations], Transform]
@@ -162,7 +161,7 @@ STANDING = "as it was"
 
 @dataclass(frozen=True)
 class SelectionTerms:
-    """Which models are tried, and the lengths on which windows are compared.
+    """Models that are tried, and the lengths on which windows are compared.
 
     Parameters
     ----------
@@ -198,7 +197,7 @@ class SelectionTerms:
 
 @dataclass(frozen=True)
 class FoldFit:
-    """A model fitted without the blocks of a fold, and the share of all information that these hold."""
+    """Model fitted without the blocks of a fold, and the share of all information that these hold."""
 
     transform: Transform
     without: float
@@ -207,7 +206,7 @@ class FoldFit:
 
 @dataclass(frozen=True)
 class AlternativeModel:
-    """Another model, and how close it comes to the one that was taken, 0..1."""
+    """Model whose held-out error comes close to that of the selected one, and how close, 0..1."""
 
     transform: Transform
     weight: float
@@ -215,7 +214,7 @@ class AlternativeModel:
 
 @dataclass(frozen=True)
 class SelectedModel:
-    """The model that was taken, and how all of them did.
+    """Selected model, and the held-out errors of all.
 
     Parameters
     ----------
@@ -411,7 +410,7 @@ class ModelComparison:
         return float(np.sqrt(total / (2 * weight))) if weight else np.inf
 
     def is_withstood_by(self, standing: Transform) -> bool:
-        """Tell whether a map that was not fitted to any of this is as good as the best."""
+        """Tell whether a given map, which was not fitted to these observations, predicts them as well as the best model."""
         squares, information = _misfit(self._judged, standing)
         self.scores[STANDING] = float(np.sqrt(squares / information))
         return not self.best.score < self.scores[STANDING] * (1 - SETTINGS.gain)

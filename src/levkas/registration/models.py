@@ -18,6 +18,7 @@ from levkas.geometry.transforms import (
     Transform,
     design_matrix,
     frame_of,
+    solve_2x2,
 )
 
 MOST_SPANS = 12
@@ -25,7 +26,7 @@ MOST_SPANS = 12
 
 @dataclass(frozen=True)
 class Observations:
-    """Where points of the reference lie in the target, and how well that is known.
+    """Positions of reference points in the target, with their information.
 
     Parameters
     ----------
@@ -62,20 +63,6 @@ class Observations:
     def weighted(self, weights: np.ndarray) -> Observations:
         """Return the observations with their information scaled."""
         return replace(self, information=self.information * weights[:, None, None])
-
-
-def solve_2x2(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve n systems of two equations, (n, 2, 2) and (n, 2); infinite where one is singular.
-
-    Examples
-    --------
-    >>> solve_2x2(np.array([[[2.0, 1.0], [0.0, 4.0]]]), np.array([[4.0, 8.0]])).tolist()
-    [[1.0, 2.0]]
-    """
-    a, b, c, d = (matrices[:, i, j] for i in (0, 1) for j in (0, 1))
-    x, y = right.T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([d * x - b * y, a * y - c * x], 1) / (a * d - b * c)[:, None]
 
 
 def inflate_covariance(

@@ -1,4 +1,4 @@
-"""Pose clustering: which of many doubtful matches agree on one similarity ([stockman1987]_).
+"""Pose clustering: the similarity on which most of many doubtful matches agree ([stockman1987]_).
 
 Pairs of matches propose similarities, and all matches vote.
 
@@ -43,7 +43,7 @@ def find_pose_cluster(
     turn : ndarray, (n,), degrees
         Direction in the target less that in the reference; counts modulo 180, for a negative turns it.
     likeness : ndarray, (n,)
-        The most alike have the say where there are too many.
+        Where there are too many matches, the most alike vote.
     side : float, px
         Of the reference: votes count within 2.5 % of it, and each place of either picture once.
 

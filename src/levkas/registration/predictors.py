@@ -10,15 +10,30 @@ reflectance are predicted from combinations of reflectance and of its logarithm.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from levkas.core.threads import each, in_threads
 from levkas.geometry.transforms import Affine, Composed, Transform
-from levkas.registration.bands import SAMPLED_PX
-from levkas.registration.local_shifts import RIDGE, Predictor, WindowShifts
-from levkas.registration.sampling import highpass, reduce, warp
+from levkas.registration.bands import (
+    SAMPLED_PX,
+    BandImage,
+    by_wavelength,
+    describe_mask,
+    region_mask,
+    segment_foreground,
+    sqrt_images,
+)
+from levkas.registration.features import CameraFeatures, GreyImages
+from levkas.registration.local_shifts import (
+    RIDGE,
+    Predictor,
+    WindowShifts,
+    highpass,
+    reduce,
+    smoothing_warp,
+)
 
 #: Principal components of reflectance, and of its logarithm; how many of the first are added blurred.
 LINEAR, LOGARITHMIC, BLURRED = 5, 3, 2
@@ -28,6 +43,8 @@ LEAST_SHARE = 1e-6
 LINES = 32
 #: Light so far, nm, beyond the outermost of at least three bands is predicted as well as what lies between.
 NEAR_NM, LEAST_BANDS = 20.0, 3
+#: Bands of the reference that predict others.
+MOST_PREDICTING = 12
 
 
 @dataclass(frozen=True)
@@ -142,8 +159,8 @@ def resample_band(
     """Warp one band on to a grid of `step` reference px, averaged over blocks of the target."""
     factor = max(1, block * step)
     if factor == 1:
-        return warp(image, transform, size, step=step)
-    return warp(
+        return smoothing_warp(image, transform, size, step=step)
+    return smoothing_warp(
         reduce(image, factor), Composed(transform, Affine.scaling(1 / factor)), size, step=step
     )
 
@@ -188,7 +205,7 @@ def cell_px(shape: Sequence[int]) -> int:
 
 
 class ReferenceStack:
-    """The reference's bands in the reference frame, as predictors at any step.
+    """Bands of the reference in its frame, and predictors made of them at any step.
 
     Parameters
     ----------
@@ -231,3 +248,64 @@ class ReferenceStack:
             images = palette.high_passed().images
             self._predictors[step] = Predictor(images, step=step, cell=cell_px(images.shape[1:]))
         return self._predictors[step]
+
+
+class PreparedReference:
+    """Reference camera with its predictors and key points, prepared once for all cameras registered to it.
+
+    Parameters
+    ----------
+    bands : sequence of BandImage
+    band : str
+        Label of the band that defines reference px.
+    region : (x, y, width, height), reference px, optional
+        Where the object lies; nothing outside is used.
+    """
+
+    def __init__(
+        self, bands: Sequence[BandImage], band: str, region: Sequence[float] | None = None
+    ) -> None:
+        self.anchor = next(image for image in bands if image.label == band)
+        self.own_bands = [image for image in bands if image.sensor == self.anchor.sensor]
+        self.images = sqrt_images(bands)
+        greys = GreyImages([self.images[image.label] for image in self.own_bands])
+        inside, body = region_mask(region, self.anchor.values.shape), segment_foreground(greys[0])
+        self._mask = inside & body
+        self.mask = describe_mask(body, region)
+        self.keys, self._greys = CameraFeatures(greys, self._mask), greys
+        self._stack: ReferenceStack | None = None
+
+    def object_in(self, band: BandImage) -> np.ndarray:
+        """Return a band's picture, NaN where the object is not."""
+        return np.where(self._mask, self.images[band.label], np.float32(np.nan))
+
+    def predicting(self) -> list[BandImage]:
+        """Return at most 12 bands, evenly over the wavelengths, the anchor among them."""
+        bands = by_wavelength(self.own_bands)
+        count = min(MOST_PREDICTING, len(bands))
+        picks = np.linspace(0, len(bands) - 1, count).round().astype(int)
+        return [bands[i] for i in sorted({*picks.tolist(), bands.index(self.anchor)})]
+
+    def stack(self, transforms: Mapping[str, Transform]) -> ReferenceStack:
+        """Return the predictors of other bands; `transforms` of the reference camera's own bands."""
+        if self._stack is None:
+            bands = self.predicting()
+            masked = {band.label: self.object_in(band) for band in bands}
+            known = {band.label: transforms[band.label] for band in bands}
+            stack = resample_bands(masked, known, self.anchor.values.shape)
+            self._stack = ReferenceStack(stack, [band.wavelength for band in bands])
+        return self._stack
+
+    def release(self) -> None:
+        """Free what one camera alone needs and the next one can make again."""
+        if self._stack is not None:
+            self._stack.release()
+
+    def freeze(self, transforms: Mapping[str, Transform]) -> None:
+        """Compute all that other cameras need of the single bands, then free these."""
+        self.stack(transforms)
+        self._greys.freeze()
+        self.images, self.own_bands = {}, []
+        # Bands share their memory with others that are not needed any more.
+        values, valid = self.anchor.values.copy(), self.anchor.valid.copy()
+        self.anchor = replace(self.anchor, values=values, valid=valid)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
@@ -259,7 +260,7 @@ def _cell(lattice: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a registration can be relied on, why, and what to do next.
+    """Decision on a registration, its reasons, and what to do next.
 
     Parameters
     ----------
@@ -283,7 +284,7 @@ class Verdict:
             "decision": self.decision,
             "reasons": list(self.reasons),
             "next_step": self.next_step,
-            "numbers": _plain(self.numbers),
+            "numbers": plain(self.numbers),
         }
 
 
@@ -335,10 +336,10 @@ class Registration:
             "reference": reference,
             "target": target,
             "verdict": self.verdict.to_dict(),
-            "model": _plain(self.model),
+            "model": plain(self.model),
             "bands": {label: t.to_dict() for label, t in self.transforms.items()},
-            "errors": _plain(self.errors),
-            "trace": self.trace.to_dict() if self.trace else _plain(self.basis),
+            "errors": plain(self.errors),
+            "trace": self.trace.to_dict() if self.trace else plain(self.basis),
         }
 
 
@@ -391,18 +392,3 @@ def describe_windows(
 
 def _number(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.6f}".rstrip("0").rstrip(".")
-
-
-def _plain(value: Any) -> Any:
-    """Turn numpy values into JSON's own; NaN and infinities, which JSON lacks, into None."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value

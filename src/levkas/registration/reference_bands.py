@@ -1,4 +1,4 @@
-"""The reference camera's own bands, registered to its reference band.
+"""Registration of the reference camera's own bands to its reference band.
 
 The bands of either half, every other one in the order of wavelength, are predicted from those of the other
 half. Where a prediction lies depends on where its bands lie: all positions are solved for together, that of
@@ -16,11 +16,11 @@ import numpy as np
 
 from levkas.core.threads import each
 from levkas.geometry.transforms import Affine, Transform
+from levkas.registration.bands import by_wavelength
 from levkas.registration.chromatic import ChromaticShifts, fit_chromatic, zero_displacement
 from levkas.registration.coarse_to_fine import SETTINGS as REFINEMENT
 from levkas.registration.coarse_to_fine import (
     RegisteredSensor,
-    by_wavelength,
     evenly_spread,
     frame_centre,
     pyramid_steps,

@@ -1,4 +1,4 @@
-"""The request of a registration: what a method is given, checked once at the rim and then trusted."""
+"""Request of a registration, and the checks of its bands, region and options."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from levkas.campaign.methods import UNUSABLE
 from levkas.core.problems import Problem
 from levkas.registration.record import RegistrationRefused
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
     from levkas.registration.bands import BandImage
     from levkas.registration.manual_points import ManualPoints
-    from levkas.registration.prepared_reference import PreparedReference
+    from levkas.registration.predictors import PreparedReference
     from levkas.registration.record import Sigma
 
 LEAST_SIDE_PX = 16
@@ -25,7 +26,7 @@ LEAST_SIDE_PX = 16
 
 @dataclass(frozen=True)
 class Request:
-    """Two cameras to be registered; a method takes of it what it needs.
+    """Two cameras to be registered; a method uses the fields that it needs.
 
     Parameters
     ----------
@@ -118,10 +119,11 @@ def _check_method(method: str, methods: Iterable[str]) -> list[Problem]:
     known = sorted(methods)
     if method in known:
         return []
+    why = UNUSABLE.get(method)
     return [
         Problem(
             "E_VALUE",
-            f"there is no registration method {method!r}",
+            f"there is no registration method {method!r}" + (f": {why}" if why else ""),
             field="registration.method",
             found=method,
             expected=", ".join(known),

@@ -84,7 +84,7 @@ SETTINGS = VerificationSettings()
 
 @dataclass(frozen=True)
 class PermutationTest:
-    """How far one band is predicted beyond chance, on a grid about as fine as its picture.
+    """Share of one band's windows that are predicted beyond chance, on a grid about as fine as its picture.
 
     Parameters
     ----------

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.geometry.transforms import Transform
+from levkas.geometry.transforms import Transform, solve_2x2
 from levkas.registration.depth_step import average_over_windows
 from levkas.registration.local_shifts import WindowShifts
 from levkas.registration.manual_points import HAND_PX
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
-from levkas.registration.models import Observations, solve_2x2
+from levkas.registration.models import Observations
 from levkas.registration.predictors import cell_px
 from levkas.registration.record import RegistrationRefused
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.registration.bands import area_average
-from levkas.registration.models import solve_2x2
+from levkas.geometry.transforms import Composed, Inverse, solve_2x2
+from levkas.registration.bands import area_average, pull, region_mask
 
 if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
@@ -34,8 +34,6 @@ class WindowSettings:
         Least and largest distance of windows.
     windows : int
         About so many are searched.
-    lattice : int
-        The map is evaluated at every such px and interpolated between.
     farthest : float
         Shifts, as a share of the frame, up to which whole pictures are compared.
     band : (float, float)
@@ -56,7 +54,6 @@ class WindowSettings:
     apart: int = 4
     stride: tuple[int, int] = (8, 24)
     windows: int = 150
-    lattice: int = 8
     farthest: float = 0.4
     band: tuple[float, float] = (1.0, 5.0)
     least_cover: float = 0.9
@@ -223,14 +220,14 @@ def search_windows(
         Where to look.
     """
     values, valid = reference
-    if region is not None:
-        valid = valid & _inside(valid.shape, region)
+    valid = valid & region_mask(region, valid.shape)
     enlargement = _sampling(transform, values.shape)
     step = max(1.0, max(values.shape) / SETTINGS.long_side, 1.0 / max(enlargement, 0.2))
     ours, ours_valid, back = area_average(values, valid, 1.0 / step)
     finer = min(1.0, 1.0 / (step * enlargement)) if enlargement > 0 else 1.0
     theirs, theirs_valid, theirs_back = area_average(*target, max(finer, 0.02))
-    warped, seen = _warp(theirs, theirs_valid, ours.shape, back, transform, theirs_back)
+    pulled = Composed(back, transform, Inverse(theirs_back))
+    warped, seen = pull(theirs, theirs_valid, pulled, ours.shape)
     a, b = _band_pass(ours, ours_valid), _band_pass(warped, seen)
     places = _places(ours_valid & seen, a, b)
     peak, shift = _search(a, b, places)
@@ -242,12 +239,6 @@ def search_windows(
     return WindowSearch(centres, shift * scale, peak, chance, rival, scale)
 
 
-def _inside(shape: tuple[int, ...], region: tuple[float, ...]) -> np.ndarray:
-    x, y, w, h = region
-    rows, columns = np.ogrid[: shape[0], : shape[1]]
-    return np.asarray((columns >= x - 0.5) & (columns < x + w) & (rows >= y - 0.5) & (rows < y + h))
-
-
 def _sampling(transform: Transform, shape: tuple[int, ...]) -> float:
     """Return target px per reference px, the median over the frame."""
     h, w = shape
@@ -255,41 +246,6 @@ def _sampling(transform: Transform, shape: tuple[int, ...]) -> float:
     change = transform.jacobian(np.stack([x.ravel(), y.ravel()], 1))
     known = np.isfinite(change).all((1, 2))
     return float(np.sqrt(np.median(np.abs(np.linalg.det(change[known]))))) if known.any() else 0.0
-
-
-def _warp(
-    values: np.ndarray,
-    valid: np.ndarray,
-    shape: tuple[int, ...],
-    back: Transform,
-    transform: Transform,
-    theirs_back: Transform,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pull the target on to the working grid; the map is interpolated between every 8th px."""
-    import cv2
-
-    h, w = shape
-    x = np.arange(0, w + SETTINGS.lattice, SETTINGS.lattice, dtype=float)
-    y = np.arange(0, h + SETTINGS.lattice, SETTINGS.lattice, dtype=float)
-    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    lattice = theirs_back.inverse(transform(back(grid))).reshape(len(y), len(x), 2)
-    rows, columns = np.meshgrid(
-        np.arange(h, dtype=np.float32), np.arange(w, dtype=np.float32), indexing="ij"
-    )
-    maps = [
-        cv2.remap(
-            np.ascontiguousarray(lattice[..., k], np.float32),
-            columns / SETTINGS.lattice, rows / SETTINGS.lattice, cv2.INTER_LINEAR,
-        )
-        for k in (0, 1)
-    ]  # fmt: skip
-    known = np.isfinite(maps[0]) & np.isfinite(maps[1])
-    maps = [np.where(known, m, np.float32(-10)) for m in maps]
-    filled = np.where(valid, values, 0).astype(np.float32)
-    weight: np.ndarray = valid.astype(np.float32)
-    warped: np.ndarray = cv2.remap(filled, maps[0], maps[1], cv2.INTER_LINEAR, borderValue=0)
-    weight = cv2.remap(weight, maps[0], maps[1], cv2.INTER_LINEAR, borderValue=0)
-    return np.asarray(warped), known & (np.asarray(weight) > 0.99)
 
 
 def _band_pass(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -371,13 +327,13 @@ def _search(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> tuple[np.ndarra
         row, column = np.unravel_index(int(scores.argmax()), scores.shape)
         peak[i] = scores[row, column]
         shift[i] = (
-            offsets[column] + _vertex(scores[row], int(column)),
-            offsets[row] + _vertex(scores[:, column], int(row)),
+            offsets[column] + peak_offset(scores[row], int(column)),
+            offsets[row] + peak_offset(scores[:, column], int(row)),
         )
     return peak, shift
 
 
-def _vertex(line: np.ndarray, k: int) -> float:
+def peak_offset(line: np.ndarray, k: int) -> float:
     """Return the fraction by which a parabola through three samples moves the peak at `k`."""
     if not 0 < k < len(line) - 1:
         return 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from levkas.simulation.icon import paint_icon
 from levkas.simulation.optics import Viewpoint, turn
 from levkas.simulation.painting import Painting, Panel
 from levkas.simulation.photographs import chart_panel, paint_chart, paint_photograph
-from levkas.simulation.pigments import WAVELENGTHS
+from levkas.simulation.pigments import WAVELENGTHS, draw_pigments, paint_spectra
 from levkas.simulation.presets import (
     REFERENCE,
     Preset,
@@ -253,7 +253,11 @@ class SimulatedSession:
             return paint_photograph(
                 panel, self._fineness(), rng, photograph=photograph, library=library
             )
-        return paint_icon(panel, self._fineness(), rng, saints=index % 3 + 1, library=library)
+        icon = paint_icon(panel, self._fineness(), rng, saints=index % 3 + 1, library=library)
+        if not self.preset.own_pigments or index == 0:
+            return icon
+        pigments = draw_pigments(self._rng("pigments", name))
+        return replace(icon, spectra=paint_spectra(icon.names, WAVELENGTHS, pigments=pigments))
 
     def _capture(
         self,

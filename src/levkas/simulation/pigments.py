@@ -146,6 +146,70 @@ LIBRARY_NUMBERS: dict[str, tuple[str, ...]] = {
 }
 
 
+FAMILIES: dict[str, tuple[str, ...]] = {
+    "blue": ("azurite", "ultramarine", "smalt", "indigo", "Prussian blue", "cobalt blue"),
+    "red": ("vermilion", "red lead", "madder", "cadmium red"),
+    "green": ("malachite", "green earth", "verdigris", "viridian"),
+    "yellow": ("lead-tin yellow", "yellow ochre", "orpiment", "Naples yellow"),
+}
+"""Pigments of like colour, of which a workshop has one or another."""
+
+WORKSHOP_PIGMENTS: dict[str, Pigment] = {
+    "Prussian blue": Pigment(0.03, ((0.06, 900, 120),), ((0.20, 455, 40),)),
+    "cobalt blue": Pigment(0.08, ((0.55, 695, 18),), ((0.42, 455, 38), (0.06, 565, 14))),
+    "cadmium red": Pigment(0.05, ((0.80, 618, 16), (0.05, 720, 60)), ()),
+    "verdigris": Pigment(0.04, ((0.03, 900, 80),), ((0.36, 500, 42),)),
+    "viridian": Pigment(0.04, ((0.40, 735, 28),), ((0.26, 512, 34),)),
+    "orpiment": Pigment(0.10, ((0.66, 500, 16), (0.08, 600, 60)), ()),
+    "Naples yellow": Pigment(0.22, ((0.46, 505, 28), (0.10, 580, 60)), ()),
+}
+"""What the first workshop's `PIGMENTS` lack, by the edges and bands of their published spectra."""
+
+REPLACED, SHIFT_NM, STRENGTH = 0.5, 6.0, 0.12
+"""Chance that a pigment is another of its family; spread of edges, nm; relative spread of heights."""
+
+
+def draw_pigments(rng: np.random.Generator) -> dict[str, Pigment]:
+    """Draw the pigments of another workshop: some replaced by their like, all of another grind.
+
+    Parameters
+    ----------
+    rng : Generator
+
+    Returns
+    -------
+    pigments : dict
+        Keys of `PIGMENTS`; gold stays gold.
+
+    Examples
+    --------
+    >>> drawn = draw_pigments(np.random.default_rng(1))
+    >>> list(drawn) == list(PIGMENTS), drawn["gold"] == PIGMENTS["gold"]
+    (True, True)
+    """
+    known = PIGMENTS | WORKSHOP_PIGMENTS
+    drawn = {}
+    for name, pigment in PIGMENTS.items():
+        family = next((f for f in FAMILIES.values() if name in f), (name,))
+        other = family[rng.integers(len(family))] if rng.random() < REPLACED else name
+        drawn[name] = pigment if name == "gold" else _ground_anew(known[other], rng)
+    return drawn
+
+
+def _ground_anew(pigment: Pigment, rng: np.random.Generator) -> Pigment:
+    """Shift edges and bands of a pigment, and scale their heights and widths."""
+
+    def moved(part: tuple[float, float, float]) -> tuple[float, float, float]:
+        height, centre, width = part
+        scale, shift, stretch = rng.normal(0, (STRENGTH, SHIFT_NM, STRENGTH)).tolist()
+        return height * (1 + scale), centre + shift, width * max(0.5, 1 + stretch)
+
+    edges, bands = (
+        tuple(moved(part) for part in parts) for parts in (pigment.edges, pigment.bands)
+    )
+    return Pigment(pigment.floor * (1 + 0.2 * float(rng.uniform(-1, 1))), edges, bands)
+
+
 def mix(recipe: Mapping[str, float], spectra: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the reflectance of a paint, Kubelka–Munk, single constant.
 
@@ -175,7 +239,11 @@ def mix(recipe: Mapping[str, float], spectra: Mapping[str, np.ndarray]) -> np.nd
 
 
 def paint_spectra(
-    paints: Sequence[str], wavelengths: np.ndarray, *, library: Path | str | None = None
+    paints: Sequence[str],
+    wavelengths: np.ndarray,
+    *,
+    library: Path | str | None = None,
+    pigments: Mapping[str, Pigment] = PIGMENTS,
 ) -> np.ndarray:
     """Return the reflectance of paints of `PAINTS`.
 
@@ -185,6 +253,8 @@ def paint_spectra(
     wavelengths : ndarray, (n,), nm
     library : path, optional
         ENVI spectral library; the pigments that it holds by `LIBRARY_NUMBERS` replace ours.
+    pigments : mapping
+        Of the painting's workshop, keys as of `PIGMENTS`.
 
     Returns
     -------
@@ -195,7 +265,7 @@ def paint_spectra(
     LibraryRefused
         Where the library cannot be read or holds none of the pigments.
     """
-    spectra = {name: p.reflectance(wavelengths) for name, p in PIGMENTS.items()}
+    spectra = {name: p.reflectance(wavelengths) for name, p in pigments.items()}
     if library is not None:
         spectra.update(_measured(Path(library), wavelengths))
     return np.stack([mix(PAINTS[name], spectra) for name in paints])

@@ -36,6 +36,8 @@ class Preset:
         Electrons of all sensors; few for much noise.
     scanner_turn_deg : float
         The line scanner turned about its axis: 90 scans along the other side.
+    own_pigments : bool
+        Every painting after the first has the pigments of another workshop.
     """
 
     scale: float = 0.32
@@ -52,6 +54,7 @@ class Preset:
     twist_mm: float = 0.6
     full_well: float | None = None
     scanner_turn_deg: float = 0.0
+    own_pigments: bool = False
 
 
 PRESETS: dict[str, Preset] = {

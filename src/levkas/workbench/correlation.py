@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.geometry.transforms import Transform
+from levkas.registration.window_matching import peak_offset
 from levkas.workbench.pictures import ShownPicture
 
 HALF_PX = 16
+"""Half a side of the compared patch, px of the coarser picture."""
 """Half a side of the compared patch, px of the coarser picture."""
 REACH_PX = 12
 POLISHES = 3
@@ -121,9 +123,5 @@ def _peak(alike: np.ndarray, row: int, column: int) -> np.ndarray:
     """Place of the peak, (x, y), by parabolas through its neighbours."""
     place = np.array([column, row], float)
     for axis, (at, line) in enumerate(((column, alike[row]), (row, alike[:, column]))):
-        if 0 < at < len(line) - 1:
-            before, here, after = line[at - 1 : at + 2].astype(float)
-            bend = before - 2 * here + after
-            if bend < 0:
-                place[axis] += np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
+        place[axis] += peak_offset(line, at)
     return place

@@ -18,7 +18,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.registration.manual_points import ManualPoints, MarkedMatches, measure_checks
 from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
-from levkas.registration.outliers import Cleaned, clean, cut
+from levkas.registration.outliers import Cleaned, RemovalTerms, clean, cut
 from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
 
 if TYPE_CHECKING:
@@ -411,10 +411,10 @@ def _fit(
         start = _start(found, marked, (kept | marked.fixed) & free, reject)
         near = cut(marked.target, marked.reference, start, reject)[1]
         count = int(((near | marked.fixed) & free).sum())
+        terms = RemovalTerms(start, reject, edits.stop or found.stop, max(order_of(count), 1))
         cleaned = clean(
-            marked.target, marked.reference, scale=start, reject=reject,
-            stop=edits.stop or found.stop, size=found.size, target_size=found.target_size,
-            order=max(order_of(count), 1), pinned=marked.fixed, dropped=marked.dropped,
+            marked.target, marked.reference, terms, size=found.size,
+            target_size=found.target_size, pinned=marked.fixed, dropped=marked.dropped,
         )  # fmt: skip
     except RegistrationRefused as refusal:
         return None, str(refusal.problems[0].message)

@@ -191,6 +191,32 @@ def test_a_veiled_pixel_is_told_coloured_and_not_trusted(browser, address):
     assert row.locator(".n").first.evaluate(struck) == "line-through"
 
 
+def test_a_value_that_is_not_to_be_trusted_is_hollow_struck_and_said_in_a_sentence(
+    browser, address
+):
+    page = open_object(browser, address("file"))
+    page.evaluate("levkasViewer.stage.look(75, 60, 6)")
+    click_pixel(page, 80, 60)
+    assert page.locator(".chart .doubt").count() == 0 and page.locator(".doubts").count() == 0
+    texts = page.locator(".chart text").all_text_contents()
+    assert "Reflectance" in texts and "Wavelength, nm" in texts
+    assert page.locator(".chart .bar.width").count() == 3, "R, G and B have a width"
+    top = page.locator(".chart").get_attribute("data-top")
+    page.get_by_label("Keep this range").check()
+    click_pixel(page, 65, 41)
+    assert page.locator(".chart").get_attribute("data-top") == top
+    sentences = page.locator(".doubts").all_inner_texts()
+    assert sentences == [f"1 of {n} bands is saturated here." for n in (8, 5, 3)]
+    doubt = page.locator(".chart .doubt")
+    assert doubt.count() == 3 and doubt.first.locator("circle").count() == 1
+    assert doubt.first.evaluate("g => getComputedStyle(g.querySelector('circle')).fill") == "none"
+    assert "saturated" in doubt.first.locator("title").text_content()
+    lines = page.locator(".chart polyline.line").evaluate_all(
+        "all => all.map(one => one.points.length)"
+    )
+    assert sorted(lines) == [1, 1, 1, 1, 7], "no line leads through a saturated band"
+
+
 @pytest.mark.parametrize("how", FLIGHTS)
 def test_the_picture_shows_the_render_at_any_zoom(browser, address, viewer, how):
     page = open_object(browser, address(how))

@@ -235,8 +235,26 @@ def test_the_trace_is_scrubbed_and_its_curve_leads_there(bench):
     assert rounds * 0.3 < at < rounds * 0.7 and f"Round {at + 1} of" in said.inner_text()
     page.locator("#stop-reset").click()
     assert told(page, "session.value.overridden.stop") is False
-    method = page.evaluate("levkasWorkbench.store.frame.value.method")
-    assert page.locator("#thresholds-idle").is_visible() == (method == "levkas")
+
+
+def test_a_map_that_rests_on_windows_shows_them_and_no_removal(bench):
+    page, _ = bench
+    assert page.locator(".trace").is_visible() and not page.locator(".basis").is_visible()
+    page.evaluate(
+        """() => { const frame = levkasWorkbench.store.frame;
+        const column = [10, 100, 180];
+        const shift_x = [0.01, 0.02, -0.01], shift_y = [0, 0.01, 0];
+        const windows = { x: column, y: column, shift_x, shift_y, sigma: [0.02, 0.02, null],
+            held_out: [0.03, 0.05, null], weight: [1, 1, 0.2] };
+        const checks = { x: column, y: column, shift_x: [0, 0, 9], shift_y, found: [true, true, true],
+            tolerance: 1 };
+        frame.value = { ...frame.value,
+            basis: { source: "fused", band: "R", count: 3, windows, checks } }; }"""
+    )
+    words = page.locator("#basis-words").inner_text()
+    assert words.startswith("3 windows of all bands together; lines")
+    assert "2 of 3 free windows of R confirm the map." in words
+    assert page.locator(".basis").is_visible() and not page.locator(".trace").is_visible()
 
 
 def test_a_place_is_measured_and_kept_as_check_point(bench):

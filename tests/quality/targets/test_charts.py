@@ -158,6 +158,16 @@ def test_delta_e_and_lab_agree_with_colour_science():
     np.testing.assert_allclose(delta_e_2000(a, b), [2.0425, 2.3669, 27.1492], atol=1e-4)
 
 
+def test_published_spectra_and_luminances_are_those_of_colour_science():
+    from colour import CCS_COLOURCHECKERS, SDS_COLOURCHECKERS
+
+    published = [sd.values for sd in SDS_COLOURCHECKERS["BabelColor Average"].values()]
+    np.testing.assert_array_equal(reference_of(CLASSIC).spectra, published)
+    for kind, chart in CHARTS.items():
+        patches = CCS_COLOURCHECKERS[f"{kind} - After November 2014"].data.values()
+        np.testing.assert_array_equal(chart.luminances, [xyy[2] for xyy in patches])
+
+
 def csv_of(chart, names):
     rows = [f"{w},{','.join(['0.5'] * len(names))}" for w in (400, 500, 600)]
     return "\n".join([f"Wavelength,{','.join(names)}", *rows])

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import re
 import unicodedata
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.discovery.captures import CaptureRefused
-from levkas.campaign.discovery.manifest import read_manifest
 from levkas.campaign.discovery.patterns import Pattern, natural, ways_to_read
 from levkas.core.problems import Problem, Refused
+from levkas.core.text import TextRefused, read_text
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
@@ -276,8 +278,12 @@ def _walk(
     index: int,
     text: str,
     been: set[tuple[int, str]],
+    spelled: Callable[[str], str] = composed,
 ) -> Iterator[tuple[Path, str]]:
-    """Yield (path, its part that the pattern describes), one folder level a segment; no way is gone twice."""
+    """Yield (path, its part that the pattern describes), one folder level a segment; no way is gone twice.
+
+    Names are compared, and described, as `spelled` gives them.
+    """
     if (index, text) in been:
         return
     been.add((index, text))
@@ -285,24 +291,23 @@ def _walk(
     if segment == "**" and text.count("/") > DEEPEST:
         raise too_deep(folder)
     if segment == "..":
-        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../", been)
+        yield from _walk(pattern, folders, folder.parent, index + 1, f"{text}../", been, spelled)
     elif segment == "**":
-        yield from _walk(pattern, folders, folder, index + 1, text, been)
+        yield from _walk(pattern, folders, folder, index + 1, text, been, spelled)
         for name in folders.folders(folder):
             if not folders.is_link(folder, name):
-                deeper = f"{text}{composed(name)}/"
-                yield from _walk(pattern, folders, folder / name, index, deeper, been)
+                deeper = f"{text}{spelled(name)}/"
+                yield from _walk(pattern, folders, folder / name, index, deeper, been, spelled)
     elif index == len(pattern.segments) - 1:
         for name in folders.files(folder):
-            if pattern.fits_segment(index, composed(name)):
-                yield folder / name, text + composed(name)
-    elif not re.search(r"[{*]", segment):
-        yield from _walk(pattern, folders, folder / segment, index + 1, f"{text}{segment}/", been)
+            if pattern.fits_segment(index, spelled(name)):
+                yield folder / name, text + spelled(name)
     else:
-        for name in folders.folders(folder):
-            if pattern.fits_segment(index, composed(name)):
-                deeper = f"{text}{composed(name)}/"
-                yield from _walk(pattern, folders, folder / name, index + 1, deeper, been)
+        plain = spelled is composed and not re.search(r"[{*]", segment)
+        for name in (segment,) if plain else folders.folders(folder):
+            if plain or pattern.fits_segment(index, spelled(name)):
+                deeper = f"{text}{name if plain else spelled(name)}/"
+                yield from _walk(pattern, folders, folder / name, index + 1, deeper, been, spelled)
 
 
 def _without_data_of_headers(found: list[FoundFile]) -> list[FoundFile]:
@@ -431,7 +436,7 @@ def _find_frames(
             found = find_files(index.campaign.root, patterns, known=known, folders=index.folders)
             frames += [replace(f, sensor=sensor) for f in found]
         if camera.manifest:
-            exposures = read_manifest(index.campaign.root / camera.manifest)
+            exposures = read_exposures(index.campaign.root / camera.manifest)
             frames = with_exposures(frames, exposures, index.campaign.root)
     except Refused as refused:
         index.broken[key] = refused
@@ -467,3 +472,100 @@ def patterns_of(
     files = own.files if own and own.files else None
     sensors = [sensor] if sensor is not None else [s.name for s in keys.sensors] or [""]
     return [p for name in sensors for p in _patterns_of_sensor(keys, name, files, setup)]
+
+
+# --- names that differ in upper and lower case ---------------------------------------------------
+
+
+def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Path, Pattern]]:
+    """Return files that fit a pattern, or name a target, only where upper and lower case are alike.
+
+    Returns
+    -------
+    files : dict
+        (object, camera, setup) → the first such file, and the pattern that it nearly fits. The
+        object is spelled as the campaign knows it, else as the file does.
+    """
+    campaign = index.campaign
+    targets = (*declared_targets(campaign), *index.objects)
+    setups = {name.lower() for name in campaign.setups}
+    ways = ways_to_read({"target": {name.lower() for name in targets}, "setup": setups})
+    fitting = {f.path for frames in index.frames.values() for f in frames if f.target in targets}
+    spelling = {name.lower(): name for name in targets}
+    found: dict[tuple[str, str, str], tuple[Path, Pattern]] = {}
+    for camera, setup in sorted(index.frames, key=lambda key: (not key[1], key)):
+        for pattern in patterns_of(index, camera, setup):
+            lower = Pattern.parse(pattern.text.lower())
+            if pattern.absolute:  # others' folders above the frames may not be listed
+                continue
+            for path, text in _walk(
+                lower, index.folders, campaign.root, 0, "", set(), lambda n: composed(n).lower()
+            ):
+                values = None if path in fitting else lower.read(text, ways)
+                if values is not None and (setup or values.get("setup", "") not in setups):
+                    target = values.get("target", "")
+                    start = text.find(target)
+                    own = path.as_posix()[-len(text) :][start : start + len(target)]
+                    key = (spelling.get(target, own), camera, setup)
+                    found.setdefault(key, (path, pattern))
+    return found
+
+
+# --- exposures from a table, where neither names nor EXIF have them --------------------------------
+
+EXPECTED = "a CSV with the columns file and exposure_s, in UTF-8"
+
+
+def read_exposures(path: Path) -> dict[str, float]:
+    """Read a CSV with the columns file and exposure_s.
+
+    Returns
+    -------
+    exposures : dict of str to float, s
+        By the file's name as the table has it, with ``/``.
+
+    Raises
+    ------
+    CaptureRefused
+        Where it cannot be read; every row without an exposure > 0 is listed, at most ten.
+    """
+    exposures: dict[str, float] = {}
+    problems = []
+    try:
+        lines = io.StringIO(read_text(path, EXPECTED), newline="")
+        for number, row in enumerate(csv.DictReader(lines), start=2):
+            try:
+                name, seconds = str(row["file"]).strip(), float(row["exposure_s"])
+            except (KeyError, TypeError, ValueError):
+                name, seconds = "", 0.0
+            if not name or not 0 < seconds < 1e6:
+                problems.append(_bad_row(path, number, row))
+            exposures[name.replace("\\", "/")] = seconds
+    except TextRefused as refused:
+        problems = list(refused.problems)
+    except csv.Error as error:
+        problems = [
+            Problem(
+                "E_UNREADABLE",
+                "the manifest cannot be read",
+                str(path),
+                found=str(error),
+                expected=EXPECTED,
+                fix="Save it again as a table of two columns.",
+            )
+        ]
+    if problems:
+        raise CaptureRefused(*problems[:10])
+    return exposures
+
+
+def _bad_row(path: Path, number: int, row: dict[str, str]) -> Problem:
+    return Problem(
+        "E_VALUE",
+        f"line {number} of the manifest says no exposure",
+        str(path),
+        "exposure_s",
+        ", ".join(str(v) for v in row.values())[:80],
+        "columns file and exposure_s, in seconds",
+        "Write the exposure in seconds, a number above 0.",
+    )

@@ -30,6 +30,7 @@ from levkas.campaign.discovery.file_index import (
     FileIndex,
     FoundFile,
     declared_targets,
+    files_of_other_case,
     in_natural_order,
     nearest,
     patterns_of,
@@ -84,7 +85,7 @@ def find_captures(
     reference = campaign.reference.camera
     order = sorted(index.frames, key=lambda key: (key != (reference, ""), bool(key[1])))
     captures: list[Capture] = []
-    refusals: Refusals = {}
+    refusals = _misspelt(index)
     for name in index.objects:
         for camera_name, setup in order:
             if not _is_promised(index, name, camera_name, setup):
@@ -227,6 +228,30 @@ def _no_frames(index: FileIndex, camera: str, setup: str, what: str, target: str
         expected=" or ".join(dict.fromkeys(p.text for p in patterns)),
         fix="Mend the pattern, or put the frames where it looks.",
     )
+
+
+def _misspelt(index: FileIndex) -> Refusals:
+    """Return the refusals of captures whose files are there in other upper and lower case."""
+    campaign, refusals = index.campaign, Refusals()
+    others = set(declared_targets(campaign)) - set(index.objects)
+    for (name, camera, setup), (path, pattern) in files_of_other_case(index).items():
+        expected = name in index.objects
+        if name in others or (campaign.targets.objects and not expected):
+            continue
+        if expected and _is_promised(index, name, camera, setup):
+            continue  # it is built, or refused for what is missing
+        refusals[name, camera, setup] = CaptureRefused(
+            Problem(
+                "E_NO_FRAMES",
+                f"{camera}: a file of {name} is spelled in other upper and lower case",
+                str(path),
+                f"setups.{setup}.cameras.{camera}.files" if setup else f"cameras.{camera}.files",
+                path.relative_to(campaign.root).as_posix(),
+                pattern.with_value("target", name).text,
+                "Rename the files, or write in campaign.toml what they are called.",
+            )
+        )
+    return refusals
 
 
 def _check_reference_bands(campaign: Campaign, capture: Capture) -> None:

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from levkas.campaign.guess.appearance import mosaic_behind_filters, mosaic_of, tile_side
-from levkas.campaign.guess.file_patterns import FilePatterns, find_patterns
-from levkas.campaign.guess.groups import CameraGroup, safe_name
+from levkas.campaign.guess.groups import CameraGroup, FilePatterns, find_patterns, safe_name
 from levkas.campaign.guess.names import NamedFile
 from levkas.campaign.guess.pixels import CLIPPED, MOST_SAMPLED, Samples, bits_of
 from levkas.readers.spectra import parse_spectra

@@ -15,7 +15,7 @@ from pydantic import (
     create_model,
 )
 
-from levkas.campaign.methods import METHODS
+from levkas.campaign.methods import METHODS, UNUSABLE
 from levkas.campaign.schema.values import (
     Address,
     Align,
@@ -118,10 +118,17 @@ class GridKeys(Table):
     size: Size | None = None
 
 
+def _usable(name: Any) -> Any:
+    """Refuse the method of an installed package that cannot be loaded."""
+    if name in UNUSABLE and name not in METHODS:
+        raise ValueError(f"be another one: {name!r} cannot be used, {UNUSABLE[name]}")
+    return name
+
+
 class MethodKey(Table):
     """The key that names the registration method."""
 
-    method: Literal[tuple(METHODS)] | None = None  # type: ignore[valid-type]
+    method: Annotated[Literal[tuple(METHODS)] | None, BeforeValidator(_usable)] = None  # type: ignore[valid-type]
 
 
 class PointsKeys(Table):

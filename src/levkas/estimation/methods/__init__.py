@@ -8,53 +8,117 @@ from __future__ import annotations
 
 import io
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from levkas.core.files import write_bytes
 from levkas.core.problems import Problem, Refused
+from levkas.estimation.methods.gaussian_process import GaussianProcessModel, fit_gaussian_process
+from levkas.estimation.methods.kernel_ridge import KernelModel, kernel_ridge
 from levkas.estimation.methods.linear_model import LinearModel
+from levkas.estimation.methods.local_linear import LocalModel, fit_local_linear
+from levkas.estimation.methods.logit import fit_with_logit, read_with_logit
+from levkas.estimation.methods.polynomial import fit_polynomial
+from levkas.estimation.methods.principal_components import fit_principal_components
 from levkas.estimation.methods.pseudo_inverse import fit_pseudo_inverse
+from levkas.estimation.methods.root_polynomial import fit_root_polynomial
 from levkas.estimation.methods.wiener import fit_wiener
 from levkas.estimation.model import EstimationMethod, Model
 
-__all__ = ["METHODS", "EstimationMethod", "Model", "find_method", "load_model", "save_model"]
+__all__ = [
+    "METHODS",
+    "EstimationMethod",
+    "Model",
+    "find_method",
+    "load_model",
+    "save_model",
+    "with_logit",
+]
 
 VERSION = 1
 """Of stored models; another is refused."""
 
-METHODS = {
-    method.name: method
-    for method in [
-        EstimationMethod(
-            "pseudo-inverse",
-            "Pseudo-inverse",
-            fit_pseudo_inverse,
-            LinearModel,
-            r"\hat y = x X^{+} Y",
-            "heikkinen2008",
-        ),
-        EstimationMethod(
-            "wiener",
-            "Wiener (LMMSE)",
-            fit_wiener,
-            LinearModel,
-            r"\hat y = \bar y + (x - \bar x)(C_{xx} + \tfrac{\lambda}{n} I)^{-1} C_{xy}",
-            "murakami2008",
-        ),
-    ]
-}
+LINEAR = LinearModel.from_arrays
+ROWS = [
+    EstimationMethod(
+        "pseudo-inverse", "Pseudo-inverse", fit_pseudo_inverse, LINEAR,
+        r"\hat y = x X^{+} Y", "heikkinen2008",
+    ),
+    EstimationMethod(
+        "wiener", "Wiener (LMMSE)", fit_wiener, LINEAR,
+        r"\hat y = \bar y + (x - \bar x)(C_{xx} + \tfrac{\lambda}{n} I)^{-1} C_{xy}", "murakami2008",
+    ),
+    EstimationMethod(
+        "principal-components", "Principal components", fit_principal_components, LINEAR,
+        r"\hat y = \bar y + (x - \bar x) X_c^{+} Y_c V V^\top", "maloney1986",
+    ),
+    EstimationMethod(
+        "polynomial", "Polynomial", fit_polynomial, LINEAR,
+        r"\hat y = b + \sum_t B_t \prod_{c \in t} x_c", "connah2005",
+    ),
+    EstimationMethod(
+        "root-polynomial", "Root-polynomial", fit_root_polynomial, LINEAR,
+        r"\hat y = \sum_t B_t \Bigl(\prod_{c \in t} x_c\Bigr)^{1/|t|}", "finlayson2015",
+    ),
+    EstimationMethod(
+        "matern", "Kernel ridge, Matérn 3/2", kernel_ridge("matern"), KernelModel.from_arrays,
+        r"\hat y = \bar y + k^\top (K + \lambda I)^{-1} Y_c,\; k = (1 + \sqrt3 r) e^{-\sqrt3 r}",
+        "heikkinen2013",
+    ),
+    EstimationMethod(
+        "gaussian", "Kernel ridge, Gaussian", kernel_ridge("gaussian"), KernelModel.from_arrays,
+        r"\hat y = \bar y + k^\top (K + \lambda I)^{-1} Y_c,\; k = e^{-r^2/2}", "heikkinen2008",
+    ),
+    EstimationMethod(
+        "logarithmic", "Kernel ridge, logarithmic", kernel_ridge("logarithmic"), KernelModel.from_arrays,
+        r"\hat y = \bar y + k^\top (K + \lambda I)^{-1} Y_c,\; k \sim -\log(1 + r^2)", "eckhard2014",
+    ),
+    EstimationMethod(
+        "local-linear", "Locally weighted linear", fit_local_linear, LocalModel.from_arrays,
+        r"\min_{b, B} \sum_i w_i |y_i - b - (x_i - x) B|^2 + \lambda |B|^2,\; \hat y = b", "liang2017",
+    ),
+    EstimationMethod(
+        "gaussian-process", "Gaussian process", fit_gaussian_process, GaussianProcessModel.from_arrays,
+        r"\sigma^2 = s^2 c^2 (1 + \lambda - k^\top (K + \lambda I)^{-1} k)", "rasmussen2006",
+    ),
+]  # fmt: skip
+LOGIT = "-logit"
+"""Behind the name of a method: the method under the logit link."""
+
+
+def with_logit(method: EstimationMethod) -> EstimationMethod:
+    """Return a method that works on the logarithm of the odds of reflectance.
+
+    >>> with_logit(METHODS["wiener"]).name
+    'wiener-logit'
+    """
+    return EstimationMethod(
+        method.name + LOGIT,
+        f"{method.title}, logit link",
+        partial(fit_with_logit, fit=method.fit),
+        partial(read_with_logit, read=method.read),
+        rf"\log\frac{{y}}{{1 - y}} = z:\; {method.equation}",
+        "heikkinen2013",
+    )
+
+
+METHODS = {method.name: method for method in ROWS}
+METHODS["matern-logit"] = with_logit(METHODS["matern"])
 
 
 def find_method(name: str) -> EstimationMethod:
-    """Return a method by its name.
+    """Return a method by its name; any has its like under the logit link, `NAME-logit`.
 
     Raises
     ------
     Refused
         With code ``E_METHOD`` for a name that no method has.
     """
+    base = name.removesuffix(LOGIT)
+    if name not in METHODS and base in METHODS:
+        return with_logit(METHODS[base])
     if name not in METHODS:
         raise Refused(
             Problem(
@@ -95,7 +159,7 @@ def load_model(path: str | Path) -> tuple[str, Model]:
         method, version = str(arrays.pop("method")), int(arrays.pop("version"))
         if version != VERSION:
             raise ValueError(f"version {version}, expected {VERSION}")
-        return method, find_method(method).model.from_arrays(arrays)
+        return method, find_method(method).read(arrays)
     except (OSError, ValueError, TypeError, KeyError, zipfile.BadZipFile) as error:
         raise Refused(
             Problem(

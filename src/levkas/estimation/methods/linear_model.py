@@ -121,14 +121,15 @@ def fit_ridge(
     mean_x = weights @ columns / weights.sum() * centred
     mean_y = weights @ training.spectra / weights.sum() * centred
     left, scale, right = np.linalg.svd(root * (columns - mean_x), full_matrices=False)
-    known = scale > scale[0] * len(columns) * np.finfo(float).eps
+    largest = scale[0]
+    known = scale > largest * len(columns) * np.finfo(float).eps
     left, scale, right = left[:, known], scale[known], right[known]
     targets = root * (training.spectra - mean_y)
     vectors, values = left, scale**2
     if centred:  # the offset is a column of its own, at right angles to the centred ones
         vectors = np.column_stack([left, root / np.linalg.norm(root)])
         values = np.append(values, np.inf)
-    tried = RIDGES * scale[0] ** 2 if ridge is None else [ridge]
+    tried = RIDGES * largest**2 if ridge is None else [ridge]
     errors = [
         float(np.square(held_out_residuals(vectors, values, targets, r, training.groups)).mean())
         for r in tried

@@ -3,7 +3,7 @@
     ŷ = ȳ + (x − x̄) (Cxx + λ/n I)⁻¹ Cxy
 
 With the covariances of the training samples it is ridge regression on centred data; λ stands for noise of the
-responses beyond that of the samples. [murakami2008]_, 10.1364/OE.16.004106; [shimano2006]_, 10.1109/TIP.2006.877069.
+responses beyond that of the samples. [murakami2008]_, 10.1364/OE.16.004106.
 """
 
 from __future__ import annotations

@@ -8,23 +8,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas.campaign.schema.toml import read_toml
 from levkas.core.cube import Band
 from levkas.core.flags import describe_marks
 from levkas.core.problems import Refused
-from levkas.core.text import read_text
+from levkas.core.text import parse_bounded, read_text
+from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
-from levkas.database.reader import describe_pages
 from levkas.database.registrations import read_registration
+from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import DECISIONS
-from levkas.publish.editions import centroids_of
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, pictures_of
 from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
 from levkas.publish.viewer.spectra import write_lattices, write_spectra
-from levkas.readers.spectra import parse_spectra
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
@@ -209,13 +210,14 @@ def _write_layer(
     record: dict[str, Any],
 ) -> dict[str, Any]:
     tiff = item.tiff(*layer)
-    described = describe_pages(open_pages(tiff))
-    bands, metadata = described.bands, described.facts
-    centroids = _centroids(item, layer[0], tiff, bands)
+    told, bands, centroids = _describe(tiff)
+    shapes = _broad_channels(item.database / "cameras" / layer[0] / "sensitivity.csv", bands)
+    if not np.isfinite(centroids).any():
+        centroids = [centroid for centroid, _ in shapes]
     reference = item.tiff(item.reference, "") if item.reference else tiff
     source = Source(
-        *(item.database, item.name, tiff, bands, str(metadata.get("quantity", "")), record),
-        rendering=str(metadata.get("rendering", "")),
+        *(item.database, item.name, tiff, bands, str(told.get("quantity", "")), record),
+        rendering=str(told.get("rendering", "")),
         reference=reference if reference.is_file() else None,
     )
     pictures, thumbnail = [], ""
@@ -243,6 +245,7 @@ def _write_layer(
         key=f"{number}/native",
     )
     return {
+        **(_say_estimate(told) if told.get("kind") == ESTIMATED else {}),
         "quantity": source.quantity,
         "rendering": source.rendering,
         "bands": [
@@ -250,9 +253,9 @@ def _write_layer(
                 "label": band.label,
                 "wavelength": _known(band.wavelength),
                 "centroid": _known(centroid),
-                "fwhm": _known(band.fwhm),
+                "fwhm": _known(width if math.isnan(band.fwhm) else band.fwhm),
             }
-            for band, centroid in zip(bands, centroids, strict=True)
+            for band, centroid, (_, width) in zip(bands, centroids, shapes, strict=True)
         ],
         "pictures": pictures,
         "thumbnail": thumbnail,
@@ -263,24 +266,71 @@ def _write_layer(
     }
 
 
-def _centroids(item: Item, camera: str, tiff: Path, bands: tuple[Band, ...]) -> list[float]:
-    """Return wavelengths, nm, and of broad channels the centroids that the TIFF or the camera's sensitivities have; else NaN."""
-    found = centroids_of(tiff) or _sensitivity_centroids(
-        item.database / "cameras" / camera / "sensitivity.csv"
+def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:
+    """Words for a layer that was made from others, in place of a verdict on its registration."""
+    facts = told.get("estimate") if isinstance(told.get("estimate"), dict) else {}
+    assert isinstance(facts, dict)
+    sources, training = (", ".join(map(str, facts.get(key) or [])) for key in ("from", "training"))
+    why = f"Estimated from {sources} by {facts.get('method')}, fitted on {training}: not a measurement."
+    return {"decision": "warn", "verdict": "estimated, not measured", "reasons": [why]}
+
+
+def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]]:
+    """Return metadata, bands, and centroids of broad channels of a TIFF."""
+    pages = open_pages(tiff)
+    text = next((t for t in pages.tags(METADATA) if t), "")
+    try:
+        told = dict(parse_bounded(decode_text(str(text))))
+    except (ValueError, TypeError):
+        told = {}
+    count = len(pages)
+    centres = next((t for t in pages.tags(WAVELENGTHS) if t is not None), None)
+    centres = np.atleast_1d(np.asarray(centres if centres is not None else [], float)).tolist()
+    labels, known, widths = (
+        values if isinstance(values := told.get(key), list) and len(values) == count else None
+        for key in ("bands", "wavelength", "fwhm")
     )
+    numbered = centres == list(range(count)) or len(centres) != count
+    known = known or ([None] * count if numbered else centres)
+    labels = labels or [f"{v:g} nm" if v is not None else str(i) for i, v in enumerate(known)]
+    bands = tuple(
+        Band(str(label), math.nan if w is None else float(w), math.nan if f is None else float(f))
+        for label, w, f in zip(labels, known, widths or [None] * count, strict=True)
+    )
+    return told, bands, [math.nan] * count if numbered else centres
+
+
+def _broad_channels(path: Path, bands: tuple[Band, ...]) -> list[tuple[float, float]]:
+    """Centroid and full width at half maximum, nm, by the published sensitivities; NaN if not known."""
+    unknown = [(math.nan, math.nan)] * len(bands)
+    try:
+        head_line, *lines = read_text(path, "a CSV of sensitivities").splitlines()
+        head = [cell.strip() for cell in head_line.split(",")]
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except (Refused, ValueError):
+        return unknown
+    columns = {label: table[:, i] for i, label in enumerate(head) if i and i < table.shape[1]}
+    found = [columns.get(band.label) for band in bands]
     return [
-        b.wavelength if math.isfinite(b.wavelength) else found.get(b.label, math.nan) for b in bands
+        _shape(table[:, 0], c) if c is not None and c.sum() > 0 else (math.nan, math.nan)
+        for c in found
     ]
 
 
-def _sensitivity_centroids(path: Path) -> dict[str, float]:
-    """Return centroids, nm, by channel of a table of sensitivities; empty where it cannot be read."""
-    try:
-        table, head = parse_spectra(read_text(path, "a CSV of sensitivities"))
-    except (Refused, ValueError):
-        return {}
-    columns = zip(head[1:], table[:, 1:].T, strict=False)
-    return {label: float((c * table[:, 0]).sum() / c.sum()) for label, c in columns if c.sum() > 0}
+def _shape(wavelengths: np.ndarray, response: np.ndarray) -> tuple[float, float]:
+    """Centroid and full width at half maximum of a response.
+
+    >>> _shape(np.arange(400.0, 450.0, 10.0), np.array([0.0, 1.0, 1.0, 1.0, 0.0]))
+    (420.0, 30.0)
+    """
+    high = np.flatnonzero(response >= response.max() / 2)
+    low, top = max(high[0] - 1, 0), min(high[-1] + 1, len(response) - 1)
+    half = response.max() / 2
+    rise, fall = response[low : high[0] + 1], response[high[-1] : top + 1][::-1]
+    start = float(np.interp(half, rise, wavelengths[low : high[0] + 1]))
+    end = float(np.interp(half, fall, wavelengths[high[-1] : top + 1][::-1]))
+    centroid = float((response * wavelengths).sum() / response.sum())
+    return centroid, end - start
 
 
 def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:

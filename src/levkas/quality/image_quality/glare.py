@@ -13,7 +13,7 @@ import numpy as np
 
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
-from levkas.core.threads import in_threads
+from levkas.core.machine import over_rows
 
 WHITE_PAINT = 0.9
 """Reflectance of the whitest paint: what saturates below it is overexposed, not glare."""
@@ -107,7 +107,7 @@ def find_glare(
     """
     height, width = values.shape[:2]
     signs, noise = np.zeros((height, width), np.uint8), _noise(sigma)
-    in_threads(_judge_pixels, height, values, flags, noise, signs)
+    over_rows(lambda a, b: _judge_pixels(a, b, values, flags, noise, signs), height)
     lifted = np.zeros((height, width), bool)
     if other is not None:
         if gains is None:
@@ -118,21 +118,13 @@ def find_glare(
     return Glare(signs & FULL > 0, signs & BRIGHT > 0, lifted)
 
 
-def mark_glare(
-    values: np.ndarray,
-    flags: np.ndarray,
-    sigma: np.ndarray | None = None,
-    *,
-    squared: bool = False,
-) -> None:
+def mark_glare(values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None = None) -> None:
     """Set GLARE in `flags`, in place, band by band: where bands do not yet lie on one another.
 
     Parameters
     ----------
     values, flags, sigma
         As for `find_glare`.
-    squared : bool
-        Whether the square of sigma, exact to all its bits, is given in its place.
 
     Examples
     --------
@@ -142,7 +134,7 @@ def mark_glare(
     [[[16, 0]]]
     """
     noise = _noise(sigma)
-    in_threads(_mark_bands, len(values), values, flags, noise, squared)
+    over_rows(lambda a, b: _mark_bands(a, b, values, flags, noise), len(values))
 
 
 def flag_glare(flags: np.ndarray, found: Glare) -> None:
@@ -185,7 +177,7 @@ def _judge_pixels(start, stop, values, flags, sigma, signs):  # type: ignore[no-
 
 
 @njit(nogil=True, cache=True)
-def _mark_bands(start, stop, values, flags, sigma, squared):  # type: ignore[no-untyped-def]
+def _mark_bands(start, stop, values, flags, sigma):  # type: ignore[no-untyped-def]
     """Set GLARE where a band by itself shows a sign."""
     least = np.float32(WHITE_PAINT)
     for y in range(start, stop):
@@ -200,7 +192,6 @@ def _mark_bands(start, stop, values, flags, sigma, squared):  # type: ignore[no-
                 if flags[y, x, b] & OUTSIDE:
                     continue
                 noise = np.float64(sigma[y, x, b]) if sigma.size else 0.0
-                noise = np.sqrt(noise) if squared else noise
                 if _judge(np.float64(pixel[b]), flags[y, x, b], noise):
                     flags[y, x, b] |= np.uint8(GLARE)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,6 +16,9 @@ from levkas.readers.spectra import are_spectra, parse_spectra
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+HERE = Path(__file__)
+"""Beside it stand tables of colour-science 0.4: BabelColor's average of 30 charts, and luminances of charts
+made after November 2014."""
 NAMES = {
     "ColorChecker24": ("colorchecker24", "colorcheckerclassic", "classic", "macbeth", "cc24"),
     "ColorCheckerSG": ("colorcheckersg", "sg", "ccsg", "sg140", "digitalsg"),
@@ -66,13 +70,9 @@ class Chart:
     @cached_property
     def luminances(self) -> np.ndarray:
         """(n,) relative luminances as published, for recognising the chart and its orientation."""
-        # colour-science sets numpy's printing back to that of version 1.13 for the whole process.
-        with np.printoptions():
-            from colour import CCS_COLOURCHECKERS
-
-        kind = "ColorCheckerSG" if self.rows == 10 else "ColorChecker24"
-        published = CCS_COLOURCHECKERS[f"{kind} - After November 2014"].data.values()
-        return np.array([xyy[2] for xyy in published])
+        sg, classic = "luminances_sg.csv", "luminances_classic.csv"
+        table = HERE.with_name(sg if self.rows == 10 else classic)
+        return np.loadtxt(table, delimiter=",", skiprows=1, usecols=1)
 
 
 CHARTS = {
@@ -135,12 +135,8 @@ def reference_of(chart: Chart) -> ChartReference | None:
     """Return the published spectra of a chart: BabelColor's average of 30; of the SG there are none."""
     if chart.rows != 4:
         return None
-    with np.printoptions():
-        from colour import SDS_COLOURCHECKERS
-
-    patches = list(SDS_COLOURCHECKERS["BabelColor Average"].values())
-    spectra = np.array([sd.values for sd in patches])
-    return ChartReference(np.asarray(patches[0].wavelengths, float), spectra, "BabelColor average")
+    table = np.loadtxt(HERE.with_name("babelcolor_average.csv"), delimiter=",", skiprows=1)
+    return ChartReference(table[:, 0], np.ascontiguousarray(table[:, 1:].T), "BabelColor average")
 
 
 def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReference:
@@ -191,8 +187,8 @@ def _correct_names(names: list[str], chart: Chart) -> tuple[list[str], str]:
     for order in (by_column, list(chart.patches)):
         wrong = [i for i, name in enumerate(names) if name != order[i]]
         if all(names[i] in twice and order[i] not in names for i in wrong):
-            changes = ", ".join(f"{names[i]} in column {i + 2} read as {order[i]}" for i in wrong)
-            return order, changes
+            told = ", ".join(f"{names[i]} in column {i + 2} read as {order[i]}" for i in wrong)
+            return order, told
     return names, ""
 
 
@@ -240,14 +236,14 @@ def place_patches(
     Examples
     --------
     >>> areas = place_patches([[50, 50], [550, 50], [550, 350], [50, 350]], CHARTS["ColorChecker24"], (600, 400))
-    >>> areas.shape, areas[0].tolist()
+    >>> areas.shape, areas[0].round(9).tolist()
     ((24, 4, 2), [[25.0, 25.0], [75.0, 25.0], [75.0, 75.0], [25.0, 75.0]])
     """
     corners = np.asarray(corners, float).reshape(4, 2)
     _check_convex(corners)
-    place = _homography(chart.corners, corners)
+    plane = Homography.fit(chart.corners, corners)
     half = sampled / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-    areas = place((chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
+    areas = plane((chart.centres[:, None] + half).reshape(-1, 2)).reshape(-1, 4, 2)
     beyond = np.any((areas < 0) | (areas > np.array(size) - 1.0), axis=(1, 2))
     if beyond.any():
         names = [chart.patches[i] for i in np.flatnonzero(beyond)]
@@ -317,15 +313,6 @@ def _check_convex(corners: np.ndarray) -> None:
                 expected="centres of the corner patches, clockwise from the first (dark skin)",
             )
         )
-
-
-def _homography(source: np.ndarray, target: np.ndarray) -> Homography:
-    """Return the homography through four pairs of points, (4, 2) each."""
-    rows = []
-    for (x, y), (u, v) in zip(source, target, strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-    solved = np.linalg.solve(np.array(rows), target.ravel())
-    return Homography(np.append(solved, 1.0).reshape(3, 3))
 
 
 def pixels_of(area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

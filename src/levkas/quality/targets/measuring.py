@@ -311,16 +311,14 @@ def lab_of(xyz: np.ndarray) -> np.ndarray:
 
 
 def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return ΔE2000 of CIELAB colours, as colour-science computes it (CIE 142-2001).
+    """Return ΔE2000 of CIELAB colours, as CIE 142-2001 has it (Sharma, Wu and Dalal 2005, 10.1002/col.20070).
 
     >>> [round(float(d), 4) for d in delta_e_2000(np.array([[50, 2.6772, -79.7751]]), np.array([[50, 0, -82.7485]]))]
     [2.0425]
     """
-    # colour-science sets numpy's printing back to that of version 1.13 for the whole process.
-    with np.printoptions():
-        from colour.difference import delta_E_CIE2000
+    from skimage.color import deltaE_ciede2000
 
-    return np.asarray(delta_E_CIE2000(a, b), float)
+    return np.asarray(deltaE_ciede2000(a, b), float)
 
 
 def rate(colours: Colours, chart: Chart, *, uniformity: float | None = None) -> list[IndicatorRow]:

@@ -6,10 +6,11 @@ from levkas.registration.control_points.dialects import (
     format_points,
     losses,
     parse_points,
+    read_points,
     sniff,
+    write_points,
 )
 from levkas.registration.control_points.points import ControlPoints, PointsRefused, parse_size
-from levkas.registration.control_points.reading import read_points, write_points
 
 __all__ = [
     "DIALECTS",

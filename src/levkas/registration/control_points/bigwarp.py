@@ -9,8 +9,8 @@ Source: ``LandmarkTableModel`` of https://github.com/saalfeldlab/bigwarp (`save`
 
 from __future__ import annotations
 
-from levkas.registration.control_points.points import ControlPoints
-from levkas.registration.control_points.text import (
+from levkas.registration.control_points.points import (
+    ControlPoints,
     decode,
     flag,
     number,

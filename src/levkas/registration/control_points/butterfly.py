@@ -14,9 +14,18 @@ from __future__ import annotations
 import numpy as np
 
 from levkas.core.problems import Problem
-from levkas.registration.control_points.conventions import from_origin, to_origin
-from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.registration.control_points.text import decode, number, rows, unreadable, write_rows
+from levkas.registration.control_points.points import (
+    ControlPoints,
+    PointsRefused,
+    Size,
+    decode,
+    from_origin,
+    number,
+    rows,
+    to_origin,
+    unreadable,
+    write_rows,
+)
 
 REMARK = "Assumes moving image(s) resized and padded to match target image dimensions"
 

@@ -1,13 +1,17 @@
-"""Dialects of control points: who writes them, what they can hold, and which one a file is."""
+"""Dialects of control points: the programs that write them, what each can hold, and files read and written."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from levkas.core.files import write_bytes
+from levkas.core.ownership import require_free
 from levkas.core.problems import Problem
-from levkas.core.text import LARGEST_TABLE
+from levkas.core.text import LARGEST_TABLE, TextRefused, check_file
 from levkas.registration.control_points import (
     bigwarp,
     butterfly,
@@ -18,13 +22,17 @@ from levkas.registration.control_points import (
     qgis,
     table,
 )
-from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.registration.control_points.text import check_lines
+from levkas.registration.control_points.points import (
+    ControlPoints,
+    PointsRefused,
+    Size,
+    check_lines,
+)
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How one program writes control points.
+    """File format in which one program writes control points.
 
     Parameters
     ----------
@@ -33,13 +41,13 @@ class Dialect:
     suffixes : tuple of str
         End of the name of each file that is written: one, or one a picture, reference first.
     origin : str
-        A key of `levkas.registration.control_points.conventions.ORIGINS`.
+        A key of `points.ORIGINS`.
     keeps : frozenset of str
         What it holds beyond the places: names, weights, enabled, check, frames, sizes.
     module : module
         With `recognises(data)`, `read(data, …)` and `write(points)`.
     needs_sizes : bool
-        Reading asks for the sizes of both pictures.
+        Whether reading needs the sizes of both pictures.
     """
 
     title: str
@@ -61,6 +69,8 @@ def _holds(*what: str) -> frozenset[str]:
 
 ALL = _holds("names", "weights", "enabled", "check")
 PAIR = (".reference", ".target")
+#: Words of a file of the reference, and of that of the target beside it.
+SIDES = (("reference", "target"), ("fixed", "moving"))
 DIALECTS: dict[str, Dialect] = {
     "levkas": Dialect("Levkas", (".csv",), "centre", ALL, table),
     "bigwarp": Dialect("BigWarp", (".csv",), "centre", _holds("names", "enabled"), bigwarp),
@@ -137,9 +147,9 @@ def parse_points(
     ----------
     files : list of bytes
     dialect : str, optional
-        A key of `DIALECTS`; else it is told from the content.
+        A key of `DIALECTS`; else it is found from the content.
     reference_size, target_size : (width, height), px, optional
-        Of both pictures, where the dialect asks for them and does not say them.
+        Of both pictures, where the dialect needs them and its files lack them.
 
     Raises
     ------
@@ -178,17 +188,17 @@ def format_points(points: ControlPoints, dialect: str) -> tuple[bytes, ...]:
 
 
 def losses(points: ControlPoints, dialect: str) -> list[str]:
-    """Say what a dialect cannot hold of these points.
+    """Return sentences about what a dialect cannot hold of these points.
 
     Examples
     --------
     >>> losses(ControlPoints([[0, 0]], [[1, 1]], enabled=[False]), "hugin")
     ['1 pair that is not enabled is left out']
     """
-    keeps, said = _known(dialect).keeps, []
+    keeps, sentences = _known(dialect).keeps, []
     off = int((~points.enabled).sum())
     if "enabled" not in keeps and off:
-        said.append(
+        sentences.append(
             f"{off} pair{'s' * (off > 1)} that {'are' if off > 1 else 'is'} not enabled {'are' if off > 1 else 'is'} left out"
         )
     for what, number in (
@@ -197,8 +207,10 @@ def losses(points: ControlPoints, dialect: str) -> list[str]:
         ("check", int(points.check.sum())),
     ):
         if what not in keeps and number:
-            said.append(f"{number} {'marks as check point' if what == 'check' else what} not kept")
-    return said
+            sentences.append(
+                f"{number} {'marks as check point' if what == 'check' else what} not kept"
+            )
+    return sentences
 
 
 def _known(dialect: str) -> Dialect:
@@ -213,3 +225,96 @@ def _known(dialect: str) -> Dialect:
             )
         )
     return DIALECTS[dialect]
+
+
+def read_points(
+    path: str | Path,
+    second: str | Path | None = None,
+    *,
+    dialect: str | None = None,
+    reference_size: Size | None = None,
+    target_size: Size | None = None,
+) -> ControlPoints:
+    """Read control points of any dialect.
+
+    Parameters
+    ----------
+    path : path
+        The file, or that of the reference where the dialect writes one a picture.
+    second : path, optional
+        The file of the target; found beside the first where the names differ by reference and
+        target, or by fixed and moving.
+    dialect : str, optional
+        A key of `DIALECTS`; else it is found from the content.
+    reference_size, target_size : (width, height), px, optional
+
+    Raises
+    ------
+    PointsRefused
+        With the file.
+    """
+    paths = [Path(path)]
+    try:
+        files = [_bytes(paths[0])]
+        name = dialect or sniff(files[0])
+        both = len(DIALECTS[name].suffixes) == 2 if name in DIALECTS else False
+        other = Path(second) if second else (_partner(paths[0]) if both else None)
+        if other is not None:
+            paths.append(other)
+            files.append(_bytes(other))
+        return parse_points(
+            files, dialect=name, reference_size=reference_size, target_size=target_size
+        )
+    except PointsRefused as refused:
+        raise PointsRefused(
+            *(p if p.file else replace(p, file=str(paths[-1])) for p in refused.problems)
+        ) from None
+
+
+def write_points(
+    points: ControlPoints, path: str | Path, dialect: str, *, overwrite: bool = False
+) -> list[Path]:
+    """Write control points; a dialect of two files adds `.reference` and `.target` to the name.
+
+    Returns
+    -------
+    paths : list of Path
+        What was written.
+
+    Raises
+    ------
+    PointsRefused
+    WriteRefused
+        Where a file of that name stands already, unless `overwrite`, or the disk refuses.
+    """
+    contents = format_points(points, dialect)
+    path = Path(path)
+    suffixes = DIALECTS[dialect].suffixes
+    paths = [path] if len(contents) == 1 else [path.with_name(path.stem + s) for s in suffixes]
+    for one in paths:
+        require_free(one, overwrite=overwrite)
+    for one, data in zip(paths, contents, strict=True):
+        write_bytes(one, data)
+    return paths
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        check_file(path, "a file of control points")
+        with path.open("rb") as file:
+            data = file.read(LARGEST_TABLE + 1)
+    except (TextRefused, OSError) as error:
+        problems = getattr(error, "problems", None) or (
+            Problem("E_UNREADABLE", "control points cannot be read", str(path), found=str(error)),
+        )
+        raise PointsRefused(*problems) from None
+    return data
+
+
+def _partner(path: Path) -> Path | None:
+    """Return the file of the target beside that of the reference, by its name."""
+    for first, second in SIDES:
+        if re.search(first, path.name, re.IGNORECASE):
+            other = path.with_name(re.sub(first, second, path.name, flags=re.IGNORECASE))
+            return other if other.is_file() else None
+    return None

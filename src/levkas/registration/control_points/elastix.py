@@ -12,8 +12,14 @@ from __future__ import annotations
 
 import re
 
-from levkas.registration.control_points.points import MOST_POINTS, ControlPoints
-from levkas.registration.control_points.text import decode, number, number_text, unreadable
+from levkas.registration.control_points.points import (
+    MOST_POINTS,
+    ControlPoints,
+    decode,
+    number,
+    number_text,
+    unreadable,
+)
 
 MOST_WORDS = 2 + 3 * MOST_POINTS
 _OUTPUT = re.compile(r"(InputPoint|OutputPoint)\s*=\s*\[([^][]*)\]")

@@ -12,9 +12,11 @@ from __future__ import annotations
 import re
 
 from levkas.core.problems import Problem
-from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.registration.control_points.text import (
+from levkas.registration.control_points.points import (
     LONGEST_LINE,
+    ControlPoints,
+    PointsRefused,
+    Size,
     decode,
     number,
     number_text,

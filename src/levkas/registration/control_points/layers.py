@@ -11,10 +11,15 @@ import numpy as np
 from levkas.core.problems import Problem
 from levkas.core.text import TextRefused, read_text
 from levkas.registration.control_points import table
-from levkas.registration.control_points.dialects import sniff
-from levkas.registration.control_points.points import ControlPoints, PointsRefused, Size
-from levkas.registration.control_points.reading import read_points
-from levkas.registration.control_points.text import decode, rows, write_rows
+from levkas.registration.control_points.dialects import read_points, sniff
+from levkas.registration.control_points.points import (
+    ControlPoints,
+    PointsRefused,
+    Size,
+    decode,
+    rows,
+    write_rows,
+)
 
 #: (object, CAMERA or CAMERA@SETUP, band; empty for the camera's reference channel)
 Frame = tuple[str, str, str]

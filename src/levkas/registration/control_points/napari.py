@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import re
 
-from levkas.registration.control_points.points import ControlPoints
-from levkas.registration.control_points.text import (
+from levkas.registration.control_points.points import (
+    ControlPoints,
     decode,
     flag,
     number,

@@ -1,8 +1,28 @@
-"""Control points: pairs of places that a person, or another program, says are the same."""
+"""Control points: pairs of places in two pictures; the origins and the text files of other programs.
+
+Pixel centres are integers here, and y points down. The centre of the top left pixel, (0, 0), is
+
+======== ============= =====================================================
+origin   coordinates   programs
+======== ============= =====================================================
+centre   (0, 0)        BigWarp, Hugin, ITK and elastix, napari
+corner   (0.5, 0.5)    Butterfly Registrator (a Qt scene)
+y up     (0.5, -0.5)   QGIS: corner, x right, y up, so that rows are negative
+one      (1, 1)        MATLAB: centres, counted from one
+======== ============= =====================================================
+
+Taking one for the other moves a picture by half a pixel, or by one; between two cameras of a
+different sampling the half pixels do not even cancel: 0.5 px of a 3900 px wide picture and 0.5 px of
+a 1392 px wide one differ by 0.5·(1 − 1392/3900) = 0.32 px of the reference.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -12,6 +32,17 @@ from levkas.core.problems import Problem, Refused
 MOST_POINTS = 100_000
 LARGEST_COORDINATE = 1e7
 LONGEST_NAME = 200
+#: Characters of a row; bytes of a line, where a reference system in a comment may be long.
+LONGEST_LINE, LONGEST_TEXT_LINE = 4096, 4 * 4096
+#: Of a file, empty ones and comments counted: they bound the work of reading it.
+MOST_LINES = 4 * MOST_POINTS
+#: Origin → (scale of x and y, coordinates of the centre of the top left pixel).
+ORIGINS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
+    "centre": ((1.0, 1.0), (0.0, 0.0)),
+    "corner": ((1.0, 1.0), (0.5, 0.5)),
+    "corner, y up": ((1.0, -1.0), (0.5, -0.5)),
+    "one": ((1.0, 1.0), (1.0, 1.0)),
+}
 
 Size = tuple[int, int]
 
@@ -179,3 +210,123 @@ def _faults(columns: dict[str, Any], n: int) -> list[Problem]:
             )
         )
     return problems
+
+
+# --- origins of other programs
+
+
+def from_origin(points: np.ndarray, origin: str) -> np.ndarray:
+    """Bring points of another program to centres at integers, y down.
+
+    Examples
+    --------
+    >>> from_origin(np.array([[1.5, -0.75], [10.5, -3.0]]), "corner, y up").tolist()
+    [[1.0, 0.25], [10.0, 2.5]]
+    """
+    scale, first = (np.array(v) for v in ORIGINS[origin])
+    return (np.asarray(points, np.float64).reshape(-1, 2) - first) * scale
+
+
+def to_origin(points: np.ndarray, origin: str) -> np.ndarray:
+    """Bring points with centres at integers to the origin of another program.
+
+    Examples
+    --------
+    >>> to_origin(np.array([[0.0, 0.0]]), "one").tolist()
+    [[1.0, 1.0]]
+    """
+    scale, first = (np.array(v) for v in ORIGINS[origin])
+    return np.asarray(points, np.float64).reshape(-1, 2) * scale + first
+
+
+# --- text files, each refused where it stands
+
+
+def check_lines(data: bytes) -> None:
+    """Refuse more lines than a file of points can need; raises PointsRefused."""
+    if (lines := data.count(b"\n")) > MOST_LINES:
+        raise unreadable(f"{lines} lines", f"at most {MOST_LINES}")
+
+
+def decode(data: bytes) -> str:
+    """Return a text in UTF-8, with or without a mark of its byte order.
+
+    Raises
+    ------
+    PointsRefused
+        Where it is none, or has too many lines, or one that is too long.
+    """
+    check_lines(data)
+    if (longest := max(map(len, data.split(b"\n")))) > LONGEST_TEXT_LINE:
+        raise unreadable(f"a line of {longest} bytes", f"lines of at most {LONGEST_TEXT_LINE}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise unreadable(str(error), "text in UTF-8") from error
+
+
+def rows(text: str, delimiter: str = ",") -> list[list[str]]:
+    """Split a table into its rows that hold anything.
+
+    Raises
+    ------
+    PointsRefused
+        Where a line is too long, or there are more rows than points may be.
+    """
+    table: list[list[str]] = []
+    try:
+        for row in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter):
+            if len(table) > MOST_POINTS + 100:
+                raise unreadable("more rows", f"at most {MOST_POINTS} points")
+            if sum(map(len, row)) > LONGEST_LINE and not row[0].startswith("#"):
+                raise unreadable(
+                    f"{sum(map(len, row))} characters", f"lines of at most {LONGEST_LINE}"
+                )
+            if any(cell.strip() for cell in row):
+                table.append(row)
+    except csv.Error as error:
+        raise unreadable(str(error), "a table") from error
+    return table
+
+
+def write_rows(table: Iterable[Sequence[object]], delimiter: str = ",", quote: bool = False) -> str:
+    """Return rows as a table; floats are written so that they are read back as they were."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(
+        stream,
+        delimiter=delimiter,
+        quoting=csv.QUOTE_ALL if quote else csv.QUOTE_MINIMAL,
+        lineterminator="\n",
+    )
+    writer.writerows([[number_text(v) for v in row] for row in table])
+    return stream.getvalue()
+
+
+def number_text(value: object) -> object:
+    """Return a float as its shortest exact text, everything else as it is."""
+    return repr(float(value)) if isinstance(value, float) else value
+
+
+def number(cell: str, where: str) -> float:
+    """Read one finite number; `where` says which, for the refusal."""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise unreadable(f"{cell[:40]!r} in {where}", "a finite number")
+    return value
+
+
+def flag(cell: str) -> bool:
+    """Read a switch: everything but 0, false, no and nothing is on."""
+    return cell.strip().lower() not in ("0", "0.0", "false", "no", "off", "")
+
+
+def unreadable(found: str, expected: str) -> PointsRefused:
+    """Return the refusal of a file that does not hold what it should."""
+    return PointsRefused(
+        Problem(
+            "E_UNREADABLE", "control points cannot be read", found=found[:200], expected=expected
+        )
+    )

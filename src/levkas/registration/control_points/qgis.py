@@ -15,13 +15,14 @@ import re
 
 import numpy as np
 
-from levkas.registration.control_points.conventions import from_origin, to_origin
-from levkas.registration.control_points.points import ControlPoints
-from levkas.registration.control_points.text import (
+from levkas.registration.control_points.points import (
+    ControlPoints,
     decode,
     flag,
+    from_origin,
     number,
     rows,
+    to_origin,
     unreadable,
     write_rows,
 )

@@ -1,12 +1,12 @@
 """Our own CSV: ``name,reference_x,reference_y,x,y,weight,enabled,check``, pixel centres at integers.
 
-Only the four coordinates are asked for; columns may stand in any order and others are passed over.
+Only the four coordinates are required; columns may stand in any order and others are passed over.
 """
 
 from __future__ import annotations
 
-from levkas.registration.control_points.points import ControlPoints
-from levkas.registration.control_points.text import (
+from levkas.registration.control_points.points import (
+    ControlPoints,
     decode,
     flag,
     number,

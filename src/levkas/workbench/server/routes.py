@@ -385,7 +385,16 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "verdict": judged,
         "ladder": [s.get("ladder", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
+        "basis": basis_of(frame),
     }
+
+
+def basis_of(frame: RegistrationView) -> dict[str, Any] | None:
+    """Return the windows on which the map of a sensor rests, as the record holds them; None of other methods."""
+    trace = frame.record.get("trace", {})
+    sensors = trace.get("sensors", []) if trace.get("kind") == "windows" else []
+    name = frame.view.sensor.name
+    return next((s for s in sensors if s.get("sensor") == name and "windows" in s), None)
 
 
 def reasons_of(frame: RegistrationView, reasons: list[str]) -> list[str]:

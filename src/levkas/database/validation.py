@@ -18,22 +18,17 @@ from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
 from levkas.database.catalogue import NAME as CATALOGUE
 from levkas.database.catalogue import DatabaseRefused, read_catalogue
-from levkas.database.consistency import stem_of
+from levkas.database.consistency import check_structure, is_alike
 from levkas.database.containment import find_escapes
 from levkas.database.manifest import (
     NAME,
     Listed,
     Manifest,
+    is_partial,
     list_files,
     plain,
     read_manifest,
-)
-from levkas.database.manifest_check import (
-    hash_or_reason,
-    problem_of,
-    still_told,
-    unlisted,
-    what_happened,
+    unfinished,
 )
 
 BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
@@ -184,7 +179,7 @@ def _find_manifest(root: Path) -> Manifest | None:
     problems = (*manifest.problems, *tags.problems)
     if (own := tags.files.get(NAME)) and hash_file(root / NAME) != own.sha256:
         problems += (
-            problem_of(root, NAME, "E_DAMAGED", "it is not what the bag's tag manifest says"),
+            _problem(root, NAME, "E_DAMAGED", "it is not what the bag's tag manifest says"),
         )
     return Manifest(manifest.path, files, manifest.bytes, problems)
 
@@ -203,7 +198,7 @@ def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> 
     found: dict[str, str] = {}
     damaged: dict[str, Listed] = {}
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        hashes = pool.map(lambda name: hash_or_reason(root / name), there.values())
+        hashes = pool.map(lambda name: _hash(root / name), there.values())
         for done, (key, digest) in enumerate(zip(there, hashes, strict=True), 1):
             found[key] = digest
             if key in listed and digest != listed[key].sha256:
@@ -213,23 +208,23 @@ def _by_hash(root: Path, manifest: Manifest, names: list[str], threads: int) -> 
     for name in (n for n in names if n in own):
         yield Checked(name, done=len(there) + 1, total=total)
     for key, entry in damaged.items():
-        problem = what_happened(root, there[key], entry, found[key], listed, found)
+        problem = _damage_of(root, there[key], entry, found[key], listed)
         yield Checked(there[key], (problem,), total, total)
     for entry in missing:
         where = [there[key] for key, digest in found.items() if digest == entry.sha256]
         more = {"found": f"its content stands under {where[0]}"} if where else {}
         yield Checked(
-            "", (problem_of(root, entry.name, "E_MISSING", "it is missing", **more),), total, total
+            "", (_problem(root, entry.name, "E_MISSING", "it is missing", **more),), total, total
         )
     for name in extra:
-        yield Checked(name, (unlisted(root, name),), total, total)
+        yield Checked(name, (_unlisted(root, name),), total, total)
     if not (missing or damaged):
         stale = tuple(_check_catalogue(root, listed))
         yield Checked("", stale, total, total)
 
 
 def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]:
-    """The catalogue's own hashes against the manifest's, which were just found to be true."""
+    """Hold the catalogue's own hashes against the manifest's, which were just found to be true."""
     base = root / "data" if (root / BAG).is_file() else root
     if not (base / CATALOGUE).is_file():
         return
@@ -239,13 +234,53 @@ def _check_catalogue(root: Path, listed: dict[str, Listed]) -> Iterator[Problem]
         yield from refused.problems
         return
     for entry in entries:
-        name = f"{'data/' if base != root else ''}{stem_of(entry)}.tif"
+        name = f"{'data/' if base != root else ''}{entry.layer.path}.tif"
         file = listed.get(plain(name))
         if file is None:
-            yield problem_of(root, name, "E_MISSING", f"{CATALOGUE} lists it, and there is none")
+            yield _problem(root, name, "E_MISSING", f"{CATALOGUE} lists it, and there is none")
         elif file.sha256 != entry.sha256.lower():
             told = {"field": f"sha256 of {name}", "found": entry.sha256, "expected": file.sha256}
-            yield problem_of(base, CATALOGUE, "E_DAMAGED", "a hash in it is not the file's", **told)
+            yield _problem(base, CATALOGUE, "E_DAMAGED", "a hash in it is not the file's", **told)
+
+
+def _damage_of(
+    root: Path, name: str, entry: Listed, digest: str, listed: dict[str, Listed]
+) -> Problem:
+    """Return as closely as can be what happened to a file whose hash is not the one it had."""
+    if digest.startswith("cannot"):
+        return _problem(root, name, "E_UNREADABLE", f"it {digest}")
+    others = [e.name for e in listed.values() if e.sha256 == digest and e.name != entry.name]
+    if others:
+        told = {"found": f"the content of {others[0]}", "expected": f"sha256 {entry.sha256}"}
+        return _problem(root, name, "E_SWAPPED", "it holds the content of another file", **told)
+    size = (root / name).stat().st_size
+    if entry.size is not None and size != entry.size:
+        told = {"found": f"{size} bytes", "expected": f"{entry.size} bytes"}
+        if size < entry.size:
+            return _problem(root, name, "E_TRUNCATED", "it is cut off", **told)
+        return _problem(root, name, "E_SIZE", "it is longer than it was", **told)
+    told = {"found": f"sha256 {digest}", "expected": entry.sha256}
+    return _problem(root, name, "E_DAMAGED", "its bytes have changed", **told)
+
+
+def _unlisted(root: Path, name: str) -> Problem:
+    """Return the problem of a file that the manifest does not have."""
+    if is_partial(name):
+        return unfinished(root / name)
+    return Problem(
+        "E_EXTRA",
+        "this file is not in the manifest",
+        str(root / name),
+        fix="Take it away; a file that belongs here comes in by a build.",
+    )
+
+
+def _hash(path: Path) -> str:
+    """Return the SHA-256 of a file, or why it cannot be read."""
+    try:
+        return hash_file(path)
+    except OSError as error:
+        return f"cannot be read: {error.strerror or error}"
 
 
 # --- by structure -----------------------------------------------------------------------------
@@ -255,21 +290,44 @@ def _by_structure(
     root: Path, manifest: Manifest | None, names: list[str], threads: int
 ) -> Iterator[Checked]:
     """Decode what there is, and use what a damaged manifest still says."""
-    from levkas.database.layout_check import check_structure
-
     done, total, kept = 0, len(names), frozenset(names) - ({NAME} if manifest else frozenset())
     ours = False
     for step in check_structure(root, kept):
         done, ours = done + bool(step.name), step.ours or ours
         yield Checked(step.name, step.problems, done, total)
     if manifest is not None:
-        more = manifest.problems + tuple(still_told(root, manifest, names, threads))
+        more = manifest.problems + tuple(_check_damaged_manifest(root, manifest, names, threads))
         yield Checked(NAME, more, total, total)
     elif ours:
         gone = [name for name in (CATALOGUE, NAME) if name not in names]
         why = "it is missing; what it would tell could not be checked"
-        missing = tuple(problem_of(root, name, "E_MISSING", why) for name in gone)
+        missing = tuple(_problem(root, name, "E_MISSING", why) for name in gone)
         yield Checked("", missing, total, total)
+
+
+def _check_damaged_manifest(
+    root: Path, manifest: Manifest, names: list[str], threads: int
+) -> Iterator[Problem]:
+    """Yield what a damaged manifest proves all the same: a hash that is wholly another, a file that is gone."""
+    here = set(names)
+    entries = [e for e in manifest.files.values() if e.name in here]
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        hashes = list(pool.map(lambda e: _hash(root / e.name), entries))
+    for entry, digest in zip(entries, hashes, strict=True):
+        if not is_alike(entry.sha256, digest):
+            told = {"found": f"sha256 {digest}", "expected": entry.sha256}
+            yield _problem(root, entry.name, "E_DAMAGED", "its bytes have changed", **told)
+    unknown = [n for n in names if n not in manifest.files and n != NAME]
+    strangers = {_hash(root / n) for n in unknown}
+    for entry in manifest.files.values():
+        if entry.name not in here and entry.sha256 not in strangers:
+            yield _problem(root, entry.name, "E_MISSING", "it is missing")
+
+
+def _problem(root: Path, name: str, code: str, why: str, **more: Any) -> Problem:
+    """Return the problem of one file of a database."""
+    fix = "Copy it anew, or build the database again."
+    return Problem(code, f"{Path(name).name}: {why}", file=str(root / name), fix=fix, **more)
 
 
 def _once(problems: Iterable[Problem]) -> Iterator[Problem]:

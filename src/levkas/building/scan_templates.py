@@ -1,0 +1,321 @@
+"""Dark, white and noise of a line scanner, read some lines at a time.
+
+A push-broom camera has one line of sensels: its dark and white are that line, averaged along the scan.
+Behind a mirror every line sees other light: dark and white are as large as the scan.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from levkas.building.capture_statistics import note_light, note_noise
+from levkas.building.exposures import noise_of, require_same_size
+from levkas.calibration.darks import level_under
+from levkas.calibration.exposures import best_exposure
+from levkas.calibration.noise_fit import fit_noise
+from levkas.calibration.pushbroom import average_lines
+from levkas.calibration.sensor_context import (
+    Times,
+    by_exposure,
+    placed,
+    read_cube,
+    templates_by_exposure,
+    timed,
+    times_of,
+)
+from levkas.calibration.templates import CalibrationRefused, Template, average
+from levkas.calibration.whites import check_white, thinning
+from levkas.core.machine import tile_rows
+from levkas.core.problems import Problem
+from levkas.readers.envi import EnviFile, open_envi
+from levkas.readers.frames import read_facts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from levkas.calibration.noise_fit import NoiseModel
+    from levkas.calibration.sensor_context import SensorContext
+    from levkas.campaign.discovery.captures import FrameRef
+
+BLOCK_SAMPLES = 8_000_000
+"""Samples of a block of lines, where $LEVKAS_TILE does not say how many lines."""
+TRIPLES = 64
+"""Threes of neighbouring lines of a mirror scanner's dark and white that tell its noise."""
+MOST_VALUES = 2_000_000
+"""Of these that are looked at: every so-many-th sample, all bands."""
+
+
+def block_lines(shape: tuple[int, int, int]) -> int:
+    """Return how many lines of a scan, (lines, samples, bands), make a block."""
+    lines, samples, bands = shape
+    return tile_rows(BLOCK_SAMPLES // (samples * bands), lines)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanFile:
+    """One frame of a line scan: its lines are read from an ENVI file when needed, of another they are held.
+
+    Parameters
+    ----------
+    frame : FrameRef
+    content : EnviFile or ndarray, (lines, samples, bands)
+    """
+
+    frame: FrameRef
+    content: EnviFile | np.ndarray
+
+    @classmethod
+    def open(cls, frame: FrameRef) -> ScanFile:
+        """Open an ENVI file, or read a TIFF whose pages are the bands."""
+        envi = read_facts(frame.path).kind == "envi"
+        return cls(frame, open_envi(frame.path) if envi else read_cube(frame))
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(lines, samples, bands)."""
+        content = self.content
+        shape = content.shape if isinstance(content, np.ndarray) else content.facts.shape
+        return int(shape[0]), int(shape[1]), int(shape[2])
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of a sample."""
+        content = self.content
+        return np.dtype(content.dtype if isinstance(content, np.ndarray) else content.facts.dtype)
+
+    def read(self, start: int, stop: int, *, turned: bool = True) -> np.ndarray:
+        """Return lines `start` to `stop`, (lines, samples, bands); `turned` as of `EnviFile.read_lines`."""
+        if isinstance(self.content, np.ndarray):
+            return self.content[start:stop]
+        return self.content.read_lines(start, stop, turned=turned)
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """Yield all lines, some at a time."""
+        lines, step = self.shape[0], block_lines(self.shape)
+        for start in range(0, lines, step):
+            yield self.read(start, min(start + step, lines))
+
+
+@dataclass(frozen=True)
+class FrameLines:
+    """The shots of a mirror scanner's dark, or of its white, at one exposure.
+
+    Parameters
+    ----------
+    context : SensorContext
+    files : tuple of ScanFile
+    times : Times
+        Exposure of all of them.
+    """
+
+    context: SensorContext
+    files: tuple[ScanFile, ...]
+    times: Times = None
+
+    @property
+    def frames(self) -> tuple[FrameRef, ...]:
+        """All shots."""
+        return tuple(file.frame for file in self.files)
+
+    @classmethod
+    def by_exposure(
+        cls, context: SensorContext, frames: Sequence[FrameRef], shape: tuple[int, int, int]
+    ) -> list[FrameLines]:
+        """Open shots for a scan of a shape, exposure by exposure, shortest first.
+
+        Raises CalibrationRefused, ``E_SIZE``, where one is of another size than the scan, or type than the first.
+        """
+        files = {frame: ScanFile.open(frame) for frame in frames}
+        for frame, file in files.items():
+            dtype = files[frames[0]].dtype
+            if file.shape != shape or file.dtype != dtype:
+                raise CalibrationRefused(
+                    Problem(
+                        "E_SIZE",
+                        "dark or white and object are of different sizes",
+                        str(frame.path),
+                        found=f"{file.shape} {file.dtype}",
+                        expected=f"{shape} {dtype}",
+                        fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+                    )
+                )
+        return [
+            cls(context, tuple(files[frame] for frame in group), times)
+            for times, group in by_exposure(frames)
+        ]
+
+    def lines(self, start: int, stop: int) -> Template:
+        """Average lines `start` to `stop` of all shots, what is no number marked as lost."""
+        shots = (self.context.checked(file.read(start, stop), file.frame) for file in self.files)
+        return timed(gaps_marked(average(shots, saturation=self.context.saturation)), self.times)
+
+    def thinned(self, step: int) -> Template:
+        """Average every `step`-th sample of every `step`-th line, gaps closed."""
+        shots = (
+            np.concatenate([lines[:, ::step] for lines in self._thin(file, step)])
+            for file in self.files
+        )
+        made = average(shots, saturation=self.context.saturation)
+        return timed(self.context.whole(made, self.frames), self.times)
+
+    def _thin(self, file: ScanFile, step: int) -> Iterator[np.ndarray]:
+        """Yield lines of one shot, codes checked."""
+        height = file.shape[0]
+        together = height if step == 1 else 1
+        for y in range(0, height, max(step, together)):
+            yield self.context.checked(file.read(y, y + together), file.frame)
+
+
+class ScanTemplates(NamedTuple):
+    """Darks, white and noise of a line scanner: templates of one line, or of a mirror scanner of all lines."""
+
+    darks: tuple[Template | FrameLines, ...]
+    white: Template | FrameLines | None
+    noise: NoiseModel | None
+
+
+def templates_of_scan(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
+    """Prepare dark, white and noise for scans of a shape, and note light and noise of the sensor.
+
+    Raises
+    ------
+    CalibrationRefused
+        Where sizes differ, or the white cannot serve.
+    """
+    if context.camera.scan == "mirror":
+        return _of_mirror(context, shape)
+    return _of_pushbroom(context, shape)
+
+
+def _of_pushbroom(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
+
+    def make(frames: Sequence[FrameRef]) -> Template:
+        files = [ScanFile.open(frame) for frame in frames]
+        blocks = (context.checked(block, file.frame) for file in files for block in file.blocks())
+        return context.whole(average_lines(blocks, saturation=context.saturation), frames)
+
+    sensor = context.sensor
+    darks, whites = (templates_by_exposure(f, make) for f in (sensor.dark, sensor.white))
+    require_same_size(context, shape, darks, whites)
+    white = whites[best_white(whites)] if whites else None
+    note_light(context.told, white, darks, None, [band.label for band in sensor.bands])
+    noise = noise_of(context, [], [white] if white else [], darks)
+    return ScanTemplates(tuple(darks), white, noise)
+
+
+def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTemplates:
+    """Open dark and white; the white is checked by every so-many-th pixel."""
+    sensor = context.sensor
+    labels = [band.label for band in sensor.bands]
+    darks, whites = (
+        FrameLines.by_exposure(context, frames, shape) for frames in (sensor.dark, sensor.white)
+    )
+    white = None
+    if whites:
+        step = thinning(shape[:2])
+        looked = [one.thinned(step) for one in whites]
+        chosen = best_white(looked)
+        white, seen, under = whites[chosen], looked[chosen], [dark.thinned(step) for dark in darks]
+        try:
+            check_white(seen, level_under(seen, under, black=context.black), None, labels)
+        except CalibrationRefused as refused:
+            raise CalibrationRefused(*(placed(p, sensor.white) for p in refused.problems)) from None
+        note_light(context.told, seen, under, None, labels, period=(step, step))
+    noise = noise_behind_mirror(context, white.frames[0] if white else None)
+    return ScanTemplates(tuple(darks), white, noise)
+
+
+def lines_of(template: Template | FrameLines, start: int, stop: int) -> Template:
+    """Return the lines of a template that belong to some of the scan, or the one that serves all."""
+    return template.lines(start, stop) if isinstance(template, FrameLines) else template
+
+
+def best_white(whites: Sequence[Template]) -> int:
+    """Return which of the whites of several exposures serves: the longest that is not saturated.
+
+    Raises CalibrationRefused where exposures are not known.
+    """
+    best = best_exposure(whites) if len(whites) > 1 else whites[0]
+    return next(i for i, white in enumerate(whites) if white is best)
+
+
+def gaps_marked(shot: Template) -> Template:
+    """Mark what is no number; unlike `templates.close_gaps`, the same for any lines around it."""
+    lost = ~np.isfinite(shot.mean)
+    variance = shot.variance
+    if variance is not None:
+        lost |= ~np.isfinite(variance)
+    if not lost.any():
+        return shot
+    return replace(
+        shot,
+        mean=np.where(lost, np.float32(0), shot.mean),
+        variance=None if variance is None else np.where(lost, np.float32(0), variance),
+        saturated=shot.saturated & ~lost,
+        black=shot.black & ~lost,
+        lost=lost,
+    )
+
+
+def noise_behind_mirror(context: SensorContext, white_frame: FrameRef | None) -> NoiseModel | None:
+    """Fit the noise of a mirror scanner to neighbouring lines of its white and its dark.
+
+    A mirror leads the view over the board: lines have other light, and the sensels of (sample, band) are
+    the same in all. What is left of a line between two others is free of both, and noise, with the
+    texture of the board. None without a white.
+    """
+    if white_frame is None:
+        return None
+    dark_frame = _dark_like(context, white_frame)
+    dark = _triples(context, dark_frame) if dark_frame else None
+    white = _triples(context, white_frame)
+    black = context.black or 0.0
+    stacks, level = [white] if white else [], None
+    if dark is not None:
+        level = _mean_line(dark)
+        # At no light at all: sorted by their signal, its lines would be sorted by their noise.
+        stacks.append(replace(dark, mean=np.broadcast_to(level.mean, dark.mean.shape)))
+    noise = fit_noise(stacks, level, black=black, step=context.step) if white else None
+    if noise is not None:  # its dark is at hand some lines at a time
+        noise = replace(noise, level=None)
+    note_noise(context.told, noise, dark, black, context.saturation)
+    return noise
+
+
+def _dark_like(context: SensorContext, white: FrameRef) -> FrameRef | None:
+    """Return the dark of the white's exposure, else the first."""
+    darks, time = context.sensor.dark, times_of(white)
+    return next((d for d in darks if times_of(d) == time), darks[0] if darks else None)
+
+
+def _triples(context: SensorContext, frame: FrameRef) -> Template | None:
+    """Return lines between two others as if they were two shots each; None of fewer than three lines."""
+    file = ScanFile.open(frame)
+    height = file.shape[0]
+    if height < 3:
+        return None
+    starts = np.unique(np.linspace(0, height - 3, TRIPLES).round().astype(int)).tolist()
+    parts = []
+    for y in starts:
+        three = file.read(y, y + 3)
+        step = max(1, len(starts) * three[0].size // MOST_VALUES)
+        parts.append(context.checked(three, frame)[:, ::step])
+    codes = np.stack(parts).astype(np.float64)
+    mean = codes.mean(1)
+    rest = codes[:, 0] - 2 * codes[:, 1] + codes[:, 2]
+    full = np.inf if context.saturation is None else context.saturation
+    with np.errstate(invalid="ignore"):
+        spread = np.square(rest) / 6  # 1 + 4 + 1 variances of one shot
+        saturated, black = np.any(codes >= full, axis=1), np.any(codes <= 0, axis=1)
+    made = Template(mean.astype(np.float32), spread.astype(np.float32), 2, saturated, black)
+    return context.whole(made, [frame])
+
+
+def _mean_line(dark: Template) -> Template:
+    """Return a dark as one line, the mean of all."""
+    mean = dark.mean.mean(0, dtype=np.float64, keepdims=True).astype(np.float32)
+    none = np.zeros(mean.shape, bool)
+    return Template(mean, None, dark.count, none, none)

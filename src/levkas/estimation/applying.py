@@ -1,0 +1,190 @@
+"""Estimated spectral layers: a stored model applied to the paintings of a database.
+
+An estimated layer has kind ``estimated`` in the catalogue and in its own files, a sigma, and a record of its
+model, source layers and training paintings; it is never called a measurement, and never replaces one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+
+import numpy as np
+
+from levkas.campaign.schema.cross_checks import closest_match
+from levkas.core.cube import Cube, Flag
+from levkas.core.digests import hash_file
+from levkas.core.files import write_json
+from levkas.core.machine import steady_libraries
+from levkas.core.problems import Problem
+from levkas.database.catalogue import ESTIMATED, read_catalogue, write_catalogue
+from levkas.database.containment import check_plain_names
+from levkas.database.credits import Credits
+from levkas.database.layers import Layer, write_layer
+from levkas.database.layout import LayerId
+from levkas.database.manifest import write_manifest
+from levkas.database.reader import Database
+from levkas.database.store import write_index
+from levkas.estimation.methods import METHODS
+from levkas.estimation.samples import EstimationRefused, require_layers
+from levkas.estimation.stored import StoredModel, read_model
+
+RECORD = ".estimate.json"
+"""Ending of the file that tells what an estimated layer was made of."""
+BLOCK_ROWS = 64
+
+
+@dataclass(frozen=True)
+class AppliedStep:
+    """One painting whose layer was written."""
+
+    label: str
+    done: int
+    total: int
+    files: tuple[Path, ...]
+    finished: bool = True
+    state: str = "done"
+
+    @property
+    def line(self) -> str:
+        """The step as a line of a log."""
+        return f"{self.done}/{self.total} {self.label}"
+
+
+def apply_model(
+    database: str | Path, model: str | Path, layer: str, *, objects: Sequence[str] = ()
+) -> Iterator[AppliedStep]:
+    """Write an estimated layer for every painting that has the model's source layers.
+
+    Parameters
+    ----------
+    database : path
+    model : path
+        ``NAME.npz`` as ``levkas estimate -o`` wrote it, its facts beside it.
+    layer : str
+        Name of the new layer; an estimated one of this name is replaced.
+    objects : sequence of str
+        Only these; default all.
+
+    Raises
+    ------
+    EstimationRefused
+        Where the name is that of a camera, or the database lacks a source layer or object.
+    Refused
+        Where the model cannot be read, or was fitted with other channels.
+    """
+    root = Path(database)
+    opened, stored = Database(root), read_model(Path(model))
+    names = require_layers(opened, stored.sources, "--apply")
+    _check_names(opened, names, layer, objects)
+    chosen = [name for name in names if not objects or name in objects]
+    for done, name in enumerate(chosen, 1):
+        files = _apply_to(opened, name, layer, stored, Path(model))
+        yield AppliedStep(
+            f"{name}/{layer} estimated from {'+'.join(stored.sources)}", done, len(chosen), files
+        )
+    write_manifest(root)
+
+
+def _apply_to(
+    database: Database, name: str, layer: str, stored: StoredModel, model: Path
+) -> tuple[Path, ...]:
+    keys = [LayerId.parse(name, source) for source in stored.sources]
+    first = database[name][keys[0].camera, keys[0].setup]
+    scale = first.attrs.get("px_per_mm")
+    facts = {
+        "method": stored.method,
+        "from": list(stored.sources),
+        "fitted to": stored.target,
+        "training": list(stored.training),
+        "in training": name in stored.training,
+    }
+    described = Layer(
+        name, layer, px_per_mm=nan if scale is None else float(scale),
+        credits=Credits(
+            title=f"{name}, spectra estimated",
+            description=f"Estimated from {', '.join(stored.sources)} by {METHODS[stored.method].title}; not a measurement.",
+        ),
+        estimate=facts,
+    )  # fmt: skip
+    cube = estimate_cube(database, name, stored)
+    entry, written = write_layer(database.path, described, cube, verdict=ESTIMATED)
+    record = database.path / "objects" / name / f"{described.stem}{RECORD}"
+    sources = {
+        source: hash_file(database.path / "objects" / name / f"{key.stem}.tif")
+        for source, key in zip(stored.sources, keys, strict=True)
+    }
+    write_json(record, {"kind": ESTIMATED, **facts, "model": {"file": model.name, "sha256": hash_file(model)},
+                        "sources": sources, "held_out_rmse": list(stored.sigma)})  # fmt: skip
+    others = [
+        e
+        for e in read_catalogue(database.path)
+        if (e.object, e.camera, e.setup) != (name, layer, "")
+    ]
+    write_catalogue(database.path, [*others, entry])
+    write_index(database.path / "zarr" / f"{name}.zarr")
+    return (*written, record)
+
+
+def estimate_cube(database: Database, name: str, stored: StoredModel) -> Cube:
+    """Estimate the spectra of a painting, with sigma; a flag of any source channel is one of every band.
+
+    Sigma is the method's own where it has one, else the RMSE of the band on held-out paintings.
+    """
+    keys = [LayerId.parse(name, source) for source in stored.sources]
+    layers = [database[name][key.camera, key.setup] for key in keys]
+    height, width = layers[0].shape[:2]
+    shape = (height, width, len(stored.bands))
+    values, sigma = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
+    flags = np.zeros(shape, np.uint8)
+    known = np.asarray(stored.sigma, np.float32)
+    for start in range(0, height, BLOCK_ROWS):
+        rows = slice(start, start + BLOCK_ROWS)
+        responses = np.concatenate([a.isel(y=rows).values for a in layers], axis=2).astype(float)
+        marks = np.concatenate([a.isel(y=rows).flags.values for a in layers], axis=2)
+        seen = np.isfinite(responses).all(2)
+        with steady_libraries():
+            spectra, spread = stored.model(responses[seen])
+        values[rows][seen] = spectra
+        sigma[rows][seen] = known if spread is None else spread
+        joined = np.bitwise_or.reduce(marks, axis=2)
+        flags[rows] = np.where(seen, joined & ~np.uint8(Flag.OUTSIDE), joined | Flag.OUTSIDE)[
+            ..., None
+        ]
+    return Cube(values, flags, sigma, stored.bands)
+
+
+def _check_names(
+    database: Database, names: Sequence[str], layer: str, objects: Sequence[str]
+) -> None:
+    try:
+        check_plain_names(layer)
+    except ValueError as error:
+        raise EstimationRefused(Problem("E_VALUE", str(error), field="-o", found=layer)) from None
+    measured = {e.camera for e in database.catalogue if e.kind != ESTIMATED}
+    if layer in measured:
+        raise EstimationRefused(
+            Problem(
+                "E_EXISTS",
+                f"{layer!r} is a layer that was measured; an estimate never takes its place",
+                str(database.path),
+                "-o",
+                found=layer,
+                expected="a name that no camera has",
+                fix=f"Say -o {layer}-estimated.",
+            )
+        )
+    if unknown := [name for name in objects if name not in names]:
+        raise EstimationRefused(
+            Problem(
+                "E_VALUE",
+                "no such object has the model's layers",
+                str(database.path),
+                "--object",
+                found=unknown[0],
+                expected=", ".join(names),
+                fix=closest_match(unknown[0], names),
+            )
+        )

@@ -1,0 +1,381 @@
+"""Samples of a database for spectral estimation: responses of some layers and spectra of another.
+
+A sample is a pixel of the grid that every layer saw well; pixels that are saturated, moved, outside or
+show glare in any of their channels are left out, and pixels of gold are marked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from math import ceil, sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas.campaign.schema.cross_checks import closest_match
+from levkas.core.cube import Flag
+from levkas.core.problems import Problem, Refused
+from levkas.database.layout import LayerId
+from levkas.estimation.training import Training, select_training
+
+if TYPE_CHECKING:
+    from levkas.database.reader import Database, LayerArray
+
+LEFT_OUT = Flag.OUTSIDE | Flag.SATURATED | Flag.GLARE | Flag.MOVED | Flag.NEAR
+"""Flags of pixels that are neither trained on nor scored."""
+ROWS = 128
+"""Rows that are read at a time: a row of chunks of the Zarr layer."""
+GOLD_RISE = 1.5
+"""Least ratio of the reflectance at 600–680 nm to that at 430–490 nm of gold, whose edge is at 517 nm."""
+BRIGHTENED = 1.25
+"""Brightness under another lighting, over the painting's median, from which a pixel is taken for a mirror."""
+RED_NM, BLUE_NM = (600.0, 680.0), (430.0, 490.0)
+BLOCKS = 4
+"""Spatial blocks along each side of a painting."""
+
+
+class EstimationRefused(Refused):
+    """Spectra cannot be estimated, or not be scored honestly, as it was asked for."""
+
+
+@dataclass(frozen=True)
+class PaintSamples:
+    """Pixels of one painting with responses and spectra.
+
+    Parameters
+    ----------
+    responses : ndarray, (n, channels)
+    spectra : ndarray, (n, bands)
+        Reflectance.
+    response_sigma, spectrum_sigma : ndarray or None
+        One standard deviation, shaped as the values.
+    gold : ndarray, (n,), bool
+        Pixels of gold or gloss: they mirror a lamp under some lighting, and rise from blue to red.
+    rows, columns : ndarray, (n,), int
+        Places on the grid.
+    """
+
+    responses: np.ndarray
+    spectra: np.ndarray
+    response_sigma: np.ndarray | None
+    spectrum_sigma: np.ndarray | None
+    gold: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.responses)
+
+    def take(self, chosen: np.ndarray) -> PaintSamples:
+        """Return the samples of some indices, or of a mask."""
+        arrays = [getattr(self, field.name) for field in fields(self)]
+        parts: list[Any] = [None if array is None else array[chosen] for array in arrays]
+        return PaintSamples(*parts)
+
+    def at_most(self, count: int) -> PaintSamples:
+        """Return about `count` samples, evenly through the painting."""
+        return (
+            self if len(self) <= count else self.take(np.arange(0, len(self), len(self) // count))
+        )
+
+    def training(self, groups: np.ndarray) -> Training:
+        """Return the samples as training data of some groups, (n,)."""
+        return Training(
+            self.responses, self.spectra, self.response_sigma, self.spectrum_sigma, groups
+        )
+
+    def blocks(self) -> np.ndarray:
+        """Return the number of each sample's spatial block, of `BLOCKS` along each side, (n,) int."""
+        down, across = (
+            np.minimum(BLOCKS * places // (int(places.max(initial=0)) + 1), BLOCKS - 1)
+            for places in (self.rows, self.columns)
+        )
+        return np.asarray(BLOCKS * down + across)
+
+
+@dataclass(frozen=True)
+class SampleSource:
+    """Where samples come from.
+
+    Parameters
+    ----------
+    database : Database
+    target : str
+        Layer whose spectra are estimated, ``CAMERA`` or ``CAMERA@SETUP``.
+    most : int
+        Samples of a painting; the grid is thinned to a lattice where it has more pixels.
+    """
+
+    database: Database
+    target: str
+    most: int
+
+    def step(self, name: str) -> int:
+        """Return the spacing of the lattice on a painting, px."""
+        height, width = self.layer(name, self.target).shape[:2]
+        return max(1, ceil(sqrt(height * width / self.most)))
+
+    def layer(self, name: str, layer: str) -> LayerArray:
+        """Open a layer of a painting."""
+        key = LayerId.parse(name, layer)
+        return self.database[name][key.camera, key.setup]
+
+    def read(self, name: str, sources: Sequence[str]) -> PaintSamples:
+        """Read the samples of a painting whose responses are the channels of some layers.
+
+        Raises
+        ------
+        EstimationRefused
+            Where the layers are of other sizes, or see no pixel together.
+        """
+        target = self.layer(name, self.target)
+        layers = [self.layer(name, source) for source in sources]
+        if any(layer.shape[:2] != target.shape[:2] for layer in layers):
+            raise EstimationRefused(
+                Problem(
+                    "E_SIZE",
+                    f"layers of {name} lie on different grids",
+                    found=", ".join(
+                        f"{s} {a.shape[:2]}" for s, a in zip(sources, layers, strict=True)
+                    ),
+                    expected=f"{self.target} {target.shape[:2]}",
+                    fix="Build the database again.",
+                )
+            )
+        step = self.step(name)
+        lattice = [read_lattice(layer, step) for layer in (target, *layers)]
+        good = np.logical_and.reduce(
+            [values_good & np.isfinite(v).all(2) for v, values_good, _ in lattice]
+        )
+        if not good.any():
+            raise EstimationRefused(
+                Problem(
+                    "E_NO_OVERLAP",
+                    f"no pixel of {name} is free of flags in all layers at once",
+                    found=f"{', '.join(sources)} and {self.target}: masks without overlap",
+                    expected="pixels that all of them see, neither saturated nor glaring nor moved",
+                    fix="Look at the flags of the layers, or leave one of them out of --from.",
+                )
+            )
+        gold = self._mirrors(name, step)[good]
+        spectra = _of(lattice[:1], 0, good)
+        assert spectra is not None
+        gold &= _rises(spectra, np.asarray(target.wavelength.values, float))
+        rows, columns = (places * step for places in np.nonzero(good))
+        responses = _of(lattice[1:], 0, good)
+        assert responses is not None
+        return PaintSamples(
+            responses, spectra, _of(lattice[1:], 2, good), _of(lattice[:1], 2, good),
+            gold, rows, columns,
+        )  # fmt: skip
+
+    def _mirrors(self, name: str, step: int) -> np.ndarray:
+        """Return where a lamp is mirrored under any lighting, (rows, columns) of the lattice.
+
+        Glare is; so is what another lighting makes brighter than it makes the median of the painting.
+        """
+        painting = self.database[name]
+        found = []
+        for camera, setup in painting.layers:
+            flags = thinned(painting.flags(camera, setup), step)
+            found.append(np.asarray((flags & Flag.GLARE).any(2)))
+            if setup and (camera, "") in painting.layers:
+                lit, default = (
+                    thinned(painting[camera, s], step).mean(2, dtype=float) for s in (setup, "")
+                )
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    ratio = lit / default
+                    found.append(ratio > BRIGHTENED * np.nanmedian(ratio))
+        return np.logical_or.reduce(found)
+
+    def shifted_spectra(self, name: str, samples: PaintSamples, shift_px: float) -> np.ndarray:
+        """Return the spectra `shift_px` to the right of samples, (n, bands); NaN beside what was seen.
+
+        Cubic convolution, Keys 1981 (10.1109/TASSP.1981.1163711), as registration error of that size
+        would resample them.
+        """
+        target = self.layer(name, self.target)
+        whole, part = divmod(shift_px, 1.0)
+        weights = cubic_weights(part)
+        width = target.shape[1]
+        shifted = np.empty_like(samples.spectra)
+        at = 0
+        for start, block in zip(range(0, target.shape[0], ROWS), _blocks(target, 1), strict=True):
+            here = samples.rows[(samples.rows >= start) & (samples.rows < start + ROWS)] - start
+            columns = samples.columns[at : at + len(here)] + int(whole)
+            beside = [block[here, np.clip(columns + k, 0, width - 1)] for k in range(-1, 3)]
+            shifted[at : at + len(here)] = sum(
+                w * b for w, b in zip(weights, beside, strict=True) if w
+            )
+            at += len(here)
+        return shifted
+
+    def position_sigma(self, names: Sequence[str], sources: Sequence[str]) -> float | None:
+        """Return the median distance between layers that registration leaves, reference px; None if unknown."""
+        variances = []
+        for layer in sources:
+            medians = []
+            for name in names:
+                key = LayerId.parse(name, layer)
+                values = self.database[name].position_sigma(key.camera, setup=key.setup)
+                if values is not None:
+                    medians.append(float(np.nanmedian(values.values)))
+            if medians:
+                variances.append(float(np.mean(medians)) ** 2)
+        return sqrt(sum(variances) / len(variances)) if variances else None
+
+
+def cubic_weights(part: float) -> tuple[float, float, float, float]:
+    """Return the weights of four neighbours for a place `part` of the way from the second to the third.
+
+    >>> cubic_weights(0.0), cubic_weights(0.5)
+    ((0.0, 1.0, 0.0, 0.0), (-0.0625, 0.5625, 0.5625, -0.0625))
+    """
+    t = part
+    return (
+        -0.5 * t + t**2 - 0.5 * t**3,
+        1 - 2.5 * t**2 + 1.5 * t**3,
+        0.5 * t + 2 * t**2 - 1.5 * t**3,
+        -0.5 * t**2 + 0.5 * t**3,
+    )
+
+
+def read_lattice(layer: LayerArray, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return values, usable pixels and sigma of every `step`-th row and column of a layer."""
+    sigma = layer.sigma
+    left_out = np.asarray((thinned(layer.flags, step) & LEFT_OUT).any(2))
+    return thinned(layer, step), ~left_out, None if sigma is None else thinned(sigma, step)
+
+
+def thinned(array: LayerArray, step: int) -> np.ndarray:
+    """Return every `step`-th row and column of an array, read by blocks of rows."""
+    return np.concatenate([block[::step, ::step] for block in _blocks(array, step)])
+
+
+def _blocks(array: LayerArray, step: int) -> Iterator[np.ndarray]:
+    """Yield blocks of rows, as many as a multiple of the step."""
+    rows = -(-ROWS // step) * step
+    for start in range(0, array.shape[0], rows):
+        yield array.isel(y=slice(start, start + rows)).values
+
+
+def _of(lattice: Sequence[tuple[Any, ...]], part: int, good: np.ndarray) -> np.ndarray | None:
+    """Return one part of several layers side by side, (n, channels); None where a layer lacks it."""
+    arrays = [layer[part] for layer in lattice]
+    if any(array is None for array in arrays):
+        return None
+    values = np.concatenate([array[good] for array in arrays], axis=1).astype(np.float64)
+    return np.where(np.isfinite(values), values, 0.0) if part == 2 else values
+
+
+def _rises(spectra: np.ndarray, wavelengths: np.ndarray) -> np.ndarray:
+    """Return which spectra rise from blue to red as gold's does."""
+    red, blue = ((wavelengths >= low) & (wavelengths <= high) for low, high in (RED_NM, BLUE_NM))
+    if not (red.any() and blue.any()):
+        return np.ones(len(spectra), bool)
+    return np.asarray(spectra[:, red].mean(1) > GOLD_RISE * spectra[:, blue].mean(1))
+
+
+def choose_training(
+    parts: Sequence[PaintSamples], count: int, rng: np.random.Generator
+) -> Training:
+    """Return at most `count` samples of several paintings, a group each; of one, a group a spatial block."""
+    groups = [np.full(len(part), number) for number, part in enumerate(parts)]
+    if len(parts) == 1:
+        groups = [parts[0].blocks()]
+    joined = join_training([part.training(g) for part, g in zip(parts, groups, strict=True)])
+    if not len(joined):
+        raise EstimationRefused(
+            Problem(
+                "E_NO_OVERLAP",
+                "no pixel of paint is left to train on",
+                found="gold, gloss and flagged pixels only",
+                fix="Look at the flags of the training paintings.",
+            )
+        )
+    return select_training(joined, count, rng)
+
+
+def join_training(parts: Sequence[Training]) -> Training:
+    """Return the samples of several as one; sigma where all have it."""
+
+    def joined(name: str) -> np.ndarray | None:
+        arrays = [getattr(part, name) for part in parts]
+        return None if any(a is None for a in arrays) else np.concatenate(arrays)
+
+    responses, spectra = joined("responses"), joined("spectra")
+    assert responses is not None and spectra is not None
+    return Training(
+        responses, spectra, joined("response_sigma"), joined("spectrum_sigma"), joined("groups")
+    )
+
+
+# --- names ----------------------------------------------------------------------------------------
+
+
+def require_layers(database: Database, layers: Sequence[str], field: str) -> list[str]:
+    """Return the objects that have all of some layers of measured reflectance.
+
+    Raises
+    ------
+    EstimationRefused
+        For a layer that no object has, or one in counts, or one that was itself estimated.
+    """
+    having: dict[str, set[str]] = {}
+    for name in database:
+        for camera, setup in database[name].layers:
+            having.setdefault(LayerId(name, camera, setup).name, set()).add(name)
+    problems = []
+    for layer in layers:
+        if layer not in having:
+            problems.append(
+                Problem(
+                    "E_VALUE",
+                    f"the database has no layer {layer!r}",
+                    str(database.path),
+                    field,
+                    found=layer,
+                    expected=", ".join(having),
+                    fix=closest_match(layer, having),
+                )
+            )
+            continue
+        problems += _quantity_problems(database, sorted(having[layer])[0], layer, field)
+    if problems:
+        raise EstimationRefused(*problems)
+    names = [name for name in database if all(name in having[layer] for layer in layers)]
+    if not names:
+        raise EstimationRefused(
+            Problem(
+                "E_MISSING",
+                "no object has all of these layers",
+                str(database.path),
+                field,
+                found=", ".join(layers),
+            )
+        )
+    return names
+
+
+def _quantity_problems(database: Database, name: str, layer: str, field: str) -> list[Problem]:
+    key = LayerId.parse(name, layer)
+    facts = database[name][key.camera, key.setup].attrs
+    if facts.get("kind") == "estimated":
+        what, fix = f"the layer {layer!r} was itself estimated", "Give a layer that was measured."
+        return [
+            Problem("E_ESTIMATED", what, str(database.path), field, layer, "a measurement", fix)
+        ]
+    if facts.get("quantity") == "reflectance":
+        return []
+    return [
+        Problem(
+            "E_QUANTITY",
+            f"the layer {layer!r} is not in reflectance",
+            str(database.path),
+            field,
+            found=str(facts.get("quantity")),
+            expected="reflectance",
+            fix="Declare dark and white frames of the camera in campaign.toml and build again.",
+        )
+    ]

@@ -1,0 +1,101 @@
+"""A fitted model on the disk with what it was fitted on, as ``levkas estimate -o`` writes it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from levkas.core.cube import Band
+from levkas.core.files import make_folder, write_json
+from levkas.core.problems import Problem
+from levkas.core.text import read_json
+from levkas.estimation.methods import Model, load_model, save_model
+from levkas.estimation.samples import EstimationRefused
+
+if TYPE_CHECKING:
+    from levkas.database.reader import LayerArray
+
+
+@dataclass(frozen=True)
+class StoredModel:
+    """A model and what it may be applied to.
+
+    Parameters
+    ----------
+    method : str
+    model : Model
+    sources : tuple of str
+        Layers whose channels are its responses, in order.
+    target : str
+        Layer whose spectra it was fitted to.
+    bands : tuple of Band
+        Of the spectra.
+    training : tuple of str
+        Paintings that it was fitted on.
+    sigma : tuple of float
+        RMSE of each band on held-out paintings.
+    """
+
+    method: str
+    model: Model
+    sources: tuple[str, ...]
+    target: str
+    bands: tuple[Band, ...]
+    training: tuple[str, ...]
+    sigma: tuple[float, ...]
+
+    def facts(self) -> dict[str, Any]:
+        """Return all but the model itself."""
+        record = {name: value for name, value in vars(self).items() if name != "model"}
+        return {**record, "bands": [asdict(band) for band in self.bands]}
+
+    def save(self, path: Path) -> list[Path]:
+        """Write ``NAME.npz`` and ``NAME.json``; return both."""
+        make_folder(path.parent)
+        save_model(path, self.method, self.model)
+        write_json(path.with_suffix(".json"), self.facts())
+        return [path, path.with_suffix(".json")]
+
+
+def read_model(path: Path) -> StoredModel:
+    """Read a model and its facts.
+
+    Raises
+    ------
+    Refused
+        Where either file is missing or damaged, or they are of two models.
+    """
+    method, model = load_model(path)
+    record = read_json(path.with_suffix(".json"))
+    try:
+        bands = tuple(
+            Band(str(b["label"]), _number(b["wavelength"]), _number(b["fwhm"]))
+            for b in record["bands"]
+        )
+        names = {k: tuple(map(str, record[k])) for k in ("sources", "training")}
+        sigma = tuple(float(value) for value in record["sigma"])
+        if str(record["method"]) != method or len(sigma) != len(bands):
+            raise ValueError(f"the facts of a model by {record['method']}, of {len(sigma)} bands")
+        return StoredModel(
+            method, model, names["sources"], str(record["target"]), bands, names["training"], sigma
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise EstimationRefused(
+            Problem(
+                "E_MODEL",
+                f"the facts beside the model are not its own: {error}",
+                str(path.with_suffix(".json")),
+                fix="Fit it anew with `levkas estimate -o`.",
+            )
+        ) from None
+
+
+def bands_of(layer: LayerArray) -> tuple[Band, ...]:
+    """Return the bands of an opened layer."""
+    columns = (layer.band.values, layer.wavelength.values, layer.fwhm.values)
+    return tuple(Band(str(b), float(w), float(f)) for b, w, f in zip(*columns, strict=True))
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)

@@ -1,0 +1,131 @@
+"""Training samples: refusals, the choice of samples, weights from sigma, held-out residuals by refitting."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from levkas.core.problems import Refused
+from levkas.estimation.training import (
+    MOST_CANDIDATES,
+    Training,
+    held_out_residuals,
+    sample_weights,
+    select_training,
+)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(11)
+
+
+@pytest.fixture
+def training(rng):
+    return Training(rng.uniform(0, 1, (50, 3)), rng.uniform(0, 1, (50, 5)))
+
+
+def test_rows_that_do_not_fit_are_refused(training):
+    with pytest.raises(Refused, match="a row for each sample"):
+        replace(training, spectra=training.spectra[:40])
+
+
+def test_sigma_of_another_shape_is_refused(training):
+    with pytest.raises(Refused, match="response_sigma"):
+        replace(training, response_sigma=np.ones((50, 2)))
+
+
+def test_groups_of_another_length_are_refused(training):
+    with pytest.raises(Refused, match="groups"):
+        replace(training, groups=np.zeros(49, int))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_not_finite_are_refused_with_their_number(value, training):
+    responses = training.responses.copy()
+    responses[[3, 8], 1] = value
+    with pytest.raises(Refused, match=r"responses.*2 samples"):
+        replace(training, responses=responses)
+
+
+def test_negative_sigma_is_refused(training):
+    with pytest.raises(Refused, match="spectrum_sigma"):
+        replace(training, spectrum_sigma=-np.ones((50, 5)))
+
+
+def test_all_that_is_wrong_is_said_at_once(training):
+    with pytest.raises(Refused) as refused:
+        Training(training.responses * np.nan, training.spectra * np.inf)
+    assert [problem.field for problem in refused.value.problems] == ["responses", "spectra"]
+
+
+def test_a_rare_colour_is_chosen(rng):
+    """One sample in 5,000 lies far from all others."""
+    responses = rng.normal(0.5, 0.02, (5000, 3))
+    responses[1234] = (0.9, 0.1, 0.1)
+    chosen = select_training(Training(responses, responses), 20, rng)
+    assert (chosen.responses == responses[1234]).all(1).any()
+
+
+def test_what_is_chosen_covers_the_responses_better_than_chance(rng):
+    responses = rng.beta(1, 4, (3000, 3))
+    chosen = select_training(Training(responses, responses), 100, rng).responses
+    drawn = responses[rng.choice(3000, 100, replace=False)]
+
+    def farthest(samples):
+        return np.linalg.norm(responses[:, None] - samples, axis=2).min(1).max()
+
+    assert farthest(chosen) < 0.6 * farthest(drawn)
+
+
+def test_the_choice_is_that_of_its_seed():
+    responses = np.random.default_rng(0).uniform(size=(MOST_CANDIDATES + 5000, 2))
+    training = Training(responses, responses, groups=np.arange(len(responses)))
+    first, again, other = (
+        select_training(training, 50, np.random.default_rng(seed)).groups for seed in (1, 1, 2)
+    )
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_few_samples_are_all_chosen(training, rng):
+    assert select_training(training, 50, rng) is training
+
+
+def test_samples_keep_what_belongs_to_them(training, rng):
+    whole = replace(
+        training,
+        response_sigma=training.responses / 10,
+        spectrum_sigma=training.spectra / 10,
+        groups=np.arange(50),
+    )
+    chosen = select_training(whole, 7, rng)
+    assert np.array_equal(chosen.response_sigma, chosen.responses / 10)
+    assert np.array_equal(chosen.spectra, training.spectra[chosen.groups])
+
+
+def test_samples_without_sigma_weigh_the_same(training):
+    assert (sample_weights(training) == 1).all()
+
+
+def test_sigma_of_responses_counts_by_the_slope(rng):
+    """Spectra grow three times as fast as responses: 0.1 there is 0.3 here."""
+    x = rng.uniform(0, 1, (400, 1))
+    noisy = np.arange(400) % 2 == 0
+    sigma = np.where(noisy, 0.1, 0.05)[:, None]
+    y = 3 * x + rng.normal(0, 1, x.shape) * 3 * sigma
+    weights = sample_weights(Training(x, y, sigma))
+    assert weights[~noisy].mean() / weights[noisy].mean() == pytest.approx(4, rel=0.25)
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+def test_held_out_residuals_are_those_of_refitting(grouped, rng):
+    x, y = rng.normal(size=(24, 4)), rng.normal(size=(24, 3))
+    groups = np.arange(24) // (4 if grouped else 1)
+    left, scale, _ = np.linalg.svd(x, full_matrices=False)
+    found = held_out_residuals(left, scale**2, y, 0.3, groups if grouped else None)
+    for group in np.unique(groups):
+        held = groups == group
+        known = x[~held]
+        slope = np.linalg.solve(known.T @ known + 0.3 * np.eye(4), known.T @ y[~held])
+        np.testing.assert_allclose(found[held], y[held] - x[held] @ slope, atol=1e-12)
