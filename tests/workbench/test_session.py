@@ -97,14 +97,16 @@ def test_four_added_pairs_make_a_map_where_there_was_none():
     nothing = RecordedPairs(Matches.of(np.zeros((0, 2)), np.zeros((0, 2))), SIZE, SIZE)
     session = CorrectionSession(nothing)
     assert "at least 3" in describe(session)["refusal"]
-    matrix = np.array([[0.6, -0.8], [0.8, 0.6]])
+    matrix = np.array([[0.3, -0.4], [0.4, 0.3]])
     corners = np.array([[100.0, 100], [900, 120], [880, 700], [120, 690]])
     for corner in corners:
-        session.apply("add", [*corner, *(matrix @ corner + [300, -50])])
+        session.apply("add", [*corner, *(matrix @ corner + [300, 50])])
     told = describe(session)
     assert told["refusal"] == "" and told["summary"]["kept"] == 4
+    assert told["summary"]["mean"] is None, "no redundancy"
+    assert len(told["residual"]) == 4 and np.isnan(told["residual"]).all()
     inside = np.array([[500.0, 400.0]])
-    assert np.allclose(session.view.forward(inside), inside @ matrix.T + [300, -50], atol=0.1)
+    assert np.allclose(session.view.forward(inside), inside @ matrix.T + [300, 50], atol=0.1)
 
 
 def test_sliders_replay_the_removal_and_are_one_change_each():
@@ -175,7 +177,9 @@ def test_the_trace_can_be_drawn_from_what_the_screen_is_sent():
 
 def test_places_that_cannot_be_are_refused():
     session = CorrectionSession(plant())
-    for pair in ([1, 2, 3], [1, 2, 3, float("nan")], [1e7, 2, 3, 4]):
+    size, target_size = plant().size, plant().target_size
+    outside = ([-1, 2, 3, 4], [1, 2, 3, -7], [size[0], 2, 3, 4], [1, 2, 3, target_size[1] + 0.5])
+    for pair in ([1, 2, 3], [1, 2, 3, float("nan")], [1e7, 2, 3, 4], *outside):
         with pytest.raises(OperationRefused):
             session.apply("add", pair)
     with pytest.raises(OperationRefused):

@@ -47,7 +47,7 @@ export class PairCard {
     const pair = proposal?.pair ?? this.store.selectedPair();
     if (!pair) return false;
     const to: Pair = [pair[0], pair[1], pair[2] + dx, pair[3] + dy];
-    if (proposal) this.store.choose({ proposal: { ...proposal, pair: to } });
+    if (proposal) this.store.choose({ proposal: { ...proposal, pair: to, placed: true } });
     else void this.store.edit({ operation: "move", pair, to }, to);
     return true;
   }
@@ -56,7 +56,7 @@ export class PairCard {
   accept(): void {
     const proposal = this.store.proposal.peek();
     const pair = (proposal ?? this.store.measured.peek())?.pair;
-    if (!pair) return;
+    if (!pair || (proposal && !isFound(proposal))) return;
     this.cancel();
     void this.store.edit({ operation: proposal ? "add" : "check", pair }, pair);
   }
@@ -79,7 +79,9 @@ export class PairCard {
     this.show(
       `Pair ${row + 1}`,
       [
-        make("p", {}, this.lengthOf(session.residual[row]), ` off; ${standing[state]}.`),
+        Number.isFinite(session.residual[row])
+          ? make("p", {}, this.lengthOf(session.residual[row]), ` off; ${standing[state]}.`)
+          : make("p", {}, `How far off is not known; ${standing[state]}.`),
         make(
           "p",
           { class: "soft" },
@@ -103,12 +105,11 @@ export class PairCard {
     );
   }
 
-  private showProposal({ pair, score, sure, placed }: Proposal): void {
-    const likeness = `The partner was found by comparing, likeness ${percent(score)}`;
-    const found =
-      score === 0
-        ? "Nothing here can be compared: place it yourself."
-        : `${likeness}${sure ? "" : ": look before you accept"}.`;
+  private showProposal(proposal: Proposal): void {
+    const { pair, score, sure, placed } = proposal;
+    const found = sure
+      ? `The partner was found by comparing, likeness ${percent(score)}.`
+      : "The partner was not found by comparing: click it in the other picture.";
     const at = `Here ${pair[2].toFixed(1)}, ${pair[3].toFixed(1)}.`;
     this.show(
       "A new pair",
@@ -120,7 +121,7 @@ export class PairCard {
           `Not there? Click the right place in the other picture. ${at} Arrow keys move it by 0.1 px, with Shift by 1 px.`,
         ),
       ],
-      this.choices("Add it", "Cancel"),
+      this.choices("Add it", "Cancel", isFound(proposal)),
     );
   }
 
@@ -148,8 +149,9 @@ export class PairCard {
   }
 
   /** To accept what is proposed or measured, or to let it go. */
-  private choices(accept: string, cancel: string): HTMLElement[] {
-    const yes = make("button", { type: "button", id: "pair-accept", class: "primary" }, accept);
+  private choices(accept: string, cancel: string, allowed = true): HTMLElement[] {
+    const facts = { type: "button", id: "pair-accept", class: "primary", disabled: !allowed };
+    const yes = make("button", facts, accept);
     const no = make("button", { type: "button", id: "pair-cancel" }, cancel);
     yes.addEventListener("click", () => this.accept());
     no.addEventListener("click", () => this.cancel());
@@ -161,6 +163,11 @@ export class PairCard {
     refill(this.text, ...text);
     refill(this.actions, ...actions);
   }
+}
+
+/** Whether the partner of a pair was found by comparing or placed by a person, not only guessed by the map. */
+export function isFound({ sure, placed }: Proposal): boolean {
+  return sure || placed === true;
 }
 
 function percent(share: number): string {

@@ -102,6 +102,10 @@ function summarise(frame: FrameInfo, { summary, refusal, corrections }: SessionS
     return [
       "This is the camera that all others are registered to. Its own bands are brought together by the registration; there are no pairs to correct.",
     ];
+  if (!refusal && mean === null && kept >= ENOUGH)
+    return [
+      `${kept} pairs make a map, but there is no redundancy: they leave nothing that could show how far off it is. A fifth pair does.`,
+    ];
   if (refusal || mean === null) {
     const found = pairs
       ? `${kept} of at least ${ENOUGH} pairs. `

@@ -13,8 +13,8 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.threads import each
 from levkas.estimation.training import Training
 
-BLOCK = 1024
-"""Pixels that are estimated at a time: their kernels with 1,500 anchors fill 12 MB."""
+BLOCK = 256
+"""Pixels that are estimated at a time: their kernels with 1,500 anchors, 3 MB, stay in the cache."""
 
 
 class Model(Protocol):

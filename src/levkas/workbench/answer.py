@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 SAMPLED_ROUNDS = 120
 ALIGNED = 8
+NEEDED_PAIRS = 4
+"""A homography goes through any four pairs: only a fifth shows how far off it is."""
 MOST_OF_A_BYTE = 256
 BY_HAND = {mark: kind for kind, mark in MARKS.items()}
 
@@ -45,7 +48,7 @@ def describe(session: CorrectionSession, known: str = "") -> dict[str, Any]:
         of `MARKS`, or empty.
     """
     view = session.view
-    matches = view.matches
+    matches = _without_residuals(view.matches)
     pairs = np.round(np.hstack([matches.reference, matches.target]), 3)
     places = sha256(pairs.tobytes()).hexdigest()[:16]
     return {
@@ -133,6 +136,17 @@ def number_words(words: np.ndarray) -> dict[str, Any]:
 
 def _array(values: np.ndarray, kind: str) -> np.ndarray:
     return np.ascontiguousarray(values, f"<{kind}")
+
+
+def _without_residuals(matches: Matches) -> Matches:
+    """Take the residuals from kept pairs that are no more than a map needs: they say nothing of it."""
+    kept = matches.kept
+    if kept.sum() > NEEDED_PAIRS:
+        return matches
+    unknown = np.where(kept, np.nan, matches.residual)
+    return replace(
+        matches, residual=unknown, leave_one_out=np.where(kept, np.nan, matches.leave_one_out)
+    )
 
 
 def _summary(matches: Matches, kept: np.ndarray) -> dict[str, Any]:

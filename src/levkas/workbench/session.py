@@ -501,12 +501,11 @@ def _over(size: tuple[int, int]) -> np.ndarray:
 
 
 def _place(pair: Sequence[float], found: RecordedPairs) -> Pair:
-    """Check that a pair can be: four finite numbers, not far outside either picture."""
+    """Check that a pair can be: four finite numbers, a place within each picture."""
     values = np.asarray(pair, float).reshape(-1)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise refused("a pair is four numbers", str(pair)[:80], "x, y, x, y")
     for part, size in ((values[:2], found.size), (values[2:], found.target_size)):
-        reach = max(size)
-        if (part < -reach).any() or (part > np.array(size) + reach).any():
-            raise refused("the place is far outside the picture", part.tolist(), f"within {size}")
+        if (part < -0.5).any() or (part > np.array(size) - 0.5).any():
+            raise refused("the place is outside the picture", part.tolist(), f"within {size}")
     return tuple(values.tolist())

@@ -286,12 +286,15 @@ def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
     for spot in ([80, 70], [220, 60], [225, 190], [90, 200]):
         click(page, "left", *spot)
         page.wait_for_selector("#pair-accept")
+        page.keyboard.press("Enter")
+        assert page.locator("#pair-accept").is_disabled(), "a guess of the map is no pair"
         click(page, "right", *turned_plates.truth(spot))
         page.wait_for_selector("text=Placed by you")
         page.keyboard.press("Enter")
         page.wait_for_function("() => levkasWorkbench.store.proposal.value === null")
         told(page, "session.value.version")
     assert told(page, "session.value.summary.pairs") == 4
+    assert "no redundancy" in page.locator("#sum").inner_text()
     page.locator("#build").click()
     page.wait_for_function(
         "() => document.querySelector('#build-status').textContent === 'Registered again.'",

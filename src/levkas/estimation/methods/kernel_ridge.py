@@ -62,7 +62,8 @@ class Kernel:
             return np.asarray(np.log1p(square_a) + np.log1p(square_b) - np.log1p(r, out=r))
         r *= 3
         np.sqrt(r, out=r)
-        decay = np.exp(-r)
+        decay = np.negative(r)
+        np.exp(decay, out=decay)
         r += 1
         r *= decay
         return r
