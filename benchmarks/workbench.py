@@ -69,7 +69,7 @@ def edits(n: int, wrong: int, folder: Path) -> list[tuple[str, float]]:
     rows = iter(range(wrong, n))
 
     def answer() -> bytes:
-        return to_bytes(describe(session, told["places"], packed=True))
+        return to_bytes(describe(session, told["places"]))
 
     def delete() -> None:
         session.apply("delete", told["pairs"][next(rows)])

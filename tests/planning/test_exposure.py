@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from levkas.calibration.noise_model import Sensor
 from levkas.cli import app
-from levkas.planning.exposure_advice import NoAdvice, advice_text, coach
+from levkas.planning.exposure_advice import NoAdvice, advice_text, advise_frames
 from levkas.planning.exposure_levels import (
     advise,
     judge_iso,
@@ -114,12 +114,14 @@ def test_a_stack_of_a_white_tells_its_prnu_and_one_shot_does_not(tmp_path):
     rng = np.random.default_rng(12)
     for shot in range(3):
         write(tmp_path / "white", f"{shot}_0.5s.tif", white(4000, 0.5, rng))
-    one = coach([tmp_path / "white" / "0_0.5s.tif"], black=64.0, saturation=4095, pattern="RGGB")[0]
+    one = advise_frames(
+        [tmp_path / "white" / "0_0.5s.tif"], black=64.0, saturation=4095, pattern="RGGB"
+    )[0]
     assert not one.prnu_known and one.sensor.prnu == 0.01 and "assumed" in advice_text([one])
-    found = coach([tmp_path / "white"], black=64.0, saturation=4095, pattern="RGGB")[0]
+    found = advise_frames([tmp_path / "white"], black=64.0, saturation=4095, pattern="RGGB")[0]
     assert found.prnu_known and found.sensor.prnu == pytest.approx(SENSOR.prnu, rel=0.05)
     assert "PRNU 1 % measured" in advice_text([found])
-    thing = coach([tmp_path / "white"], black=64.0, saturation=4095, is_white=False)[0]
+    thing = advise_frames([tmp_path / "white"], black=64.0, saturation=4095, is_white=False)[0]
     assert not thing.prnu_known
 
 
@@ -130,7 +132,7 @@ def test_bands_of_a_tunable_filter_get_a_time_each(tmp_path):
             write(tmp_path / "white", f"{band}nm_100ms_{shot}.tif", white(rate, 0.1, rng))
     for shot in "ab":
         write(tmp_path / "dark", f"{shot}.tif", white(0, 0.1, rng))
-    found = coach([tmp_path / "white"], [tmp_path / "dark"], saturation=4095)
+    found = advise_frames([tmp_path / "white"], [tmp_path / "dark"], saturation=4095)
     assert [c.shot.wavelength for c in found] == [450, 550, 650]
     assert [c.shot.exposure_s for c in found] == [0.1] * 3
     full = 4095 - 64
@@ -144,7 +146,7 @@ def test_the_longest_exposure_that_does_not_clip_is_read(tmp_path):
     rng = np.random.default_rng(7)
     for ms in (50, 200, 800):
         write(tmp_path / "w", f"550nm_{ms}ms.tif", white(10_000, ms / 1000, rng))
-    (found,) = coach([tmp_path / "w"], black=64.0, bits=12)
+    (found,) = advise_frames([tmp_path / "w"], black=64.0, bits=12)
     assert found.shot.exposure_s == 0.2
 
 
@@ -166,19 +168,19 @@ def stops_of(found):
 @pytest.mark.parametrize("given", [{"bits": 12}, {"saturation": 4095.0}])
 def test_the_brightest_pixel_is_never_taken_for_the_full_scale(tmp_path, given):
     with pytest.raises(NoAdvice, match=r"--bits.*--saturation") as refused:
-        coach([quarter(tmp_path / "w")], black=64.0)
+        advise_frames([quarter(tmp_path / "w")], black=64.0)
     (problem,) = refused.value.problems
     assert problem.code == "E_BITS" and problem.file.endswith("a.tif")
-    (found,) = coach([tmp_path / "w"], black=64.0, **given)
+    (found,) = advise_frames([tmp_path / "w"], black=64.0, **given)
     assert stops_of(found) == pytest.approx(np.log2(4031 / 1080), abs=0.05)
     assert "fills" not in found.iso_advice and found.first.factor > 3
-    (of_16,) = coach([tmp_path / "w"], black=64.0, bits=16)
+    (of_16,) = advise_frames([tmp_path / "w"], black=64.0, bits=16)
     assert stops_of(of_16) == pytest.approx(stops_of(found) + 4, abs=0.05)
 
 
 def test_full_scale_comes_from_the_white_level_of_the_file(tmp_path):
     dng = (50717, "H", 1, 4095, True)  # WhiteLevel of DNG
-    (found,) = coach([quarter(tmp_path / "w", extratags=[dng])], black=64.0)
+    (found,) = advise_frames([quarter(tmp_path / "w", extratags=[dng])], black=64.0)
     assert found.full == 4095 and "file" in found.full_from
 
 
@@ -189,7 +191,7 @@ def test_full_scale_comes_from_the_campaign_that_the_frames_belong_to(tmp_path):
         'files = "raw/{target}/{shot}.tif"\nbands = ["a"]\nbits = 12\nblack = 64\n'
         '[targets]\nwhite = { names = "white" }\n'
     )
-    (found,) = coach([tmp_path / "raw" / "white"])
+    (found,) = advise_frames([tmp_path / "raw" / "white"])
     assert found.full == 4095 and "campaign.toml" in found.full_from
     assert stops_of(found) == pytest.approx(np.log2(4031 / 1080), abs=0.05)
     told = CliRunner().invoke(app, ["plan", "exposure", str(tmp_path / "raw" / "white")])
@@ -199,27 +201,27 @@ def test_full_scale_comes_from_the_campaign_that_the_frames_belong_to(tmp_path):
 def test_codes_beyond_the_bits_that_are_given_are_refused(tmp_path):
     write(tmp_path / "w", "a.tif", white(10_000, 0.1, np.random.default_rng(15)) << 4)
     with pytest.raises(NoAdvice, match="--saturation") as refused:
-        coach([tmp_path / "w"], bits=12)
+        advise_frames([tmp_path / "w"], bits=12)
     assert refused.value.problems[0].code == "E_BITS"
 
 
 def test_all_sixteen_bits_and_bytes_are_full_scales_of_their_own(tmp_path):
     frame = white(10_000, 0.1, np.random.default_rng(15))
     write(tmp_path / "deep", "a.tif", frame * 32)
-    assert coach([tmp_path / "deep"])[0].full == 65535
+    assert advise_frames([tmp_path / "deep"])[0].full == 65535
     write(tmp_path / "byte", "a.tif", (frame // 16).astype(np.uint8))
-    assert coach([tmp_path / "byte"])[0].full == 255
+    assert advise_frames([tmp_path / "byte"])[0].full == 255
 
 
 def test_frames_that_tell_no_time_are_refused_with_what_to_try(tmp_path):
     rng = np.random.default_rng(8)
     write(tmp_path / "over", "550nm_400ms.tif", white(90_000, 0.4, rng))
     with pytest.raises(NoAdvice, match=r"0\.1 s") as refused:
-        coach([tmp_path / "over"], bits=12)
+        advise_frames([tmp_path / "over"], bits=12)
     assert refused.value.problems[0].code == "E_WHITE_SATURATED"
     write(tmp_path / "off", "550nm_400ms.tif", white(0, 0.4, rng))
     with pytest.raises(NoAdvice, match="lamp") as refused:
-        coach([tmp_path / "off"], black=64.0, saturation=4095)
+        advise_frames([tmp_path / "off"], black=64.0, saturation=4095)
     assert refused.value.problems[0].code == "E_WHITE_DARK"
 
 
@@ -229,9 +231,9 @@ def test_frames_that_show_no_white_are_refused_where_one_is_asked_for(tmp_path):
     scene[:, : scene.shape[1] // 2] = 80  # half of the field is black
     write(tmp_path / "scene", "550nm_100ms.tif", scene)
     with pytest.raises(NoAdvice, match="no evenly lit white") as refused:
-        coach([tmp_path / "scene"], black=64.0, saturation=4095)
+        advise_frames([tmp_path / "scene"], black=64.0, saturation=4095)
     assert refused.value.problems[0].code == "E_WHITE_UNEVEN"
-    (found,) = coach([tmp_path / "scene"], black=64.0, saturation=4095, is_white=False)
+    (found,) = advise_frames([tmp_path / "scene"], black=64.0, saturation=4095, is_white=False)
     assert found.first.target > 0.5
 
 
@@ -243,7 +245,7 @@ def test_darks_of_another_size_and_time_are_left_alone(tmp_path):
         write(tmp_path / "dark", f"100ms_{shot}.tif", white(0, 0.1, rng))
         write(tmp_path / "dark", f"2s_{shot}.tif", white(0, 0.1, rng) + 300)
         write(tmp_path / "dark", f"100ms_cropped_{shot}.tif", frame[2:])
-    (found,) = coach([tmp_path / "w"], [tmp_path / "dark"], saturation=4095)
+    (found,) = advise_frames([tmp_path / "w"], [tmp_path / "dark"], saturation=4095)
     assert found.first.reading.room == pytest.approx(4095 - 64, abs=1)
     assert found.sensor.gain == pytest.approx(0.1, rel=0.05)
 
@@ -267,7 +269,9 @@ def test_the_command_says_it_as_table_and_json(tmp_path):
 
 
 def test_a_real_filter_wheel_wants_the_longest_time_where_it_is_darkest(real_data):
-    found = coach([real_data / "filterwheel-disks" / "frames"], pattern="GBRG", is_white=False)
+    found = advise_frames(
+        [real_data / "filterwheel-disks" / "frames"], pattern="GBRG", is_white=False
+    )
     times = {c.shot.wavelength: c.first.time_s for c in found}
     # 400 nm is dim: 26 s; 550 nm, the brightest, 34 ms: looked at beside the frames.
     assert 20 < times[400.0] < 33

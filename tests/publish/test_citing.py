@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from levkas.database.splits import SHARES, split_objects
-from levkas.publish.citation import check_datacite, cite, describe_datacite, spell_cff
+from levkas.publish.citation import check_datacite, cite, describe_datacite, format_cff
 from levkas.publish.metadata import Person, PublicationFacts, facts_of
 from levkas.publish.readme import plain
 from levkas.publish.run import check
@@ -87,7 +87,7 @@ HOSTILE = st.text(
 def test_any_title_stays_one_string_in_the_citation_file(title):
     record = {"title": title, "creator": title, "licence": "CC0-1.0"}
     facts = facts_of(record, file="", objects={})
-    told = yaml.safe_load(spell_cff(facts, "x"))
+    told = yaml.safe_load(format_cff(facts, "x"))
     assert told.get("title", "") == facts.title
     assert json.loads(json.dumps(describe_datacite(facts, "x")))["titles"] == [
         {"title": facts.title}

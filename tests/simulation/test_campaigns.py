@@ -11,7 +11,7 @@ import tifffile
 from levkas.calibration.noise_model import noise_variance
 from levkas.quality.evaluation.similarity import read_truth
 from levkas.simulation.campaigns import Simulated, SimulatedSession, simulate_campaign
-from levkas.simulation.capture import WHITE_REFLECTANCE, look
+from levkas.simulation.capture import WHITE_REFLECTANCE, view_painting
 from levkas.simulation.presets import PRESETS, SimulationRefused, choose_cameras
 from levkas.simulation.truth import SimulatedTruth
 
@@ -94,7 +94,9 @@ def test_flat_fielding_recovers_the_reflectance_within_its_noise():
     model = camera.model
     band, sensor = model.bands[7], model.sensors[0]
     painting = session.paint("icon1", 0, None, None)
-    sight = look(model, session.views["icon1"]["lctf-vis"], session.panels["icon1"], painting)
+    sight = view_painting(
+        model, session.views["icon1"]["lctf-vis"], session.panels["icon1"], painting
+    )
     truth = sight.reflectance(band, sensor, supersampling=preset.supersampling)
     frames = {
         name: next(f for f in camera.shoot(name, s, white=name == "white") if f.band == band.label)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from levkas.simulation.cameras import SensorModel, camera_models
-from levkas.simulation.capture import SimulatedCamera, look
+from levkas.simulation.capture import SimulatedCamera, view_painting
 from levkas.simulation.icon import paint_icon
 from levkas.simulation.painting import Panel
 
@@ -28,7 +28,7 @@ def test_each_sensel_of_a_mosaic_holds_its_own_channel(painting, pattern):
     sensor = SensorModel("", tuple(range(len(bands))), pattern)
     model = replace(camera_models()["d80"], bands=bands, sensors=(sensor,)).scaled(0.05)
     camera = SimulatedCamera(model, root=4, supersampling=2)
-    sight = look(model, model.view(), PANEL, painting)
+    sight = view_painting(model, model.view(), PANEL, painting)
     frame = next(camera.shoot("icon1", sight))
     n = len(pattern)
     for i, row in enumerate(pattern):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from levkas.simulation.cameras import camera_models
-from levkas.simulation.capture import look
+from levkas.simulation.capture import view_painting
 from levkas.simulation.icon import paint_icon
 from levkas.simulation.lighting import SETUPS, compose, light
 from levkas.simulation.optics import base_to_band, panel_to_base
@@ -142,7 +142,7 @@ def test_a_chart_before_a_camera_shows_its_patches():
     camera = camera_models()["lctf-vis"].scaled(0.2)
     view, panel, chart = camera.view(), chart_panel(), paint_chart(2.0)
     band, sensor = camera.bands[15], camera.sensors[0]
-    image = look(camera, view, panel, chart).reflectance(band, sensor, supersampling=2)
+    image = view_painting(camera, view, panel, chart).reflectance(band, sensor, supersampling=2)
     chromatic = camera.chromatic.at(band.centre)
     where = (
         base_to_band(panel_to_base(patch_centres(), view, panel), view, chromatic, np.eye(2, 3))

@@ -28,6 +28,11 @@ def plant(n=300, wrong=0, off=4.0, seed=0, stop=6.0):
     return RecordedPairs(Matches.of(reference, target), SIZE, SIZE, None, stop)
 
 
+def words(column):
+    """The words of a column of `describe`."""
+    return [column["words"][code] for code in column["codes"]]
+
+
 def pair_of(session, row):
     matches = session.view.matches
     return [*matches.reference[row], *matches.target[row]]
@@ -41,7 +46,7 @@ def test_the_wrong_pair_is_the_worst_and_its_deletion_lets_the_error_fall():
     session.apply("delete", pair_of(session, worst))
     after = describe(session)
     assert after["summary"]["max"] < 0.5
-    assert (after["state"][0], after["reason"][0]) == ("removed", "deleted by hand")
+    assert (words(after["state"])[0], words(after["reason"])[0]) == ("removed", "deleted by hand")
     held_out = np.random.default_rng(9).uniform(100, 700, (200, 2))
     miss = session.view.forward(truth(held_out)) - held_out
     assert np.linalg.norm(miss, axis=1).max() < 0.1
@@ -49,13 +54,13 @@ def test_the_wrong_pair_is_the_worst_and_its_deletion_lets_the_error_fall():
 
 def test_a_removed_pair_that_is_pinned_or_restored_stays():
     session = CorrectionSession(plant(wrong=1, stop=1.0))
-    assert describe(session)["state"][0] == "removed"
+    assert words(describe(session)["state"])[0] == "removed"
     for operation, reason in (("pin", "pinned by hand"), ("restore", "restored by hand")):
         session.apply(operation, pair_of(session, 0))
         told = describe(session)
-        assert (told["state"][0], told["reason"][0]) == ("kept", reason)
+        assert (words(told["state"])[0], words(told["reason"])[0]) == ("kept", reason)
         session.undo()
-    assert describe(session)["state"][0] == "removed"
+    assert words(describe(session)["state"])[0] == "removed"
 
 
 def test_a_check_point_measures_and_is_not_fitted():
@@ -65,7 +70,7 @@ def test_a_check_point_measures_and_is_not_fitted():
     session.apply("check", [*(truth(place[None])[0] + [3.0, 0.0]), *place])
     told = describe(session)
     assert np.array_equal(session.view.cleaned.model.coefficients, before)
-    assert told["state"][-1] == "check" and abs(told["residual"][-1] - 3.0) < 0.1
+    assert words(told["state"])[-1] == "check" and abs(told["residual"][-1] - 3.0) < 0.1
     assert told["summary"]["checks"] == 1
 
 
@@ -73,7 +78,7 @@ def test_a_found_pair_made_a_check_point_leaves_the_fit():
     session = CorrectionSession(plant(wrong=1))
     session.apply("check", pair_of(session, 0))
     told = describe(session)
-    assert told["state"].count("check") == 1 and told["summary"]["max"] < 0.5
+    assert words(told["state"]).count("check") == 1 and told["summary"]["max"] < 0.5
     assert told["summary"]["pairs"] == 300
 
 
@@ -98,7 +103,8 @@ def test_four_added_pairs_make_a_map_where_there_was_none():
         session.apply("add", [*corner, *(matrix @ corner + [300, 50])])
     told = describe(session)
     assert told["refusal"] == "" and told["summary"]["kept"] == 4
-    assert told["summary"]["mean"] is None and told["residual"] == [None] * 4, "no redundancy"
+    assert told["summary"]["mean"] is None, "no redundancy"
+    assert len(told["residual"]) == 4 and np.isnan(told["residual"]).all()
     inside = np.array([[500.0, 400.0]])
     assert np.allclose(session.view.forward(inside), inside @ matrix.T + [300, 50], atol=0.1)
 
@@ -133,22 +139,22 @@ def test_pictures_are_brought_over_anew_only_where_the_map_has_moved():
     assert renewed < 6
 
 
-def test_an_answer_in_bytes_says_what_a_plain_one_says():
+def test_an_answer_comes_back_from_its_bytes():
     session = CorrectionSession(plant(wrong=60, stop=1.0))
     session.apply("delete", describe(session)["pairs"][70])
-    plain, told = describe(session), from_bytes(to_bytes(describe(session, packed=True)))
+    plain, told = describe(session), from_bytes(to_bytes(describe(session)))
     for name in ("residual", "leave_one_out", "weight", "round", "pairs"):
-        assert np.array_equal(told[name], np.array(plain[name], told[name].dtype))
+        assert np.array_equal(told[name], plain[name], equal_nan=True)
     for name in ("largest", "removed", "models"):
-        assert np.allclose(told["trace"][name], plain["trace"][name], atol=1e-4)
+        assert np.array_equal(told["trace"][name], plain["trace"][name])
     for name in ("state", "reason"):
-        assert [told[name]["words"][i] for i in told[name]["codes"]] == plain[name]
+        assert words(told[name]) == words(plain[name])
     same = {"version", "drawn", "places", "summary", "refusal", "reject", "stop", "corrections"}
     assert {name: told[name] for name in same} == {name: plain[name] for name in same}
 
 
 def test_an_answer_of_no_pairs_comes_back_too():
-    told = describe(CorrectionSession(plant(n=0)), packed=True)
+    told = describe(CorrectionSession(plant(n=0)))
     again = from_bytes(to_bytes(told))
     assert again["pairs"].shape == (0, 4) and again["trace"] is None
     assert again["state"]["words"] == [] and len(again["state"]["codes"]) == 0

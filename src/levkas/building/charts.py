@@ -22,7 +22,8 @@ from levkas.quality.targets.charts import (
     chart_of,
     reference_of,
 )
-from levkas.quality.targets.measuring import ChartMeasure, Sighting, locate_in_cube, measure
+from levkas.quality.targets.locating import locate_in_cube
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure
 
 if TYPE_CHECKING:
     from levkas.building.native_cubes import Native

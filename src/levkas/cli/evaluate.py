@@ -93,10 +93,10 @@ def evaluate(
     )
     more, text = {}, report.text
     if loops:
-        from levkas.quality.evaluation.loop_closure import close_database, tell
+        from levkas.quality.evaluation.loop_closure import close_database, loops_text
 
         more["loops"] = close_database(locate(database)[0])
-        text = f"{text}\n\n{tell(more['loops'])}"
+        text = f"{text}\n\n{loops_text(more['loops'])}"
     print_report("evaluate", as_json, True, report.problems, results=report.results, **more)
     if not as_json:
         typer.echo(text)

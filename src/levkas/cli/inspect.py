@@ -40,5 +40,5 @@ def inspect(
             "address. Ctrl-C ends it."
         )
 
-    serve(campaign, output=output, port=port, browse=not no_open, tell=tell)
+    serve(campaign, output=output, port=port, browse=not no_open, announce=tell)
     typer.echo("Ended. Corrections are in edits.toml; levkas build replays them.")

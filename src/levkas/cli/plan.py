@@ -119,9 +119,9 @@ def exposure(
     record: dict[str, Any] = {}
     texts = []
     if frames:
-        from levkas.planning.exposure_advice import advice_text, coach
+        from levkas.planning.exposure_advice import advice_text, advise_frames
 
-        found = coach(
+        found = advise_frames(
             frames,
             dark or (),
             pattern=pattern,
@@ -179,13 +179,13 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """How the lamps really hang, from a white that was captured under them."""
-    from levkas.planning.lamp_positions import CapturedWhite, fit_white, hung_text
+    from levkas.planning.lamp_positions import CapturedWhite, fit_white, positions_text
 
     white = CapturedWhite(whites, dark or (), black, saturation, bits, _four(region), camera)
     found = fit_white(setup, white, name, lamp=lamp, bent=bent)
     print_report("plan fit", as_json, True, [], **found.to_dict())
     if not as_json:
-        typer.echo(hung_text(found))
+        typer.echo(positions_text(found))
 
 
 def _four(text: str | None) -> tuple[int, int, int, int] | None:

@@ -31,18 +31,18 @@ from levkas.quality.emva1288.blocks import block_statistics
 from levkas.readers.frames import Facts, read_facts, read_frame
 
 TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
-FAINT = 0.002  # of saturation: less tells no time
-PRNU = 0.01  # where nothing tells it
+FAINT = 0.002  # of saturation: less does not suffice to advise a time
+PRNU = 0.01  # where it is not measured
 NO_WHITE = 1.0  # (brightest − darkest)/mean, above which no evenly lit white was shown
-LIT, FEWEST_BLOCKS = 0.1, 16  # share of saturation from which a white tells it, on so many blocks
+LIT, FEWEST_BLOCKS = 0.1, 16  # share of saturation from which a white shows PRNU, on so many blocks
 
 
 class NoAdvice(Refused):
-    """Frames from which no exposure can be told."""
+    """Frames from which no exposure can be advised."""
 
 
 @dataclass(frozen=True)
-class Coached:
+class BandAdvice:
     """Advice for one band or one camera.
 
     Parameters
@@ -117,7 +117,7 @@ class Coached:
         }
 
 
-def coach(
+def advise_frames(
     frames: Sequence[str | Path],
     darks: Sequence[str | Path] = (),
     *,
@@ -127,14 +127,14 @@ def coach(
     saturation: float | None = None,
     exposure_s: float | None = None,
     is_white: bool = True,
-) -> list[Coached]:
-    """Say how long to expose, from frames of a white or of the object itself.
+) -> list[BandAdvice]:
+    """Advise how long to expose, from frames of a white or of the object itself.
 
     Parameters
     ----------
     frames : sequence of path
         Files or folders. Those that name one wavelength are one band; of several exposures the
-        longest unclipped counts; equal ones are a stack, and tell the noise.
+        longest unclipped counts; equal ones are a stack, which shows the noise.
     darks : sequence of path
         Of any exposures: to each band those of its size that come nearest to its time.
     pattern : str or rows of names, optional
@@ -144,21 +144,21 @@ def coach(
     bits, saturation : int, float, optional
         Bits of the converter, or counts at which a sensel is full; default as `find_full_scale` finds it.
     exposure_s : float, optional
-        Of every frame, where neither names (25ms, 0.5s) nor headers tell.
+        Of every frame, where neither names (25ms, 0.5s) nor headers hold it.
     is_white : bool
         False: the frames show the object, and its peak is kept below saturation.
 
     Returns
     -------
-    coached : list of Coached
+    bands : list of BandAdvice
         By wavelength, then name.
 
     Raises
     ------
     NoAdvice
         E_WHITE_SATURATED where every exposure of a band clips, E_WHITE_DARK where none stands above
-        black, with the time to try; E_WHITE_UNEVEN where the frames show no white; E_BITS where nothing
-        tells the full scale, or codes lie beyond the bits.
+        black, with the time to try; E_WHITE_UNEVEN where the frames show no white; E_BITS where the full
+        scale is not known, or codes lie beyond the bits.
     Refused
         UnreadableCapture.
     """
@@ -224,7 +224,7 @@ def _coach_band(
     scale: FullScale,
     pattern: str | Sequence[Sequence[str]] | None,
     is_white: bool,
-) -> Coached:
+) -> BandAdvice:
     full = scale.counts
     under = {shot.exposure_s: _dark_of(shot, darks) for shot in shots}
     levels = {t: float(np.median(dark.mean)) if dark else black for t, dark in under.items()}
@@ -256,7 +256,7 @@ def _coach_band(
     )
     if shot.exposure_s is None:
         notes.append("the exposure is not known: multiply the one that was set")
-    return Coached(
+    return BandAdvice(
         shot, advices, sensor, iso, notes, is_white, prnu is not None, full, scale.source
     )
 
@@ -302,7 +302,7 @@ def _readings(
 def _noise(
     shot: Shot, dark: Template | None, black: float, pattern: str | Sequence[Sequence[str]] | None
 ) -> tuple[NoiseModel, list[str]]:
-    """Fit the noise to what is there; from one shot only an upper bound can be had."""
+    """Fit the noise of a shot; from one shot only an upper bound follows."""
     if dark is not None and dark.mean.shape != shot.stack.mean.shape:
         dark = None
     stacks = [s for s in (shot.stack, dark) if s is not None and s.count > 1]
@@ -371,9 +371,9 @@ class Shot:
 def gather_shots(files: Sequence[Path], full: float, exposure_s: float | None) -> list[Shot]:
     """Put frames of one wavelength, exposure and size together."""
     groups: dict[tuple[str, float, float | None, tuple[int, ...]], list[Path]] = {}
-    told: dict[Path, Facts] = {}
+    known: dict[Path, Facts] = {}
     for file in files:
-        facts = told[file] = read_facts(file)
+        facts = known[file] = read_facts(file)
         wavelength, time = _from_name(file.name)
         name = f"{wavelength:g} nm" if wavelength == wavelength else file.parent.name
         key = (name, wavelength, exposure_s or time or facts.exposure_s, facts.shape)
@@ -384,7 +384,7 @@ def gather_shots(files: Sequence[Path], full: float, exposure_s: float | None) -
             name,
             wavelength,
             time,
-            told[members[0]].iso,
+            known[members[0]].iso,
             average((read_frame(m) for m in members), saturation=full, exposure_s=time),
         )
         for (name, wavelength, time, _), members in groups.items()
@@ -407,10 +407,10 @@ def _from_name(name: str) -> tuple[float, float | None]:
 SHADES = " ▁▂▃▄▅▆▇█"
 
 
-def advice_text(coached: Sequence[Coached]) -> str:
+def advice_text(bands: Sequence[BandAdvice]) -> str:
     """Return advice for people: channels, histogram, time, why, and ISO."""
     lines: list[str] = []
-    for found in coached:
+    for found in bands:
         first, poorest = limiting(found.advices)
         shot = found.shot
         time = f"{shot.exposure_s:g} s" if shot.exposure_s else "unknown time"
@@ -429,37 +429,37 @@ def advice_text(coached: Sequence[Coached]) -> str:
             )
         lines.append(f"  ISO: {found.iso_advice}")
         lines += [f"  note: {note}" for note in found.notes]
-    lines.append(f"full scale: {coached[0].full:.0f} counts ({coached[0].full_from})")
-    lines.append(_why(coached[0]))
-    if len(coached) > 1 and all(c.first.time_s for c in coached):
-        total = sum(c.first.time_s or 0.0 for c in coached)
-        slow = max(coached, key=lambda c: c.first.time_s or 0.0)
+    lines.append(f"full scale: {bands[0].full:.0f} counts ({bands[0].full_from})")
+    lines.append(_why(bands[0]))
+    if len(bands) > 1 and all(c.first.time_s for c in bands):
+        total = sum(c.first.time_s or 0.0 for c in bands)
+        slow = max(bands, key=lambda c: c.first.time_s or 0.0)
         lines.append(
-            f"all {len(coached)} bands: {total:.3g} s a series; {slow.shot.name} takes longest, "
+            f"all {len(bands)} bands: {total:.3g} s a series; {slow.shot.name} takes longest, "
             f"{slow.first.time_s:.3g} s"
         )
     return "\n".join(lines)
 
 
-def _why(found: Coached) -> str:
+def _why(found: BandAdvice) -> str:
     """Return where the target comes from, with its numbers."""
     first = found.first
     full_well = first.reading.room / found.sensor.gain
     usual = safe_mean(full_well, prnu=found.sensor.prnu)
-    told = (
+    reason = (
         f"why {100 * first.target:.0f} %: f = 1/[(1 + z√(1/(f·FW) + PRNU²))(1 + U/2)(1 + drift)], so that one "
         f"pixel in a million clips (z 4.75) with FW {full_well:,.0f} e⁻, PRNU "
         f"{100 * found.sensor.prnu:.2g} % {'measured' if found.prnu_known else 'assumed'}, a lamp that drifts by 1 %"
     )
     if not found.is_white:
-        return f"{told}; the object's own peak is kept there, U = 0"
+        return f"{reason}; the object's own peak is kept there, U = 0"
     return (
-        f"{told}, and light that varies by U = {100 * first.reading.unevenness:.0f} % over the field; "
+        f"{reason}, and light that varies by U = {100 * first.reading.unevenness:.0f} % over the field; "
         f"at 10 % it would be {100 * usual:.0f} %"
     )
 
 
-def _channel_line(found: Coached, advice: Advice) -> str:
+def _channel_line(found: BandAdvice, advice: Advice) -> str:
     reading = advice.reading
     bars = np.add.reduceat(reading.histogram, np.arange(0, len(reading.histogram), 2))
     height = np.ceil(8 * np.sqrt(bars / max(bars.max(), 1))).astype(int)

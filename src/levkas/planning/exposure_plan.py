@@ -22,7 +22,7 @@ from levkas.planning.framing import magnification
 from levkas.planning.loading import load_setup
 from levkas.planning.setup import illuminate
 from levkas.planning.spectra import GRID, LUMENS_PER_WATT, eye, integrate, steps
-from levkas.planning.tables import PlanRefused, wrong
+from levkas.planning.tables import PlanRefused, value_problem
 
 if TYPE_CHECKING:
     from levkas.planning.setup import Lighting, StudioCamera, StudioSetup
@@ -106,13 +106,13 @@ def irradiance_spectrum(setup: StudioSetup, lighting: Lighting) -> np.ndarray:
     Raises
     ------
     PlanRefused
-        Where nothing says how strong the light is.
+        Where the strength of the light is not given.
     """
     up = np.array([0.0, 0.0, 1.0])
     parts = [float(illuminate([lamp], np.zeros(3), up)) for lamp in lighting.lamps]
     if lighting.illuminance_lx is None and not all(x.measured for x in lighting.lamps):
         raise PlanRefused(
-            wrong(
+            value_problem(
                 str(setup.path), f"setups.{lighting.name}.illuminance_lx",
                 "nothing says how strong the light is", "no power_w, no illuminance_lx",
                 "one of them", "Measure at the object's middle with a lux meter, or give power_w.",
@@ -207,38 +207,38 @@ def _notes(
     channels: tuple[Channel, ...],
     weakest: Channel,
 ) -> list[str]:
-    """Say what limits, saturates or beats, and what is only assumed."""
-    told = []
+    """Describe what limits, saturates or beats, and what is assumed."""
+    notes = []
     if camera.keys.sensitivity is None:
         seen = (
             "in every band" if camera.keys.wavelengths else "from 400 to 720 nm, one grey channel"
         )
-        told.append(
+        notes.append(
             f"No sensitivity is given: {100 * camera.keys.peak_qe:g} % of the photons are taken to count {seen}."
         )
     target = setup.bench.target
     full = [c for c in channels if c.share_of_full >= 1]
     if full:
-        told.append(
+        notes.append(
             f"{', '.join(c.name for c in full)} would saturate: a white board fills "
             f"{100 * max(c.share_of_full for c in full):.0f} % of the well."
         )
     ratio = max(c.share_of_full for c in channels) / max(weakest.share_of_full, 1e-12)
     if ratio > 1.5:
-        told.append(
+        notes.append(
             f"{weakest.name} limits: it gets {ratio:.1f} times less light than the fullest channel, "
             f"SNR {weakest.snr:.0f} ({weakest.snr_db:.1f} dB) on white."
         )
     if weakest.snr < target.least_snr:
-        told.append(
+        notes.append(
             f"SNR {weakest.snr:.0f} is below the {target.least_snr:g} that is asked: average "
             f"{int(np.ceil((target.least_snr / weakest.snr) ** 2))} frames, or give more light there."
         )
     long = [c.name for c in channels if c.too_long]
     if long:
-        told.append(f"{', '.join(long)} would need more than {camera.keys.longest_s:g} s.")
+        notes.append(f"{', '.join(long)} would need more than {camera.keys.longest_s:g} s.")
     if camera.keys.has_polariser and any(lamp.polariser for lamp in lighting.lamps):
-        told.append(
+        notes.append(
             "This camera is an analyser itself: record its axis and turn the lamps' sheets to it; a "
             "third sheet before it would only darken."
         )
@@ -247,13 +247,13 @@ def _notes(
         beat = flicker_bound(lamp.modulation, lamp.flicker_hz, shortest)
         if beat > target.flicker:
             even = max(1, round(shortest * lamp.flicker_hz)) / lamp.flicker_hz
-            told.append(
+            notes.append(
                 f"Flicker of {lamp.name} may change a frame of {1000 * shortest:.3g} ms by up to "
                 f"{100 * beat:.2g} %: take {1000 * even:.4g} ms, whole periods of "
                 f"{lamp.flicker_hz:g} Hz, and it is gone."
             )
             break
-    return told
+    return notes
 
 
 def flicker_bound(modulation: float, frequency_hz: float, time_s: float) -> float:
@@ -290,7 +290,7 @@ ABSORBED, FILM = 0.8, 10.0
 
 @dataclass(frozen=True)
 class Dose:
-    """What one object gets in one session; shares are of a year's limit of its class."""
+    """Light dose of one object in one session; shares are of a year's limit of its class."""
 
     setup: str
     illuminance_lx: float
@@ -318,7 +318,7 @@ def plan_dose(
     Raises
     ------
     PlanRefused
-        Where there is no such lighting, or its strength is not known.
+        Where there is no such lighting, or its strength is not given.
     """
     lighting, session = setup.lighting(name), setup.bench.session
     spectrum = irradiance_spectrum(setup, lighting)
@@ -338,7 +338,7 @@ def plan_dose(
 
 
 def _describe_dose(dose: Dose) -> list[str]:
-    told = [
+    sentences = [
         f"{dose.illuminance_lx:.0f} lx for {dose.hours:.1f} h are {dose.lux_hours:,.0f} lx·h"
         + (
             f": {100 * dose.share_of_year:.2g} % of what an object of {dose.sensitivity} responsivity "
@@ -348,17 +348,17 @@ def _describe_dose(dose: Dose) -> list[str]:
         )
     ]
     if dose.illuminance_lx > dose.limit_lx:
-        told.append(
+        sentences.append(
             f"While the lamps burn the object is lit {dose.illuminance_lx / dose.limit_lx:.1f} times as "
             f"brightly as on display ({dose.limit_lx:.0f} lx): switch them off between captures."
         )
     uv = "within" if dose.uv_uw_per_lm <= MOST_UV else "above"
-    told.append(f"Ultraviolet is {dose.uv_uw_per_lm:.0f} µW/lm, {uv} the usual {MOST_UV:.0f}.")
-    told.append(
+    sentences.append(f"Ultraviolet is {dose.uv_uw_per_lm:.0f} µW/lm, {uv} the usual {MOST_UV:.0f}.")
+    sentences.append(
         f"The light brings {dose.heat_w_per_m2:.1f} W/m²: a dark panel in still air would settle at most "
         f"{dose.warming_k:.1f} K above the room."
     )
-    return told
+    return sentences
 
 
 @dataclass(frozen=True, eq=False)
@@ -467,7 +467,7 @@ def regulating_filter(setup: StudioSetup, camera: str, name: str | None = None) 
     """
     if camera not in setup.cameras:
         raise PlanRefused(
-            wrong(str(setup.path), "cameras", "there is no such camera", camera,
+            value_problem(str(setup.path), "cameras", "there is no such camera", camera,
                   ", ".join(setup.cameras))
         )  # fmt: skip
     lighting: Lighting = setup.lighting(name)

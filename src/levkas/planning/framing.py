@@ -129,7 +129,7 @@ def in_field(camera: StudioCamera, point: np.ndarray, body_mm: float) -> bool:
 
 @dataclass(frozen=True)
 class Framing:
-    """What one camera sees of the object, with what contradicts itself in words."""
+    """Field of one camera on the object, with contradictions in sentences."""
 
     camera: str
     distance_mm: float
@@ -152,9 +152,7 @@ class Framing:
 def plan_framing(setup: StudioSetup) -> list[Framing]:
     """Return the framing of every camera of a setup file.
 
-    Raises
-    ------
-    Nothing: what a camera cannot do is said in `contradictions`.
+    What a camera cannot do is listed in `contradictions`; nothing is raised.
     """
     return [_frame(setup, camera) for camera in setup.cameras.values()]
 
@@ -183,7 +181,9 @@ def _frame(setup: StudioSetup, camera: StudioCamera) -> Framing:
         camera.name, camera.distance_mm, m, seen, covers, samples, samples**2, needed, depth,
         high - low, mtf,
     )  # fmt: skip
-    return Framing(**{**frame.__dict__, "contradictions": tuple(_said(frame, camera, wanted))})
+    return Framing(
+        **{**frame.__dict__, "contradictions": tuple(_contradictions(frame, camera, wanted))}
+    )
 
 
 def _oriented(size: tuple[float, float], seen: tuple[float, float]) -> tuple[float, float]:
@@ -192,16 +192,16 @@ def _oriented(size: tuple[float, float], seen: tuple[float, float]) -> tuple[flo
     return (size[1], size[0]) if turned else size
 
 
-def _said(frame: Framing, camera: StudioCamera, wanted: tuple[float, float]) -> list[str]:
-    """Say in sentences what does not fit together."""
-    keys, told = camera.keys, []
+def _contradictions(frame: Framing, camera: StudioCamera, wanted: tuple[float, float]) -> list[str]:
+    """Describe in sentences what does not fit together."""
+    keys, sentences = camera.keys, []
     w, h = frame.field_mm
     if not frame.covers:
         sensor = (keys.pixels[0] * keys.pitch_um / 1000, keys.pixels[1] * keys.pitch_um / 1000)
         shorter = (frame.distance_mm) / (
             1 + max(a / b for a, b in zip(wanted, sensor, strict=True))
         )
-        told.append(
+        sentences.append(
             f"From {frame.distance_mm / 10:.0f} cm a {keys.focal_mm:g} mm lens shows {w:.0f} x {h:.0f} mm on "
             f"{keys.pixels[0]} x {keys.pixels[1]} pixels of {keys.pitch_um:g} µm: smaller than the object, "
             f"{wanted[0]:.0f} x {wanted[1]:.0f} mm. Distance, focal length and sensor contradict the aim "
@@ -209,14 +209,14 @@ def _said(frame: Framing, camera: StudioCamera, wanted: tuple[float, float]) -> 
             f"{shorter:.0f} mm or shorter."
         )
     if frame.depth_of_field_mm < frame.relief_mm:
-        told.append(
+        sentences.append(
             f"The object is {frame.relief_mm:.1f} mm deep, but at f/{keys.f_number:g} only "
             f"{frame.depth_of_field_mm:.1f} mm are sharp to one pixel: stop down, or focus between."
         )
     weak = {k: v for k, v in frame.mtf.items() if v < 0.1}
     if weak:
-        told.append(
+        sentences.append(
             f"Diffraction at f/{keys.f_number:g} leaves less than a tenth of the contrast at the finest "
             f"detail in {', '.join(weak)}: open the lens."
         )
-    return told
+    return sentences

@@ -40,7 +40,7 @@ def find_full_scale(
     bits: int | None = None,
     saturation: float | None = None,
 ) -> FullScale | None:
-    """Return the full scale of some frames of one camera; None where nothing tells it.
+    """Return the full scale of some frames of one camera; None where it is not known.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def find_full_scale(
     -----
     In this order: given, `saturation` of the campaign that the first frame belongs to, white level of the file,
     `bits` of the campaign, bits of a sample where they are the converter's: fewer than are stored, 8 of 8, or 16
-    of 16 that are all in use. How bright the brightest pixel is does not tell it: a camera of 12 bits fills a
+    of 16 that are all in use. The brightest pixel does not show it: a camera of 12 bits fills a
     quarter of its range with codes of 10.
     """
     if saturation:
@@ -83,7 +83,7 @@ def find_full_scale(
 
 
 def not_known(file: Path, facts: Facts) -> Problem:
-    """Return the problem of a full scale that nothing tells."""
+    """Return the problem of a full scale that is not known."""
     return Problem(
         "E_BITS",
         "nothing tells the full scale of the camera",

@@ -20,7 +20,7 @@ SPREAD = {"power": 0.3, "angle": 4.0, "azimuth": 4.0, "distance": 0.06, "aim": 6
 """How far a set-up is expected to miss its plan: one standard deviation of each parameter, in
 natural logarithm, degrees, degrees, natural logarithm, mm, natural logarithm of the exponent."""
 SPREAD_OF = ("power", "angle", "azimuth", "distance", "aim", "aim", "beam")
-UNTOLD = 0.8
+UNDETERMINED = 0.8
 """Of `SPREAD`: a standard deviation above it is the plan's own, not the white's."""
 
 
@@ -28,7 +28,7 @@ LENS = (0.3, 0.1)
 """What a lens takes of the corners, as r² and as r⁴: one standard deviation of each. A profile that is not quite r²
 would else be taken for lamps that stand metres from their places."""
 NOISE = 0.002
-"""Least relative error of a block that is believed: boards and lenses are no better known than that."""
+"""Least relative error of a block: boards and lenses are no better known than that."""
 WIDEST = 3.0
 """Most by which `SPREAD` is widened where lamps turn out to hang farther from their plan."""
 ROUNDS = 6
@@ -36,7 +36,7 @@ ROUNDS = 6
 
 @dataclass(frozen=True)
 class LampError:
-    """How well a white tells a lamp: one standard deviation each.
+    """Uncertainty of a lamp fitted to a white: one standard deviation each.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class LampError:
     power : float
         Of its share of the lamps' mean.
     kept : tuple of str
-        What the white hardly tells, so that the plan's own is kept: ``"angle"``, ``"distance"`` …
+        What the white hardly determines, so that the plan's own is kept: ``"angle"``, ``"distance"`` …
     """
 
     angle_deg: float
@@ -112,8 +112,8 @@ def fit_lamps(
 
     Notes
     -----
-    Least squares of log(measured/model) with the plan as a prior: a white alone cannot tell a
-    strong far lamp from a weak near one. The lens darkens the corners as exp(v·r² + w·r⁴), v and w
+    Least squares of log(measured/model) with the plan as a prior: a white alone cannot distinguish
+    a strong far lamp from a weak near one. The lens darkens the corners as exp(v·r² + w·r⁴), v and w
     fitted too. The frame weighs by its own noise; `SPREAD` is widened, by as
     much as is likeliest, where lamps hang farther from their plan than that.
     """
@@ -201,9 +201,9 @@ def _solve(board: _Board) -> tuple[np.ndarray, np.ndarray, float]:
 def _errors(
     board: _Board, found: np.ndarray, spread: np.ndarray, wide: float
 ) -> tuple[LampError, ...]:
-    """Return how well each lamp is known."""
+    """Return the uncertainty of each lamp."""
     shifts, sizes = board.shifts(found), board.shifts(np.sqrt(np.diag(spread)))
-    lamps, told = moved_lighting(board.lighting, shifts).lamps, []
+    lamps, errors = moved_lighting(board.lighting, shifts).lamps, []
     for i, (lamp, size) in enumerate(zip(lamps, sizes, strict=True)):
         own = slice(7 * i, 7 * i + 7)
         slopes = _place_slopes(board.lighting, shifts, i)
@@ -212,16 +212,16 @@ def _errors(
         share[: shifts.size : 7] = -1 / len(lamps)
         share[7 * i] += 1.0
         power = SPREAD["power"] * float(np.sqrt(max(share @ spread @ share, 0.0)))
-        kept = [n for n, s in zip(SPREAD_OF, size, strict=True) if s > UNTOLD * wide]
+        kept = [n for n, s in zip(SPREAD_OF, size, strict=True) if s > UNDETERMINED * wide]
         if len(lamps) == 1:
             kept = [n for n in kept if n != "power"]  # it has no other to be compared with
-        told.append(
+        errors.append(
             LampError(
                 SPREAD["angle"] * size[1], SPREAD["azimuth"] * size[2],
                 SPREAD["distance"] * size[3] * lamp.distance_mm, away, power, tuple(dict.fromkeys(kept)),
             )
         )  # fmt: skip
-    return tuple(told)
+    return tuple(errors)
 
 
 def _place_slopes(lighting: Lighting, shifts: np.ndarray, lamp: int) -> np.ndarray:
@@ -285,19 +285,19 @@ def moved_lighting(lighting: Lighting, shifts: np.ndarray) -> Lighting:
 
 
 def _differences(plan: Lighting, found: Lighting, errors: Sequence[LampError]) -> list[str]:
-    told = []
+    sentences = []
     level = np.mean([b.candela / a.candela for a, b in zip(plan.lamps, found.lamps, strict=True)])
     for a, b, e in zip(plan.lamps, found.lamps, errors, strict=True):
         power = 100 * b.candela / a.candela / level
         strength = f"power {power:.0f} ± {100 * e.power:.0f} % of the lamps' mean, "
-        told.append(
+        sentences.append(
             f"{a.name}: {b.angle_deg:.0f} ± {e.angle_deg:.0f}° instead of {a.angle_deg:.0f}°, "
             f"{b.distance_mm / 10:.0f} ± {e.distance_mm / 10:.0f} cm instead of {a.distance_mm / 10:.0f} cm, "
             f"{strength if len(errors) > 1 else ''}its place known to {e.place_mm / 10:.0f} cm."
         )
         if e.kept:
-            told[-1] += f" The white hardly tells its {_listed(e.kept)}."
-    return told
+            sentences[-1] += f" The white hardly tells its {_listed(e.kept)}."
+    return sentences
 
 
 def _listed(names: Sequence[str]) -> str:

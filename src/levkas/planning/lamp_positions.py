@@ -16,7 +16,7 @@ from levkas.planning.full_scale import files_of, find_full_scale, not_known
 from levkas.planning.lamp_fit import SPREAD, FittedLamps, fit_lamps
 from levkas.planning.loading import load_setup
 from levkas.planning.setup import StudioSetup, drop, illuminate
-from levkas.planning.tables import PlanRefused, wrong
+from levkas.planning.tables import PlanRefused, value_problem
 from levkas.readers.frames import read_facts, read_frame
 
 if TYPE_CHECKING:
@@ -26,8 +26,8 @@ EXPLAINED = 0.015  # rms that a white board, its noise and dust leave beside the
 
 
 @dataclass(frozen=True, eq=False)
-class HungLamps:
-    """A plan beside what a white shows of it.
+class FittedPositions:
+    """Lamps fitted to a white, beside their plan.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class HungLamps:
         Of the part of the board that the frame shows.
     frames : int
     notes : tuple of str
-        What to doubt, and what to do.
+        Doubts, and advice.
     """
 
     fitted: FittedLamps
@@ -88,7 +88,7 @@ def lamp_rows(lamps: Sequence[StudioLamp]) -> list[dict[str, Any]]:
 def light_at_middle(lamps: Sequence[StudioLamp]) -> list[float]:
     """Return the light of each lamp at the board's middle, over that of the strongest there.
 
-    A white tells this well, also where it cannot tell power from distance.
+    A white determines this well, also where it cannot separate power from distance.
     """
     middle, facing = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
     given = [float(illuminate([lamp], middle, facing)[0]) for lamp in lamps]
@@ -97,7 +97,7 @@ def light_at_middle(lamps: Sequence[StudioLamp]) -> list[float]:
 
 @dataclass(frozen=True)
 class CapturedWhite:
-    """White frames of one camera under a lighting, and what is known of them.
+    """White frames of one camera under a lighting, with their black, saturation and region.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def fit_white(
     *,
     lamp: int | None = None,
     bent: bool = False,
-) -> HungLamps:
+) -> FittedPositions:
     """Fit the lamps of a lighting to captured whites.
 
     Parameters
@@ -148,7 +148,7 @@ def fit_white(
     Raises
     ------
     WhiteRefused
-        E_BITS where nothing tells the full scale; E_NO_FRAMES, E_REGION, E_WHITE_SATURATED, E_WHITE_DARK.
+        E_BITS where the full scale is not known; E_NO_FRAMES, E_REGION, E_WHITE_SATURATED, E_WHITE_DARK.
     PlanRefused
         Where setup, lighting or camera are not there or cannot be planned.
     """
@@ -164,7 +164,7 @@ def fit_white(
     thing = setup.object.model_copy(update={"size_mm": size})
     fitted = fit_lamps(light, lighting, thing, is_bent=bent, centre_mm=centre)
     notes = (*doubts, *_notes(lighting, fitted))
-    return HungLamps(fitted, drop(light), size, len(files), notes)
+    return FittedPositions(fitted, drop(light), size, len(files), notes)
 
 
 def _shining(setup: StudioSetup, lighting: Lighting, lamp: int | None) -> Lighting:
@@ -175,12 +175,12 @@ def _shining(setup: StudioSetup, lighting: Lighting, lamp: int | None) -> Lighti
     if not 1 <= lamp <= count:
         place = f"setups.{lighting.name}.lamps"
         raise PlanRefused(
-            wrong(str(setup.path), place, "there is no such lamp", lamp, f"1 to {count}")
+            value_problem(str(setup.path), place, "there is no such lamp", lamp, f"1 to {count}")
         )
     return replace(lighting, lamps=(lighting.lamps[lamp - 1],))
 
 
-def hung_text(found: HungLamps) -> str:
+def positions_text(found: FittedPositions) -> str:
     """Return what a white shows in lines, the lamps as a setup file would have them."""
     fitted = found.fitted
     lines = [
@@ -248,7 +248,7 @@ def _shown(
         return whole, (0.0, 0.0), doubts
     if camera not in setup.cameras:
         raise PlanRefused(
-            wrong(
+            value_problem(
                 str(setup.path),
                 "cameras",
                 "there is no such camera",
@@ -276,7 +276,7 @@ Box = tuple[int, int, int, int]
 
 
 class WhiteRefused(Refused):
-    """A white that cannot tell where the lamps stand."""
+    """A white from which the lamps cannot be fitted."""
 
 
 def average_whites(
@@ -288,7 +288,7 @@ def average_whites(
 ) -> tuple[Template, np.ndarray | float]:
     """Average whites; return them and what is to be subtracted.
 
-    Raises WhiteRefused, ``E_BITS`` where nothing tells at which code they would clip.
+    Raises WhiteRefused, ``E_BITS`` where the code at which they clip is not known.
     """
     if not files:
         raise WhiteRefused(
@@ -303,8 +303,8 @@ def average_whites(
     full = scale.counts if scale else None
     stack = average((read_frame(f) for f in files), saturation=full)
     if not darks:
-        told = (black, scale.black if scale else None, facts.black)
-        return stack, next((level for level in told if level is not None), 0.0)
+        levels = (black, scale.black if scale else None, facts.black)
+        return stack, next((level for level in levels if level is not None), 0.0)
     dark = average([read_frame(f) for f in darks])
     if dark.mean.shape != stack.mean.shape:
         raise WhiteRefused(

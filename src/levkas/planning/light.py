@@ -247,34 +247,34 @@ def _changes(setup: StudioSetup, lighting: Lighting) -> list[tuple[str, Lighting
         place = lamp.distance_mm * np.array([*(np.sin(angle) * foot), np.cos(angle)])
         return _moved(lamp, place)
 
-    told = [
+    changes = [
         ("Lamps a quarter farther away", with_lamps([_moved(x, 1.25 * x.place) for x in lamps])),
         ("Lamps at half the distance", with_lamps([_moved(x, 0.5 * x.place) for x in lamps])),
         ("Lamps 5° lower over the panel", with_lamps([turned(x, 5.0) for x in lamps])),
     ]
     if any(abs(x.angle_deg - 45.0) > 3 for x in lamps):
-        told.append(("Lamps at 45°", with_lamps([turned(x, 45.0 - x.angle_deg) for x in lamps])))
+        changes.append(("Lamps at 45°", with_lamps([turned(x, 45.0 - x.angle_deg) for x in lamps])))
     if len(lamps) == 1:
         other = replace(
             lamps[0], place=lamps[0].place * [-1, -1, 1], axis=lamps[0].axis * [-1, -1, 1]
         )
-        told.append(("A second lamp opposite", with_lamps([lamps[0], other])))
+        changes.append(("A second lamp opposite", with_lamps([lamps[0], other])))
     else:
-        told.append((f"Only {lamps[0].name}", with_lamps([lamps[0]])))
+        changes.append((f"Only {lamps[0].name}", with_lamps([lamps[0]])))
         weaker = replace(lamps[0], candela=0.95 * lamps[0].candela)
-        told.append(("One lamp 5 % weaker", with_lamps([weaker, *lamps[1:]])))
+        changes.append(("One lamp 5 % weaker", with_lamps([weaker, *lamps[1:]])))
         uneven = [
             replace(x, candela=x.candela * f) for x, f in zip(lamps, (1.4, 0.6), strict=False)
         ]
-        told.append(("Lamps at 70:30, for more relief", with_lamps([*uneven, *lamps[2:]])))
+        changes.append(("Lamps at 70:30, for more relief", with_lamps([*uneven, *lamps[2:]])))
     for aim in ("far edge", "middle"):
         aimed = [_aimed(x, aim_point(aim, x.place, size)) for x in lamps]
         if any(np.abs(a.axis - b.axis).max() > 1e-6 for a, b in zip(aimed, lamps, strict=True)):
-            told.append((f"Aimed at the {aim}", with_lamps(aimed)))
+            changes.append((f"Aimed at the {aim}", with_lamps(aimed)))
     if all(x.lobe.table is None and x.lobe.exponent > 1 for x in lamps):
         wide = [replace(x, lobe=Lobe(x.lobe.exponent / 2), candela=x.candela / 2) for x in lamps]
-        told.append(("A beam 1.4 times as wide", with_lamps(wide)))
-    return told
+        changes.append(("A beam 1.4 times as wide", with_lamps(wide)))
+    return changes
 
 
 def _moved(lamp: StudioLamp, place: np.ndarray) -> StudioLamp:

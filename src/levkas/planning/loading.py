@@ -24,7 +24,15 @@ from levkas.planning.setup import (
 )
 from levkas.planning.spectra import GRID, Spectrum, eye, integrate, read_spectrum, read_table
 from levkas.planning.surface import height_range
-from levkas.planning.tables import Bench, LampKeys, PlacedLamp, PlanRefused, SetupKeys, asked, wrong
+from levkas.planning.tables import (
+    Bench,
+    LampKeys,
+    PlacedLamp,
+    PlanRefused,
+    SetupKeys,
+    doubtful_unit,
+    value_problem,
+)
 
 if TYPE_CHECKING:
     from levkas.planning.tables import StudioCameraKeys
@@ -36,15 +44,15 @@ def load_setup(path: str | Path) -> StudioSetup:
     Raises
     ------
     PlanRefused
-        With every problem: what is misspelt, out of range, contradicts itself, or cannot be meant.
+        With every problem: misspelt, out of range, contradictory, or of a doubtful unit.
     """
     path = find_setup(path)
     bench = _validate(path)
-    problems: list[Problem] = list(find_doubts(bench, str(path)))
+    problems: list[Problem] = list(find_doubtful_units(bench, str(path)))
     setup = _resolve(path, bench, problems)
     if setup is not None:
-        told = {p.field for p in problems}
-        problems += [p for p in find_contradictions(setup) if p.field not in told]
+        fields = {p.field for p in problems}
+        problems += [p for p in find_contradictions(setup) if p.field not in fields]
     if problems or setup is None:
         raise PlanRefused(*dict.fromkeys(problems))
     return setup
@@ -64,7 +72,7 @@ def find_setup(path: str | Path) -> Path:
     found = sorted(path.glob("*.toml"))
     if len(found) != 1:
         raise PlanRefused(
-            wrong(str(path), "", "which setup file is meant?", f"{len(found)} in that folder",
+            value_problem(str(path), "", "which setup file is meant?", f"{len(found)} in that folder",
                   "one .toml file", "Name the file.")
         )  # fmt: skip
     return found[0]
@@ -126,7 +134,9 @@ def _names(bench: Bench, file: str) -> list[Problem]:
 
     def known(where: str, name: str, names: Any, what: str) -> None:
         if name not in names:
-            found.append(wrong(file, where, f"there is no such {what}", name, ", ".join(names)))
+            found.append(
+                value_problem(file, where, f"there is no such {what}", name, ", ".join(names))
+            )
 
     for name, lamp in bench.lamps.items():
         known(f"lamps.{name}.spectrum", lamp.spectrum, bench.spectra, "spectrum")
@@ -141,7 +151,7 @@ def _names(bench: Bench, file: str) -> list[Problem]:
             by_angle = placed.angle_deg is not None and placed.distance_mm is not None
             if by_angle == (placed.place_mm is not None):
                 found.append(
-                    wrong(file, at, "a lamp has a place: angle_deg and distance_mm, or place_mm",
+                    value_problem(file, at, "a lamp has a place: angle_deg and distance_mm, or place_mm",
                           expected="one of the two")
                 )  # fmt: skip
     return found
@@ -202,7 +212,7 @@ def read_lobe(name: str, keys: LampKeys, root: Path, *, file: str) -> Lobe:
         return Lobe(lobe_exponent(keys.beam_deg))
     if keys.beam_deg is not None:
         raise PlanRefused(
-            wrong(file, f"lamps.{name}.beam_deg", "beam_deg and lobe say one thing twice",
+            value_problem(file, f"lamps.{name}.beam_deg", "beam_deg and lobe say one thing twice",
                   keys.beam_deg, "one of them")
         )  # fmt: skip
     angles, values = _read_angles(root / keys.lobe, f"lamps.{name}.lobe", file)
@@ -217,12 +227,14 @@ def _read_angles(path: Path, field: str, file: str) -> tuple[np.ndarray, np.ndar
     except TextRefused as refused:
         raise PlanRefused(*refused.problems) from None
     except ValueError as error:
-        raise PlanRefused(wrong(file, field, f"{path.name}: no table", str(error)[:80])) from None
+        raise PlanRefused(
+            value_problem(file, field, f"{path.name}: no table", str(error)[:80])
+        ) from None
     sound = table.ndim == 2 and table.shape[1] == 2 and len(table) > 1 and table[0, 0] == 0
     sound = sound and np.isfinite(table).all() and (table[:, 1] >= 0).all()
     if not sound or (np.diff(table[:, 0]) <= 0).any() or not table[0, 1] > 0:
         raise PlanRefused(
-            wrong(file, field, f"{path.name} is no lobe", f"{len(rows)} rows",
+            value_problem(file, field, f"{path.name} is no lobe", f"{len(rows)} rows",
                   "degrees from the axis, ascending from 0, and intensity > 0 there")
         )  # fmt: skip
     return table[:, 0], table[:, 1] / table[0, 1]
@@ -245,7 +257,7 @@ def place_camera(
     at = f"cameras.{name}"
     if (keys.distance_mm is None) == (keys.place_mm is None):
         raise PlanRefused(
-            wrong(file, f"{at}.distance_mm", "a camera has a place: distance_mm or place_mm",
+            value_problem(file, f"{at}.distance_mm", "a camera has a place: distance_mm or place_mm",
                   expected="one of the two")
         )  # fmt: skip
     aim = np.zeros(3) if isinstance(keys.aim_mm, str) else np.array([*keys.aim_mm, 0.0])
@@ -270,7 +282,7 @@ def _check_sensors(keys: StudioCameraKeys, labels: list[str], field: str, file: 
     named = [label for sensor in keys.sensors for label in sensor]
     if named and sorted(named) != sorted(labels):
         raise PlanRefused(
-            wrong(file, field, "the sensors do not share the channels out", ", ".join(named),
+            value_problem(file, field, "the sensors do not share the channels out", ", ".join(named),
                   f"each of {', '.join(labels)} once")
         )  # fmt: skip
 
@@ -278,7 +290,7 @@ def _check_sensors(keys: StudioCameraKeys, labels: list[str], field: str, file: 
 def _bands(
     keys: StudioCameraKeys,
 ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, tuple[float, float]]:
-    """Gaussian bands over the peak efficiency, or one flat channel where nothing is said."""
+    """Gaussian bands over the peak efficiency, or one flat channel where no bands are given."""
     if keys.wavelengths is None:
         flat = np.where((GRID >= 400) & (GRID <= 720), keys.peak_qe, 0.0)
         return ("grey",), np.array([560.0]), flat[None], (400.0, 720.0)
@@ -309,7 +321,7 @@ def find_contradictions(setup: StudioSetup) -> Iterator[Problem]:
     bench = setup.bench
     thing = bench.object
     if thing.recess_mm and 2 * (thing.border_mm + thing.bevel_mm) >= min(thing.size_mm):
-        yield wrong(
+        yield value_problem(
             file, "object.border_mm", "the border leaves no picture", thing.border_mm,
             f"less than {min(thing.size_mm) / 2 - thing.bevel_mm:g} mm",
         )  # fmt: skip
@@ -320,7 +332,7 @@ def find_contradictions(setup: StudioSetup) -> Iterator[Problem]:
             yield from _check_lamp(setup, lamp, f"setups.{name}.lamps.{i}", file)
         polarised = [lamp.polariser for lamp in lighting.lamps]
         if lighting.camera_polariser and not all(polarised):
-            yield wrong(
+            yield value_problem(
                 file, f"setups.{name}.camera_polariser",
                 "a sheet before the camera crosses nothing: a lamp has none",
                 lighting.camera_polariser, 'polariser = "p" at every lamp',
@@ -331,7 +343,7 @@ def find_contradictions(setup: StudioSetup) -> Iterator[Problem]:
 def _check_lamp(setup: StudioSetup, lamp: StudioLamp, at: str, file: str) -> Iterator[Problem]:
     highest = height_range(setup.object)[1]
     if lamp.place[2] <= highest:
-        yield wrong(
+        yield value_problem(
             file, at, "this lamp stands behind the panel, or in its plane",
             f"{lamp.place[2]:.0f} mm before the object's middle (angle {lamp.angle_deg:.0f}°)",
             f"more than {highest:.0f} mm; below 88° from the normal",
@@ -341,14 +353,14 @@ def _check_lamp(setup: StudioSetup, lamp: StudioLamp, at: str, file: str) -> Ite
     for camera in setup.cameras.values():
         place = image_of(camera, lamp.place)
         if place is not None and in_field(camera, lamp.place, LAMP_BODY_MM):
-            yield wrong(
+            yield value_problem(
                 file, at, f"this lamp stands in the view of camera {camera.name!r}",
                 f"{lamp.place.round().tolist()} mm",
                 f"outside its field, or beyond {camera.distance_mm:.0f} mm",
                 "Move it aside: a larger angle_deg or distance_mm.", "E_LAMP_IN_VIEW",
             )  # fmt: skip
         elif _in_the_way(lamp.place, camera.place):
-            yield wrong(
+            yield value_problem(
                 file, at, f"camera {camera.name!r} stands between this lamp and the object",
                 f"lamp at {lamp.angle_deg:.0f}°", "a clear path", "Move the lamp aside.",
                 "E_LAMP_HIDDEN",
@@ -365,18 +377,18 @@ def _blind(setup: StudioSetup, camera: StudioCamera, file: str) -> Iterator[Prob
     keys = camera.keys
     if camera.distance_mm <= keys.focal_mm:
         if keys.distance_mm is not None and 10 * keys.distance_mm > 2 * keys.focal_mm:
-            yield asked(
+            yield doubtful_unit(
                 file, f"{at}.distance_mm", keys.distance_mm, f"> {keys.focal_mm:g} mm, the focal length",
                 f"{10 * keys.distance_mm:g} mm (centimetres)",
             )  # fmt: skip
         else:
-            yield wrong(
+            yield value_problem(
                 file, f"{at}.distance_mm", "a lens forms no image nearer than its focal length",
                 round(camera.distance_mm, 1), f"> {keys.focal_mm:g} mm", code="E_CAMERA_BLIND",
             )  # fmt: skip
         return
     if camera.place[2] <= height_range(setup.object)[1]:
-        yield wrong(
+        yield value_problem(
             file, f"{at}.place_mm", "this camera cannot see the object: it stands behind it",
             camera.place.round().tolist(), "z > 0", code="E_CAMERA_BLIND",
         )  # fmt: skip
@@ -384,7 +396,7 @@ def _blind(setup: StudioSetup, camera: StudioCamera, file: str) -> Iterator[Prob
     w, h = setup.object.size_mm
     probes = [np.array([x, y, 0.0]) for x in (-w / 2, 0, w / 2) for y in (-h / 2, 0, h / 2)]
     if not any(in_field(camera, p, 0.0) for p in probes):
-        yield wrong(
+        yield value_problem(
             file, f"{at}.aim_mm", "this camera cannot see the object: it looks past it",
             camera.aim[:2].tolist(), f"a point within {w:g} x {h:g} mm", code="E_CAMERA_BLIND",
         )  # fmt: skip
@@ -402,7 +414,7 @@ def _spectra(setup: StudioSetup, file: str) -> Iterator[Problem]:
                         if n in lamp.filters
                         or n == setup.bench.lamps[lamp.name.rpartition(" ")[0]].spectrum
                     )
-                    yield wrong(
+                    yield value_problem(
                         file, f"setups.{name}.lamps.{i}.spectrum",
                         f"the light is not known where camera {camera.name!r} sees", parts,
                         f"{low:g}–{high:g} nm",
@@ -416,7 +428,7 @@ NEAREST_BY_SIZE = 1.2
 """A lamp nearer than this many times the object's longer side cannot light it evenly."""
 
 
-def find_doubts(bench: Bench, file: str) -> Iterator[Problem]:
+def find_doubtful_units(bench: Bench, file: str) -> Iterator[Problem]:
     """Yield a question for every value whose unit cannot be right; `sure = true` answers it."""
     longest = max(bench.object.size_mm)
     yield from _object(bench, file)
@@ -434,7 +446,7 @@ def find_doubts(bench: Bench, file: str) -> Iterator[Problem]:
                     file, f"{at}.{key}", away, NEAREST_BY_SIZE * longest, key == "distance_mm"
                 )
             if lamp.angle_deg is not None and 0 < lamp.angle_deg < np.pi / 2:
-                yield asked(
+                yield doubtful_unit(
                     file, f"{at}.angle_deg", lamp.angle_deg, "degrees from the normal, 5 to 89",
                     f"{np.degrees(lamp.angle_deg):.0f} degrees (it looks like radians)",
                 )  # fmt: skip
@@ -449,18 +461,18 @@ def _object(bench: Bench, file: str) -> Iterator[Problem]:
         unit = 10 if longest < LEAST_OBJECT_MM else 0.1
         w, h = (f"{unit * v:g}" for v in thing.size_mm)
         unit_name = "centimetres" if unit == 10 else "tenths of a millimetre"
-        yield asked(
+        yield doubtful_unit(
             file, "object.size_mm", list(thing.size_mm), "80 to 5,000 mm",
             f"[{w}, {h}] mm ({unit_name})",
             "Write the size in mm, or `sure = true` in [object] if it is so.",
         )  # fmt: skip
     if bent and bent.radius_mm < longest / 2:
-        yield asked(
+        yield doubtful_unit(
             file, "object.bend.radius_mm", bent.radius_mm, f"> {longest / 2:g} mm",
             f"{10 * bent.radius_mm:g} mm (centimetres) or {1000 * bent.radius_mm:g} mm (metres)",
         )  # fmt: skip
     if thing.recess_mm > 25 and not thing.sure:
-        yield asked(
+        yield doubtful_unit(
             file, "object.recess_mm", thing.recess_mm, "0 to 25 mm",
             f"{thing.recess_mm / 1000:g} mm (micrometres)",
         )  # fmt: skip
@@ -477,7 +489,7 @@ def _distance(file: str, field: str, found: float, least: float, single: bool) -
     else:
         return
     what = f"{meant:g} mm ({found:g} {unit})" if single else unit
-    yield asked(
+    yield doubtful_unit(
         file, field, round(found, 1), f"{least:g} to {FARTHEST_MM:g} mm", what,
         f"Write {meant:g} if that is meant, or `sure = true` beside it if {found:g} mm is.",
     )  # fmt: skip
@@ -494,21 +506,23 @@ def _cameras(bench: Bench, file: str) -> Iterator[Problem]:
                 file, f"{at}.distance_mm", camera.distance_mm, 0.75 * longest, True
             )
         if not 6 <= camera.focal_mm <= 1500:
-            yield asked(
+            yield doubtful_unit(
                 file, f"{at}.focal_mm", camera.focal_mm, "6 to 1,500 mm",
                 f"{10 * camera.focal_mm:g} mm (centimetres)",
             )  # fmt: skip
         if not 0.8 <= camera.pitch_um <= 60:
             scale = 1000 if camera.pitch_um < 0.8 else 0.001
-            yield asked(
+            yield doubtful_unit(
                 file, f"{at}.pitch_um", camera.pitch_um, "0.8 to 60 µm",
                 f"{scale * camera.pitch_um:g} µm",
             )  # fmt: skip
         if not 0.7 <= camera.f_number <= 64:
-            yield asked(file, f"{at}.f_number", camera.f_number, "0.7 to 64", "the f-number")
+            yield doubtful_unit(
+                file, f"{at}.f_number", camera.f_number, "0.7 to 64", "the f-number"
+            )
         bands = camera.wavelengths
         if bands is not None and not 200 <= bands.start < bands.stop <= 2500:
-            yield asked(
+            yield doubtful_unit(
                 file, f"{at}.wavelengths", f"{bands.start:g} to {bands.stop:g}", "200 to 2,500 nm",
                 "micrometres" if bands.stop < 100 else "ångström",
             )  # fmt: skip

@@ -420,14 +420,14 @@ def trade_off(judge: Judge, arrangement: Arrangement) -> TradeOff:
 
 def _why(judge: Judge, best: Arrangement, values: dict[str, float]) -> list[str]:
     """Say what each change from the optimum would cost."""
-    told = []
+    sentences = []
     shiny = "varnish" if judge.thing.varnish else "gold" if judge.thing.gold else None
 
     def times(other: dict[str, float]) -> float:
         return other[shiny] / max(values[shiny], 1e-12) if shiny else 0.0
 
     if shiny and abs(best.angle_deg - 45) > 3:
-        told.append(
+        sentences.append(
             f"At 45° the {shiny} would shine {times(judge.values_of(best, angle_deg=45.0)):.1f} times as "
             f"much as at {best.angle_deg:.0f}°, where the lamps stand well outside the family of angles "
             f"that the panel mirrors into the camera, facets included."
@@ -435,25 +435,25 @@ def _why(judge: Judge, best: Arrangement, values: dict[str, float]) -> list[str]
     if judge.thing.relief_slope:
         lower = judge.values_of(best, angle_deg=min(best.angle_deg + 6, 86.0))
         shows = lower["hidden"] > values["hidden"] + 0.005
-        told += [
+        sentences += [
             f"Six degrees lower over the panel, {100 * lower['hidden']:.0f} % of the relief would turn "
             f"away from a lamp instead of {100 * values['hidden']:.1f} %: grazing light exaggerates it."
         ] * shows
     across = judge.values_of(best, azimuth_deg=90.0 - best.azimuth_deg)
     more = f", and the {shiny} shine {times(across):.1f} times as much" if shiny else ""
-    told.append(
+    sentences.append(
         f"Along the object's other axis the light would drop by {100 * across['drop']:.1f} % over it "
         f"instead of {100 * values['drop']:.1f} %{more}"
         + (": bent that way, its normals turn towards the lamps." if judge.thing.bend else ".")
     )
     near = max(best.distance_mm / 2, judge.room.nearest_mm)
-    told.append(
+    sentences.append(
         f"At {near / 10:.0f} cm instead of {best.distance_mm / 10:.0f} cm the light would drop by "
         f"{100 * judge.values_of(best, distance_mm=near)['drop']:.0f} % over the object."
     )
     other = 0.0 if best.aim > 0.4 else 1.0
-    told.append(
+    sentences.append(
         f"Aimed at the {'far edge' if other else 'middle'} the drop would be "
         f"{100 * judge.values_of(best, aim=other)['drop']:.1f} %."
     )
-    return told
+    return sentences

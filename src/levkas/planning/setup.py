@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.planning.spectra import GRID, Spectrum
-from levkas.planning.tables import PlanRefused, wrong
+from levkas.planning.tables import PlanRefused, value_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -196,7 +196,7 @@ class StudioSetup:
             return next(iter(self.lightings.values()))
         if name not in self.lightings:
             raise PlanRefused(
-                wrong(
+                value_problem(
                     str(self.path), "setups", "there is no such setup", name,
                     ", ".join(self.lightings),
                 )

@@ -11,7 +11,7 @@ import numpy as np
 from levkas.colour.illuminants import illuminant, planck
 from levkas.colour.observer import tables
 from levkas.core.text import TextRefused, read_text
-from levkas.planning.tables import PlanRefused, asked, wrong
+from levkas.planning.tables import PlanRefused, doubtful_unit, value_problem
 from levkas.readers.spectra import are_spectra, parse_spectra
 
 if TYPE_CHECKING:
@@ -126,13 +126,13 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
     Raises
     ------
     PlanRefused
-        Where it says nothing or two things, cannot be read, or cannot be in nanometres.
+        Where it has no source or two, cannot be read, or cannot be in nanometres.
     """
     field = f"spectra.{name}"
     given = [k for k in ("planck_k", "cie", "csv", "transmittance") if getattr(keys, k) is not None]
     if len(given) != 1:
         raise PlanRefused(
-            wrong(
+            value_problem(
                 file, field, "a spectrum is one of planck_k, cie, csv, transmittance",
                 ", ".join(given) or "none of them", "exactly one",
             )
@@ -140,7 +140,9 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
     if keys.planck_k is not None:
         if keys.planck_k < 500:
             raise PlanRefused(
-                asked(file, f"{field}.planck_k", keys.planck_k, "500 to 20,000 K", "mired or kK")
+                doubtful_unit(
+                    file, f"{field}.planck_k", keys.planck_k, "500 to 20,000 K", "mired or kK"
+                )
             )
         return Spectrum(name, planck(GRID, keys.planck_k), (GRID[0], GRID[-1]))
     if keys.transmittance is not None:
@@ -149,7 +151,7 @@ def read_spectrum(name: str, keys: SpectrumKeys, root: Path, *, file: str) -> Sp
         found = illuminant(keys.cie)
         if found is None:
             raise PlanRefused(
-                wrong(
+                value_problem(
                     file, f"{field}.cie", "there is no such illuminant", keys.cie, "A, D50, D65 …"
                 )
             )
@@ -165,7 +167,7 @@ def _column(labels: list[str], wanted: str | None, file: str, field: str) -> int
         return 0
     if wanted not in labels:
         raise PlanRefused(
-            wrong(
+            value_problem(
                 file, f"{field}.column", "no such column", wanted, ", ".join(labels) or "a header"
             )
         )
@@ -201,17 +203,19 @@ def read_table(path: Path, *, field: str, file: str) -> tuple[np.ndarray, np.nda
         raise PlanRefused(*refused.problems) from None
     except ValueError as error:
         raise PlanRefused(
-            wrong(file, field, f"{path.name} is no table of numbers", str(error)[:80], "a CSV")
+            value_problem(
+                file, field, f"{path.name} is no table of numbers", str(error)[:80], "a CSV"
+            )
         ) from None
     filled = ~np.isnan(table).all(axis=0)  # a comma at the end of every row makes no column
     table, labels = table[:, filled], [h for h, f in zip(head, filled, strict=False) if f][1:]
     if not are_spectra(table) or not np.isfinite(table).all() or (table[:, 1:] < 0).any():
         raise PlanRefused(
-            wrong(file, field, f"{path.name} is no table over wavelength", f"{len(table)} rows",
+            value_problem(file, field, f"{path.name} is no table over wavelength", f"{len(table)} rows",
                   "two rows or more of wavelengths, all distinct, and values of 0 or more")
         )  # fmt: skip
     low, high = table[0, 0], table[-1, 0]
     if high < 100 or low > 3000:
         unit = "micrometres" if high < 100 else "ångström"
-        raise PlanRefused(asked(file, field, f"{low:g} to {high:g}", "nanometres", unit))
+        raise PlanRefused(doubtful_unit(file, field, f"{low:g} to {high:g}", "nanometres", unit))
     return table[:, 0], table[:, 1:], labels

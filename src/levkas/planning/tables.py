@@ -154,7 +154,7 @@ class SetupKeys(Table):
 
 
 class StudioCameraKeys(Table):
-    """A camera before the object, its axis along the object's normal unless `place_mm` says else."""
+    """A camera before the object, its axis along the object's normal without `place_mm`."""
 
     pixels: Size
     pitch_um: Positive
@@ -231,7 +231,7 @@ class PlanRefused(Refused):
     """A setup that cannot be planned; every reason is listed."""
 
 
-def wrong(
+def value_problem(
     file: str, field: str, message: str, found: Any = None, expected: Any = None,
     fix: str = EXPLAINED, code: str = "E_VALUE",
 ) -> Problem:  # fmt: skip
@@ -239,10 +239,12 @@ def wrong(
     return Problem(code, message, file, field, _plain(found), expected, fix)
 
 
-def asked(file: str, field: str, found: Any, expected: Any, meant: str, fix: str = "") -> Problem:
-    """Return a question about a unit: the value is possible, but hardly meant.
+def doubtful_unit(
+    file: str, field: str, found: Any, expected: Any, meant: str, fix: str = ""
+) -> Problem:
+    """Return the problem of a value that is possible, but hardly in the right unit.
 
-    >>> print(asked("bench.toml", "cameras.a.focal_mm", 6, "8 to 1,000 mm", "6 cm"))
+    >>> print(doubtful_unit("bench.toml", "cameras.a.focal_mm", 6, "8 to 1,000 mm", "6 cm"))
     is 6 cm meant? (file: bench.toml; field: cameras.a.focal_mm; found: 6; expected: 8 to 1,000 mm). ...
     """
     key = field.rpartition(".")[2]

@@ -15,7 +15,7 @@ from levkas.planning.setup import StudioSetup
 
 
 class LightRecord(dict[str, Any]):
-    """What `levkas plan light` reports; `setup` is the file it was computed from."""
+    """Report of `levkas plan light`; `setup` is the file it was computed from."""
 
     def __init__(self, setup: StudioSetup, **facts: Any) -> None:
         super().__init__(**facts)
@@ -25,7 +25,7 @@ class LightRecord(dict[str, Any]):
 def light_record(
     path: str | Path, name: str | None = None, *, optimised: bool = False, seed: int = 1
 ) -> LightRecord:
-    """Return the plan of one lighting, the others beside it, and the optimum where it is asked for.
+    """Return the plan of one lighting, the others beside it, and the optimum where it is wanted.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def light_text(record: dict[str, Any]) -> str:
 
 
 def _shine_lines(this: dict[str, Any]) -> list[str]:
-    """Return what is said of varnish, gold and relief, each where it is there."""
+    """Return the lines on varnish, gold and relief, each where it is there."""
     shines = []
     if this["varnish"]:
         shines.append(f"varnish shines up to {100 * this['varnish']:.2g} % of white")
@@ -143,7 +143,7 @@ def exposure_record(path: str | Path, name: str | None = None) -> dict[str, Any]
     Raises
     ------
     PlanRefused
-        Where the setup file cannot be planned, or nothing says how strong the light is.
+        Where the setup file cannot be planned, or the strength of the light is not given.
     """
     from levkas.planning.exposure_plan import regulating_filter
 

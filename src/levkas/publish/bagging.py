@@ -82,7 +82,7 @@ def _write_tags(folder: Folder, hashes: dict[str, str], size: int, facts: Public
 
 
 def _info(facts: PublicationFacts, size: int, count: int) -> dict[str, str]:
-    told = {
+    tags = {
         "External-Description": " ".join(facts.description.split()) or facts.title,
         "External-Identifier": facts.doi,
         "Contact-Name": "; ".join(p.name for p in facts.creators),
@@ -90,7 +90,7 @@ def _info(facts: PublicationFacts, size: int, count: int) -> dict[str, str]:
         "Bag-Software-Agent": f"levkas {__version__}",
         "Payload-Oxum": f"{size}.{count}",
     }
-    return {key: value for key, value in told.items() if value}
+    return {key: value for key, value in tags.items() if value}
 
 
 def _encoded(name: str) -> str:

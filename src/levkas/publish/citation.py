@@ -28,10 +28,10 @@ NAME = "CITATION.cff"
 def write_citation(publication: Publication) -> Iterator[str]:
     """Write CITATION.cff."""
     yield NAME
-    publication.write_text(NAME, spell_cff(publication.facts, describe_dataset(publication)))
+    publication.write_text(NAME, format_cff(publication.facts, describe_dataset(publication)))
 
 
-def spell_cff(facts: PublicationFacts, description: str) -> str:
+def format_cff(facts: PublicationFacts, description: str) -> str:
     """Return the file's text: YAML whose values are spelled as JSON, which every YAML reader takes."""
     record: dict[str, Any] = {
         "cff-version": "1.2.0",
@@ -68,19 +68,20 @@ def cite(facts: PublicationFacts) -> str:
     if facts.version:
         parts[-1] += f" (version {facts.version})"
     parts += [facts.publisher] if facts.publisher else []
-    return ". ".join(parts) + ". [Data set]" + (f" {DOI}{facts.doi}" if facts.doi else "")
+    address = DOI + facts.doi if facts.doi else facts.url
+    return f"{'. '.join(parts)}. [Data set] {address}".rstrip()
 
 
 def _author(person: Person) -> dict[str, str]:
     given, family = person.parts
-    told = {"name": person.name} if person.organisation or not given else {}
-    if not told:
-        told = {"family-names": family, "given-names": given}
-    if person.affiliation and "name" not in told:
-        told["affiliation"] = person.affiliation
+    record = {"name": person.name} if person.organisation or not given else {}
+    if not record:
+        record = {"family-names": family, "given-names": given}
+    if person.affiliation and "name" not in record:
+        record["affiliation"] = person.affiliation
     if person.orcid:
-        told["orcid"] = ORCID + person.orcid
-    return told
+        record["orcid"] = ORCID + person.orcid
+    return record
 
 
 def _lines(record: dict[str, Any]) -> Iterator[str]:
@@ -185,8 +186,8 @@ def check_datacite(facts: PublicationFacts) -> tuple[list[Problem], list[Problem
     )
 
 
-def _missing(facts: PublicationFacts, told: dict[str, tuple[Any, str, str]]) -> Iterator[Problem]:
-    for field, (value, message, example) in told.items():
+def _missing(facts: PublicationFacts, wanted: dict[str, tuple[Any, str, str]]) -> Iterator[Problem]:
+    for field, (value, message, example) in wanted.items():
         if not value:
             yield fact_missing(facts, field, message, example)
 
@@ -212,10 +213,10 @@ def _creator(person: Person) -> dict[str, Any]:
 
 
 def _rights(name: str, url: str, spdx: str) -> dict[str, str]:
-    told = {"rights": name, "rightsUri": url}
+    record = {"rights": name, "rightsUri": url}
     if spdx:
-        told |= {"rightsIdentifier": spdx, "rightsIdentifierScheme": "SPDX", "schemeUri": SPDX}
-    return {key: value for key, value in told.items() if value}
+        record |= {"rightsIdentifier": spdx, "rightsIdentifierScheme": "SPDX", "schemeUri": SPDX}
+    return {key: value for key, value in record.items() if value}
 
 
 def _related(address: str) -> dict[str, str]:

@@ -53,7 +53,7 @@ Entity = dict[str, Any]
 
 
 def write_crate(publication: Publication) -> Iterator[str]:
-    """Write ro-crate-metadata.json for all that stands in the folder."""
+    """Write ro-crate-metadata.json for all files of the folder."""
     yield "describing every file"
     publication.write_text(NAME, to_json(describe_crate(publication)))
 
@@ -91,7 +91,7 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
     files = _describe_files(publication, entities)
     _nest(entities, files)
     actions = describe_steps(publication, entities)
-    describe_tools(publication, entities)
+    describe_tools(entities)
     people = [_person(entities, person, i) for i, person in enumerate(facts.creators)]
     root: Entity = {
         "name": facts.title,
@@ -122,14 +122,14 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
         root["contactPoint"] = {"@id": "#contact"}
     for address in facts.related:
         entities.setdefault(address, {"@id": address, "@type": "ScholarlyArticle", "name": address})
-    told = {
+    optional = {
         "citation": [{"@id": address} for address in dict.fromkeys(facts.related)],
         "keywords": ", ".join(facts.keywords),
         "version": facts.version,
         "url": facts.url or publication.url,
         "dateCreated": facts.date,
     }
-    return root | {key: value for key, value in told.items() if value}
+    return root | {key: value for key, value in optional.items() if value}
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ def _nest(entities: dict[str, Entity], files: list[str]) -> None:
 
 
 def _is_top(identifier: str, entities: dict[str, Entity]) -> bool:
-    """Whether an entity is data, and stands in the root folder itself."""
+    """Whether an entity is data, and lies in the root folder itself."""
     data = entities[identifier]["@type"] in ("File", "Dataset")
     return data and "/" not in identifier.rstrip("/") and not identifier.startswith("#")
 
@@ -273,11 +273,11 @@ def describe_steps(publication: Publication, entities: dict[str, Entity]) -> lis
         record = read_json(path)
         for step in record.get("steps", ()):
             actions.append(_step(record, step, entities))
-    actions += _editions(publication, entities)
+    actions += _editions(entities)
     return actions
 
 
-def describe_tools(publication: Publication, entities: dict[str, Entity]) -> None:
+def describe_tools(entities: dict[str, Entity]) -> None:
     """Add this program, and the libraries whose version may be in the numbers."""
     program: Entity = {
         "@id": _program(__version__),
@@ -343,7 +343,7 @@ def _parameter(entities: dict[str, Entity], name: str, value: Any) -> Entity:
     )
 
 
-def _editions(publication: Publication, entities: dict[str, Entity]) -> list[Entity]:
+def _editions(entities: dict[str, Entity]) -> list[Entity]:
     """The medium edition and the tiles, where they are there."""
     from levkas.publish.publication import MEDIUM
 

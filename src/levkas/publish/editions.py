@@ -70,7 +70,7 @@ def write_medium(publication: Publication) -> Iterator[str]:
 
 
 def seal_medium(publication: Publication) -> Iterator[str]:
-    """Write the manifest of the medium edition, where it stands in a folder of its own."""
+    """Write the manifest of the medium edition, where it has a folder of its own."""
     from levkas.database.manifest import write_manifest
 
     if publication.editions == "both":
@@ -107,7 +107,7 @@ def shrink(source: Path, size: tuple[int, int]) -> Cube:
     Parameters
     ----------
     source : Path
-        The layer's TIFF; flags and sigma stand beside it.
+        The layer's TIFF; flags and sigma lie beside it.
     size : (width, height)
 
     Returns
@@ -187,15 +187,15 @@ def centroids_of(path: Path) -> dict[str, float]:
     from levkas.database.tiff_pages import open_pages
 
     pages = open_pages(path)
-    told = next((tag for tag in pages.tags(WAVELENGTHS) if tag is not None), ())
-    centres, bands = np.atleast_1d(np.asarray(told, float)).tolist(), describe_pages(pages).bands
+    values = next((tag for tag in pages.tags(WAVELENGTHS) if tag is not None), ())
+    centres, bands = np.atleast_1d(np.asarray(values, float)).tolist(), describe_pages(pages).bands
     if len(centres) != len(bands) or centres == list(range(len(bands))):
         return {}
     return {b.label: c for b, c in zip(bands, centres, strict=True) if math.isnan(b.wavelength)}
 
 
 def credits_of(path: Path) -> Credits:
-    """Return what a TIFF's own tags say of who and what, to hand it on."""
+    """Return title, maker, date and rights from a TIFF's tags."""
     import tifffile
 
     from levkas.database.credits import Credits
@@ -248,7 +248,7 @@ def _copy(publication: Publication, root: Path, name: str) -> None:
 
 
 def _check(publication: Publication, path: Path) -> None:
-    """Refuse a file that is not what was built, and what stands beside a layer with it."""
+    """Refuse a file that is not what was built, and flags and sigma beside a layer."""
     for beside in (path, *(path.with_name(f"{path.stem}.{k}.tif") for k in ("flags", "sigma"))):
         name = beside.relative_to(publication.source).as_posix()
         listed = publication.manifest.files.get(name)
@@ -266,7 +266,7 @@ def write_content(publication: Publication) -> Iterator[str]:
     Raises
     ------
     PublishRefused
-        Where files are missing or are not what the manifest says: all of them, at most ten.
+        Where files are missing or differ from the manifest: all of them, at most ten.
     """
     if publication.editions == "medium":
         return

@@ -200,7 +200,7 @@ def _thumbnail(image: dict[str, Any]) -> dict[str, Any]:
 
 
 def _metadata(facts: dict[str, Any], layers: list[Entry]) -> list[dict[str, Any]]:
-    told = {
+    pairs = {
         "By": facts.get("creator"),
         "Date": facts.get("date"),
         "Medium": facts.get("medium"),
@@ -210,23 +210,23 @@ def _metadata(facts: dict[str, Any], layers: list[Entry]) -> list[dict[str, Any]
         "Layers": ", ".join(e.layer.name for e in layers),
     }
     if not facts.get("size_mm"):
-        told.pop("Size")
+        pairs.pop("Size")
     return [
         {"label": {LANGUAGE: [label]}, "value": {"none": [never_html(str(value))]}}
-        for label, value in told.items()
+        for label, value in pairs.items()
         if value
     ]
 
 
 def _rights(publication: Publication) -> dict[str, Any]:
-    """The licence: Creative Commons' by its address, which IIIF wants without its s."""
+    """The licence: Creative Commons' by its address, which IIIF has without its s."""
     licence = publication.facts.licence
     if licence is None:
         return {}
     if licence.spdx:
         return {"rights": licence.url.replace("https://", "http://")}
-    told = {"label": {LANGUAGE: ["Licence"]}, "value": {"none": [never_html(licence.name)]}}
-    return {"requiredStatement": told}
+    entry = {"label": {LANGUAGE: ["Licence"]}, "value": {"none": [never_html(licence.name)]}}
+    return {"requiredStatement": entry}
 
 
 TILE = 512
@@ -301,7 +301,7 @@ def address(base: str, *parts: str) -> str:
 
 
 def _info(record: dict[str, Any], identifier: str, sizes: list[tuple[int, int]]) -> dict[str, Any]:
-    """What a viewer must know, in a fixed order; libvips tells the tiles that it made."""
+    """Return info.json in a fixed order, with the tiles that libvips made."""
     return {
         "@context": IMAGE_CONTEXT,
         "id": identifier,

@@ -90,7 +90,7 @@ ORGANISATIONS = frozenset(
 
 @dataclass(frozen=True)
 class Person:
-    """Who made the database: a person, or an organisation where `organisation` says so."""
+    """A maker of the database: a person, or an organisation."""
 
     name: str
     orcid: str = ""
@@ -128,9 +128,9 @@ class Licence:
 
 @dataclass(frozen=True)
 class PublicationFacts:
-    """What is known of a database as a whole; what is not is empty.
+    """Facts of a database as a whole; unknown ones are empty.
 
-    `file` is where a person may mend them. `cameras`, `setups` and `objects` hold the tables of
+    `file` is where they are declared. `cameras`, `setups` and `objects` hold the tables of
     database.toml and object.toml by name.
     """
 
@@ -159,13 +159,8 @@ class PublicationFacts:
         return self.published[:4]
 
 
-def read_facts(database: str | Path, *, file: str | None = None) -> PublicationFacts:
+def read_facts(database: str | Path) -> PublicationFacts:
     """Read database.toml and every object.toml of a database; what is not there is empty.
-
-    Parameters
-    ----------
-    file : str, optional
-        Where a person may mend the facts, where it is not database.toml itself: the campaign's file.
 
     Raises
     ------
@@ -175,15 +170,15 @@ def read_facts(database: str | Path, *, file: str | None = None) -> PublicationF
     root = Path(database)
     record = _toml(root / NAME)
     objects = {path.parent.name: _toml(path) for path in sorted(root.glob("objects/*/object.toml"))}
-    return facts_of(record, file=file or str(root / NAME), objects=objects)
+    return facts_of(record, file=str(root / NAME), objects=objects)
 
 
 def facts_of(
     record: dict[str, Any], *, file: str, objects: dict[str, dict[str, Any]]
 ) -> PublicationFacts:
     """Return the facts of a record as database.toml has it."""
-    told = record.get("publication", {})
-    creators = [_person(c) for c in told.get("creators") or [record.get("creator", "")]]
+    publication = record.get("publication", {})
+    creators = [_person(c) for c in publication.get("creators") or [record.get("creator", "")]]
     reference = record.get("reference", {})
     return PublicationFacts(
         file=file,
@@ -191,15 +186,15 @@ def facts_of(
         creators=tuple(c for c in creators if c.name),
         licence=licence_of(record.get("licence", "")),
         date=str(record.get("date", "")),
-        published=str(told.get("date") or record.get("date") or ""),
-        publisher=_line(told.get("publisher", "")),
-        doi=str(told.get("doi", "")).removeprefix(DOI),
-        version=_line(told.get("version", "")),
-        url=_line(told.get("url", "")),
-        description=_text(told.get("description", "")),
-        keywords=tuple(_line(k) for k in told.get("keywords", ())),
-        contact=_line(told.get("contact", "")),
-        related=tuple(_line(r) for r in told.get("related", ())),
+        published=str(publication.get("date") or record.get("date") or ""),
+        publisher=_line(publication.get("publisher", "")),
+        doi=str(publication.get("doi", "")).removeprefix(DOI),
+        version=_line(publication.get("version", "")),
+        url=_line(publication.get("url", "")),
+        description=_text(publication.get("description", "")),
+        keywords=tuple(_line(k) for k in publication.get("keywords", ())),
+        contact=_line(publication.get("contact", "")),
+        related=tuple(_line(r) for r in publication.get("related", ())),
         reference=":".join(str(reference[k]) for k in ("camera", "band") if reference.get(k)),
         cameras=dict(record.get("cameras", {})),
         setups=dict(record.get("setups", {})),
@@ -208,7 +203,7 @@ def facts_of(
 
 
 def licence_of(text: str) -> Licence | None:
-    """Return what a licence's identifier, address or name stands for; None for an empty one.
+    """Return the licence of an identifier, address or name; None for an empty one.
 
     Examples
     --------
@@ -230,7 +225,7 @@ def licence_of(text: str) -> Licence | None:
 
 def missing_facts(facts: PublicationFacts) -> list[Problem]:
     """Return what must be known before anything is published: title, creator, licence and date."""
-    told = {
+    required = {
         "campaign.title": (facts.title, "the database has no title", '"Icons of Levkas"'),
         "campaign.creator": (
             facts.creators,
@@ -250,7 +245,7 @@ def missing_facts(facts: PublicationFacts) -> list[Problem]:
     }
     return [
         fact_missing(facts, field, message, example)
-        for field, (value, message, example) in told.items()
+        for field, (value, message, example) in required.items()
         if not value
     ]
 
@@ -281,15 +276,16 @@ def is_organisation(name: str) -> bool:
     return plain or any(w.lower() in ORGANISATIONS or w.isdigit() for w in words)
 
 
-def _person(told: Any) -> Person:
-    if isinstance(told, str):
-        told = {"name": told}
-    name = _line(told.get("name", ""))
+def _person(record: Any) -> Person:
+    if isinstance(record, str):
+        record = {"name": record}
+    name = _line(record.get("name", ""))
     return Person(
         name,
-        str(told.get("orcid", "")).removeprefix(ORCID),
-        _line(told.get("affiliation", "")),
-        bool(told.get("organisation", False)) or (not told.get("orcid") and is_organisation(name)),
+        str(record.get("orcid", "")).removeprefix(ORCID),
+        _line(record.get("affiliation", "")),
+        bool(record.get("organisation", False))
+        or (not record.get("orcid") and is_organisation(name)),
     )
 
 

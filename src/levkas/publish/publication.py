@@ -41,7 +41,7 @@ class Publication:
     manifest : Manifest
         Of the database.
     out : Folder
-        Where the publication stands while it is made; it takes its name when it is whole.
+        Where the publication is made; it takes its name when it is whole.
     facts : PublicationFacts
         Who, what, under which licence.
     editions : "full", "medium" or "both"
@@ -153,7 +153,7 @@ def require_ours(folder: Path, kind: Kind, *, fix: str) -> None:
     Raises
     ------
     WriteRefused
-        ``E_UNWRITABLE`` with what stands there.
+        ``E_UNWRITABLE`` with what is there.
     """
     require_outside(folder, fix=fix)
     found = stands_in(folder)

@@ -41,10 +41,10 @@ def write_readme(publication: Publication) -> Iterator[str]:
     yield NAME
     for root in publication.roots.values():
         place = root.relative_to(publication.folder)
-        publication.write_text((place / NAME).as_posix(), spell_readme(publication, root))
+        publication.write_text((place / NAME).as_posix(), format_readme(publication, root))
 
 
-def spell_readme(publication: Publication, root: Path) -> str:
+def format_readme(publication: Publication, root: Path) -> str:
     """Return the text of README.md of one edition."""
     from levkas.database.catalogue import read_catalogue
 

@@ -73,7 +73,7 @@ class PublishReport:
 
     @property
     def text(self) -> str:
-        """What a person wants to know."""
+        """Report for people."""
         text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
         return text + (f"\nBag, checked: {self.bag}" if self.bag else "")
 
@@ -102,7 +102,7 @@ class CheckReport:
 
     @property
     def text(self) -> str:
-        """What a person wants to know."""
+        """Report for people."""
         lines = [f"Advised: {problem}" for problem in self.advice]
         end = "Nothing that is required is missing." if self.ok else ""
         count = len(self.problems)
@@ -115,12 +115,12 @@ class CheckReport:
 
 
 def check(path: str | Path) -> CheckReport:
-    """Say what is missing before a database can be published and get a DOI; nothing is written.
+    """Check what is missing before a database can be published and get a DOI; nothing is written.
 
     Parameters
     ----------
     path : path
-        A database, or its campaign, which need not have been built since its facts were mended.
+        A database, or its campaign, which need not have been built since its facts were changed.
 
     Returns
     -------
@@ -142,13 +142,13 @@ def check(path: str | Path) -> CheckReport:
 
 
 def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
-    """Tell a campaign from a database.
+    """Find the database of a campaign, or take a path as a database.
 
     Parameters
     ----------
     path : path
     fresh : bool
-        Whether the database must be what its campaign says now.
+        Whether the database must be up to date with its campaign.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def publish(
 
 
 def facts_of_subject(subject: PublishSubject) -> PublicationFacts:
-    """Return the facts of a database, as its campaign says them now where that is known."""
+    """Return the facts of a database, as its campaign declares them now where that is known."""
     facts = read_facts(subject.database)
     if subject.campaign is None:
         return facts

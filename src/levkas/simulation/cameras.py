@@ -187,9 +187,9 @@ def _tuned(
     )  # fmt: skip
 
 
-def _ccd(gain: float, *, dark: float, prnu: float = 0.012, read: float = 6.0) -> Sensor:
+def _ccd(gain: float, *, dark: float) -> Sensor:
     black = 60.0
-    return Sensor(dark, read, prnu, 0.019, gain, black, 12, (4095 - black) / gain * 1.02)
+    return Sensor(dark, 6.0, 0.012, 0.019, gain, black, 12, (4095 - black) / gain * 1.02)
 
 
 def camera_models(*, thin: bool = False) -> dict[str, CameraModel]:
@@ -306,7 +306,7 @@ def _lamp_light() -> np.ndarray:
 
 
 def silicon() -> np.ndarray:
-    """Quantum efficiency of a CCD."""
+    """Return the quantum efficiency of a CCD."""
     return (0.25 + 0.75 * bell(560, 130)) / (1 + np.exp((WAVELENGTHS - 935) / 40))
 
 

@@ -14,11 +14,11 @@ from levkas.core.ownership import require_outside, stands_in
 from levkas.simulation.cameras import BandModel, CameraModel, camera_models, response_table
 from levkas.simulation.capture import (
     WHITE_REFLECTANCE,
-    Sight,
+    PaintingView,
     SimulatedCamera,
     SimulatedFrame,
     key,
-    look,
+    view_painting,
 )
 from levkas.simulation.icon import paint_icon
 from levkas.simulation.optics import Viewpoint, turn
@@ -135,7 +135,7 @@ def simulate_campaign(
         write_tables(aside, models)
         write_campaign_toml(
             aside, models, session.panels,
-            reference=REFERENCE, chart=CHART if chosen.charts else None,
+            chart=CHART if chosen.charts else None,
             setup=SETUP if under_lamp else None, upright=grid,
         )  # fmt: skip
     yield Simulated(
@@ -275,14 +275,16 @@ class SimulatedSession:
                 by_factor[factor] = painting.reduced(factor)
             seen, view = by_factor[factor], self.views[name][camera.model.name]
             lattice = tabulate(view, panel)
-            sight = look(camera.model, view, panel, seen, lattice=lattice)
+            sight = view_painting(camera.model, view, panel, seen, lattice=lattice)
             yield from self._take(writer, camera, name, sight)
             if under_lamp is not None and camera.model.name == under_lamp.model.name:
-                glared = look(camera.model, view, panel, seen, setup=SETUP[0], lattice=lattice)
+                glared = view_painting(
+                    camera.model, view, panel, seen, setup=SETUP[0], lattice=lattice
+                )
                 yield from self._take(writer, under_lamp, name, glared)
 
     def _take(
-        self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: Sight | None
+        self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: PaintingView | None
     ) -> Iterator[SimulationStep]:
         name, first = camera.model.name, self.done
         one_file_a_band = camera.model.kind in ("bands", "cube")
@@ -394,7 +396,6 @@ def write_campaign_toml(
     models: Mapping[str, CameraModel],
     panels: Mapping[str, Panel],
     *,
-    reference: tuple[str, str],
     chart: str | None,
     setup: tuple[str, str] | None,
     upright: bool,
@@ -403,7 +404,7 @@ def write_campaign_toml(
     parts = [
         '[campaign]\ntitle = "A simulated campaign"\ncreator = "levkas simulate"\n'
         'date = "2019"\nlicence = "CC0-1.0"\n'
-        f'reference = {{ camera = "{reference[0]}", band = "{reference[1]}" }}\n'
+        f'reference = {{ camera = "{REFERENCE[0]}", band = "{REFERENCE[1]}" }}\n'
     ]
     if upright:
         parts.append(

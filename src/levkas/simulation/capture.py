@@ -39,7 +39,7 @@ class SimulatedFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class PaintingView:
     """A painting before a camera: what `reflectance` needs, tabulated once for all bands."""
 
     camera: CameraModel
@@ -70,7 +70,7 @@ class Sight:
         )
 
 
-def look(
+def view_painting(
     camera: CameraModel,
     view: Viewpoint,
     panel: Panel,
@@ -78,10 +78,10 @@ def look(
     *,
     setup: str | None = None,
     lattice: RayLattice | None = None,
-) -> Sight:
+) -> PaintingView:
     """Put a painting before a camera, under a setup of `lighting.SETUPS` or the camera's own."""
     lit = light(painting, panel, view, SETUPS[setup or camera.setup])
-    return Sight(camera, view, panel, painting, lit, lattice or tabulate(view, panel))
+    return PaintingView(camera, view, panel, painting, lit, lattice or tabulate(view, panel))
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ class SimulatedCamera:
         return self._patterns[sensor.name]
 
     def shoot(
-        self, target: str, sight: Sight | None, *, white: bool = False
+        self, target: str, sight: PaintingView | None, *, white: bool = False
     ) -> Iterator[SimulatedFrame]:
         """Yield the frames of an object or chart (`sight`), of the white board, or of the dark.
 
@@ -168,7 +168,7 @@ class SimulatedCamera:
                 yield from self._frames(target, sensor, "", exposure, sight, white)
 
     def _exposure(
-        self, band: BandModel, sensor: SensorModel, sight: Sight | None, white: bool
+        self, band: BandModel, sensor: SensorModel, sight: PaintingView | None, white: bool
     ) -> np.ndarray:
         if sight is not None:
             seen = sight.reflectance(band, sensor, supersampling=self.supersampling)
@@ -177,7 +177,7 @@ class SimulatedCamera:
             return self.electrons(band, sensor) * np.float32(WHITE_REFLECTANCE)
         return np.zeros_like(self.illumination)
 
-    def _mosaic(self, sensor: SensorModel, sight: Sight | None, white: bool) -> np.ndarray:
+    def _mosaic(self, sensor: SensorModel, sight: PaintingView | None, white: bool) -> np.ndarray:
         bands = [self.model.bands[i] for i in sensor.bands]
         if sensor.pattern is None:
             return self._exposure(bands[0], sensor, sight, white)
@@ -198,7 +198,7 @@ class SimulatedCamera:
         sensor: SensorModel,
         band: str,
         exposure: np.ndarray,
-        sight: Sight | None,
+        sight: PaintingView | None,
         white: bool,
     ) -> Iterator[SimulatedFrame]:
         m = self.model
@@ -239,7 +239,7 @@ class FixedPattern:
 
 
 def key(root: int, *names: str) -> np.ndarray:
-    """Return the key, uint64 (1,), of a thing that is told apart by `names`."""
+    """Return the key, uint64 (1,), of whatever has these `names`."""
     parts = [crc32(name.encode()) for name in names]
     return np.random.SeedSequence([root, *parts]).generate_state(1, np.uint64)
 

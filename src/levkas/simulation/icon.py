@@ -220,7 +220,7 @@ def _paint_standing(canvas: Canvas, inset: float, pairs: list[Pair], count: int)
 
 
 def _paint_assist(canvas: Canvas, mantle: np.ndarray, saint: Saint, side: int) -> None:
-    """Lay the fine gold lines that stand for divine light on a garment."""
+    """Lay the fine gold lines that show divine light on a garment."""
     rng = canvas.rng.spawn(1)[0]
     lines = []
     for _ in range(26):

@@ -37,7 +37,7 @@ class SimulatedLamp:
     power: float = 1.0
 
     def place(self) -> np.ndarray:
-        """Return where it stands in the world, mm, (3,)."""
+        """Return its place in the world, mm, (3,)."""
         e, a = np.radians(self.elevation), np.radians(self.azimuth)
         return self.distance_mm * np.array(
             [np.sin(e) * np.cos(a), np.sin(e) * np.sin(a), -np.cos(e)]

@@ -211,6 +211,6 @@ def base_to_panel(points: np.ndarray, view: Viewpoint, panel: Panel) -> np.ndarr
     """Return the panel points (n, 2) = (s, t) mm that base pixels see first.
 
     Beyond its edges the panel is continued, so that a picture's edge is interpolated like the
-    rest; `Panel.contains` tells. NaN where a ray misses even that.
+    rest; `Panel.contains` returns which. NaN where a ray misses even that.
     """
     return rays.cast(np.ascontiguousarray(points, float), view.vector(), panel.vector())

@@ -159,9 +159,9 @@ class Canvas:
         """Paint strokes, (n, 3) mm."""
         self.lay(self.lines(strokes), paint, opacity, within=within, relief=relief)
 
-    def sketch(self, strokes: Iterable[np.ndarray], opacity: float = 0.8) -> None:
+    def sketch(self, strokes: Iterable[np.ndarray]) -> None:
         """Draw below the paint, with carbon black."""
-        mask = (self.lines(strokes) * opacity).astype(np.uint8)
+        mask = (self.lines(strokes) * 0.8).astype(np.uint8)
         np.maximum(self.underdrawing, mask, out=self.underdrawing)
 
     def vary(
@@ -295,11 +295,9 @@ def curve(points: ArrayLike, *, count: int = 24, closed: bool = False) -> np.nda
     return np.vstack([*parts, p[-2:-1]])
 
 
-def ellipse(
-    centre: ArrayLike, rx: float, ry: float | None = None, *, count: int = 96
-) -> np.ndarray:
-    """Return the closed outline of an ellipse about `centre`, (count + 1, 2); a circle without `ry`."""
-    a = np.linspace(0, 2 * np.pi, count + 1)
+def ellipse(centre: ArrayLike, rx: float, ry: float | None = None) -> np.ndarray:
+    """Return the closed outline of an ellipse about `centre`, (97, 2); a circle without `ry`."""
+    a = np.linspace(0, 2 * np.pi, 97)
     return np.asarray(centre) + np.stack(
         [rx * np.cos(a), (rx if ry is None else ry) * np.sin(a)], 1
     )
@@ -428,7 +426,7 @@ def _draw(mask: np.ndarray, segments: np.ndarray) -> None:
 
 @njit(cache=True)
 def blend(amounts: np.ndarray, mask: np.ndarray, paint: int, opacity: float) -> None:
-    """Lay `paint` over what is there, where and as far as `mask` (uint8) says."""
+    """Lay `paint` over what is there, as far as `mask` (uint8) covers it."""
     for i in range(mask.shape[0]):
         for j in range(mask.shape[1]):
             m = mask[i, j] * opacity / 255.0

@@ -24,7 +24,7 @@ WAVELENGTHS = np.arange(380.0, 1021.0, 2.0)
 
 
 class LibraryRefused(Refused):
-    """A spectral library that cannot be read, or lacks a pigment that was asked for."""
+    """A spectral library that cannot be read, or lacks a pigment."""
 
 
 @dataclass(frozen=True)

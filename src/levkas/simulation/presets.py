@@ -13,14 +13,14 @@ REFERENCE = ("lctf-vis", "550 nm")
 
 @dataclass(frozen=True)
 class Preset:
-    """How a campaign is made.
+    """Size, content and difficulty of a campaign.
 
     Parameters
     ----------
     scale : float
         Pixels a side over those of the real cameras.
     thin : bool
-        Fewer bands, shots and templates, as `cameras.camera_models` says.
+        Fewer bands, shots and templates, as in `cameras.camera_models`.
     charts : bool
         A colour chart before every camera.
     supersampling : int
@@ -70,7 +70,7 @@ PRESETS: dict[str, Preset] = {
 
 
 class SimulationRefused(Refused):
-    """A campaign that cannot be simulated as it was asked for."""
+    """Options under which no campaign can be simulated."""
 
 
 def refusal(message: str, field: str, found: object, expected: str) -> SimulationRefused:

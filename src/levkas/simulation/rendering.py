@@ -52,16 +52,16 @@ class RayLattice:
     panel: Panel
 
 
-def tabulate(view: Viewpoint, panel: Panel, *, pad: int = PAD) -> RayLattice:
+def tabulate(view: Viewpoint, panel: Panel) -> RayLattice:
     """Return the lattice of a view.
 
     Linear interpolation between its nodes is exact to 1e-4 px where the relief is smooth.
-    Pixels displaced by more than `pad` from the base frame are looked up at its rim.
+    Pixels displaced by more than `PAD` from the base frame are looked up at its rim.
     """
-    xs = np.arange(-pad, view.width + pad + 1.0)
-    points = np.empty((view.height + 2 * pad + 1, len(xs), 2), np.float32)
+    xs = np.arange(-PAD, view.width + PAD + 1.0)
+    points = np.empty((view.height + 2 * PAD + 1, len(xs), 2), np.float32)
     for top in range(0, len(points), 256):
-        ys = np.arange(top, min(top + 256, len(points))) - float(pad)
+        ys = np.arange(top, min(top + 256, len(points))) - float(PAD)
         block = np.stack(np.meshgrid(xs, ys), -1).reshape(-1, 2)
         points[top : top + 256] = base_to_panel(block, view, panel).reshape(len(ys), len(xs), 2)
     return RayLattice(points, view, panel)

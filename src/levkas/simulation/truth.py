@@ -186,10 +186,10 @@ class SimulatedTruth:
             points = points[np.isfinite(self.map(points, other, name=name)).all(1)]
         return points
 
-    def save(self, folder: Path, *, names: list[str] | None = None) -> None:
+    def save(self, folder: Path) -> None:
         """Write `truth.json` and the point files of CONTRACT.md, last section, into `folder`."""
         write_json(folder / "truth.json", self.to_dict())
-        for name in names or list(self.panels):
+        for name in self.panels:
             points = self.grid(name=name)
             rows = {c: self.rows(points, c, name=name) for c in self.cameras}
             seen = np.all([np.isfinite(r).all((0, 2)) for r in rows.values()], axis=0)

@@ -1,7 +1,7 @@
 """Answers to the screen after each change: columns, statistics, the trace.
 
-Thousands of pairs are told with every edit, so that columns may travel as they stand in memory: little-endian
-numbers behind a JSON text that says where each begins, words by their number.
+Thousands of pairs travel with every edit. Columns are sent as they are in memory: little-endian numbers
+behind a JSON text with the place of each, words by their number.
 """
 
 from __future__ import annotations
@@ -31,46 +31,43 @@ MOST_OF_A_BYTE = 256
 BY_HAND = {mark: kind for kind, mark in MARKS.items()}
 
 
-def describe(
-    session: CorrectionSession, known: str = "", *, packed: bool = False
-) -> dict[str, Any]:
-    """Return everything that a screen shows of the pairs, JSON-ready and short.
+def describe(session: CorrectionSession, known: str = "") -> dict[str, Any]:
+    """Return everything that a screen shows of the pairs; long columns are arrays, as `to_bytes` takes them.
 
     Parameters
     ----------
     session : CorrectionSession
     known : str
-        What `places` said when the screen was last told them: ``pairs`` is None where they are the same.
-    packed : bool
-        Whether long columns are arrays, as `to_bytes` takes them, rather than lists.
+        `places` of the last answer that held pairs: ``pairs`` is None where they are the same.
 
     Returns
     -------
-    told : dict
+    answer : dict
         Columns are of one length; ``trace.models`` holds the polynomial of some rounds, so that a
         screen can draw any moment of the removal itself. ``hand`` is what a person did to a pair: a key
         of `MARKS`, or empty.
     """
     view = session.view
     matches = _without_residuals(view.matches)
-    numbers, words = (_array, number_words) if packed else (_list, _words)
     pairs = np.round(np.hstack([matches.reference, matches.target]), 3)
     places = sha256(pairs.tobytes()).hexdigest()[:16]
     return {
         "version": session.version,
         "drawn": session.drawn,
         "places": places,
-        "pairs": None if places == known else numbers(pairs, "f8"),
-        "residual": numbers(np.round(matches.residual, 3), "f4"),
-        "leave_one_out": numbers(np.round(matches.leave_one_out, 3), "f4"),
-        "weight": numbers(np.round(matches.weight, 3), "f4"),
-        "state": words(matches.state),
-        "hand": words(np.array([BY_HAND.get(r, "") for r in matches.reason.tolist()], object)),
-        "reason": words(matches.reason),
-        "round": numbers(matches.round, "i4"),
+        "pairs": None if places == known else _array(pairs, "f8"),
+        "residual": _array(np.round(matches.residual, 3), "f4"),
+        "leave_one_out": _array(np.round(matches.leave_one_out, 3), "f4"),
+        "weight": _array(np.round(matches.weight, 3), "f4"),
+        "state": number_words(matches.state),
+        "hand": number_words(
+            np.array([BY_HAND.get(r, "") for r in matches.reason.tolist()], object)
+        ),
+        "reason": number_words(matches.reason),
+        "round": _array(matches.round, "i4"),
         "summary": _summary(matches, matches.kept),
         "refusal": view.refusal,
-        "trace": None if view.cleaned is None else _trace(view.cleaned, numbers),
+        "trace": None if view.cleaned is None else _trace(view.cleaned),
         "reject": session.edits.reject or session.found.reject or reject_of(session.found.size),
         "stop": session.edits.stop or session.found.stop,
         "overridden": {k: getattr(session.edits, k) is not None for k in ("reject", "stop")},
@@ -80,7 +77,7 @@ def describe(
     }
 
 
-def to_bytes(told: dict[str, Any]) -> bytes:
+def to_bytes(answer: dict[str, Any]) -> bytes:
     """Return an answer with arrays in it as one body.
 
     Four bytes, little-endian, hold the length of a JSON text; arrays in it are ``{"kind", "shape", "at"}``, and
@@ -101,7 +98,7 @@ def to_bytes(told: dict[str, Any]) -> bytes:
         length += len(data) + len(parts[-1])
         return {"kind": values.dtype.str[1:], "shape": list(values.shape), "at": at}
 
-    text = json.dumps(told, default=place, allow_nan=False, separators=(",", ":")).encode()
+    text = json.dumps(answer, default=place, allow_nan=False, separators=(",", ":")).encode()
     text += b" " * (-(4 + len(text)) % ALIGNED)
     return b"".join((len(text).to_bytes(4, "little"), text, *parts))
 
@@ -114,12 +111,12 @@ def from_bytes(body: bytes) -> dict[str, Any]:
     """
     start = 4 + int.from_bytes(body[:4], "little")
 
-    def column(told: dict[str, Any]) -> Any:
-        if set(told) != {"kind", "shape", "at"}:
-            return told
-        count = int(np.prod(told["shape"]))
-        values = np.frombuffer(body, f"<{told['kind']}", count, start + told["at"])
-        return values.reshape(told["shape"])
+    def column(record: dict[str, Any]) -> Any:
+        if set(record) != {"kind", "shape", "at"}:
+            return record
+        count = int(np.prod(record["shape"]))
+        values = np.frombuffer(body, f"<{record['kind']}", count, start + record["at"])
+        return values.reshape(record["shape"])
 
     return dict(json.loads(body[4:start], object_hook=column))
 
@@ -139,16 +136,6 @@ def number_words(words: np.ndarray) -> dict[str, Any]:
 
 def _array(values: np.ndarray, kind: str) -> np.ndarray:
     return np.ascontiguousarray(values, f"<{kind}")
-
-
-def _list(values: np.ndarray, kind: str) -> list[Any]:
-    if values.ndim > 1 or np.isfinite(values).all():
-        return list(values.tolist())
-    return [v if v == v and abs(v) != np.inf else None for v in values.tolist()]
-
-
-def _words(words: np.ndarray) -> list[str]:
-    return list(words.tolist())
 
 
 def _without_residuals(matches: Matches) -> Matches:
@@ -183,22 +170,22 @@ def _summary(matches: Matches, kept: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _trace(cleaned: Cleaned, numbers: Callable[[np.ndarray, str], Any]) -> dict[str, Any]:
+def _trace(cleaned: Cleaned) -> dict[str, Any]:
     trace = cleaned.trace
     last = trace.rounds - 1
     chosen = np.unique(np.linspace(0, last, min(SAMPLED_ROUNDS, last + 1)).round().astype(int))
     model = cleaned.model
     # Numbers on coordinates that are centred and scaled: five decimals are a hundredth of what is drawn.
     return {
-        "largest": numbers(np.round(trace.largest, 3), "f4"),
-        "removed": numbers(trace.removed, "i4"),
+        "largest": _array(np.round(trace.largest, 3), "f4"),
+        "removed": _array(trace.removed, "i4"),
         "cut": int((~trace.kept_at(0)).sum()),
         "scale": _affine(trace.scale),
         "order": model.order,
         "centre": [float(v) for v in model.centre],
         "spread": float(model.spread),
         "rounds": chosen.tolist(),
-        "models": numbers(np.round(cleaned.models[chosen], 5), "f4"),
+        "models": _array(np.round(cleaned.models[chosen], 5), "f4"),
         "size": list(trace.size),
     }
 

@@ -11,11 +11,13 @@ from levkas.registration.window_matching import peak_offset
 from levkas.workbench.pictures import ShownPicture
 
 HALF_PX = 16
+"""Half a side of the compared patch, px of the coarser picture."""
+"""Half a side of the compared patch, px of the coarser picture."""
 REACH_PX = 12
 POLISHES = 3
 CLEARLY = 0.15
 SURE = 0.6
-"""A score from which a place may be believed without looking."""
+"""Score from which a place needs no look by the user."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,6 @@ def find_partner(
     point: np.ndarray,
     *,
     reach: float = REACH_PX,
-    half: int = HALF_PX,
 ) -> Correlated:
     """Return where `point` of the reference lies in the target: the map's answer, then refined.
 
@@ -55,8 +56,6 @@ def find_partner(
     point : ndarray, (2,), reference px
     reach : float, reference px
         How far the map may be off.
-    half : int
-        Half a side of what is compared, in px of the coarser picture.
 
     Returns
     -------
@@ -75,7 +74,7 @@ def find_partner(
         return nothing
     scale = float(np.sqrt(abs(np.linalg.det(slope))))
     step = max(1.0, 1.0 / max(scale, 1e-3))
-    patch, known = reference.sample(_grid(point, half, step), step)
+    patch, known = reference.sample(_grid(point, HALF_PX, step), step)
     if known.mean() < 0.9 or patch.std() < 1:
         return nothing
     # Pictures are shown by the root of their values; edges lie where they lie in the values themselves.
@@ -83,7 +82,7 @@ def find_partner(
     total, score = np.zeros(2), 0.0
     # Peaks between px lean towards whole ones: compared again from where it was found, they do not.
     for extra in (int(np.ceil(reach / step)), *[2] * POLISHES):
-        around = _grid(total, half + extra, step)
+        around = _grid(total, HALF_PX + extra, step)
         # Near one place the map is its slope: an exact one would cost an inversion a pixel.
         window, seen = target.sample(start + around @ slope.T, step * scale)
         if seen.mean() < 0.6 or window.std() < 1:

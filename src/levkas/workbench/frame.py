@@ -17,7 +17,7 @@ from levkas.geometry.transforms import Inverse, Transform
 from levkas.workbench import pictures
 from levkas.workbench.correlation import REACH_PX, SURE, Correlated, find_partner
 from levkas.workbench.pictures import ShownPicture, encode, tinted, warped_tile
-from levkas.workbench.session import look, refused
+from levkas.workbench.session import apply_corrections, refused
 
 if TYPE_CHECKING:
     from levkas.campaign.discovery.captures import Capture, SensorFrames
@@ -42,7 +42,7 @@ class RegistrationView:
         registration/CAMERA.json of either camera.
     session : CorrectionSession
     band, reference_band : str
-        Whose pictures are shown where nobody asks for others.
+        Shown unless others are chosen.
     read : callable, (capture, band) → Picture
     read_flags : callable, (capture, band) → ndarray, (h, w), uint8
     """
@@ -134,14 +134,14 @@ class RegistrationView:
             return self.built if which == "built" and self.built else self.session.view.forward
 
     def attempt(self, pair: list[float], to: list[float] | None = None) -> dict[str, Any]:
-        """Say what the map would be with one pair more, or elsewhere; nothing is changed.
+        """Try what the map would be with one pair more, or elsewhere; nothing is changed.
 
         Raises
         ------
         OperationRefused
         """
         edits = self.session.changed("move" if to else "add", pair, to)
-        self.trial, self.trials = look(self.session.found, edits), self.trials + 1
+        self.trial, self.trials = apply_corrections(self.session.found, edits), self.trials + 1
         kept = self.trial.matches.residual[self.trial.matches.kept]
         good = kept[np.isfinite(kept)]
         mean = round(float(good.mean()), 4) if len(good) else None
@@ -191,7 +191,7 @@ class RegistrationView:
     def _part(
         self, which: str, label: str, place: tuple[int, int, int], map_: str
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """A tile of one band, and where it is known; the reference's other bands lie as its own map says."""
+        """A tile of one band, and where it is known; the reference's other bands are placed by their own maps."""
         picture, size = self.picture(which, label), self.session.found.size
         if which == "target":
             return picture.tile(*place), None
@@ -223,7 +223,7 @@ class RegistrationView:
         reach: float | None = None,
         bands: Mapping[str, tuple[int, ...]] | None = None,
     ) -> dict[str, Any]:
-        """Say where a place of one picture lies in the other: by the map, and by comparing.
+        """Find where a place of one picture lies in the other: by the map, and by comparing.
 
         Parameters
         ----------
@@ -239,7 +239,7 @@ class RegistrationView:
 
         Returns
         -------
-        told : dict
+        found : dict
             ``pair``; ``predicted`` by the map alone; ``score``; ``sure``; ``shift`` in reference px,
             ``shift_mm`` where the sampling is known.
         """
@@ -270,7 +270,7 @@ class RegistrationView:
     def snap(
         self, pair: list[float], bands: Mapping[str, tuple[int, ...]] | None = None
     ) -> dict[str, Any]:
-        """Move the target of a pair to where its surroundings agree best; tell the score."""
+        """Move the target of a pair to where its surroundings agree best; return the score."""
         start = np.array(pair, float)
         forward = _shifted(self.session.view.forward, start)
         found = self._compared(forward, start[:2], SNAP_PX, bands or {})

@@ -103,7 +103,7 @@ class Library:
                     "camera": capture.camera,
                     "setup": capture.setup,
                     "sensor": view.sensor.name if len(capture.sensors) > 1 else "",
-                    "bands": _told_bands(view.labels),
+                    "bands": _name_bands(view.labels),
                     "reference": self._is_reference(view),
                     "decision": verdict.get("decision", "not built"),
                     "reason": next(iter(verdict.get("reasons", [])), ""),
@@ -243,7 +243,7 @@ class Library:
         return named[0] if named else "" if view.is_first else view.labels[len(view.labels) // 2]
 
     def _save(self, view: SensorView, before: FrameEdits, after: FrameEdits) -> FrameEdits:
-        """Write a change into edits.toml; return what stands there of the camera then."""
+        """Write a change into edits.toml; return the corrections of the camera that the file then holds."""
         capture = view.capture
 
         def frame_of(edits: Edits) -> str:
@@ -253,10 +253,10 @@ class Library:
         return change_edits(self.edits_path, capture.object, frame_of, before, after)
 
 
-def _told_bands(labels: list[str]) -> str:
-    """Say which bands a sensor has: a few by name, many by the first and the last.
+def _name_bands(labels: list[str]) -> str:
+    """Name the bands of a sensor: a few each, many by the first and the last.
 
-    >>> _told_bands(["R1", "G1", "B1"]), _told_bands([f"{w} nm" for w in range(400, 701, 10)])
+    >>> _name_bands(["R1", "G1", "B1"]), _name_bands([f"{w} nm" for w in range(400, 701, 10)])
     ('R1, G1, B1', '400–700 nm, 31 bands')
     """
     if len(labels) <= FEW_BANDS:

@@ -197,7 +197,7 @@ def _limits(pages: TiffPages, page: int, height: int) -> tuple[float, float]:
 
 
 def _halved(image: np.ndarray) -> np.ndarray:
-    """Mean of blocks of 2 x 2; an odd last row or column stands for itself."""
+    """Mean of blocks of 2 x 2; an odd last row or column is repeated."""
     height, width = image.shape
     made = np.empty((-(-height // 2), -(-width // 2)), np.uint8)
     for start in range(0, height, 2 * ROWS):
@@ -269,7 +269,7 @@ def draw_sigma(record: dict[str, Any], band: str, size: tuple[int, int]) -> Map:
     inside = ((across >= x[0]) & (across <= x[-1]))[None] & ((down >= y[0]) & (down <= y[-1]))[
         :, None
     ]
-    return _coloured(np.where(inside, full, np.nan), low=0.0)
+    return _coloured(np.where(inside, full, np.nan))
 
 
 def draw_leave_one_out(matches: Matches, size: tuple[int, int]) -> Map:
@@ -287,7 +287,7 @@ def draw_leave_one_out(matches: Matches, size: tuple[int, int]) -> Map:
         total = weight.sum(1)
         with np.errstate(invalid="ignore", divide="ignore"):
             full[i] = np.where(total > 0.05, (weight * errors).sum(1) / total, np.nan)
-    return _coloured(full, low=0.0)
+    return _coloured(full)
 
 
 def draw_ssim(reference: ShownPicture, target: ShownPicture, forward: Transform) -> Map:
@@ -303,7 +303,7 @@ def draw_ssim(reference: ShownPicture, target: ShownPicture, forward: Transform)
     score, full = structural_similarity(ours, theirs, known & seen)
     if not np.isfinite(score):
         raise _missing("ssim", "the pictures do not overlap")
-    return _coloured(full.astype(float), low=0.0, high=1.0)
+    return _coloured(full.astype(float), high=1.0)
 
 
 def draw_flags(flags: np.ndarray, forward: Transform, size: tuple[int, int]) -> Map:
@@ -313,7 +313,7 @@ def draw_flags(flags: np.ndarray, forward: Transform, size: tuple[int, int]) -> 
     placed = place_on_lattice(forward, across, down)
     step = max(1.0, max(size) / LONGEST_PX)
     share, seen = flagged.sample(placed, step)
-    return _coloured(np.where(seen, share / 255.0, np.nan), low=0.0, high=1.0)
+    return _coloured(np.where(seen, share / 255.0, np.nan), high=1.0)
 
 
 def to_png(drawn: Map) -> bytes:
@@ -338,16 +338,16 @@ def _axes(size: tuple[int, int], most: int = NODES * 4) -> tuple[np.ndarray, np.
     )  # type: ignore[return-value]
 
 
-def _coloured(values: np.ndarray, *, low: float, high: float | None = None) -> Map:
+def _coloured(values: np.ndarray, *, high: float | None = None) -> Map:
     known = np.isfinite(values)
     if high is None:
         high = float(np.percentile(values[known], 98)) if known.any() else 1.0
-    high = max(high, low + 1e-6)
-    share = np.clip((np.where(known, values, low) - low) / (high - low), 0, 1)
+    high = max(high, 1e-6)
+    share = np.clip(np.where(known, values, 0) / high, 0, 1)
     stops = np.linspace(0, 1, len(RAMP))
     colour = np.stack([np.interp(share, stops, RAMP[:, c]) for c in range(3)], -1)
     alpha = np.where(known, 255, 0)
-    return Map(np.dstack([np.rint(colour), alpha]).astype(np.uint8), low, high)
+    return Map(np.dstack([np.rint(colour), alpha]).astype(np.uint8), 0.0, high)
 
 
 def _missing(kind: str, why: str) -> MapMissing:

@@ -35,7 +35,7 @@ class OperationRefused(Refused):
 
 
 def delete(edits: FrameEdits, pair: Pair) -> FrameEdits:
-    """No fit rests on the pair any more; a pair of one's own goes altogether.
+    """Delete a pair: no fit uses it any more; a pair of one's own is removed altogether.
 
     >>> mine = add(FrameEdits(), (1, 2, 3, 4))
     >>> delete(mine, (1, 2, 3, 4)) == FrameEdits()
@@ -63,7 +63,7 @@ def restore(edits: FrameEdits, pair: Pair) -> FrameEdits:
 
 
 def pin(edits: FrameEdits, pair: Pair) -> FrameEdits:
-    """The pair is never removed; pinned again, it is let go."""
+    """Pin a pair, which is then never removed; pinned again, it is let go."""
     pair = round_pair(pair)
     if pair in edits.pinned:
         return _without(edits, pair)
@@ -262,7 +262,7 @@ class CorrectionSession:
     def view(self) -> CorrectionResult:
         """What the corrections make of the pairs, computed once a change."""
         if self._view is None:
-            self._view = look(self.found, self.edits)
+            self._view = apply_corrections(self.found, self.edits)
         return self._view
 
     @property
@@ -372,7 +372,7 @@ class CorrectionSession:
         else:
             with ThreadPoolExecutor(1) as beside:  # the disk is waited for while the fit is made
                 saving = beside.submit(self.save, self.edits, edits)
-                view = look(self.found, edits)
+                view = apply_corrections(self.found, edits)
                 try:
                     written = saving.result()
                 except EditsConflict as conflict:
@@ -383,7 +383,7 @@ class CorrectionSession:
         return written
 
 
-def look(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
+def apply_corrections(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
     """Replay the removal of outliers on what was found and corrected."""
     given = ManualPoints(**edits.pairs())
     marked = given.mark(found.matches.reference, found.matches.target)
@@ -402,7 +402,7 @@ def look(found: RecordedPairs, edits: FrameEdits) -> CorrectionResult:
 def _fit(
     found: RecordedPairs, edits: FrameEdits, marked: MarkedMatches, kept: np.ndarray
 ) -> tuple[Cleaned | None, str]:
-    """Remove outliers anew from pairs of which the method kept `kept`, by the paper's way; or say why not."""
+    """Remove outliers anew from pairs of which the method kept `kept`, by the paper's way; or return the reason why not."""
     free = ~marked.dropped
     if free.sum() < LEAST_FITTED:
         return None, f"{int(free.sum())} pairs: a map needs at least {LEAST_FITTED}"
@@ -427,7 +427,7 @@ def _start(
     """Return the map target → reference under which pairs are cut.
 
     The paper's scale alone where nearly all kept pairs lie within `reject` under it; else, for a
-    camera on its side, say, the affine map of the kept pairs.
+    camera on its side, for example, the affine map of the kept pairs.
     """
     scale = scale_only(found.size, found.target_size)
     reference, target = marked.reference[kept], marked.target[kept]
@@ -466,9 +466,9 @@ def _stiff(found: RecordedPairs, marked: MarkedMatches) -> Transform:
 
 def _described(marked: MarkedMatches, fitted: Cleaned, stop: float) -> Matches:
     # A reason for every pair of thousands would cost more than the fit: the round says it all.
-    told = np.full(len(marked.reason), "", object)
-    told[fitted.round == 0] = CUT
-    told[fitted.round > 0] = f"worst of its round, above {stop:g} px"
+    reasons = np.full(len(marked.reason), "", object)
+    reasons[fitted.round == 0] = CUT
+    reasons[fitted.round > 0] = f"worst of its round, above {stop:g} px"
     return Matches(
         reference=marked.reference,
         target=marked.target,
@@ -476,7 +476,7 @@ def _described(marked: MarkedMatches, fitted: Cleaned, stop: float) -> Matches:
         leave_one_out=fitted.leave_one_out,
         weight=fitted.kept.astype(float),
         state=np.where(fitted.kept, "kept", "removed").astype(object),
-        reason=np.where(marked.reason == "", told, marked.reason),
+        reason=np.where(marked.reason == "", reasons, marked.reason),
         round=np.where(marked.dropped, -1, fitted.round),
     )
 

@@ -12,13 +12,12 @@ from levkas.quality.targets.charts import (
     place_patches,
     reference_of,
 )
-from levkas.quality.targets.locating import locate_chart
+from levkas.quality.targets.locating import locate_chart, locate_in_cube
 from levkas.quality.targets.measuring import (
     Sighting,
     compare_colours,
     delta_e_2000,
     lab_of,
-    locate_in_cube,
     measure,
     rate,
 )
@@ -137,9 +136,9 @@ def test_colours_of_the_reference_itself_differ_by_nothing_and_a_gain_shows():
     nm = np.arange(400.0, 721, 10)
     reference = reference_of(CLASSIC)
     means = reference.at(nm)
-    same = compare_colours(means, nm, CLASSIC, reference)
+    same = compare_colours(means, nm, reference)
     assert same.difference.max() < 0.6  # bands end at 720 nm, the eye a little later
-    darker = compare_colours(0.8 * means, nm, CLASSIC, reference)
+    darker = compare_colours(0.8 * means, nm, reference)
     rows = {row.name: row for row in rate(darker, CLASSIC, uniformity=0.9)}
     assert rows["tone, worst grey"].value > 5 and rows["tone, worst grey"].iso == "none"
     assert rows["white balance, worst grey"].value < 1

@@ -43,7 +43,7 @@ UP = ("..", "..", "..")
 
 @dataclass
 class Item:
-    """An object of the database, and what pages will say of it."""
+    """An object of the database, with its layers and facts for the pages."""
 
     database: Path
     name: str
@@ -77,7 +77,7 @@ class Item:
             return {}
 
     def tiff(self, camera: str, setup: str) -> Path:
-        """Path of a layer's TIFF."""
+        """Return the path of a layer's TIFF."""
         stem = LayerId(self.name, camera, setup).stem
         return self.folder / f"{stem}.tif"
 
@@ -279,7 +279,7 @@ def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:
 
 
 def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]]:
-    """What a TIFF says of itself: facts, bands, and where broad channels have their centroids."""
+    """Return metadata, bands, and centroids of broad channels of a TIFF."""
     pages = open_pages(tiff)
     text = next((t for t in pages.tags(METADATA) if t), "")
     try:
@@ -337,7 +337,7 @@ def _shape(wavelengths: np.ndarray, response: np.ndarray) -> tuple[float, float]
 
 
 def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:
-    """Number of the camera's reference channel, whose native pixel a page tells; else the middle one."""
+    """Number of the camera's reference channel, whose native pixel a page shows; else the middle one."""
     label = record.get("target", {}).get("band")
     labels = [band.label for band in bands]
     return labels.index(label) if label in labels else len(labels) // 2

@@ -1,7 +1,7 @@
 """Pages of the viewer: the contact sheet of a database, and one page an object.
 
 All text from outside is escaped by the templates; records for scripts are JSON in which nothing can
-end the element it stands in. A policy in the page itself forbids inline scripts and other hosts.
+end the element that holds it. A policy in the page itself forbids inline scripts and other hosts.
 """
 
 from __future__ import annotations
@@ -10,11 +10,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files as resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from levkas import __version__
 from levkas.pages.page import DECISIONS
+from levkas.publish.citation import cite
+
+if TYPE_CHECKING:
+    from levkas.publish.metadata import PublicationFacts
 
 POLICY = (
     "default-src 'none'; script-src 'self' file:; style-src 'self' file:; "
@@ -45,17 +49,17 @@ def render_object(about: About, record: dict[str, Any]) -> str:
         object=record["object"],
         links=record["links"],
         downloads=[
-            {**file, "size": say_bytes(file["bytes"])}
+            {**file, "size": format_bytes(file["bytes"])}
             for layer in record["layers"]
             for file in layer["downloads"]
         ]
-        + [{**file, "size": say_bytes(file["bytes"])} for file in record["downloads"]],
+        + [{**file, "size": format_bytes(file["bytes"])} for file in record["downloads"]],
         record=Markup(embed_json(record)),
     )
 
 
 def embed_json(record: Any) -> str:
-    r"""Return JSON that may stand in a script element: no ``<``, ``>``, ``&``, U+2028 or U+2029.
+    r"""Return JSON that is safe in a script element: no ``<``, ``>``, ``&``, U+2028 or U+2029.
 
     >>> embed_json("</script>&")
     '"\\u003c/script\\u003e\\u0026"'
@@ -81,10 +85,10 @@ def worst(decisions: Sequence[str]) -> str:
     return next((decision for decision in ORDER if decision in decisions), "accept")
 
 
-def say_bytes(count: int) -> str:
-    """Say a size in decimal units.
+def format_bytes(count: int) -> str:
+    """Format a size in decimal units.
 
-    >>> say_bytes(1_234_567), say_bytes(900)
+    >>> format_bytes(1_234_567), format_bytes(900)
     ('1.2 MB', '900 B')
     """
     for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
@@ -122,8 +126,8 @@ class About:
         return asdict(self)
 
 
-def about_of(facts: Any) -> About:
-    """Return what pages say, from the facts of a publication (`levkas.publish.metadata.PublicationFacts`)."""
+def about_of(facts: PublicationFacts) -> About:
+    """Return the text of pages from the facts of a publication."""
     licence = facts.licence
     return About(
         title=facts.title or "Spectral image database",
@@ -134,20 +138,6 @@ def about_of(facts: Any) -> About:
         description=facts.description,
         version=facts.version,
     )
-
-
-def cite(facts: Any) -> str:
-    """Say how to cite a database: makers (year). Title. Version. Publisher. DOI or address."""
-    makers = "; ".join(person.inverted for person in facts.creators)
-    year = facts.published[:4]
-    parts = [
-        f"{makers} ({year})" if makers and year else makers or year,
-        facts.title,
-        f"Version {facts.version}" if facts.version else "",
-        facts.publisher,
-        f"https://doi.org/{facts.doi}" if facts.doi else facts.url,
-    ]
-    return ". ".join(part.rstrip(".") for part in parts if part) + "."
 
 
 def _address(text: str) -> str:

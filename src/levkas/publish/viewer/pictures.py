@@ -65,7 +65,7 @@ class LayerPicture:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a layer's files are, and what is known of it."""
+    """Files and metadata of a layer."""
 
     database: Path
     object: str
@@ -217,7 +217,7 @@ MOST_PLACES = 2_000_000
 
 @dataclass(frozen=True)
 class Legend:
-    """What the colours of a map say: named ones, or a scale from `least` to `most`."""
+    """Meaning of the colours of a map: named ones, or a scale from `least` to `most`."""
 
     entries: tuple[tuple[str, tuple[int, int, int]], ...] = ()
     least: str = ""
@@ -305,7 +305,7 @@ def registration_map(
 
 
 def similarity_map(tiff: Path, reference: Path) -> tuple[np.ndarray, Legend] | None:
-    """Return the SSIM of a layer against the reference camera's, or None where it says nothing."""
+    """Return the SSIM of a layer against the reference camera's, or None where it is not defined."""
     from levkas.database.grey import read_grey
     from levkas.quality.evaluation.similarity import structural_similarity
 
@@ -345,7 +345,7 @@ def colour_scale(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def _between(table: dict[str, Sequence[Any]], places: np.ndarray) -> np.ndarray:
-    """Interpolate a table of nodes linearly; beyond the nodes, what the nearest say."""
+    """Interpolate a table of nodes linearly; beyond the nodes the nearest value."""
     xs, ys = (np.asarray(table[axis], float) for axis in "xy")
     values = np.array(table["sigma_px"], float)
     column, row = (_fraction(nodes, places[:, i]) for i, nodes in enumerate((xs, ys)))

@@ -31,7 +31,7 @@ SCRIPTS = ("sheet.js", "sheet.css", "viewer.js", "viewer.css")
 def write_part(publication: Publication) -> Iterator[str]:
     """Write the viewer of a publication, as a part of it (`levkas.publish.run`).
 
-    Where this installation carries no built pages the publication goes without, and says so.
+    Where this installation carries no built pages the publication has none, with a note.
     """
     try:
         read_built(SCRIPTS[0])

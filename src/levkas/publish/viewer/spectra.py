@@ -56,7 +56,7 @@ def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> Iterato
         ``write(name, data)``.
     folder : str
     tiff : Path
-        Of the values; flags and sigma stand beside it.
+        Of the values; flags and sigma lie beside it.
     key : str
         Under which a tile announces itself, with its column and row.
 

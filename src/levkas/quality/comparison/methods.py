@@ -208,12 +208,12 @@ Decision = Literal["accept", "warn", "refuse", "none"]
 
 
 class NoAnswer(Exception):
-    """The method gives no map for this pair; the text says why."""
+    """A pair for which a method finds no map, with the reason."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A map and what its method says of it.
+    """The map that a method found, with its verdict.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ class Answer:
     note : str
         Matches kept, final cost, and the like.
     decision : {"accept", "warn", "refuse", "none"}
-        ``"none"``: the method has no opinion of its own result.
+        ``"none"``: the method does not judge its own result.
     """
 
     found: Callable[[np.ndarray], np.ndarray]
@@ -271,7 +271,7 @@ LEAST_SIDE = 32
 
 
 def opencv_sift_magsac(pair: Pair) -> Answer:
-    """SIFT, Lowe's ratio test and a homography by MAGSAC: a dozen lines of OpenCV."""
+    """Match SIFT key points by Lowe's ratio test and fit a homography by MAGSAC."""
     import cv2
 
     sides = [
@@ -290,7 +290,7 @@ def opencv_sift_magsac(pair: Pair) -> Answer:
 
 
 def opencv_ecc(pair: Pair) -> Answer:
-    """ECC [evangelidis2008]_ with a homography, coarse to fine; blurred outside, as its own blur biases."""
+    """Fit a homography by ECC [evangelidis2008]_, coarse to fine; images are blurred here, for ECC's own blur biases."""
     import cv2
 
     ecc: Any = cv2.findTransformECC

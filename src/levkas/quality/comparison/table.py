@@ -20,6 +20,7 @@ from levkas.core.problems import Problem
 from levkas.database.registrations import read_registration, read_registrations
 from levkas.quality.comparison.methods import COMPARED, find_peers
 from levkas.quality.comparison.trial import Trial
+from levkas.quality.evaluation.layer_report import checks_by_band, locate, read_check_points
 from levkas.quality.evaluation.native_layers import ComparisonRefused
 
 Checks = Mapping[tuple[str, str, str], np.ndarray]
@@ -53,7 +54,7 @@ class ComparedLayer:
 
 @dataclass(frozen=True)
 class ComparedRow:
-    """What one method did on one layer; `facts` is what `levkas.quality.comparison.trial` says."""
+    """Result of one method on one layer; `facts` as `levkas.quality.comparison.trial.run_trial` returns them."""
 
     layer: ComparedLayer
     method: str
@@ -69,14 +70,14 @@ class ComparedRow:
 
     @property
     def finished(self) -> bool:
-        """True: a row is told when it is done."""
+        """True: a row is yielded when its method has ended."""
         return True
 
     @property
     def line(self) -> str:
         """One line for a terminal."""
-        said = self.facts.get("failure") or f"{self.facts.get('seconds', 0):.1f} s"
-        return f"{self.layer} {self.method}: {said[:100]}"
+        result = self.facts.get("failure") or f"{self.facts.get('seconds', 0):.1f} s"
+        return f"{self.layer} {self.method}: {result[:100]}"
 
     @property
     def errors(self) -> list[float]:
@@ -164,7 +165,9 @@ def run_rows(
     layers = [one for one in layers_of(database) if not objects or one.object in objects]
     done, total = 0, len(layers) * len(methods)
     for layer in layers:
-        own = _of_layer(database, layer, checks)
+        path = database / "objects" / layer.object / "registration" / f"{layer.name}.json"
+        points = checks_by_band(checks, read_registration(path), layer.name)
+        own = {band: pairs.tolist() for band, pairs in points.items()}
         for method in methods:
             name = f"{layer.object}_{layer.name.replace('@', '_')}_{method}_ssim.png"
             page = output.folder / name if output else None
@@ -180,17 +183,6 @@ def run_rows(
             drawn = name if page and page.is_file() and not facts.get("failure") else ""
             done += 1
             yield ComparedRow(layer, method, facts, drawn, done, total)
-
-
-def _of_layer(database: Path, layer: ComparedLayer, checks: Checks) -> dict[str, list[list[float]]]:
-    """Check points of a layer by band; those of no band are of the camera's reference channel."""
-    path = database / "objects" / layer.object / "registration" / f"{layer.name}.json"
-    channel = str((read_registration(path).get("target") or {}).get("band", ""))
-    found: dict[str, list[list[float]]] = {}
-    for (name, here, band), pairs in checks.items():
-        if (name, here) == (layer.object, layer.name):
-            found.setdefault(band or channel, []).extend(pairs.tolist())
-    return found
 
 
 def _in_a_child(trial: Trial, limit_s: float) -> dict[str, Any]:
@@ -209,7 +201,7 @@ def _in_a_child(trial: Trial, limit_s: float) -> dict[str, Any]:
     try:
         facts: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     except (ValueError, IndexError):
-        last = (done.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         return {"failure": f"ended with status {done.returncode}: {last[-160:]}"}
     return facts
 
@@ -265,12 +257,12 @@ class Comparison:
 
         Errors are means over layers of the means over bands; the worst is of any point of any band.
         """
-        told = []
+        summaries = []
         for name in self.methods:
             rows = [r for r in self.rows if r.method == name]
             good = [r for r in rows if not r.facts.get("failure")]
             records = [r.to_dict() for r in good]
-            told.append(
+            summaries.append(
                 {
                     "method": name,
                     "title": COMPARED[name].title,
@@ -286,7 +278,7 @@ class Comparison:
                     "peak_mib": _most(r.facts.get("peak_mib") for r in rows),
                 }
             )
-        return told
+        return summaries
 
     @property
     def text(self) -> str:
@@ -295,9 +287,9 @@ class Comparison:
         lines = [head]
         for one in self.summary():
             lines.append(
-                f"{one['title']:32} {one['failures']:>3}/{one['layers']:<3} {_said(one['error_mean'], 3):>8} "
-                f"{_said(one['error_worst_band'], 3):>11} {_said(one['error_max'], 2):>8} "
-                f"{_said(one['ssim'], 3):>6} {_said(one['seconds'], 1):>7} {_said(one['cpu_seconds'], 1):>7} {_said(one['peak_mib'], 0):>6}"
+                f"{one['title']:32} {one['failures']:>3}/{one['layers']:<3} {_formatted(one['error_mean'], 3):>8} "
+                f"{_formatted(one['error_worst_band'], 3):>11} {_formatted(one['error_max'], 2):>8} "
+                f"{_formatted(one['ssim'], 3):>6} {_formatted(one['seconds'], 1):>7} {_formatted(one['cpu_seconds'], 1):>7} {_formatted(one['peak_mib'], 0):>6}"
             )
         return "\n".join(lines)
 
@@ -319,7 +311,7 @@ def _most(values: Iterable[Any]) -> float | None:
     return max(_numbers(values), default=None)
 
 
-def _said(value: float | None, digits: int) -> str:
+def _formatted(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
@@ -360,10 +352,8 @@ def compare(
     ------
     ComparisonRefused, EvaluationRefused
     WriteRefused
-        Where a file of somebody else's stands in the way.
+        Where a file that Levkas did not write would be replaced.
     """
-    from levkas.core.ownership import OwnFiles
-    from levkas.quality.evaluation.layer_report import locate, read_check_points
 
     found, beside = (path.resolve() for path in locate(Path(database)))
     wanted, problems = chosen_methods(methods)

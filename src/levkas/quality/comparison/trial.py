@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Trial:
-    """What is to be tried: plain values, so that another process can be told.
+    """One run of a method: plain values, to be sent to another process as JSON.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Trial:
 
 
 def run_trial(trial: Trial) -> dict[str, Any]:
-    """Run a trial and return its row; a method that gives no map gives a row that says why."""
+    """Run a trial and return its row; without a map, the row holds the reason in `failure`."""
     database = Path(trial.database)
     folder = database / "objects" / trial.object / "registration"
     record = read_json(folder / f"{trial.layer}.json")
@@ -95,7 +95,7 @@ def run_trial(trial: Trial) -> dict[str, Any]:
 
 
 def _peak_mib() -> int | None:
-    """Return the most memory that this process has held, MiB; None where the system does not say."""
+    """Return the most memory that this process has held, MiB; None on systems without `resource`."""
     try:
         import resource
     except ImportError:  # Windows
@@ -126,7 +126,7 @@ def _given(
     own: dict[str, Any],
     region: Sequence[float] | None,
 ) -> tuple[Any, ...]:
-    """What the method is given; made before the clock runs, and compiled code has been loaded."""
+    """Prepare the arguments of a method, and load compiled code, before the clock runs."""
     if COMPARED[name].module:
         return pair_of(ours, theirs, band, region)
     maps = {k: from_dict(b["transform"]) for k, b in own["bands"].items()}

@@ -72,7 +72,7 @@ def block_statistics(
     dark : float
         Counts without light, for that.
     clipped : bool
-        Use blocks with pixels at black too: the caller knows what to do with them.
+        Use blocks with pixels at black, too.
     side : int
         Of a block, in pixels of one phase.
 
@@ -139,7 +139,7 @@ def _phase(
 
 
 def _typical(values: np.ndarray) -> np.ndarray:
-    """Return what is usual around each block: a dark corner is less noisy than the middle."""
+    """Return the typical variance of blocks, (n,)."""
     known = values[np.isfinite(values)]
     return np.maximum(np.median(known), values * 0) if len(known) else values
 
@@ -242,12 +242,12 @@ def _strays(rest: np.ndarray, known: np.ndarray) -> np.ndarray:
 CELL = 32  # pixels a side
 NOTICED = 0.002  # of the light: a fifth of what reflectance may be wrong by
 SIGMAS = 4.0
-DIM = 0.02  # of the brightest cells: darker ones tell only noise
+DIM = 0.02  # of the brightest cells: darker ones hold noise alone
 
 
 @dataclass
 class CellMeans:
-    """What each shot of a stack saw in cells, filled while frames pass by.
+    """Means of the cells of each shot of a stack, filled while frames pass by.
 
     Examples
     --------
@@ -300,7 +300,7 @@ class Drift:
 
     @property
     def note(self) -> str:
-        """What to tell a person; empty where the light was steady."""
+        """Warning for the user; empty where the light was steady."""
         if not self.noticed:
             return ""
         parts = [f"the light changed by {100 * self.drift:+.2f} % from the first shot to the last"]

@@ -22,7 +22,7 @@ MANY_ZEROS = 0.02
 NARROW = 0.3  # counts: a smaller spread is hidden by rounding
 BINS = 160
 NODES = 17  # of Gauss and Hermite
-FEWEST = 30  # pixels at codes 2 to 4, without which a spread is not told from a black
+FEWEST = 30  # pixels at codes 2 to 4, without which spread and black cannot be separated
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def fit_clipped_dark(frames: Sequence[np.ndarray]) -> DarkLevel:
     Parameters
     ----------
     frames : sequence of ndarray, one shape, whole codes
-        Shots of one exposure and one channel. Two or more tell noise from fixed pattern; they are
+        Shots of one exposure and one channel. Two or more separate noise from fixed pattern; they are
         taken in pairs.
 
     Returns
@@ -81,7 +81,7 @@ def fit_clipped_dark(frames: Sequence[np.ndarray]) -> DarkLevel:
     Raises
     ------
     CalibrationRefused
-        E_DARK_CLIPPED where so little stands above zero that black and noise cannot be told apart.
+        E_DARK_CLIPPED where so few codes are above zero that black and noise cannot be separated.
 
     Notes
     -----
@@ -258,7 +258,7 @@ def model_darks(darks: Sequence[Dark]) -> DarkModel:
 
 
 class DrawnDark:
-    """One dark as one draw sees it: weighted means, and its level block by block."""
+    """One dark in one draw of the bootstrap: weighted means, and its level block by block."""
 
     def __init__(self, dark: Dark, weights: np.ndarray, shift: np.ndarray) -> None:
         parts = (dark.level, dark.temporal, dark.fixed)
@@ -291,7 +291,7 @@ def dark_line(darks: Sequence[DrawnDark]) -> tuple[float, float]:
 
 
 class DarkModel:
-    """What lies under lit stacks: the dark of their own band and exposure, else lines over those that there are.
+    """Dark level and fixed pattern under lit stacks: of their own band and exposure, else lines over exposures.
 
     Level = black + current·t, and the fixed pattern's variance = a + b·t², as current differs from sensel
     to sensel.
@@ -305,7 +305,7 @@ class DarkModel:
     first : DrawnDark
         The shortest whose noise over time is known, else the shortest.
     black, current : float
-        Counts at no time, counts a second; NaN a second where the exposures do not tell it.
+        Counts at no time, counts a second; NaN a second where the exposures are too alike.
     """
 
     def __init__(self, darks: Sequence[DrawnDark]) -> None:
@@ -321,7 +321,7 @@ class DarkModel:
         return min(alike, key=lambda d: order.get(d.band, 2)) if alike else None
 
     def lacks(self, stack: Blocks) -> bool:
-        """Tell whether a stack has no dark of its exposure, nor others that tell one."""
+        """Return whether a stack has no dark of its exposure, and none can be interpolated."""
         timed = stack.exposure_s and any(d.exposure_s for d in self.darks)
         known = self.own(stack.band, stack.exposure_s) is not None or np.isfinite(self.current)
         return bool(timed) and not known
@@ -352,7 +352,7 @@ class DarkModel:
         return _mean_of(self.under(stack.band, stack.exposure_s)) - self.first.level
 
     def fixed(self, stack: Blocks) -> float:
-        """Return the variance from sensel to sensel without light; 0 where no dark tells it."""
+        """Return the variance from sensel to sensel without light; 0 where no dark shows it."""
         known = [d for d in self.darks if np.isfinite(d.fixed)]
         if not known:
             return 0.0

@@ -42,7 +42,7 @@ def examine(
     Returns
     -------
     found : Examination
-        What could not be told of a sensor stands in `problems`, and the others go on.
+        A sensor that cannot be measured has its reasons in `problems`; the others are measured.
 
     Raises
     ------
@@ -72,10 +72,10 @@ def examine_campaign(
     for name in cameras or campaign.cameras:
         own = [c for c in captures if c.camera == name]
         if not own:
-            said = [
+            problems = [
                 p for (_, camera, _), r in refusals.items() if camera == name for p in r.problems
             ]
-            yield _unknown(name, said or [_unseen(name, campaign.path)])
+            yield _unknown(name, problems or [_unseen(name, campaign.path)])
             continue
         yield from _examine_camera(campaign, [c for c in own if c.setup == own[0].setup], name, rng)
 
@@ -98,7 +98,7 @@ def _examine_camera(
 
 
 def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
-    """Measure every channel of a sensor; what is refused for all is said once."""
+    """Measure every channel of a sensor; a refusal of all is listed once."""
     facts = describe_frame(sensor.bench.sensor.object[0].path)
     bits = sensor.bench.camera.bits or facts.bits
     white, declared = _white_level(sensor)
@@ -136,9 +136,9 @@ def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
                 )
                 for p in refused.problems
             ]
-    told = [note for found in channels.values() for note in found.notes]
-    told += [f"{name}: {drift.note}" for name, drift in sensor.light if drift.note]
-    notes = list(dict.fromkeys([*sensor.notes, *told]))
+    channel_notes = [note for found in channels.values() for note in found.notes]
+    channel_notes += [f"{name}: {drift.note}" for name, drift in sensor.light if drift.note]
+    notes = list(dict.fromkeys([*sensor.notes, *channel_notes]))
     return SensorReport(
         sensor.camera,
         sensor.name,
@@ -154,7 +154,7 @@ def _report(sensor: SensorStacks, rng: np.random.Generator) -> SensorReport:
 
 
 def _bounds(sensor: SensorStacks, channel: str, full: float | None) -> list[Bound]:
-    """Return what single shots tell of a channel; nothing where saturation is not known."""
+    """Return the bounds that single shots give of a channel; none where saturation is not known."""
     if full is None:
         return []
     return bound_sensor(
@@ -165,7 +165,7 @@ def _bounds(sensor: SensorStacks, channel: str, full: float | None) -> list[Boun
 def _white_level(sensor: SensorStacks) -> tuple[float | None, bool]:
     """Return saturation in counts, and whether it is declared: else it is what the top code needs.
 
-    What the top code needs is enough for the range of the gain, and too little to tell a full well.
+    The bits of the top code suffice for the range of the gain, not for a full well.
     """
     bench, top = sensor.bench, sensor.levels.highest
     declared = bench.camera.saturation or bench.camera.bits or bench.facts.saturation

@@ -20,7 +20,7 @@ SIDECARS = (".hdr",)
 
 
 class NothingToDescribe(Refused):
-    """A path at which no frame stands."""
+    """A path without any frame."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class FrameFacts:
 
     @property
     def curve(self) -> str:
-        """What the codes betray, in words."""
+        """Description of the codes: spacing, or compression curve."""
         return describe_levels(self.levels, self.full) if self.levels else "real numbers"
 
     @property
@@ -71,7 +71,7 @@ class FrameFacts:
         return float(self.white or 2 ** (self.bits or 16) - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values; `levels` with the curve it betrays."""
+        """Return plain values; `levels` with the description of their curve."""
         found = {**asdict(self), "curve": self.curve}
         if self.levels is not None and not self.levels.curved:
             found["levels"]["knee"] = None
@@ -93,13 +93,13 @@ Codes = tuple[np.ndarray, np.ndarray]
 
 
 def _read(path: Path) -> tuple[Facts, Codes | None]:
-    told = read_facts(path)
-    if told.dtype not in ("uint8", "uint16"):
+    facts = read_facts(path)
+    if facts.dtype not in ("uint8", "uint16"):
         read_frame(path)
-        return told, None
-    histogram = count_codes(read_tiff_pages(path) if told.pages > 1 else [read_frame(path)])
+        return facts, None
+    histogram = count_codes(read_tiff_pages(path) if facts.pages > 1 else [read_frame(path)])
     codes = np.flatnonzero(histogram)
-    return told, (codes, histogram[codes])
+    return facts, (codes, histogram[codes])
 
 
 def _whole(codes: Codes) -> np.ndarray:
@@ -108,38 +108,38 @@ def _whole(codes: Codes) -> np.ndarray:
     return histogram
 
 
-def _bits(told: Facts, top: int) -> int:
+def _bits(facts: Facts, top: int) -> int:
     """Bits that the file declares, where that is more than how it is stored; else what `top` needs."""
-    if told.bits and told.bits != 8 * np.dtype(told.dtype).itemsize:
-        return told.bits
+    if facts.bits and facts.bits != 8 * np.dtype(facts.dtype).itemsize:
+        return facts.bits
     return max(8, top.bit_length())
 
 
-def _facts(told: Facts, codes: Codes | None, top: int = 0) -> FrameFacts:
+def _facts(facts: Facts, codes: Codes | None, top: int = 0) -> FrameFacts:
     """Describe a frame; `top` is the highest code of its whole folder."""
-    levels, clipped, zeros, bits = None, None, None, told.bits
+    levels, clipped, zeros, bits = None, None, None, facts.bits
     if codes is not None:
         values, counts = codes
         levels = find_levels(_whole(codes))
-        bits = _bits(told, max(top, levels.highest))
-        full = told.saturation or 2**bits - 1
+        bits = _bits(facts, max(top, levels.highest))
+        full = facts.saturation or 2**bits - 1
         pixels = float(counts.sum())
         clipped = float(counts[values >= full].sum()) / pixels
         zeros = float(counts[values == 0].sum()) / pixels
-    size = " x ".join(str(n) for n in (told.shape[1], told.shape[0], *told.shape[2:]))
+    size = " x ".join(str(n) for n in (facts.shape[1], facts.shape[0], *facts.shape[2:]))
     return FrameFacts(
-        str(told.path),
-        told.kind,
-        size + (f" x {told.pages} pages" if told.pages > 1 else ""),
-        told.dtype,
+        str(facts.path),
+        facts.kind,
+        size + (f" x {facts.pages} pages" if facts.pages > 1 else ""),
+        facts.dtype,
         bits,
-        told.black,
-        told.saturation,
-        told.pattern,
-        told.exposure_s,
-        told.iso,
-        told.model,
-        told.captured,
+        facts.black,
+        facts.saturation,
+        facts.pattern,
+        facts.exposure_s,
+        facts.iso,
+        facts.model,
+        facts.captured,
         levels,
         clipped,
         zeros,
@@ -147,7 +147,7 @@ def _facts(told: Facts, codes: Codes | None, top: int = 0) -> FrameFacts:
 
 
 def describe_levels(levels: Levels, full: float) -> str:
-    """Say how many codes there are, and on which curve they lie.
+    """Describe how many codes there are, and on which curve they lie.
 
     >>> describe_levels(Levels(683, 0, 4095, 1.0, 215.0, 0.01565), 4095)
     '683 codes seen of 683 on a compression curve: 1 apart up to 215, 15.6 apart at 4095'
@@ -181,7 +181,7 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
     Raises
     ------
     NothingToDescribe
-        E_NO_FRAMES where no frame stands there.
+        E_NO_FRAMES where there is no frame.
     """
     path = Path(path)
     files = frames_below(path) if path.is_dir() else [path]
@@ -210,7 +210,7 @@ def describe_files(path: str | Path) -> tuple[list[FrameFacts], Levels | None, l
             )
         )
     counted = [codes for _, codes in read if codes is not None]
-    one_kind = len({(told.dtype, told.model) for told, _ in read}) == 1
+    one_kind = len({(facts.dtype, facts.model) for facts, _ in read}) == 1
     if not counted or not one_kind:
         return [_facts(*each) for each in read], None, problems
     top = int(max(values[-1] for values, _ in counted))

@@ -46,7 +46,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """A sensor, or one colour of it; None is what these stacks cannot say.
+    """A sensor, or one colour of it; None where these stacks do not suffice.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def measure_sensor(
     levels : Levels, optional
         Of the raw codes: rounding on a compression curve is taken out.
     reached : bool
-        Whether any frame saturates; else the full well is a lower bound, and said to be.
+        Whether any frame saturates; else the full well is a lower bound, with a note.
     draws : int
 
     Returns
@@ -171,9 +171,9 @@ def measure_sensor(
 
 
 def without_full_scale(found: PhotonTransfer) -> PhotonTransfer:
-    """Leave out what hangs on the code at which a sensel is full, where nobody declares it."""
-    told = tuple(note for note in found.notes if not note.startswith("no shot saturates"))
-    return replace(found, full_well=None, snr=None, dynamic_range=None, notes=told)
+    """Return the measures without those that need the code at which a sensel is full."""
+    notes = tuple(note for note in found.notes if not note.startswith("no shot saturates"))
+    return replace(found, full_well=None, snr=None, dynamic_range=None, notes=notes)
 
 
 def _points(
@@ -205,27 +205,27 @@ def _notes(
     whites: Sequence[Blocks],
     reached: bool,
 ) -> tuple[str, ...]:
-    told = []
+    notes = []
     if lacking := sorted({b.exposure_s or 0.0 for b in whites if model.lacks(b)}):
         had = sorted({d.exposure_s for d in model.darks if d.exposure_s})
-        told.append(
+        notes.append(
             f"no dark of {_seconds(lacking)}, the exposure of the white, and those of {_seconds(had)} tell no dark "
             "current: PRNU, DSNU and linearity are doubtful where there is one. Capture darks at the exposure of "
             "the white"
         )
     if not reached:
-        told.append("no shot saturates: the full well is what the converter's top code would hold")
+        notes.append("no shot saturates: the full well is what the converter's top code would hold")
     if best["dark_variance"] < LEAST_QUANTISED:
-        told.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
+        notes.append("rounding hides the noise in the dark: it is an upper bound (EMVA 1288, 6.6)")
     if whites and not any(np.isfinite(b.mean).any() for b in whites):
-        told.append(
+        notes.append(
             "the white is saturated everywhere, and tells nothing: capture it with its peak at 85 %"
         )
     elif len({b.exposure_s for b in whites}) < 3:
-        told.append("linearity needs whites of three exposures or more")
+        notes.append("linearity needs whites of three exposures or more")
     if (levels := sum(b.shots > 1 for b in lit)) < 5:
-        told.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 asks for more")
-    return tuple(told)
+        notes.append(f"{levels} level{'s' * (levels > 1)} of light; EMVA 1288 asks for more")
+    return tuple(notes)
 
 
 def _seconds(times: Sequence[float]) -> str:
@@ -324,9 +324,9 @@ def estimate(
     model = DarkModel([DrawnDark(dark, weights, s) for dark, s in zip(darks, shift, strict=True)])
     first, room = model.first, saturation - model.black
     quiet = first.temporal - float(rounding.quantisation(first.level))
-    gain, quiet, told = _gain([*whites, *scenes], model, room, quiet, rounding, weights)
+    gain, quiet, known = _gain([*whites, *scenes], model, room, quiet, rounding, weights)
     read = max(quiet - gain * (first.level - model.black), 0.0)  # shot noise of the dark current
-    dark_noise = np.sqrt(read) / gain if told else np.nan
+    dark_noise = np.sqrt(read) / gain if known else np.nan
     full_well = room / gain
     prnu = _prnu(whites, model, room, (gain, quiet), rounding, weights)
     least = np.sqrt(dark_noise**2 + 0.25) + 0.5
@@ -353,7 +353,7 @@ def _gain(
     rounding: Levels,
     weights: np.ndarray,
 ) -> tuple[float, float, bool]:
-    """Return the slope of variance over signal, its intercept, and whether that is told by dark or lit stacks.
+    """Return the slope of variance over signal, its intercept, and whether dark or lit stacks determine it.
 
     The line goes through the first dark's own point: its level and `quiet`. Dark current that a stack gathered
     beyond that has shot noise as light has, and counts as signal here.
@@ -467,7 +467,7 @@ class Bound:
 def bound_sensor(
     darks: Sequence[Dark], whites: Sequence[Blocks], *, saturation: float
 ) -> list[Bound]:
-    """Return what single shots of a dark and of a white tell of one channel.
+    """Return bounds of one channel from single shots of a dark and of a white.
 
     Parameters
     ----------

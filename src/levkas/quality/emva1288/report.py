@@ -50,9 +50,9 @@ class SensorReport:
         Exposure series of an object.
     notes : list of str
     problems : list of Problem
-        Why something could not be told.
+        Why something could not be measured.
     bounds : dict of list of Bound
-        By channel: what single shots still tell.
+        By channel: bounds from single shots.
     """
 
     camera: str
@@ -79,12 +79,12 @@ class SensorReport:
             cells = [_cell(getattr(found, key), factor) for found in self.channels.values()]
             lines.append((title, *cells, unit))
         ranges = [found.dynamic_range for found in self.channels.values()]
-        told = ["–" if r is None else f"{20 * log10(r.value):.1f}" for r in ranges]
+        decibels = ["–" if r is None else f"{20 * log10(r.value):.1f}" for r in ranges]
         stops = ["–" if r is None else f"{log2(r.value):.2f}" for r in ranges]
         peaks = [found.snr for found in self.channels.values()]
         peak = ["–" if p is None else f"{10 * log10(p.value):.1f}" for p in peaks]
         lines += [
-            ("dynamic range", *told, "dB, 20·log₁₀"),
+            ("dynamic range", *decibels, "dB, 20·log₁₀"),
             ("dynamic range", *stops, "stops, log₂"),
             ("SNR at saturation", *peak, "dB, 10·log₁₀"),
         ]
@@ -178,7 +178,7 @@ def _plain(found: PhotonTransfer) -> dict[str, Any]:
 def sensor_text(sensor: SensorReport) -> str:
     """Return the lines of one sensor."""
     facts = sensor.facts
-    told = [f"{sensor.name}: {facts.size} {facts.dtype}, {facts.bits} bits"]
+    parts = [f"{sensor.name}: {facts.size} {facts.dtype}, {facts.bits} bits"]
     for title, value in (
         ("black", facts.black),
         ("white", facts.white),
@@ -187,8 +187,8 @@ def sensor_text(sensor: SensorReport) -> str:
         ("ISO", facts.iso),
     ):
         if value is not None:
-            told.append(f"{title} {value:g}" if isinstance(value, float) else f"{title} {value}")
-    lines = [", ".join(told), f"  codes: {describe_levels(sensor.levels, facts.full)}"]
+            parts.append(f"{title} {value:g}" if isinstance(value, float) else f"{title} {value}")
+    lines = [", ".join(parts), f"  codes: {describe_levels(sensor.levels, facts.full)}"]
     if sensor.channels:
         rows = sensor.rows()
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

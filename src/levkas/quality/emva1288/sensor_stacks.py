@@ -67,7 +67,7 @@ def reduce_stack(
 ) -> dict[str, Blocks]:
     """Reduce a stack by the camera's channels; a tunable filter has one, whatever the mosaic.
 
-    Some zeros do not spoil a dark: the share of them was looked at before.
+    A few zeros do not spoil a dark: their share was checked before.
     """
     pattern = bench.sensor.pattern
     if stack.mean.ndim == 3:
@@ -95,7 +95,7 @@ def _flat_bands(stack: Template) -> Template:
     return Template(flat(stack.mean), variance, stack.count, *marks, stack.exposure_s)
 
 
-MOST_CLIPPED = 1_000_000  # pixels of a dark whose likelihood is asked for
+MOST_CLIPPED = 1_000_000  # pixels of a dark in the likelihood
 
 
 def measure_dark(sensor: SensorStacks, shots: Sequence[FrameRef]) -> dict[str, Dark]:
@@ -111,7 +111,7 @@ def measure_dark(sensor: SensorStacks, shots: Sequence[FrameRef]) -> dict[str, D
 def _clipped_dark(
     sensor: SensorStacks, shots: Sequence[FrameRef], time: float | None
 ) -> dict[str, Dark]:
-    """Fit a clipped dark as censored; where it tells nothing, say so and leave it out."""
+    """Fit a clipped dark as censored; leave it out, with a note, where the fit is refused."""
     frames = list(sensor.bench.read(shots[:4]))
     rows = max(1, min(frames[0].shape[0], MOST_CLIPPED // max(1, frames[0].shape[1])))
     where = f"darks of {time:g} s" if time else "darks"
@@ -124,10 +124,10 @@ def _clipped_dark(
             if not any(problem.message in note for note in sensor.notes):
                 sensor.notes.append(f"{where}: {problem}")
             return {}
-    told = [f"{c} {d.black:.2f} ± {d.black_error:.2f}".strip() for c, d in found.items()]
+    blacks = [f"{c} {d.black:.2f} ± {d.black_error:.2f}".strip() for c, d in found.items()]
     sensor.notes.append(
         f"{where} were clipped at zero ({next(iter(found.values())).zeros:.0%} of the pixels) and are "
-        f"fitted as censored: black {', '.join(told)}"
+        f"fitted as censored: black {', '.join(blacks)}"
     )
     return {channel: Dark.of_clipped(level, time) for channel, level in found.items()}
 
@@ -157,7 +157,7 @@ def put_darks(sensor: SensorStacks, levels: dict[Key, dict[str, Dark]]) -> None:
 
 
 def put_black(sensor: SensorStacks, black: float) -> None:
-    """Where no dark can be used, the noise without light is the intercept of the lit stacks."""
+    """Take a declared black for darks: the noise without light is then the intercept of the lit stacks."""
     sensor.notes.append(f"no dark can be used: black is taken for {black:g} DN")
     for channel in dict.fromkeys([*sensor.whites, *sensor.scenes]):
         sensor.darks[channel] = [Dark(black, float("nan"), float("nan"))]

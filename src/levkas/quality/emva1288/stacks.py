@@ -1,7 +1,7 @@
 """Reduction of the frames of a campaign to the stacks of each sensor: areas, line scanners, single shots.
 
 Of a line scanner every line of dark and white is a shot of all samples and bands. Where a tunable filter has
-one shot of everything, other bands and other exposures of a scene stand in for repeats.
+one shot of everything, other bands and other exposures of a scene replace repeats.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _gather_frames(
         for channel, found in blocks.items():
             kind.setdefault(channel, []).append(found)
     sensor.levels = find_levels(histogram)
-    add_stand_ins(sensor, frames, objects)
+    pair_single_shots(sensor, frames, objects)
     if not sensor.darks and (hidden or bench.black is not None):
         put_black(sensor, 0.0 if bench.black is None else bench.black)
     _scaling(sensor, objects, bands, hidden=not any(levels.values()))
@@ -186,7 +186,7 @@ MOST_PAIRS = 64
 
 
 def gather_lines(sensor: SensorStacks, frames: SensorFrames) -> None:
-    """A line scanner: each line of dark and white is a shot of all samples and bands.
+    """Gather the stacks of a line scanner: each line of dark and white is a shot of all samples and bands.
 
     A push-broom camera looks at one place of the white all the time. A mirror leads the view over the board, so
     that each line has other light; two neighbouring ones, brought to one level block by block, stand in for
@@ -235,7 +235,7 @@ def _white_of(
     drift: Drift | None,
     level: float,
 ) -> Blocks:
-    """Reduce the white; the spread is told along the samples, of a mirror scanner's mean over the board."""
+    """Reduce the white; the spread is taken along the samples, of a mirror scanner's mean over the board."""
     mirror = sensor.bench.camera.scan == "mirror"
     found = block_statistics(stack, drift=drift, dark=level, side=side)[""]
     centre, darks = found.mean - level, sensor.darks.get(CHANNEL, [])
@@ -294,7 +294,7 @@ def _codes_of(shots: Sequence[FrameRef]) -> np.ndarray:
 def _laid_out(stack: Template) -> tuple[Template, int]:
     """Return a line, (samples, bands), as a plane to cut into blocks, and the side of these.
 
-    A block of 16 x 16 sensels wants 16 bands. Of fewer, each block is 16 neighbouring samples of one band, laid in
+    A block of 16 x 16 sensels needs 16 bands. Of fewer, each block is 16 neighbouring samples of one band, laid in
     four rows of four.
     """
     samples, bands = stack.mean.shape
@@ -342,23 +342,23 @@ def _spread_along_samples(
 MOST_STAND_INS = 5
 
 
-def add_stand_ins(
+def pair_single_shots(
     sensor: SensorStacks, frames: SensorFrames, objects: Sequence[tuple[str, tuple[FrameRef, ...]]]
 ) -> None:
-    """Pair single frames of a tunable filter where no lit stack has two shots, and say so.
+    """Pair single frames of a tunable filter where no lit stack has two shots, with a note.
 
     Whites of neighbouring bands, exposures of the first object, and darks of two bands become stacks of two
-    shots in `sensor`. What only true repeats can tell, the lamp's drift and flicker, is left out.
+    shots in `sensor`. What only true repeats can show, the lamp's drift and flicker, is left out.
     """
     lit = [b for kind in (sensor.whites, sensor.scenes) for many in kind.values() for b in many]
     if sensor.bench.camera.kind != "bands" or any(b.shots > 1 for b in lit):
         return
-    told = [
+    pairs = [
         (_pair_darks(sensor, frames), "darks of two bands"),
         (_pair_whites(sensor, frames), "whites of neighbouring bands"),
         (_pair_exposures(sensor, frames, objects), "exposures of one scene"),
     ]
-    used = [name for count, name in told if count]
+    used = [name for count, name in pairs if count]
     if used:
         sensor.notes.append(
             f"one shot of everything: {', '.join(used)} stand in for repeats; the sensor's fixed pattern is "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +37,7 @@ class EvaluationRefused(Refused):
 
 @dataclass(frozen=True)
 class Assessment:
-    """Results a layer, as `evaluate --json` gives them, and what was wrong on the way."""
+    """Results of each layer, as `evaluate --json` gives them, and problems."""
 
     results: list[dict[str, Any]]
     problems: list[Problem] = field(default_factory=list)
@@ -99,7 +100,7 @@ def assess(
     EvaluationRefused
         Where there is no database, or the points cannot be read.
     WriteRefused
-        Where a file of somebody else's stands in the way of a map, or the disk refuses.
+        Where a map would replace a file that Levkas did not write, or the disk refuses.
     """
     from levkas.core.ownership import OwnFiles
 
@@ -155,9 +156,9 @@ def read_check_points(path: Path, database: Path | None = None, frame: str | Non
     ----------
     path : Path
         A CSV with columns object, camera, band, reference_x, reference_y, x, y, or a file of any
-        program that `levkas.registration.control_points` knows.
+        program that `levkas.registration.control_points` reads.
     database : Path, optional
-        Says which layers there are and how large their pictures; for a file of another program.
+        Its layers and their sizes, for a file of another program.
     frame : str, optional
         OBJECT/CAMERA[@SETUP][:BAND] of such a file.
 
@@ -186,8 +187,10 @@ def _sizes(database: Path) -> dict[tuple[str, str], tuple[Size, Size]]:
     return sizes
 
 
-def _by_band(checks: Checks, record: dict[str, Any], layer: str) -> dict[str, np.ndarray]:
-    """Check points of a layer by band; those of no band are of the camera's reference channel."""
+def checks_by_band(
+    checks: Mapping[tuple[str, str, str], np.ndarray], record: dict[str, Any], layer: str
+) -> dict[str, np.ndarray]:
+    """Return check points of a layer by band, (n, 4) each; those of no band are of the camera's reference channel."""
     channel = str((record.get("target") or {}).get("band", ""))
     found: dict[str, np.ndarray] = {}
     for (name, here, band), pairs in checks.items():
@@ -208,7 +211,7 @@ def _assess_layer(
     layer = layer_name(camera, setup)
     decision = record["verdict"]["decision"]
     truth = read_truth(truth_folder, name, camera)
-    own = _by_band(checks, record, layer)
+    own = checks_by_band(checks, record, layer)
     bands = [
         _band_error(label, band, record, truth, own.get(label))
         for label, band in record.get("bands", {}).items()
@@ -233,20 +236,20 @@ def _assess_layer(
 def _checked(record: dict[str, Any], own: dict[str, np.ndarray]) -> list[dict[str, Any]]:
     """Errors at check points: those of the evaluation, and those that the campaign named."""
     bands = record.get("bands", {})
-    told = []
+    found = []
     for label, pairs in own.items():
         if label in bands:
             errors = position_errors(
                 from_dict(bands[label]["transform"]), pairs[:, :2], pairs[:, 2:]
             )
-            told.append({"of": "evaluation", **summarise_errors(label, errors).to_dict()})
+            found.append({"of": "evaluation", **summarise_errors(label, errors).to_dict()})
     declared: dict[str, list[float]] = {}
     for one in (record.get("errors") or {}).get("check_points", []):
         error = one["error"]
         declared.setdefault(one["band"], []).append(np.nan if error is None else error)
     for label, errors_ in declared.items():
-        told.append({"of": "campaign", **summarise_errors(label, np.array(errors_)).to_dict()})
-    return told
+        found.append({"of": "campaign", **summarise_errors(label, np.array(errors_)).to_dict()})
+    return found
 
 
 def _band_error(
@@ -272,7 +275,7 @@ def _band_error(
 
 
 def layer_ssim(output: Path, record: dict[str, Any], maps: Path | None) -> float | None:
-    """SSIM of one published layer against the reference camera's; None where there is none."""
+    """Return the SSIM of one published layer against the reference camera's; None where there is none."""
     from levkas.quality.evaluation.similarity import structural_similarity
 
     reference, ours = record["reference"], _grey(output, record["object"], record)

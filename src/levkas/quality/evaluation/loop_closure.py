@@ -30,7 +30,7 @@ def close_database(database: Path) -> list[dict[str, Any]]:
     Returns
     -------
     loops : list of dict
-        ``object``, and what `levkas.quality.evaluation.loop_closure.Loop.to_dict` says; setups other than the
+        ``object``, and the fields of `Loop.to_dict`; setups other than the
         default and layers that were refused take no part.
     """
 
@@ -74,7 +74,7 @@ def _view(database: Path, name: str, record: dict[str, Any]) -> LoopView | None:
     return LoopView(camera, mates, band, transform) if mates else None
 
 
-def tell(loops: list[dict[str, Any]]) -> str:
+def loops_text(loops: list[dict[str, Any]]) -> str:
     """Return a table for people: a line a loop, errors in reference pixels."""
     lines = [f"{'loop':44} {'mean px':>8} {'p95 px':>8} {'max px':>8}"]
     for one in loops:
@@ -155,9 +155,9 @@ def close_loops(views: Sequence[LoopView], points: np.ndarray) -> Iterator[Loop]
 
     Notes
     -----
-    Nothing of the way through the reference is told to the registration that closes the loop: not
-    its start, not its bands. Errors that all three share do not show. A pair is registered both ways,
-    and the one that its own sigma is less of closes the loop.
+    The registration that closes the loop uses nothing of the reference camera: neither a start nor
+    bands. Errors that all three share do not show. A pair is registered both ways,
+    and the way with the smaller predicted sigma closes the loop.
     """
     for one, other in combinations(views, 2):
         ways = [_register(one, other, points), _register(other, one, points)]
@@ -195,12 +195,12 @@ def _register(leader: LoopView, led: LoopView, points: np.ndarray) -> _Way:
     seen = _on(leader, places)
     scale = np.sqrt(np.abs(np.linalg.det(leader.transform.jacobian(points[seen]))))
     sigma = found.sigma[led.band](places[seen]) / scale
-    told = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else np.inf
-    return _Way(leader, found.transforms[led.band], told, found.verdict.decision)
+    median = float(np.nanmedian(sigma)) if np.isfinite(sigma).any() else np.inf
+    return _Way(leader, found.transforms[led.band], median, found.verdict.decision)
 
 
 def _on(view: LoopView, places: np.ndarray) -> np.ndarray:
-    """Tell which places lie on valid px of the view's band."""
+    """Return which places lie on valid px of the view's band."""
     valid = next(image.valid for image in view.images if image.label == view.band)
     known = np.isfinite(places).all(1)
     x, y = np.rint(np.where(known[:, None], places, -9)).astype(int).T
@@ -209,11 +209,11 @@ def _on(view: LoopView, places: np.ndarray) -> np.ndarray:
     return inside
 
 
-def points_on(image: BandImage, shape: tuple[int, int] = GRID) -> np.ndarray:
-    """Return points all over the object that an image shows, (n, 2): its background says nothing."""
+def points_on(image: BandImage) -> np.ndarray:
+    """Return points on the object that an image shows, (n, 2) px, 25 x 19 of the frame without its background."""
     from levkas.registration.bands import segment_foreground, sqrt_images
 
-    x, y = (np.linspace(0.02, 0.98, k) * (n - 1) for k, n in zip(shape, image.size, strict=True))
+    x, y = (np.linspace(0.02, 0.98, k) * (n - 1) for k, n in zip(GRID, image.size, strict=True))
     points = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     within = segment_foreground(sqrt_images([image])[image.label])
     column, row = np.rint(points).astype(int).T

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ComparisonRefused(Refused):
-    """There is nothing that methods could be compared on."""
+    """No layer on which methods could be compared."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ def read_native_layer(database: Path, name: str, camera: str, setup: str) -> Nat
         if path.name.endswith((".flags.tif", ".sigma.tif")):
             continue
         array = open_pixels(path)
-        told = (array.attrs.get("camera", camera), array.attrs.get("setup", setup) or "")
-        if told != (camera, setup):
+        labelled = (array.attrs.get("camera", camera), array.attrs.get("setup", setup) or "")
+        if labelled != (camera, setup):
             continue
         flags = path.with_name(path.stem + ".flags.tif")
         values = np.asarray(array.values, np.float32)

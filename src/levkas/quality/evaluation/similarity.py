@@ -1,4 +1,4 @@
-"""How well a registration fits: errors against truth or check points, and SSIM with its map."""
+"""Quality of a registration: errors against truth or check points, and SSIM with its map."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class BandError:
 
 
 def position_errors(transform: Transform, reference: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Distance between where a map puts target points and where they are, in reference px.
+    """Return the distance between where a map puts target points and where they are, in reference px.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def read_truth(folder: Path, name: str, camera: str) -> Truth | None:
 
 
 def inside(points: np.ndarray, size: Sequence[int]) -> np.ndarray:
-    """Tell which points, (n, 2), lie in a picture of size (width, height); NaN lies in none.
+    """Return which points, (n, 2), lie in a picture of size (width, height); NaN lies in none.
 
     >>> inside(np.array([[-0.5, 3.4], [4.0, 1.0]]), (4, 4)).tolist()
     [True, False]
@@ -139,7 +139,7 @@ def inside(points: np.ndarray, size: Sequence[int]) -> np.ndarray:
 def structural_similarity(
     reference: np.ndarray, target: np.ndarray, valid: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """SSIM of two registered grey images, as [wang2004]_ through scikit-image.
+    """Return the SSIM of two registered grey images, as [wang2004]_ through scikit-image.
 
     The target is brought to the reference's mean and spread over `valid` first; the range is the
     joint 0.1 to 99.9 percentile range; the mean is over `valid`.

@@ -62,7 +62,7 @@ def scene_ranges(
 
     Notes
     -----
-    The darkest is the 0.1 % point, and never below one sigma: less cannot be told from no light.
+    The darkest is the 0.1 % point, and never below one sigma: less cannot be distinguished from no light.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def sensel_noise(
     """Return noise and signal-to-noise of the sensels of each channel of a mosaic.
 
     Interpolated values are left out: their sigma also holds the detail that was not sampled, which
-    more light does not mend.
+    more light does not reduce.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Glare: what a lamp mirrors in varnish and gold instead of what paint reflects.
 
-Two things are told apart, section 2.1 of [mirhashemi2019]_. *Glare*: the value cannot be paint's, for it
+Two things are distinguished, section 2.1 of [mirhashemi2019]_. *Glare*: the value cannot be paint's, for it
 saturates above white paint, or is brighter than white paint can be. *Lifted*: the value could be
 paint's, but under another lighting it is darker by about the same in every band, whatever the colour.
 """

@@ -1,4 +1,4 @@
-"""The light on the object's plane, from a measured white: map, contours, profiles (Figure 6b)."""
+"""Light on the object's plane, from a measured white: map, contours, profiles (Figure 6b)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DROP = 0.1
 
 
 class LightRefused(Refused):
-    """A white that says nothing of the light."""
+    """A white from which the light cannot be measured."""
 
 
 class LightField(NamedTuple):
@@ -71,9 +71,7 @@ class LightField(NamedTuple):
         return self.levels[rows // 2], self.levels[:, columns // 2]
 
 
-def light_field(
-    white: np.ndarray, *, saturated: np.ndarray | None = None, drop: float = DROP
-) -> LightField:
+def light_field(white: np.ndarray, *, saturated: np.ndarray | None = None) -> LightField:
     """Return the light field that a white shows.
 
     Parameters
@@ -82,8 +80,6 @@ def light_field(
         Counts above dark of one channel; of a mosaic one phase, or all. One line of a line
         scanner is a field one block high.
     saturated : ndarray of bool like `white`, optional
-    drop : float, 0 … 1
-        How much the light may drop inside the rectangle.
 
     Raises
     ------
@@ -125,11 +121,11 @@ def light_field(
         )
     peak = float(levels.max())
     levels = levels / peak
-    x, y, width, height = _largest_rectangle(levels, 1 - drop)
+    x, y, width, height = _largest_rectangle(levels, 1 - DROP)
     right, bottom = min((x + width) * step, plane.shape[1]), min((y + height) * step, len(plane))
     rectangle = (x * step, y * step, right - x * step, bottom - y * step)
     size = (plane.shape[1], plane.shape[0])
-    return LightField(levels, step, size, rectangle, drop, float(levels.min()), peak)
+    return LightField(levels, step, size, rectangle, DROP, float(levels.min()), peak)
 
 
 def _blocks(plane: np.ndarray, step: int) -> np.ndarray:

@@ -37,7 +37,7 @@ class Sharpness(NamedTuple):
     ----------
     band : str
     blur_px : float
-        Standard deviation of the blur, native px; 0.25 is the least that can be told. NaN where
+        Standard deviation of the blur, native px; 0.25 is the least that can be measured. NaN where
         the band has too few step edges to measure.
     edges : int
         Pixels of edges that fall as steps do.
@@ -46,11 +46,6 @@ class Sharpness(NamedTuple):
     band: str
     blur_px: float
     edges: int
-
-    @property
-    def mtf50(self) -> float:
-        """Frequency at which a Gaussian of that width halves the contrast, cycles per px."""
-        return 0.1874 / self.blur_px if self.blur_px > 0 else float("nan")
 
 
 def band_sharpness(

@@ -26,7 +26,7 @@ NAMES = {
 SAMPLED = 0.5
 """Side of the sampled area over the pitch of the patches."""
 LEAST_SIDE = 6.0
-"""Of a sampled area, px: fewer pixels say nothing of noise."""
+"""Of a sampled area, px: fewer pixels do not show the noise."""
 
 
 class ChartRefused(Refused):
@@ -69,7 +69,7 @@ class Chart:
 
     @cached_property
     def luminances(self) -> np.ndarray:
-        """(n,) relative luminances as published, for telling the chart and its orientation."""
+        """(n,) relative luminances as published, for recognising the chart and its orientation."""
         sg, classic = "luminances_sg.csv", "luminances_classic.csv"
         table = HERE.with_name(sg if self.rows == 10 else classic)
         return np.loadtxt(table, delimiter=",", skiprows=1, usecols=1)
@@ -114,7 +114,7 @@ def chart_of(name: str) -> Chart:
 class ChartReference(NamedTuple):
     """Reflectances of a chart's patches.
 
-    `wavelengths` (m,) nm, `spectra` (n, m), `source` for captions, and what was mended in `note`.
+    `wavelengths` (m,) nm, `spectra` (n, m), `source` for captions, and corrections of the header in `note`.
     """
 
     wavelengths: np.ndarray
@@ -146,7 +146,7 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
     ----------
     text : str
         The header names patches by column and row: ``A:1`` or ``A1``. A name that stands twice
-        where another is missing is taken by its place, and told. Per cent are known by their size.
+        where another is missing is taken by its place, with a note. Per cent are recognised by their size.
     chart : Chart
     file : str
         For messages.
@@ -164,7 +164,7 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
         rows = len(table) + bool(head)
         raise _bad_reference(file, f"{rows} rows", "a header and two wavelengths or more")
     names = ["".join(c for c in cell if c.isalnum()).upper() for cell in head[1:]]
-    names, note = _mended(names, chart)
+    names, note = _correct_names(names, chart)
     missing = [patch for patch in chart.patches if patch not in names]
     if missing:
         expected = f"a column for each of {len(chart.patches)} patches"
@@ -178,8 +178,8 @@ def parse_reference(text: str, chart: Chart, *, file: str = "") -> ChartReferenc
     return ChartReference(table[:, 0], spectra, file.rsplit("/", 1)[-1] or "CSV", note)
 
 
-def _mended(names: list[str], chart: Chart) -> tuple[list[str], str]:
-    """Put right a patch that was named twice where the order says which one was meant."""
+def _correct_names(names: list[str], chart: Chart) -> tuple[list[str], str]:
+    """Correct a patch that was named twice where the order of the columns shows which one was meant."""
     twice = {name for name in names if names.count(name) > 1}
     if not twice or len(names) != len(chart.patches):
         return names, ""

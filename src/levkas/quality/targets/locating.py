@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,12 +16,17 @@ from levkas.quality.targets.charts import (
     turned_corners,
 )
 
+if TYPE_CHECKING:
+    from levkas.core.cube import Cube
+
 LEAST_AGREEMENT = 0.9
 """Rank correlation of patch values with the published ones."""
 LONG_SIDES = (900, 1400, 2000)
 """Sizes, px, at which the detector is tried: it wants patches 30 px apart or more."""
 STEPS = (0.1, 0.05, 0.02)
 """Of the refinement, in pitches."""
+NEAR = 0.5
+"""How far, in pitches, one sensor of a camera may see a chart from where another does."""
 NEARLY_ALL = 0.75
 """Side of the areas that are made even, over the pitch: most of a patch, so that edges show."""
 
@@ -88,6 +93,45 @@ def locate_chart(
     if not best.agreement >= LEAST_AGREEMENT:
         raise ChartRefused(_disagrees(best.agreement, chart, known))
     return best
+
+
+def locate_in_cube(
+    cube: Cube,
+    chart: Chart,
+    reference: ChartReference | None,
+    *,
+    corners: np.ndarray | None = None,
+    near: np.ndarray | None = None,
+) -> Located:
+    """Locate a chart in the cube of one sensor.
+
+    Parameters
+    ----------
+    cube : Cube
+    chart, reference, corners
+        As for `locate_chart`.
+    near : ndarray, (4, 2), optional
+        Corners, px, that another sensor of the camera gave. Where the patches rank otherwise than
+        the published ones, as in the infrared, corners within half a pitch of these are taken.
+
+    Raises
+    ------
+    ChartRefused
+    """
+    wavelengths = np.array([band.wavelength for band in cube.bands], float)
+    try:
+        return locate_chart(cube.values, wavelengths, chart, reference, corners=corners)
+    except ChartRefused as refused:
+        if near is None or corners is not None or refused.problems[0].code != "E_CHART_ORDER":
+            raise
+        # An infrared channel ranks the patches otherwise than the eye: the place must be the same.
+        ways = turned_corners(find_corners(cube.values, chart))
+        way = min(ways, key=lambda c: float(np.abs(c - near).max()))
+        pitch = float(np.linalg.norm(near[1] - near[0])) / (chart.columns - 1)
+        if float(np.abs(way - near).max()) > NEAR * pitch:
+            raise
+        areas = place_patches(way, chart, (cube.values.shape[1], cube.values.shape[0]))
+        return Located(way, areas, 1.0, patch_means(cube.values, areas))
 
 
 def _disagrees(agreement: float, chart: Chart, known: bool) -> Problem:

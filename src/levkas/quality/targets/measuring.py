@@ -1,7 +1,7 @@
 """Measurement of a chart: signal and noise of its patches, blur, colour, tone, white balance.
 
 Indicators stand beside the levels of FADGI and ISO 19264-1. They are never a certification: those
-standards want their own targets, densities and whole systems."""
+standards require their own targets, densities and whole systems."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from levkas.colour.gamut import xyz_to_lab
 from levkas.colour.srgb import observer_under_d65, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
-    ChartRefused,
-    place_patches,
-    turned_corners,
 )
 from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patches, noise_planes
 
@@ -27,9 +25,6 @@ if TYPE_CHECKING:
     from levkas.quality.targets.charts import Chart, ChartReference
     from levkas.quality.targets.locating import Located
     from levkas.quality.targets.patches import Preblur
-
-NEAR = 0.5
-"""How far, in pitches, one sensor of a camera may see a chart from where another does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +46,7 @@ class ChartMeasure:
     Parameters
     ----------
     name : str
-        What it was called: target and layer, or a file.
+        Target and layer, or file.
     chart : Chart
     sightings : tuple of Sighting
         A sensor each.
@@ -59,7 +54,7 @@ class ChartMeasure:
     table : PatchTable
         Over all bands.
     preblurs : tuple of Preblur or None
-        A band each; None where it cannot be looked for: on demosaiced values.
+        A band each; None for demosaiced values.
     colours : Colours or None
         None where there are no reference spectra, or no visible band.
     rows : tuple of Row
@@ -137,48 +132,6 @@ def _digits(values: Any) -> Any:
     return float(f"{float(values):.5g}")
 
 
-def locate_in_cube(
-    cube: Cube,
-    chart: Chart,
-    reference: ChartReference | None,
-    *,
-    corners: np.ndarray | None = None,
-    near: np.ndarray | None = None,
-) -> Located:
-    """Locate a chart in the cube of one sensor.
-
-    Parameters
-    ----------
-    cube : Cube
-    chart, reference, corners
-        As for `locating.locate_chart`.
-    near : ndarray, (4, 2), optional
-        Corners, px, that another sensor of the camera gave. Where the patches rank otherwise than
-        the published ones, as in the infrared, corners within half a pitch of these are taken.
-
-    Raises
-    ------
-    ChartRefused
-    """
-    from levkas.quality.targets.locating import Located, find_corners, patch_means
-    from levkas.quality.targets.locating import locate_chart as locate
-
-    wavelengths = np.array([band.wavelength for band in cube.bands], float)
-    try:
-        return locate(cube.values, wavelengths, chart, reference, corners=corners)
-    except ChartRefused as refused:
-        if near is None or corners is not None or refused.problems[0].code != "E_CHART_ORDER":
-            raise
-        # An infrared channel ranks the patches otherwise than the eye: the place must be the same.
-        ways = turned_corners(find_corners(cube.values, chart))
-        way = min(ways, key=lambda c: float(np.abs(c - near).max()))
-        pitch = float(np.linalg.norm(near[1] - near[0])) / (chart.columns - 1)
-        if float(np.abs(way - near).max()) > NEAR * pitch:
-            raise
-        areas = place_patches(way, chart, (cube.values.shape[1], cube.values.shape[0]))
-        return Located(way, areas, 1.0, patch_means(cube.values, areas))
-
-
 def measure(
     name: str,
     chart: Chart,
@@ -209,29 +162,37 @@ def measure(
     bands = tuple(band for s in seen for band in s.cube.bands)
     preblurs = [p for s in seen for p in _preblurs(s, s.sensor in mosaics)]
     wavelengths = np.array([band.wavelength for band in bands], float)
-    told = [*notes, *_doubts(table, chart, bands, seen)]
+    remarks = [*notes, *_warnings(table, bands, seen)]
     if reference is not None and reference.note:
-        told.append(f"reference: {reference.note}")
+        remarks.append(f"reference: {reference.note}")
     colours, rows = None, []
     reflective = all(s.cube.quantity == "reflectance" for s in seen)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
     clean = table.saturated.max() <= SATURATED
     if reference is None:
-        told.append("no reference spectra: give --reference for colour differences")
+        remarks.append("no reference spectra: give --reference for colour differences")
     elif not reflective:
-        told.append("the cube is in counts: colours need a white")
+        remarks.append("the cube is in counts: colours need a white")
     elif visible.sum() >= 3 and clean:
-        colours = compare_colours(table.mean, wavelengths, chart, reference)
+        colours = compare_colours(table.mean, wavelengths, reference)
         rows = rate(colours, chart, uniformity=uniformity)
     elif not clean:
-        told.append("colours are not compared where patches saturate")
+        remarks.append("colours are not compared where patches saturate")
     return ChartMeasure(
-        name, chart, tuple(seen), bands, table, tuple(preblurs), colours, tuple(rows), tuple(told)
+        name,
+        chart,
+        tuple(seen),
+        bands,
+        table,
+        tuple(preblurs),
+        colours,
+        tuple(rows),
+        tuple(remarks),
     )
 
 
 def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
-    """What the noise says of every band; nothing of demosaiced ones, whose neighbours are alike."""
+    """Find the blur of every band from its noise; None for demosaiced ones, whose neighbours are correlated."""
     from levkas.quality.targets.patches import find_preblur
 
     if mosaic:
@@ -245,9 +206,7 @@ def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
     return found
 
 
-def _doubts(
-    table: PatchTable, chart: Chart, bands: Sequence[Band], seen: Sequence[Sighting]
-) -> list[str]:
+def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]) -> list[str]:
     doubts = []
     full = table.saturated.max(0)
     if full.max() > SATURATED:
@@ -272,6 +231,8 @@ LEVELS = {
     "white": ((2.0, 4.0, 6.0, 8.0), (3.0, 4.0, 5.0)),
 }
 """FADGI 2023 (4 to 1 stars) and ISO 19264-1:2021 (levels A, B, C): largest values."""
+
+
 LEAST_COVERAGE = 0.9
 
 
@@ -299,7 +260,7 @@ class Colours(NamedTuple):
 
 
 def compare_colours(
-    means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: ChartReference
+    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference
 ) -> Colours:
     """Compare the patches' colours with those of the reference spectra.
 
@@ -309,7 +270,6 @@ def compare_colours(
         Reflectance.
     wavelengths : ndarray, (bands,), nm
         NaN for broad channels.
-    chart : Chart
     reference : Reference
 
     Notes
@@ -347,12 +307,7 @@ def lab_of(xyz: np.ndarray) -> np.ndarray:
     >>> [round(float(v)) for v in lab_of(np.array([0.9505, 1.0, 1.089]) / 2)]
     [76, 0, 0]
     """
-    white = observer_under_d65()[1].sum(0)
-    t = np.maximum(np.asarray(xyz, float) / white, 0)
-    f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29)
-    return np.stack(
-        [116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], -1
-    )
+    return xyz_to_lab(np.maximum(xyz, 0), observer_under_d65()[1].sum(0))
 
 
 def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -78,7 +78,7 @@ def measure_patches(
     values : ndarray, (h, w, bands)
         Reflectance, or counts above dark.
     flags : ndarray like `values`, uint8
-        Defects are left out, saturation is told.
+        Defects are left out, saturation is reported.
     areas : ndarray, (n, 4, 2), px
         From `charts.place_patches`.
     shots : two ndarrays like `values`, optional
@@ -118,9 +118,9 @@ def measure_patches(
                 mean[i, band] = noise[i, band] = np.nan
                 continue
             mean[i, band] = part[use, band].mean()
-            told = part[:, band] if half is None else half[:, band]
+            noisy = part[:, band] if half is None else half[:, band]
             step = 0.0 if steps is None else float(steps[band])
-            noise[i, band] = _rounded(_spread(told[use], rows[use], columns[use]), step, count)
+            noise[i, band] = _rounded(_spread(noisy[use], rows[use], columns[use]), step, count)
     return PatchTable(mean, noise, saturated, pixels, shots is not None)
 
 
@@ -171,7 +171,7 @@ SMALLEST = 0.03
 
 
 class Preblur(NamedTuple):
-    """What the noise says of a camera's own blur.
+    """A camera's own blur, found from its noise.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class Preblur(NamedTuple):
 
 
 def find_preblur(noise: np.ndarray | Sequence[np.ndarray], *, fitted: int = 1) -> Preblur:
-    """Tell whether a camera blurred, from the noise of uniform areas.
+    """Find whether a camera blurred, from the noise of uniform areas.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ def serve(
     output: Path | None = None,
     port: int = 0,
     browse: bool = False,
-    tell: Callable[[Address], None] = lambda address: None,
+    announce: Callable[[Address], None] = lambda address: None,
 ) -> None:
     """Serve the workbench of a campaign on 127.0.0.1 until it is interrupted.
 
@@ -85,7 +85,7 @@ def serve(
         0: any that is free.
     browse : bool
         Open the page in the browser.
-    tell : callable
+    announce : callable
         Called with the address as soon as it listens.
 
     Raises
@@ -117,7 +117,7 @@ def serve(
         server_header=False, date_header=False, timeout_graceful_shutdown=1,
     )  # fmt: skip
     server = uvicorn.Server(config)
-    tell(address)
+    announce(address)
     sys.stdout.flush()
     try:
         with _ending_alike(server):
@@ -153,7 +153,7 @@ def _ending_alike(server: uvicorn.Server) -> Iterator[None]:
 
 
 def _check_campaign(folder: Path) -> None:
-    """Tell someone who gave a database what to give instead."""
+    """Refuse a database: corrections belong to its campaign."""
     from levkas.database.catalogue import NAME
 
     if (folder / NAME).is_file() and not (folder / "campaign.toml").is_file():

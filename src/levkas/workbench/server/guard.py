@@ -2,7 +2,7 @@
 
 A server on 127.0.0.1 is no secret: any page that is open in a browser can ask it. So the host has
 to be its own (a page that rebinds its name to 127.0.0.1 sends its own name), requests of other
-sites are refused, and all data wants a token that only the terminal has shown.
+sites are refused, and all data needs a token that only the terminal has shown.
 """
 
 from __future__ import annotations

@@ -144,10 +144,10 @@ def answering(handler: Callable[..., Response]) -> Callable[[Request], Any]:
             return await run_in_threadpool(handler, request, body)
         except Refused as refusal:
             status = next((s for kind, s in STATUS.items() if isinstance(refusal, kind)), 422)
-            told: dict[str, Any] = {"problems": [p.to_dict() for p in refusal.problems]}
+            record: dict[str, Any] = {"problems": [p.to_dict() for p in refusal.problems]}
             if isinstance(refusal, EditsConflict):
-                told["present"] = asdict(refusal.present)
-            return JSONResponse({"ok": False, **told}, status)
+                record["present"] = asdict(refusal.present)
+            return JSONResponse({"ok": False, **record}, status)
 
     return answer
 
@@ -239,13 +239,13 @@ class Handlers:
         frame = self._frame(request)
         with frame.lock:
             self.library.catch_up(frame)
-            return _told(describe(frame.session, packed=True))
+            return _answer(describe(frame.session))
 
     def edit(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
         with frame.lock:
             change(frame, body)
-            return _told(describe(frame.session, str(body.get("known", "")), packed=True))
+            return _answer(describe(frame.session, str(body.get("known", ""))))
 
     def attempt(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
@@ -255,14 +255,14 @@ class Handlers:
 
     def partner(self, request: Request, body: dict[str, Any]) -> Response:
         with (frame := self._frame(request)).lock:
-            return JSONResponse({"ok": True, **frame.partner(**_asked(request))})
+            return JSONResponse({"ok": True, **frame.partner(**_partner_query(request))})
 
     def tile(self, request: Request, body: dict[str, Any]) -> Response:
         which = request.path_params["which"]
         level, column, row = (_digits(request.path_params[k]) for k in ("level", "column", "row"))
-        asked = request.query_params
-        more = {"map_": asked.get("map", ""), "tint": asked.get("tint", "")}
-        bands = _bands(asked.get("bands", ""))
+        query = request.query_params
+        more = {"map_": query.get("map", ""), "tint": query.get("tint", "")}
+        bands = _bands(query.get("bands", ""))
         try:
             data, kind = self._frame(request).tile(which, (level, column, row), bands=bands, **more)
         except IndexError:
@@ -283,14 +283,14 @@ class Handlers:
     def export(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
         files, losses = frame.export(str(body.get("dialect", "levkas")))
-        told = [{"name": n, "data": base64.b64encode(d).decode("ascii")} for n, d in files]
-        return JSONResponse({"ok": True, "files": told, "losses": losses})
+        parts = [{"name": n, "data": base64.b64encode(d).decode("ascii")} for n, d in files]
+        return JSONResponse({"ok": True, "files": parts, "losses": losses})
 
     def import_(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
         with frame.lock:
-            told = frame.take(_files(body.get("files")), str(body.get("dialect") or "") or None)
-            return _told({**told, **describe(frame.session, packed=True)})
+            counts = frame.take(_files(body.get("files")), str(body.get("dialect") or "") or None)
+            return _answer({**counts, **describe(frame.session)})
 
     def start_build(self, request: Request, body: dict[str, Any]) -> Response:
         self.rebuild.start(request.path_params["id"])
@@ -326,12 +326,12 @@ def routes(
     return [Route(path, answering(handler), methods=[method]) for path, handler, method in table]
 
 
-def _told(told: dict[str, Any]) -> Response:
-    return Response(to_bytes({"ok": True, **told}), media_type="application/octet-stream")
+def _answer(answer: dict[str, Any]) -> Response:
+    return Response(to_bytes({"ok": True, **answer}), media_type="application/octet-stream")
 
 
 def change(frame: RegistrationView, body: dict[str, Any]) -> None:
-    """Do what a request asks to the corrections of a camera.
+    """Apply a request to the corrections of a camera.
 
     Raises
     ------
@@ -358,8 +358,8 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     verdict = frame.record.get("verdict", {})
     model = frame.record.get("model", {})
     found = frame.session.found
-    told = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
-    told["reasons"] = reasons_of(frame, told["reasons"] or [])
+    judged = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
+    judged["reasons"] = reasons_of(frame, judged["reasons"] or [])
     sensors = [s for s in model.get("sensors", []) if isinstance(s, dict)]
     sensors = [s for s in sensors if s.get("sensor") == frame.view.sensor.name] or sensors
     return {
@@ -368,11 +368,11 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "camera": frame.capture.layer,
         "sensor": frame.view.sensor.name if len(frame.capture.sensors) > 1 else "",
         "band": frame.band,
-        "bands": _told_bands(frame.view),
+        "bands": _describe_bands(frame.view),
         "reference": {
             "camera": frame.reference.layer,
             "band": frame.reference_band,
-            "bands": _told_bands(frame.main),
+            "bands": _describe_bands(frame.main),
         },
         "is_reference": frame.view == frame.main,
         "size": list(found.size),
@@ -382,7 +382,7 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
         "builds": frame.builds,
         "maps": find_kinds(frame.record, frame.band),
         "method": frame.record.get("method", ""),
-        "verdict": told,
+        "verdict": judged,
         "ladder": [s.get("ladder", {}) for s in sensors[:1]],
         "chosen": [s.get("base", "") for s in sensors[:1]],
         "basis": basis_of(frame),
@@ -406,7 +406,7 @@ def reasons_of(frame: RegistrationView, reasons: list[str]) -> list[str]:
     return [r[:1].upper() + r[1:] for r in kept] or reasons
 
 
-def _told_bands(view: SensorView) -> list[dict[str, Any]]:
+def _describe_bands(view: SensorView) -> list[dict[str, Any]]:
     """Labels and wavelengths of a sensor's bands."""
     return [
         {"label": b.label, "wavelength": b.wavelength if np.isfinite(b.wavelength) else None}
@@ -414,15 +414,15 @@ def _told_bands(view: SensorView) -> list[dict[str, Any]]:
     ]
 
 
-def _asked(request: Request) -> dict[str, Any]:
-    asked = request.query_params
+def _partner_query(request: Request) -> dict[str, Any]:
+    query = request.query_params
     return {
-        "x": _number(asked.get("x")),
-        "y": _number(asked.get("y")),
-        "side": "target" if asked.get("from") == "target" else "reference",
-        "which": asked.get("map", ""),
-        "reach": None if asked.get("reach") is None else _reach(asked.get("reach")),
-        "bands": {side: _bands(asked.get(side, "")) for side in SIDES},
+        "x": _number(query.get("x")),
+        "y": _number(query.get("y")),
+        "side": "target" if query.get("from") == "target" else "reference",
+        "which": query.get("map", ""),
+        "reach": None if query.get("reach") is None else _reach(query.get("reach")),
+        "bands": {side: _bands(query.get(side, "")) for side in SIDES},
     }
 
 
