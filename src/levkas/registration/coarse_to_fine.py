@@ -348,13 +348,13 @@ def refine_map(task: SensorTask) -> RefinedMap:
 
 def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
     bands = task.bands
-    way = _Way(task, stiff)
+    way = _Refinement(task, stiff)
     way.approach()
     way.converge()
     best = max(range(len(bands)), key=lambda i: float(way.windows[i].r2.mean()))
     way.course["band"] = bands[best].label
     judged = max(way.step, task.plain_step)
-    test = way.leave_out_what_is_covered(best, judged)
+    test = way.exclude_covered(best, judged)
     whole = Composed(way.chromatic.transform(best), way.base)
     numbers, checks = _verify(task, bands[best], whole, judged, test)
     return RefinedMap(
@@ -363,7 +363,7 @@ def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
     )  # fmt: skip
 
 
-class _Way:
+class _Refinement:
     """State of one refinement: base map, grid, chromatic shifts and windows of the last round."""
 
     selected: SelectedModel
@@ -411,7 +411,7 @@ class _Way:
         planned = [self.step] * least if small else [2 * self.step, self.step]
         steps = planned + [self.step] * (SETTINGS.most_rounds - len(planned))
         for rounds, step in enumerate(steps, 1):
-            self.windows = self._look(step)
+            self.windows = self._measure_windows(step)
             before = self.base
             self._fit(step, SelectionTerms(stiff=self.stiff, depth_step=step == self.step))
             moved = base_change(before, self.base, self.selected.observations.points)
@@ -426,7 +426,7 @@ class _Way:
             if rounds >= len(planned) and settled:
                 return
 
-    def leave_out_what_is_covered(self, best: int, judged: int) -> PermutationTest:
+    def exclude_covered(self, best: int, judged: int) -> PermutationTest:
         """Refit to windows that lie among predicted ones, where something covers part of the object."""
         test = self._test(best, judged)
         for _ in range(SETTINGS.rounds):
@@ -434,11 +434,11 @@ class _Way:
                 break
             among = test.is_predicted_around(self.windows[0].centres)
             self._fit(self.step, SelectionTerms(stiff=True), among)
-            self.windows = self._look(self.step)
+            self.windows = self._measure_windows(self.step)
             test = self._test(best, judged)
         return test
 
-    def _look(self, step: int) -> list[WindowShifts]:
+    def _measure_windows(self, step: int) -> list[WindowShifts]:
         own = [self.chromatic.transform(i) for i in range(len(self.task.bands))]
         return self.task.measure_shifts(self.task.bands, own, self.base, step)
 

@@ -13,7 +13,7 @@ from levkas.core.compiled import njit
 
 
 @njit(inline="always")
-def _see(images, i, j, k, cell, r, c, v):  # type: ignore[no-untyped-def]
+def _see(images, i, j, k, cell, v):  # type: ignore[no-untyped-def]
     """Fill v with 1, u, v, the predictors and their derivatives along x and y at one pixel."""
     v[0] = 1.0
     v[1] = (j + 0.5) / cell
@@ -193,7 +193,7 @@ def _masked_cell(target, images, known, cell, r, c, line, g):  # type: ignore[no
             t = np.float64(target[i, j])
             if not (known[i, j] and np.isfinite(t)):
                 continue
-            _see(images, i, j, k, cell, r, c, v)
+            _see(images, i, j, k, cell, v)
             for a in range(d):
                 line[a] += t * v[a]
             line[d] += t * t

@@ -21,7 +21,10 @@ from levkas.geometry.transforms import (
     solve_2x2,
 )
 
+#: Spans of a spline along the longer side, at most.
 MOST_SPANS = 12
+#: Rounds of Gauss-Newton, at most; share of the squares that a round takes without which it is the last.
+MOST_ROUNDS, SETTLED = 5, 1e-9
 
 
 @dataclass(frozen=True)
@@ -248,24 +251,19 @@ def _roughness(rows: int, columns: int) -> np.ndarray:
     )
 
 
-TURNS = 5
-#: A turn that takes less of the squares than this is the last.
-SETTLED = 1e-9
-
-
 def fit_parameters(
     places: np.ndarray, goals: np.ndarray, roots: np.ndarray, start: np.ndarray
 ) -> np.ndarray:
-    """Return the parameters for which the weighted squares of what is missed are least.
+    """Return the parameters for which the weighted squares of the residuals are least, by Gauss-Newton.
 
     Parameters
     ----------
     places : ndarray, (n, 2)
         Points, centred and scaled to about -1..1.
     goals : ndarray, (n, 2)
-        Where they lie, in the same way.
+        Their positions in the target, centred and scaled in the same way.
     roots : ndarray, (n, 2, 2)
-        Weigh what is missed: its product with them is squared.
+        Weights: the product of a residual with them is squared.
     start : ndarray, (8,) or (12,)
         Of the homography x: 1, u, v; y: 1, u, v; w: u, v; then, with a lens, k1, k2, p1, p2.
 
@@ -284,21 +282,21 @@ def fit_parameters(
     np.True_
     """
     best = np.array(start, float)
-    missed, slopes = np.empty(2 * len(places)), np.empty((2 * len(places), len(best)))
-    _look(places, goals, roots, best, missed, slopes)
-    tried, after = np.empty_like(missed), np.empty_like(slopes)
-    for _ in range(TURNS):
+    residual, slopes = np.empty(2 * len(places)), np.empty((2 * len(places), len(best)))
+    _linearise(places, goals, roots, best, residual, slopes)
+    tried, after = np.empty_like(residual), np.empty_like(slopes)
+    for _ in range(MOST_ROUNDS):
         if not np.isfinite(slopes).all():
             break
         scale = 1 / np.maximum(np.sqrt((slopes * slopes).sum(0)), 1e-150)
         normal = (slopes.T @ slopes) * scale[:, None] * scale
-        move = -scale * np.linalg.lstsq(normal, scale * (slopes.T @ missed), rcond=1e-13)[0]
-        _look(places, goals, roots, best + move, tried, after)
-        before, now = float(missed @ missed), float(tried @ tried)
+        move = -scale * np.linalg.lstsq(normal, scale * (slopes.T @ residual), rcond=1e-13)[0]
+        _linearise(places, goals, roots, best + move, tried, after)
+        before, now = float(residual @ residual), float(tried @ tried)
         if not (np.isfinite(tried).all() and now < before):
             break
         best = best + move
-        missed, tried, slopes, after = tried, missed, after, slopes
+        residual, tried, slopes, after = tried, residual, after, slopes
         if before - now < SETTLED * before:
             break
     return best
@@ -306,7 +304,7 @@ def fit_parameters(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def weight_roots(information, jacobian, unit):  # type: ignore[no-untyped-def]
-    """Return roots, (n, 2, 2), that weigh misses of the target in `unit` by information of the reference."""
+    """Return roots, (n, 2, 2), that weigh residuals in the target, in `unit`, by information in the reference."""
     out = np.empty_like(information)
     for n in range(len(information)):
         p, q, r = information[n, 0, 0] + 1e-9, information[n, 0, 1], information[n, 1, 1] + 1e-9
@@ -323,8 +321,8 @@ def weight_roots(information, jacobian, unit):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look(places, goals, roots, p, missed, slopes):  # type: ignore[no-untyped-def]
-    """Fill what is missed, weighted, and its derivatives by the parameters."""
+def _linearise(places, goals, roots, p, residual, slopes):  # type: ignore[no-untyped-def]
+    """Fill the weighted residuals, and their derivatives by the parameters."""
     lens = len(p) > 8
     along, down = np.zeros(12), np.zeros(12)
     for n in range(len(places)):
@@ -355,6 +353,6 @@ def _look(places, goals, roots, p, missed, slopes):  # type: ignore[no-untyped-d
         dx, dy = goals[n, 0] - x, goals[n, 1] - y
         for row in range(2):
             q, r = roots[n, row, 0], roots[n, row, 1]
-            missed[2 * n + row] = q * dx + r * dy
+            residual[2 * n + row] = q * dx + r * dy
             for k in range(len(p)):
                 slopes[2 * n + row, k] = -(q * along[k] + r * down[k])
