@@ -27,8 +27,8 @@ from levkas.calibration.templates import (
 from levkas.calibration.whites import PERFECT, WhiteBoard, check_white, reflectance_table
 from levkas.core.compiled import njit
 from levkas.core.cube import Flag
-from levkas.core.machine import over_rows
 from levkas.core.problems import Problem
+from levkas.core.threads import in_threads
 
 
 @dataclass(frozen=True)
@@ -139,18 +139,17 @@ def flat_field(
     marks = (as_marks(shot.saturated), lit_saturated, as_marks(shot.black), as_marks(bad))
     known = noise is not None or all(side.known for side in sides)
     shape, size = shot.mean.shape, sides[0].mean.shape
-    made = np.empty(size, np.float32), np.empty(size, np.uint8)
+    values, flags = np.empty(size, np.float32), np.empty(size, np.uint8)
     variance = np.empty(size if known else (0, 0), np.float32)
-    width = size[1]
     inputs = (
-        tuple(side.as_wide_as(width) for side in sides),
-        _Marks(*(_widened(mark, width) for mark in marks)),
-        _widened(np.asarray(scale, np.float64), width),
+        tuple(side.as_wide_as(size[1]) for side in sides),
+        _Marks(*(_widened(mark, size[1]) for mark in marks)),
+        _widened(np.asarray(scale, np.float64), size[1]),
         tuple(map(float, model_of(noise, under, white_under))),
         under.mean is white_under.mean,
     )
-    over_rows(lambda y, end: _flatten(y, end, *inputs, (*made, variance)), size[0])
-    values, flags = (part.reshape(shape) for part in made)
+    in_threads(_flatten, size[0], inputs, values, flags, variance)
+    values, flags = values.reshape(shape), flags.reshape(shape)
     quantity = "counts" if white is None else "reflectance"
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
 
@@ -306,24 +305,19 @@ class _Marks(NamedTuple):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _flatten(start, stop, sides, marks, table, model, shared, out):  # type: ignore[no-untyped-def]
+def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-untyped-def]
     """Fill rows `start` to `stop` of values (shot − dark)/(white − white_dark) · table, flags and variance.
 
     Parameters
     ----------
-    sides : four Side, as wide as the shot, of one row or all
-        Of shot, dark, white and the white's dark.
-    marks : _Marks
-    table : ndarray, (rows, w), float64
-        White reflectance times the ratio of exposures, repeated over the rows.
-    model : (gain, variance without light of the object's exposure, that of the white's, step)
-        A gain below 0: there is no noise model.
-    shared : bool
-        One dark serves both.
-    out : (values, flags, variance), (h, w)
+    inputs : (sides, marks, table, model, shared)
+        Four `Side`, as wide as the shot, of shot, dark, white and the white's dark; the `_Marks`; white
+        reflectance times the ratio of exposures, (rows, w), repeated over the rows; gain (below 0: no
+        model), variances without light of object and white, step; whether one dark serves both.
+    values, flags, variance : ndarray, (h, w)
         No variance is worked out where its size is 0.
     """
-    values, flags, variance = out
+    sides, marks, table, model, shared = inputs
     alike = all_lines_alike(sides)
     shares = np.empty((3, values.shape[1] if variance.size > 0 else 0))
     for y in range(start, stop):
