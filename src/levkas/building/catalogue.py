@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest
-from levkas.building.progress import Step
+from levkas.building.graph import Step
 from levkas.building.sources import code_version
 from levkas.campaign.campaign import Campaign
 from levkas.campaign.discovery.captures import Capture

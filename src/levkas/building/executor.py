@@ -16,8 +16,7 @@ from zipfile import BadZipFile
 from levkas.building import fingerprints
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, Written, key_of
 from levkas.building.fingerprints import Inputs, measured_path
-from levkas.building.graph import Graph, Task
-from levkas.building.progress import Step
+from levkas.building.graph import Graph, Step, Task
 from levkas.building.removal import is_of_the_disk, no_reference, put_away, refused_step, withdraw
 from levkas.core.machine import give_back_memory, steady_libraries
 from levkas.core.problems import Problem, Refused

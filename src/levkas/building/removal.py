@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from levkas.building.build_records import CATALOGUE, STAGES, BuildRecords, Key, key_of
-from levkas.building.graph import keys_of
-from levkas.building.progress import Step
+from levkas.building.graph import Step, keys_of
 from levkas.core.disk import DISK_CODES
 from levkas.core.problems import Problem, Refused
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from levkas.building.build_records import BuildRecords
-    from levkas.building.progress import Step
+    from levkas.building.graph import Step
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.layout import Places

@@ -22,8 +22,7 @@ from levkas.building.catalogue import (
 from levkas.building.claiming import check_apart, claim
 from levkas.building.executor import Executor, fresh_step
 from levkas.building.fingerprints import Inputs
-from levkas.building.graph import Graph, Task, draw, graph_of, ordered
-from levkas.building.progress import BuildReport, Step, summarise
+from levkas.building.graph import BuildReport, Graph, Step, Task, draw, graph_of, ordered, summarise
 from levkas.building.removal import (
     REMOVED,
     NoReference,

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from levkas.calibration.sensor_context import SensorContext
     from levkas.campaign.discovery.captures import FrameRef
 
-BLOCK_SAMPLES = 8_000_000
+BLOCK_SAMPLES = 3_000_000
 """Samples of a block of lines, where $LEVKAS_TILE does not say how many lines."""
 TRIPLES = 64
 """Threes of neighbouring lines of a mirror scanner's dark and white that tell its noise."""

@@ -125,7 +125,9 @@ class Strip:
         """Flat-field lines `start` to `stop`; the same values for any block that they are part of."""
         context, frame = self.context, self.file.frame
         codes = context.checked(self.file.read(start, stop, turned=False), frame)
+        shape = codes.shape
         shot = average(iter([codes]), saturation=context.saturation)
+        del codes
         shot = timed(gaps_marked(shot), times_of(frame))
         darks = [lines_of(dark, start, stop) for dark in self.templates.darks]
         white = self.templates.white
@@ -144,8 +146,8 @@ class Strip:
         )
         lost = gaps_of(shot, *darks, lit)
         if lost is None:
-            return FlatLines(flat, np.zeros(codes.shape[2], np.int64))
-        return FlatLines(flat, np.broadcast_to(lost, codes.shape).sum((0, 1)))
+            return FlatLines(flat, np.zeros(shape[2], np.int64))
+        return FlatLines(flat, np.broadcast_to(lost, shape).sum((0, 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +264,9 @@ class Scan:
     def blocks(self, start: int, stop: int) -> Iterator[Cube]:
         """Yield lines `start` to `stop`, calibrated, some at a time."""
         projecting = Projecting(self.subspace) if self.subspace else None
-        for block in self._flat_blocks(start, stop):
-            yield self._finished(block.flat, projecting)
+        for flat, _ in self._flat_blocks(start, stop):
+            yield self._finished(flat, projecting)
+            del flat  # its memory is that of the lines, which may have been done with
 
     def whole(self) -> tuple[Cube, tuple[str, ...]]:
         """Calibrate all lines; return them in memory, and notes.

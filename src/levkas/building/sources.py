@@ -42,7 +42,7 @@ ENTRIES = {
 RIM = frozenset(
     "levkas.building." + name
     for name in (
-        *("run", "executor", "graph", "build_records", "fingerprints", "sources", "progress"),
+        *("run", "executor", "graph", "build_records", "fingerprints", "sources"),
         *("removal", "claiming"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}

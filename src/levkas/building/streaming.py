@@ -98,6 +98,7 @@ class HeldLines:
             lines.values[rows], lines.flags[rows] = cube.values, cube.flags
             if lines.sigma is not None and cube.sigma is not None:
                 np.square(cube.sigma, out=lines.sigma[rows])
+            del cube  # before the next lines are made
         self._last = start, stop, lines
         return lines
 

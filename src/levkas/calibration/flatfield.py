@@ -142,14 +142,17 @@ def flat_field(
     made = np.empty(size, np.float32), np.empty(size, np.uint8)
     variance = np.empty(size if known else (0, 0), np.float32)
     width = size[1]
+    wide = tuple(side.as_wide_as(width) for side in sides)
+    model = tuple(map(float, model_of(noise, under, white_under)))
     inputs = (
-        tuple(side.as_wide_as(width) for side in sides),
+        wide,
         _Marks(*(_widened(mark, width) for mark in marks)),
         _widened(np.asarray(scale, np.float64), width),
-        tuple(map(float, model_of(noise, under, white_under))),
+        model,
         under.mean is white_under.mean,
+        _shares_of_line(wide, model) if known else np.empty((3, 0)),
     )
-    over_rows(lambda y, end: _flatten(y, end, *inputs, (*made, variance)), size[0])
+    over_rows(lambda y, end: _flatten(y, end, inputs, *made, variance), size[0])
     values, flags = (part.reshape(shape) for part in made)
     quantity = "counts" if white is None else "reflectance"
     return Calibrated(values, flags, variance.reshape(shape) if known else None, quantity, notes)
@@ -306,32 +309,28 @@ class _Marks(NamedTuple):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _flatten(start, stop, sides, marks, table, model, shared, out):  # type: ignore[no-untyped-def]
+def _flatten(start, stop, inputs, values, flags, variance):  # type: ignore[no-untyped-def]
     """Fill rows `start` to `stop` of values (shot − dark)/(white − white_dark) · table, flags and variance.
 
     Parameters
     ----------
-    sides : four Side, as wide as the shot, of one row or all
-        Of shot, dark, white and the white's dark.
-    marks : _Marks
-    table : ndarray, (rows, w), float64
-        White reflectance times the ratio of exposures, repeated over the rows.
-    model : (gain, variance without light of the object's exposure, that of the white's, step)
-        A gain below 0: there is no noise model.
-    shared : bool
-        One dark serves both.
-    out : (values, flags, variance), (h, w)
+    inputs : (sides, marks, table, model, shared, shares)
+        Four `Side`, as wide as the shot, of shot, dark, white and the white's dark; the `_Marks`; white
+        reflectance times the ratio of exposures, (rows, w), repeated over the rows; gain (below 0: no
+        model), variances without light of object and white, step; whether one dark serves both; what
+        `_shares_of_line` gives.
+    values, flags, variance : ndarray, (h, w)
         No variance is worked out where its size is 0.
     """
-    values, flags, variance = out
-    alike = all_lines_alike(sides)
-    shares = np.empty((3, values.shape[1] if variance.size > 0 else 0))
+    sides, marks, table, model, shared, shares = inputs
+    alike = shares.size > 0
+    own = np.empty((3, 0 if alike or variance.size == 0 else values.shape[1]))
     for y in range(start, stop):
         flatten_line(y, sides, marks, table, values[y], flags[y])
         if variance.size > 0:
-            if y == start or not alike:
-                fill_shares(y, sides, model, shares)
-            propagate_line(y, sides, table, model, shared, shares, variance[y])
+            if not alike:
+                fill_shares(y, sides, model, own)
+            propagate_line(y, sides, table, model, shared, shares if alike else own, variance[y])
 
 
 @njit(error_model="numpy")
@@ -394,16 +393,17 @@ def of_mean(share, signal, measured, freedom, gain, read, step):  # type: ignore
     return share * shown + alike
 
 
-@njit
-def all_lines_alike(sides):  # type: ignore[no-untyped-def]
-    """Tell whether dark and white are one line, which stands for all lines of the shot."""
+def _shares_of_line(sides: tuple[Side, ...], model: tuple[float, ...]) -> np.ndarray:
+    """Return what `fill_shares` gives where dark and white are one line for all rows, else nothing, (3, 0)."""
     _, dark, white, white_dark = sides
-    means = max(white.mean.shape[0], white_dark.mean.shape[0])
-    spreads = max(white.variance.shape[0], white_dark.variance.shape[0], dark.variance.shape[0])
-    return means == 1 and spreads == 1
+    parts = (white.mean, white_dark.mean, white.variance, dark.variance, white_dark.variance)
+    shares = np.empty((3, white.mean.shape[1] if all(len(part) == 1 for part in parts) else 0))
+    if shares.size:
+        fill_shares(0, sides, model, shares)
+    return shares
 
 
-@njit(error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def fill_shares(y, sides, model, shares):  # type: ignore[no-untyped-def]
     """Fill the variances of the means of white, dark and the white's dark in row `y`, (3, w)."""
     _, dark, white, white_dark = sides
