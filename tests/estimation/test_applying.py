@@ -103,11 +103,8 @@ def test_the_viewer_says_that_a_layer_was_estimated(own_paintings, models):
         layer["name"]: layer
         for layer in write_object(written.__setitem__, find_items(own_paintings)[0])
     }
-    assert (
-        layers["guess"]["verdict"] == "estimated, not measured"
-        and layers["guess"]["spectra"]["sigma"]
-    )
-    assert layers["vis"]["verdict"] != "estimated, not measured"
+    assert layers["guess"]["verdict"] == "estimated" and layers["guess"]["spectra"]["sigma"]
+    assert layers["vis"]["verdict"] != "estimated"
 
 
 # --- predictions made elsewhere ------------------------------------------------------------------

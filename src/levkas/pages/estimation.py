@@ -370,7 +370,7 @@ def _maps(source: SourceReport) -> dict[str, Any]:
         "maps": rows,
         "map_heads": [title_of(score.method) for score in source.ranked],
         "top": f"{_top(source):.3g}",
-        "step": "pixel" if source.step == 1 else f"{source.step} pixels",
+        "step": "" if source.step == 1 else f", one in {source.step} along each side of the grid",
         "gradient": ", ".join(matplotlib.colors.to_hex(colour) for colour in colours),
     }
 

@@ -275,7 +275,7 @@ def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:
     assert isinstance(facts, dict)
     sources, training = (", ".join(map(str, facts.get(key) or [])) for key in ("from", "training"))
     why = f"Estimated from {sources} by {facts.get('method')}, fitted on {training}: not a measurement."
-    return {"decision": "warn", "verdict": "estimated, not measured", "reasons": [why]}
+    return {"decision": "warn", "verdict": "estimated", "reasons": [why]}
 
 
 def _describe(tiff: Path) -> tuple[dict[str, Any], tuple[Band, ...], list[float]]:
