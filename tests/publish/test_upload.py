@@ -14,7 +14,7 @@ from levkas.database.manifest import NAME, write_manifest
 from levkas.database.remote import RemoteRefused
 from levkas.database.validation import validate
 from levkas.publish.publication import PublishRefused
-from levkas.publish.upload import Target
+from levkas.publish.upload import UploadTarget
 
 ADDRESS = "s3://museum/icons/2019"
 
@@ -63,7 +63,7 @@ def test_a_publication_is_sent_opened_and_found_whole(s3, database, tmp_path):
 
 
 def test_every_object_bears_its_checksum_and_its_type(s3, folder):
-    list(Target(ADDRESS).send(folder))
+    list(UploadTarget(ADDRESS).send(folder))
     for name in sent(s3):
         facts = s3.client.head_object(Bucket="museum", Key=name, ChecksumMode="ENABLED")
         path = folder / name.removeprefix("icons/2019/")
@@ -77,13 +77,13 @@ def test_every_object_bears_its_checksum_and_its_type(s3, folder):
 
 
 def test_an_interrupted_upload_goes_on_where_it_was(s3, folder):
-    upload = Target(ADDRESS).send(folder)
+    upload = UploadTarget(ADDRESS).send(folder)
     next(upload), next(upload)
     upload.close()
     there = {name.removeprefix("icons/2019/") for name in sent(s3)}
     assert NAME not in there and len(there) >= 2
     s3.requests.clear()
-    steps = list(Target(ADDRESS).send(folder))
+    steps = list(UploadTarget(ADDRESS).send(folder))
     assert steps[-1] == (NAME, 6, 6)
     assert not there & set(puts(s3))
     assert validate(ADDRESS).ok
@@ -92,20 +92,20 @@ def test_an_interrupted_upload_goes_on_where_it_was(s3, folder):
 def test_a_store_that_fails_leaves_no_manifest_and_the_next_upload_ends(s3, folder):
     s3.faults = lambda request: "500" if request.startswith("PUT") and "z.bin" in request else None
     with pytest.raises(RemoteRefused, match="error 500"):
-        list(Target(ADDRESS).send(folder))
+        list(UploadTarget(ADDRESS).send(folder))
     assert f"icons/2019/{NAME}" not in sent(s3)
     s3.faults = lambda request: None
-    list(Target(ADDRESS).send(folder))
+    list(UploadTarget(ADDRESS).send(folder))
     assert validate(ADDRESS).ok
 
 
 def test_another_version_replaces_what_changed_and_takes_away_what_is_gone(s3, folder):
-    list(Target(ADDRESS).send(folder))
+    list(UploadTarget(ADDRESS).send(folder))
     (folder / "z.bin").unlink()
     (folder / "a/b.html").write_text("new</html>")
     write_manifest(folder)
     s3.requests.clear()
-    list(Target(ADDRESS).send(folder))
+    list(UploadTarget(ADDRESS).send(folder))
     assert puts(s3) == ["a/b.html", NAME]
     assert "icons/2019/z.bin" not in sent(s3)
     assert validate(ADDRESS).ok
@@ -115,24 +115,24 @@ def test_another_version_replaces_what_changed_and_takes_away_what_is_gone(s3, f
 def test_what_levkas_did_not_send_is_never_replaced(s3, folder, name):
     s3.client.put_object(Bucket="museum", Key=f"icons/2019/{name}", Body=b"of somebody else")
     with pytest.raises(PublishRefused, match=f"did not send, the first: {name}"):
-        Target(ADDRESS)
+        UploadTarget(ADDRESS)
     assert sent(s3) == {f"icons/2019/{name}": 16}
     s3.client.put_object(Bucket="museum", Key="icons/2019-notes.txt", Body=b"beside")
     s3.client.delete_object(Bucket="museum", Key=f"icons/2019/{name}")
-    list(Target(ADDRESS).send(folder))
+    list(UploadTarget(ADDRESS).send(folder))
     assert sent(s3)["icons/2019-notes.txt"] == 6
 
 
 def test_the_publication_of_other_objects_is_not_replaced(s3, database, publish):
-    list(Target(ADDRESS, ["icon1"]).send(publish(database, iiif=False)))
+    list(UploadTarget(ADDRESS, ["icon1"]).send(publish(database, iiif=False)))
     with pytest.raises(PublishRefused, match="it holds the publication of icon1, icon2"):
-        Target(ADDRESS, ["icon9"])
+        UploadTarget(ADDRESS, ["icon9"])
 
 
 def test_a_file_that_changed_since_is_not_sent(s3, folder):
     (folder / "z.bin").write_bytes(b"changed")
     with pytest.raises(PublishRefused, match=r"z\.bin: it has changed"):
-        list(Target(ADDRESS).send(folder))
+        list(UploadTarget(ADDRESS).send(folder))
     assert f"icons/2019/{NAME}" not in sent(s3)
 
 
@@ -148,5 +148,5 @@ def test_an_address_that_nothing_can_be_sent_to_is_refused(s3, database, tmp_pat
 def test_a_folder_without_a_whole_manifest_is_not_sent(s3, folder):
     shutil.copy(folder / "z.bin", folder / NAME)
     with pytest.raises(Refused):
-        list(Target(ADDRESS).send(folder))
+        list(UploadTarget(ADDRESS).send(folder))
     assert sent(s3) == {}

@@ -17,7 +17,7 @@ from levkas.publish.publication import Editions, Publication, PublishRefused
 if TYPE_CHECKING:
     from levkas.database.manifest import Manifest
     from levkas.publish.publication import Publication
-    from levkas.publish.upload import Target
+    from levkas.publish.upload import UploadTarget
 
     Part = Callable[[Publication], Iterator[str]]
 
@@ -258,15 +258,15 @@ def publish(
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
 
 
-def _find_target(address: str, subject: PublishSubject) -> Target:
+def _find_target(address: str, subject: PublishSubject) -> UploadTarget:
     from levkas.database.catalogue import DatabaseRefused, read_catalogue
-    from levkas.publish.upload import Target
+    from levkas.publish.upload import UploadTarget
 
     try:
         objects = {entry.object for entry in read_catalogue(subject.database)}
     except DatabaseRefused:
         objects = set()
-    return Target(address, objects)
+    return UploadTarget(address, objects)
 
 
 def facts_of_subject(subject: PublishSubject) -> PublicationFacts:

@@ -25,7 +25,7 @@ MARK = "levkas-sha256"
 T = TypeVar("T")
 
 
-class Target:
+class UploadTarget:
     """An address that a publication may be sent to.
 
     Parameters
