@@ -108,6 +108,13 @@ def ordered(tasks: Graph, wanted: Iterable[Key]) -> list[Task]:
     return list(done.values())
 
 
+def captures_of(task: Task) -> tuple[Capture, Capture]:
+    """Return what a task is done with, and what that is registered to; ValueError for pages."""
+    if task.capture is None or task.reference is None:
+        raise ValueError(f"{task.key} is no task of a capture")
+    return task.capture, task.reference
+
+
 def keys_of(campaign: Campaign, capture: Capture) -> dict[str, Key]:
     """Return the keys of a capture's stages in their order, with `measure` where it is adjusted."""
     joint = ("measure",) if campaign.is_joint(capture.camera) else ()

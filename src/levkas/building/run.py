@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from levkas.building import fingerprints, sources
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
-from levkas.building.camera_pages import CameraPage, camera_pages, prints_of_page, write_camera_page
+from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
     foreign_files,
@@ -20,12 +20,13 @@ from levkas.building.catalogue import (
     write_catalogue_of,
 )
 from levkas.building.claiming import check_apart, claim
-from levkas.building.executor import Executor, fresh_step
+from levkas.building.endings import Endings, fresh_step
+from levkas.building.executor import Executor
 from levkas.building.fingerprints import Inputs
-from levkas.building.graph import BuildReport, Graph, Step, Task, draw, graph_of, ordered, summarise
+from levkas.building.graph import BuildReport, Graph, Step, Task, draw, summarise
+from levkas.building.plan import Plan, read_plan
 from levkas.building.removal import (
     REMOVED,
-    NoReference,
     describe,
     no_longer_there,
     no_reference,
@@ -35,70 +36,11 @@ from levkas.building.removal import (
     removal,
 )
 from levkas.building.template_cache import TemplateCache
-from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
-from levkas.campaign.discovery.captures import Capture, Refusals
-from levkas.campaign.discovery.file_index import scan_folders
-from levkas.campaign.discovery.find_captures import check_edits, find_captures
-from levkas.campaign.edits import FILE_NAME, Edits
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Refused
 from levkas.database.layout import Places
 
 CODE = "code.json"
 """Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A campaign, its captures and the graph of its tasks.
-
-    Parameters
-    ----------
-    refusals : dict of (object, camera, setup) to Refused
-        Captures that cannot be begun.
-    pages : dict of Key to CameraPage
-    """
-
-    campaign: Campaign
-    captures: list[Capture]
-    refusals: Refusals
-    graph: Graph
-    pages: dict[Key, CameraPage]
-
-    @property
-    def names(self) -> list[str]:
-        """Every object, also those of which nothing can be built."""
-        return list(
-            dict.fromkeys([c.object for c in self.captures] + [key[0] for key in self.refusals])
-        )
-
-    def lost(self) -> dict[str, list[Step]]:
-        """Return how the captures end that are not in the graph, by object."""
-        found: dict[str, list[Step]] = {name: [] for name in self.names}
-        for (name, camera, setup), refused in self.refusals.items():
-            found[name].append(refused_step(Key(name, camera, setup, "calibrate"), refused))
-        for capture in self.captures:
-            if key_of(capture, "calibrate") not in self.graph:
-                found[capture.object].append(_without_reference(self, capture))
-        return found
-
-    def of(self, objects: Sequence[str]) -> Plan:
-        """Return the plan of some objects; raises CampaignInvalid where there is none of a name."""
-        if missing := [name for name in objects if name not in self.names]:
-            raise CampaignInvalid(
-                Problem(
-                    "E_VALUE",
-                    "there is no such object",
-                    str(self.campaign.path),
-                    "--object",
-                    ", ".join(missing),
-                    ", ".join(sorted(self.names)),
-                )
-            )
-        captures = [c for c in self.captures if c.object in objects]
-        refusals = {key: r for key, r in self.refusals.items() if key[0] in objects}
-        wanted = (key for key in self.graph if key.object in objects)
-        graph = {task.key: task for task in ordered(self.graph, wanted)}
-        return Plan(self.campaign, captures, refusals, graph, {})
 
 
 def build(
@@ -137,7 +79,7 @@ def build(
     """
     from levkas.core.sweeping import sweep
 
-    whole = _plan(path)
+    whole = read_plan(path)
     plan = whole.of(objects) if objects else whole
     spectra_of(plan.campaign, setups_of(plan.campaign))  # refused before any work
     places = Places(Path(output).resolve() if output else plan.campaign.output)
@@ -163,7 +105,8 @@ def _steps(
     campaign = plan.campaign
     shared = len(plan.names) > 1
     templates = TemplateCache(places.kept / "templates", records.hashes, shared=shared)
-    executor = Executor(campaign, places, records, templates, plan.graph)
+    endings = Endings(campaign, places, records, plan.graph)
+    executor = Executor(endings, templates)
     lost = plan.lost()
     for step in (step for steps in lost.values() for step in steps):
         put_away(step.key.object, step.key.camera, step.key.setup, records)
@@ -177,9 +120,9 @@ def _steps(
             continue
         for task in tasks:
             if task.key.stage == "report":
-                ended = [s for k, s in executor.ended.items() if k.object == task.key.object]
+                ended = [s for k, s in endings.ended.items() if k.object == task.key.object]
                 steps = [*lost[task.key.object], *ended]
-                yield from _report(plan, places, records, executor.inputs, task, steps)
+                yield from _report(plan, places, records, endings.inputs, task, steps)
             elif task.key.stage == "camera":
                 yield from _camera(plan, places, records, templates, task)
     yield from removal(gone, records)
@@ -216,7 +159,7 @@ def status(
 
     Parameters are those of `build`, and it raises as `build`.
     """
-    plan = _plan(path)
+    plan = read_plan(path)
     campaign = plan.campaign
     places = Places(Path(output).resolve() if output else campaign.output)
     check_apart(campaign, places.output, plan.captures)
@@ -292,59 +235,6 @@ def _state_of_catalogue(
     why = records.why_stale(CATALOGUE, prints)
     warnings = foreign_files(by_others(places, records))
     return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
-
-
-def _plan(path: str | Path) -> Plan:
-    """Read a campaign, find its captures and lay out its tasks."""
-    campaign = load_campaign(path)
-    check_detectors(campaign)
-    index = scan_folders(campaign)
-    captures, refusals = find_captures(campaign, index)
-    _check_edits(campaign, captures, refusals)
-    pages = camera_pages(campaign, captures, index)
-    return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
-
-
-def check_detectors(campaign: Campaign) -> None:
-    """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
-    tables = {"registration": campaign.registration}
-    tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
-    asked = {where: keys.detector for where, keys in tables.items() if keys.detector}
-    if set(asked.values()) <= {"sift"}:
-        return
-    from levkas.registration.features import available_detectors, no_detector
-
-    here = available_detectors()
-    missing = [no_detector(name, f"{w}.detector") for w, name in asked.items() if name not in here]
-    if missing:
-        raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
-
-
-def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:
-    """Refuse corrections by hand of what the campaign does not have; what is refused is had."""
-    lost = [Capture(name, camera, setup, ()) for name, camera, setup in refusals]
-    lost_frames = {(c.object, c.layer) for c in lost}
-    frames = {
-        (name, frame): edits
-        for (name, frame), edits in campaign.edits.frames.items()
-        if (name, frame.partition(":")[0]) not in lost_frames
-    }
-    if frames:
-        check_edits(Edits(frames), captures, campaign.root / FILE_NAME)
-
-
-def _without_reference(plan: Plan, capture: Capture) -> Step:
-    """Return the step of a capture that there is nothing to register to."""
-    name, reference = capture.object, plan.campaign.reference.camera
-    lost = plan.refusals.get((name, reference, ""))
-    problem = Problem(
-        "E_NO_REFERENCE",
-        f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
-        field="campaign.reference",
-        found="; ".join(str(p) for p in lost.problems) if lost else "no capture",
-        fix="Mend the reference camera's frames first.",
-    )
-    return refused_step(key_of(capture, "calibrate"), NoReference(problem))
 
 
 def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step]) -> dict[str, Any]:

@@ -42,8 +42,8 @@ ENTRIES = {
 RIM = frozenset(
     "levkas.building." + name
     for name in (
-        *("run", "executor", "graph", "build_records", "fingerprints", "sources"),
-        *("removal", "claiming"),
+        *("run", "plan", "executor", "stages", "endings", "cluster", "worker", "graph"),
+        *("build_records", "fingerprints", "sources", "removal", "claiming"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
