@@ -30,6 +30,10 @@ class Executor:
     written in a thread each.
     """
 
+    takes_all = False
+    """Whether `run` is to have the tasks of all objects at once."""
+    warnings: tuple[str, ...] = ()
+
     def __init__(self, endings: Endings, templates: TemplateCache) -> None:
         self._endings, self._records = endings, endings.records
         self._graph, self._lost = endings.graph, endings.lost

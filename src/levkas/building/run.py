@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building import fingerprints, sources
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
@@ -36,11 +39,14 @@ from levkas.building.removal import (
     removal,
 )
 from levkas.building.template_cache import TemplateCache
-from levkas.core.problems import Refused
+from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 
-CODE = "code.json"
-"""Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
+if TYPE_CHECKING:
+    from levkas.building.cluster_executor import ClusterExecutor
+
+SCHEDULER = "DASK_SCHEDULER_ADDRESS"
+"""The variable by which dask's own programs know their scheduler."""
 
 
 def build(
@@ -50,6 +56,9 @@ def build(
     objects: list[str] | None = None,
     keep_removed: bool = False,
     verify: bool = False,
+    cluster: str | None = None,
+    workers: int | None = None,
+    insecure: bool = False,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
 
@@ -66,6 +75,13 @@ def build(
         are moved to the folder OUTPUT.removed otherwise.
     verify : bool
         Read every file anew, whatever its size, times and inode say.
+    cluster : str, optional
+        Address of a dask scheduler, ``tcp://HOST:PORT``, whose workers do the tasks; else that in
+        $DASK_SCHEDULER_ADDRESS. They see all files under the same paths.
+    workers : int, optional
+        Processes of this machine that do the tasks; 0: this one, whatever the variable says.
+    insecure : bool
+        Go on where the scheduler is another machine's and the connection is not encrypted.
 
     Yields
     ------
@@ -75,9 +91,12 @@ def build(
     Raises
     ------
     Refused
-        Where the campaign itself cannot be read, or the output cannot be written.
+        Where the campaign itself cannot be read, the output cannot be written, or the cluster cannot be
+        used.
     """
     from levkas.core.sweeping import sweep
+
+    where = _chosen(cluster, workers, insecure)
 
     whole = read_plan(path)
     plan = whole.of(objects) if objects else whole
@@ -86,27 +105,86 @@ def build(
     claim(plan.campaign, places, whole.captures, whole.names)
     for folder in (places.output, places.kept):
         sweep(folder)
-    sources.remember(places.kept / CODE)
+    sources.remember(places.kept / sources.CODE)
     records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
     gone = no_longer_there(
         plan.campaign, records, plan.captures, plan.refusals, plan.pages, objects
     )
     total = _count(plan) + bool(describe(gone, records))
-    steps = _steps(plan, places, records, gone, whole=not objects)
-    yield from _numbered(steps, plan.graph, total)
+    templates = TemplateCache(places.kept / "templates", records.hashes, shared=len(plan.names) > 1)
+    endings = Endings(plan.campaign, places, records, plan.graph)
+    with _executor(where, endings, templates, verify=verify) as executor:
+        steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
+        yield from _numbered(steps, plan.graph, total)
     records.hashes.save()
-    sources.keep(places.kept / CODE)
+    sources.keep(places.kept / sources.CODE)
+
+
+class Where(NamedTuple):
+    """Workers of a cluster: of a scheduler, or so many of this machine."""
+
+    address: str
+    workers: int
+    insecure: bool
+
+
+def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where | None:
+    """Return where tasks are done; None for this process. Raises Refused where that cannot be."""
+    if cluster and workers is not None:
+        raise Refused(
+            Problem(
+                "E_VALUE",
+                "--cluster has workers of its own",
+                field="--workers",
+                found=str(workers),
+                fix="Give one of the two.",
+            )
+        )
+    address = cluster or (os.environ.get(SCHEDULER, "") if workers is None else "")
+    if not address and not workers:
+        return None
+    if find_spec("distributed") is None:
+        raise Refused(
+            Problem(
+                "E_MISSING",
+                "the library dask.distributed is not installed",
+                field="--cluster" if address else "--workers",
+                fix='Install it: pip install "levkas[cluster]".',
+            )
+        )
+    from levkas.building.cluster import check_address
+
+    if address:
+        check_address(address, insecure=insecure)
+    return Where(address, workers or 0, insecure)
+
+
+@contextmanager
+def _executor(
+    where: Where | None, endings: Endings, templates: TemplateCache, *, verify: bool
+) -> Iterator[Executor | ClusterExecutor]:
+    """Yield what does the tasks of captures."""
+    if where is None:
+        yield Executor(endings, templates)
+        return
+    from levkas.building.cluster import connected
+    from levkas.building.cluster_executor import ClusterExecutor
+
+    with connected(where.address, where.workers, insecure=where.insecure) as cluster:
+        yield ClusterExecutor(endings, cluster, endings.campaign.path, verify=verify)
 
 
 def _steps(
-    plan: Plan, places: Places, records: BuildRecords, gone: Sequence[Key], *, whole: bool
+    plan: Plan,
+    endings: Endings,
+    executor: Executor | ClusterExecutor,
+    templates: TemplateCache,
+    gone: Sequence[Key],
+    *,
+    whole: bool,
 ) -> Iterator[Step]:
     """Yield the steps of a build."""
-    campaign = plan.campaign
-    shared = len(plan.names) > 1
-    templates = TemplateCache(places.kept / "templates", records.hashes, shared=shared)
-    endings = Endings(campaign, places, records, plan.graph)
-    executor = Executor(endings, templates)
+    campaign, places, records = plan.campaign, endings.places, endings.records
     lost = plan.lost()
     for step in (step for steps in lost.values() for step in steps):
         put_away(step.key.object, step.key.camera, step.key.setup, records)
@@ -114,7 +192,10 @@ def _steps(
     for name in plan.names:
         if Key(name, stage="report") not in plan.graph:
             put_away_stage(Key(name, stage="report"), records)
-    for of_captures, tasks in groupby(plan.graph.values(), lambda task: task.capture is not None):
+    in_order = [*plan.graph.values()]
+    if executor.takes_all:
+        in_order.sort(key=lambda task: task.capture is None)
+    for of_captures, tasks in groupby(in_order, lambda task: task.capture is not None):
         if of_captures:
             yield from executor.run(list(tasks))
             continue
@@ -127,7 +208,7 @@ def _steps(
                 yield from _camera(plan, places, records, templates, task)
     yield from removal(gone, records)
     step = write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
-    warnings = (*campaign.without_effect, *step.warnings)
+    warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
     yield replace(step, output=places.output, warnings=warnings)
 
 
@@ -140,6 +221,8 @@ def _count(plan: Plan) -> int:
 def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]:
     """Say of every step how many tasks are behind it; a lost capture takes its later ones along."""
     stages: dict[tuple[str, str], list[str]] = {}
+    places = {key: number for number, key in enumerate(graph, 1)}
+    place = 0
     for key, task in graph.items():
         if task.capture is not None:
             stages.setdefault((key.object, key.layer), []).append(key.stage)
@@ -149,7 +232,9 @@ def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]
             mine = stages.get((step.key.object, step.key.layer), [])
             lost = step.state == "refused" and step.key.stage in mine
             done += 1 + (len(mine) - 1 - mine.index(step.key.stage) if lost else 0)
-        yield replace(step, done=total if step.key == CATALOGUE else min(done, total), total=total)
+        place = places.get(step.key, place)
+        behind = total if step.key == CATALOGUE else min(done, total)
+        yield replace(step, done=behind, total=total, place=place)
 
 
 def status(
@@ -163,7 +248,7 @@ def status(
     campaign = plan.campaign
     places = Places(Path(output).resolve() if output else campaign.output)
     check_apart(campaign, places.output, plan.captures)
-    sources.remember(places.kept / CODE)
+    sources.remember(places.kept / sources.CODE)
     records = BuildRecords(places.kept, places.output, verify=verify)
     lost = plan.lost()
     inputs = Inputs(campaign, records)

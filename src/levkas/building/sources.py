@@ -42,8 +42,9 @@ ENTRIES = {
 RIM = frozenset(
     "levkas.building." + name
     for name in (
-        *("run", "plan", "executor", "stages", "endings", "cluster", "worker", "graph"),
-        *("build_records", "fingerprints", "sources", "removal", "claiming"),
+        *("run", "plan", "executor", "stages", "endings", "worker", "graph"),
+        *("cluster", "cluster_executor", "build_records", "fingerprints", "sources"),
+        *("removal", "claiming"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
@@ -57,6 +58,8 @@ LIBRARIES = {
     "tifffile": "tifffile",
 }
 """Whose version may be in the numbers: module → distribution."""
+CODE = "code.json"
+"""Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
 _NAME = re.compile(r"[a-z_]+\.(py|csv|html)")
 
 
