@@ -33,18 +33,23 @@ def draw_trace(matches: Matches, trace: Trace) -> list[Figure]:
     return [Figure(_draw_course(matches, trace), _COURSE), Figure(_draw_largest(trace), _LARGEST)]
 
 
-def draw_basis(trace: Mapping[str, Any], size: Sequence[int]) -> list[Figure]:
-    """Return a figure a sensor of what a dense map rests on, of `levkas.registration.record.describe_windows`; none of other traces."""
+def draw_basis(
+    trace: Mapping[str, Any], size: Sequence[int], *, sound: bool = True
+) -> list[Figure]:
+    """Return a figure a sensor of what a dense map rests on, of `levkas.registration.record.describe_windows`; none of other traces.
+
+    The caption quotes errors only where the map is `sound`, not refused.
+    """
     if trace.get("kind") != "windows":
         return []
     return [
-        Figure(_basis(sensor, size), _basis_caption(sensor))
+        Figure(_basis(sensor, size), _basis_caption(sensor, sound))
         for sensor in trace["sensors"]
         if "windows" in sensor
     ]
 
 
-def _basis_caption(sensor: Mapping[str, Any]) -> str:
+def _basis_caption(sensor: Mapping[str, Any], sound: bool) -> str:
     windows, count = sensor["windows"], sensor["count"]
     shown = len(windows["x"])
     some = f" ({shown} of them drawn)" if shown < count else ""
@@ -55,7 +60,7 @@ def _basis_caption(sensor: Mapping[str, Any]) -> str:
         f"from where the map puts each to where it is seen, {_enlargement(sensor):g} times as long, the longest cut."
     )
     sigma, held = (_median(windows[name]) for name in ("sigma", "held_out"))
-    if sigma is not None and held is not None:
+    if sound and sigma is not None and held is not None:
         caption += (
             f" In the median their shifts are known to {sigma:.2g} px (sigma), and a map that is fitted without "
             f"them misses them by {held:.2g} px."
@@ -129,7 +134,7 @@ def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
             checks.centres[mask, 0], checks.centres[mask, 1], s=14, linewidths=0.8, edgecolors=themed(edge),
             facecolors="none" if face is None else themed(face),
         )  # fmt: skip
-    title = f"{int(good.sum())} of {len(good)} confirm the map"
+    title = f"{int(good.sum())} of {len(good)} lie where the map puts them"
     _frame_panel(axes, frame_corners((int(size[0]), int(size[1]))), title)
 
 
