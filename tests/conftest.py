@@ -176,6 +176,8 @@ def correctable() -> Correctable:
 TURNED = """
 [campaign]
 title = "Two plates"
+creator = "Doe, Jane"
+licence = "CC-BY-4.0"
 date = 2019-08-29
 reference = { camera = "photo", band = "G" }
 [cameras.photo]

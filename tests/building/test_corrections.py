@@ -10,6 +10,8 @@ from levkas import map_points
 from levkas.building import build, status, summarise
 from levkas.campaign.edits import Edits, EditsInvalid, FrameEdits, round_pair, write_edits
 from levkas.core.digests import hash_tree
+from levkas.publish.run import publish
+from levkas.registration.verdict import percent
 
 CORNERS = np.array([[80.0, 70.0], [220.0, 60.0], [225.0, 190.0], [90.0, 200.0]])
 
@@ -94,10 +96,27 @@ def test_the_record_tells_the_course_and_the_matches_what_became_of_them(correct
     numbers = record["errors"]["sensors"][""]
     assert sum(sensor["checks"]["found"]) == numbers["borne_out"]["found"]
     page = (folder / "database/objects/bad/report.html").read_text()
-    assert "confirm the map" in page and "Figure 10" not in page
-    assert f"over {100 * numbers['checked']:.0f} %" in page
+    assert "lie where the map puts them" in page and "Figure 10" not in page
+    assert f"over {percent(numbers['checked'])}" in page
+    assert "aligned with 4 pairs by hand" in page and record["pairs_by_hand"] == 4
+    other = folder / "database/objects/good"
+    assert "pairs_by_hand" not in json.loads((other / "registration/xray.json").read_text())
+    assert "by hand" not in (other / "report.html").read_text()
     climbs = record["model"]["sensors"][0]["climbs"]
     assert climbs and all(c["model"] in c["held_out_px"] for c in climbs)
+
+
+def test_a_publication_says_which_layers_were_aligned_by_hand(corrected, tmp_path):
+    folder, _, _ = corrected
+    list(publish(folder / "database", output=tmp_path / "out", editions="full", iiif=False))
+    (row,) = (
+        line
+        for line in (tmp_path / "out/README.md").read_text().splitlines()
+        if "pairs by hand" in line
+    )
+    assert row.startswith("| bad | xray |") and "aligned with 4 pairs by hand" in row
+    page = (tmp_path / "out/viewer/objects/bad/index.html").read_text()
+    assert page.count('"by_hand": "Aligned with 4 pairs by hand"') == 1
 
 
 def test_corrections_of_what_is_not_there_are_refused(corrected, turned_plates, tmp_path):

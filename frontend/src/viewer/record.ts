@@ -58,6 +58,7 @@ export interface Layer {
   decision: string;
   verdict: string;
   reasons: string[];
+  by_hand: string;
   quantity: string;
   rendering: string;
   bands: Band[];

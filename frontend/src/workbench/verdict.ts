@@ -116,7 +116,8 @@ function summarise(frame: FrameInfo, { summary, refusal, corrections }: SessionS
     `${kept} places are recognised in both pictures. A simple map through them is off by ${measured(mean)} on average, by ${measured(max)} at worst.`,
   ];
   const taken = frame.ladder[0]?.[frame.chosen[0] ?? ""];
-  if (taken !== undefined && !corrections)
+  // What was refused is off elsewhere than where this was measured: the reasons say so.
+  if (taken !== undefined && !corrections && frame.verdict.decision !== "refuse")
     words.push(
       ` The registration itself, which looks everywhere, is off by ${measured(taken)} where it was not fitted.`,
     );

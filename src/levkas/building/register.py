@@ -23,7 +23,7 @@ from levkas.pages.figures import draw_basis, draw_trace
 from levkas.registration import Registration, RegistrationRefused, register
 from levkas.registration.joint import SensorObservations
 from levkas.registration.manual_points import ManualPoints
-from levkas.registration.record import COLUMNS, Matches
+from levkas.registration.record import COLUMNS, HandMark, Matches
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -67,6 +67,8 @@ def measure(
     frame.rest()
     record = _heading(capture, frame, grid, sampling, channel) | {"method": method}
     record |= _refusal(refused) if found is None else _results(found, native)
+    if found is not None and (pairs := _pairs_by_hand(found)):
+        record["pairs_by_hand"] = pairs
     problems = verdict_problems(record, capture, refused)
     if found is None:
         return Measured(record, problems=problems, figures=draw_figures(record))
@@ -104,7 +106,8 @@ def publish_registration(
 
 def draw_figures(record: dict[str, Any]) -> list[list[str]]:
     """Return the figures, SVG and caption each, of what a map rests on; none where the record does not say."""
-    figures = draw_basis(record["trace"], record["reference"]["size"])
+    sound = record["verdict"]["decision"] != "refuse"
+    figures = draw_basis(record["trace"], record["reference"]["size"], sound=sound)
     return [[figure.svg, figure.caption] for figure in figures]
 
 
@@ -259,6 +262,12 @@ def _results(registration: Registration, native: Native | Scan) -> dict[str, Any
         bands[label]["sigma"] = sigma.to_dict()
     keep = ("method", "verdict", "model", "errors", "trace")
     return {**{k: record[k] for k in keep}, "bands": bands}
+
+
+def _pairs_by_hand(found: Registration) -> int:
+    """Count the pairs that a person placed and that were used."""
+    tables = (found.matches, *found.others.values())
+    return sum(int((m.kept & (m.reason == HandMark.ADDED)).sum()) for m in tables)
 
 
 def table_of(matches: Matches) -> str:

@@ -19,7 +19,7 @@ from levkas.calibration.sensor_context import Times, times_of
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.problems import Refused
-from levkas.database.registrations import read_registration
+from levkas.database.registrations import describe_pairs, read_registration
 from levkas.pages.page import (
     CloseUpRow,
     CloseUps,
@@ -34,6 +34,7 @@ from levkas.pages.page import (
 from levkas.pages.radiometry import RadiometryRow, describe_layer
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
+from levkas.registration.verdict import percent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -152,7 +153,8 @@ def _layer(
         reasons=verdict["reasons"],
         next_step=verdict["next_step"],
         warnings=calibrated.get("warnings", []),
-        error=_error(errors),
+        by_hand=describe_pairs(record),
+        error=_error(record),
         checks=_checks(errors),
         ssim="–" if ssim is None else f"{ssim:.3f}",
         flags=describe_flags(resampled.get("flags", {})),
@@ -165,14 +167,20 @@ def _layer(
     )
 
 
-def _error(errors: dict[str, Any]) -> str:
-    """Error on what was not fitted, the worst sensor's, and over how much of the object that was checked."""
+def _error(record: dict[str, Any]) -> str:
+    """Error on what was not fitted, the worst sensor's, and over how much of the object that was checked.
+
+    None of a layer that was refused: where it was measured is not where it is off.
+    """
+    verdict, errors = record["verdict"], record.get("errors", {})
+    if verdict["decision"] == "refuse":
+        return "–"
     sensors = list((errors.get("sensors") or {}).values())
-    found = [errors.get(key) for key in ("held_out_px", "held_out_mean", "held_out")]
+    found = [(verdict.get("numbers") or {}).get("held_out_median")]
     found += [sensor.get("held_out_px") for sensor in sensors]
     numbers = [value for value in found if isinstance(value, int | float)]
     checked = [s["checked"] for s in sensors if isinstance(s.get("checked"), int | float)]
-    over = f" over {100 * min(checked):.0f} %" if checked else ""
+    over = f" over {percent(min(checked))}" if checked else ""
     return f"{max(numbers):.3f}{over}" if numbers else "–"
 
 

@@ -7,7 +7,7 @@ Behind a mirror every line sees other light: dark and white are as large as the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -122,12 +122,13 @@ class FrameLines:
 
     @classmethod
     def by_exposure(
-        cls, context: SensorContext, frames: Sequence[FrameRef], shape: tuple[int, int, int]
+        cls, context: SensorContext, role: Literal["dark", "white"], shape: tuple[int, int, int]
     ) -> list[FrameLines]:
-        """Open shots for a scan of a shape, exposure by exposure, shortest first.
+        """Open the shots of a role for a scan of a shape, exposure by exposure, shortest first.
 
         Raises CalibrationRefused, ``E_SIZE``, where one is of another size than the scan, or type than the first.
         """
+        frames = context.sensor.dark if role == "dark" else context.sensor.white
         files = {frame: ScanFile.open(frame) for frame in frames}
         for frame, file in files.items():
             dtype = files[frames[0]].dtype
@@ -135,7 +136,7 @@ class FrameLines:
                 raise CalibrationRefused(
                     Problem(
                         "E_SIZE",
-                        "dark or white and object are of different sizes",
+                        f"{role} and object are of different sizes",
                         str(frame.path),
                         found=f"{file.shape} {file.dtype}",
                         expected=f"{shape} {dtype}",
@@ -210,9 +211,8 @@ def _of_mirror(context: SensorContext, shape: tuple[int, int, int]) -> ScanTempl
     """Open dark and white; the white is checked by every so-many-th pixel."""
     sensor = context.sensor
     labels = [band.label for band in sensor.bands]
-    darks, whites = (
-        FrameLines.by_exposure(context, frames, shape) for frames in (sensor.dark, sensor.white)
-    )
+    darks = FrameLines.by_exposure(context, "dark", shape)
+    whites = FrameLines.by_exposure(context, "white", shape)
     white = None
     if whites:
         step = thinning(shape[:2])

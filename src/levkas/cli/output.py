@@ -124,7 +124,7 @@ def draw_steps(steps: Iterable[Any], quiet: bool) -> list[Any]:
     for step in steps:
         done.append(step)
         if not quiet and step.finished:
-            typer.echo(step.line, err=True)
+            typer.echo(_with_where(step, step.line), err=True)
     return done
 
 
@@ -150,9 +150,14 @@ def _draw_bar(steps: Iterable[Any]) -> list[Any]:
         task = progress.add_task("starting", total=None)
         for step in steps:
             done.append(step)
-            progress.update(
-                task, description=step.label, completed=step.done, total=step.total or None
-            )
+            label = _with_where(step, step.label)
+            progress.update(task, description=label, completed=step.done, total=step.total or None)
             if step.finished and getattr(step, "state", "") in ("refused", "failed"):
                 console.print(step.line, style="red", markup=False)
     return done
+
+
+def _with_where(step: Any, text: str) -> str:
+    """Say behind a step on how many workers it was done, where there are any."""
+    where = getattr(step, "where", "")
+    return f"{text} ({where})" if where else text

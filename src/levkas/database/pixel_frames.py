@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
-from levkas.database.registrations import RecordRefused, read_registration
+from levkas.database.registrations import RecordRefused, read_registration, unconfirmed_cells
 from levkas.database.remote import place
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
@@ -196,6 +198,46 @@ def find_position_sigma(
     values = np.full(len(points), np.nan, np.float32)
     values[seen] = Sigma.from_dict(entry["sigma"])(grid.from_reference.inverse(points[seen]))
     return values.reshape(height, width)
+
+
+def predict_error(
+    database: str | Path, name: str, record: Mapping[str, Any], size: tuple[int, int], step: int = 1
+) -> np.ndarray | None:
+    """Return the error of a registration over the grid as its own evidence predicts it.
+
+    Parameters
+    ----------
+    database : path
+    name : str
+        The object.
+    record : mapping
+        Of one layer.
+    size : (width, height)
+        Of the grid.
+    step : int
+        Every so many pixels.
+
+    Returns
+    -------
+    error : ndarray, (rows, columns), reference px, or None
+        One standard deviation of the worst band; NaN in the cells where nothing confirms the map. None
+        where the record has none.
+    """
+    from levkas.registration.record import Sigma
+
+    bands = record.get("bands", {}).values()
+    tables = (band["sigma"] for band in bands if isinstance(band, dict) and band.get("sigma"))
+    known = list({json.dumps(table, sort_keys=True): table for table in tables}.values())
+    if not known:
+        return None
+    x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in size))
+    grid = Records(Path(database), name).pixels(Frame())
+    places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
+    worst = np.max([Sigma.from_dict(table)(places) for table in known], axis=0)
+    for left, top, width, height in unconfirmed_cells(record):
+        apart = places - (left, top)
+        worst[((apart >= 0) & (apart < (width, height))).all(1)] = np.nan
+    return np.asarray(worst.reshape(x.shape))
 
 
 def map_points(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ KINDS: dict[str, tuple[type, ...]] = {
     "verdict": (dict,),
     "bands": (dict,),
     "errors": (dict,),
+    "pairs_by_hand": (int,),
 }
 """What the parts of a record are, where they are there."""
 WHOLE = ("object", "camera", "reference", "verdict")
@@ -92,6 +93,39 @@ def read_registrations(database: Path, name: str = "*") -> Iterator[tuple[Path, 
         yield path, read_registration(path, needed=WHOLE)
 
 
+def describe_pairs(record: Mapping[str, Any]) -> str:
+    """Return how many pairs by hand a layer was aligned with, in words; empty where there are none.
+
+    >>> describe_pairs({"pairs_by_hand": 4, "verdict": {"decision": "accept"}})
+    'aligned with 4 pairs by hand'
+    """
+    count = record.get("pairs_by_hand", 0)
+    if not count or record.get("verdict", {}).get("decision") == "refuse":
+        return ""
+    return f"aligned with {count} pair{'' if count == 1 else 's'} by hand"
+
+
+def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:
+    """Return the cells, (x, y, width, height) in reference px, where nothing confirms a layer's map, or it is off."""
+    numbers = record.get("verdict", {}).get("numbers") or {}
+    parts = [numbers, *(n.get("borne_out") or {} for n in numbers.values() if isinstance(n, dict))]
+    cells = (
+        cell for part in parts for key in ("unsupported", "off") for cell in part.get(key) or ()
+    )
+    return [[float(value) for value in cell[:4]] for cell in cells]
+
+
+def shares_light(record: Mapping[str, Any], wavelengths: Iterable[float]) -> bool:
+    """Tell whether a layer can be compared with the reference by likeness (SSIM).
+
+    An X-ray cannot: where none of its bands has a wavelength, nm, it must show the detail of a colour camera.
+    """
+    known = [isfinite(wavelength) for wavelength in wavelengths]
+    sensors = (record.get("errors") or {}).get("sensors") or {}
+    judged = [sensor["alike"] for sensor in sensors.values() if "alike" in sensor]
+    return any(known) or (any(judged) if judged else len(known) >= 3)
+
+
 def _parts(record: dict[str, Any], needed: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
     """Yield (place, part) of all that is checked; raises ValueError where one is of another kind."""
     for key in needed:
@@ -114,6 +148,8 @@ def _check(place: str, part: Any) -> None:
         decision, reasons = part.get("decision", ""), part.get("reasons", [])
         if not isinstance(decision, str) or not isinstance(reasons, list):
             raise TypeError("the verdict is no text")
+        if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
+            raise TypeError("a cell of the verdict is no rectangle")
     elif place in ("reference", "target") and isinstance(part, dict):
         for key in ("camera", "setup", "band"):
             if not isinstance(part.get(key) or "", str):
@@ -123,6 +159,7 @@ def _check(place: str, part: Any) -> None:
     elif place == "errors":
         for one in part.get("check_points") or []:
             float(one["error"] or 0), str(one["band"])
+        shares_light({"errors": part}, ())
     elif place == "grid" or place.startswith("bands: "):
         _check_size(part.get("size"))
         float(part.get("px_per_mm") or 0)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.geometry.transforms import Polynomial
 from levkas.pages.page import Figure
 from levkas.pages.plots import in_style, new_figure, themed, to_svg
 from levkas.registration.outliers import frame_corners
@@ -32,18 +33,23 @@ def draw_trace(matches: Matches, trace: Trace) -> list[Figure]:
     return [Figure(_draw_course(matches, trace), _COURSE), Figure(_draw_largest(trace), _LARGEST)]
 
 
-def draw_basis(trace: Mapping[str, Any], size: Sequence[int]) -> list[Figure]:
-    """Return a figure a sensor of what a dense map rests on, of `levkas.registration.record.describe_windows`; none of other traces."""
+def draw_basis(
+    trace: Mapping[str, Any], size: Sequence[int], *, sound: bool = True
+) -> list[Figure]:
+    """Return a figure a sensor of what a dense map rests on, of `levkas.registration.record.describe_windows`; none of other traces.
+
+    The caption quotes errors only where the map is `sound`, not refused.
+    """
     if trace.get("kind") != "windows":
         return []
     return [
-        Figure(_basis(sensor, size), _basis_caption(sensor))
+        Figure(_basis(sensor, size), _basis_caption(sensor, sound))
         for sensor in trace["sensors"]
         if "windows" in sensor
     ]
 
 
-def _basis_caption(sensor: Mapping[str, Any]) -> str:
+def _basis_caption(sensor: Mapping[str, Any], sound: bool) -> str:
     windows, count = sensor["windows"], sensor["count"]
     shown = len(windows["x"])
     some = f" ({shown} of them drawn)" if shown < count else ""
@@ -54,7 +60,7 @@ def _basis_caption(sensor: Mapping[str, Any]) -> str:
         f"from where the map puts each to where it is seen, {_enlargement(sensor):g} times as long, the longest cut."
     )
     sigma, held = (_median(windows[name]) for name in ("sigma", "held_out"))
-    if sigma is not None and held is not None:
+    if sound and sigma is not None and held is not None:
         caption += (
             f" In the median their shifts are known to {sigma:.2g} px (sigma), and a map that is fitted without "
             f"them misses them by {held:.2g} px."
@@ -128,7 +134,7 @@ def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
             checks.centres[mask, 0], checks.centres[mask, 1], s=14, linewidths=0.8, edgecolors=themed(edge),
             facecolors="none" if face is None else themed(face),
         )  # fmt: skip
-    title = f"{int(good.sum())} of {len(good)} confirm the map"
+    title = f"{int(good.sum())} of {len(good)} lie where the map puts them"
     _frame_panel(axes, frame_corners((int(size[0]), int(size[1]))), title)
 
 
@@ -162,27 +168,33 @@ def _draw_state(axes: Axes, matches: Matches, trace: Trace, number: int, title: 
     """Draw the frames, and the pairs under the map of a round; -1 is scale alone."""
     kept = np.ones(len(matches), bool) if number < 0 else trace.kept_at(number)
     chosen = np.flatnonzero(kept)[:: max(1, int(kept.sum()) // MOST_PAIRS)]
-    mapped = trace.scale(matches.target[chosen])
-    if number >= 0:
-        mapped = _under_corners(trace, number, mapped)
-        _outline(axes, trace.corners[number], "fit")
+    frame, shown = frame_corners(trace.size), trace.frame
+    if number < 0:
+        mapped = trace.scale(matches.target[chosen])
+    else:
+        model = Polynomial.fit(matches.target[kept], matches.reference[kept], order=trace.order)
+        mapped, shown = model(matches.target[chosen]), trace.corners[number]
+        _outline(axes, shown, "fit")
     _outline(axes, trace.frame, "ref")
     _draw_errors(axes, matches.reference[chosen], mapped)
     _draw_dots(axes, matches.reference[chosen], "ref")
     _draw_dots(axes, mapped, "tgt")
-    _frame_panel(axes, frame_corners(trace.size), f"{title}: {int(kept.sum())} pairs")
+    _frame_panel(axes, frame, f"{title}: {int(kept.sum())} pairs")
+    _clip_panel(axes, frame, shown)
+
+
+def _clip_panel(axes: Axes, frame: np.ndarray, other: np.ndarray) -> None:
+    """End the panel at both frames, of a wild one at half a frame beyond the reference; it cuts what lies outside."""
+    low, high = frame.min(0), frame.max(0)
+    reach = (high - low) / 2
+    both = np.clip(np.vstack([frame, np.nan_to_num(other)]), low - reach, high + reach)
+    margin = 0.02 * (high - low).max()
+    (left, top), (right, bottom) = both.min(0) - margin, both.max(0) + margin
+    axes.set(xlim=(left, right), ylim=(bottom, top))
 
 
 def _both_frames(trace: Trace) -> np.ndarray:
     return np.vstack([frame_corners(trace.size), trace.frame])
-
-
-def _under_corners(trace: Trace, number: int, mapped: np.ndarray) -> np.ndarray:
-    """Move points from the scale-only frame to the fitted one by its corners, enough for a drawing."""
-    a, b = trace.frame, trace.corners[number]
-    span = a[2] - a[0]
-    u, v = ((mapped - a[0]) / span).T[:, :, None]
-    return b[0] * (1 - u) * (1 - v) + b[1] * u * (1 - v) + b[2] * u * v + b[3] * (1 - u) * v
 
 
 @in_style

@@ -39,6 +39,7 @@ class LayerReport:
     reasons: Sequence[str] = ()
     next_step: str = ""
     warnings: Sequence[str] = ()
+    by_hand: str = ""
     error: str = "–"
     checks: str = ""
     ssim: str = "–"

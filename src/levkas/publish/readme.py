@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.core.flags import MARKS
+from levkas.database.registrations import describe_pairs, read_registration
 from levkas.publish.citation import cite
 from levkas.publish.publication import describe_dataset
 
@@ -59,7 +60,7 @@ def format_readme(publication: Publication, root: Path) -> str:
     parts += [f"See also <{address}>." for address in facts.related]
     if facts.contact:
         parts.append(f"Questions: {plain(facts.contact)}")
-    parts += ["## Objects", _objects(publication), "## Layers", _layers(entries)]
+    parts += ["## Objects", _objects(publication), "## Layers", _layers(root, entries)]
     parts += ["## Files", _files(publication, root), _reading(entries), _values(), _keeping()]
     return "\n\n".join(parts) + "\n"
 
@@ -87,14 +88,20 @@ def _objects(publication: Publication) -> str:
     return "\n".join(rows)
 
 
-def _layers(entries: tuple[Entry, ...]) -> str:
+def _layers(root: Path, entries: tuple[Entry, ...]) -> str:
     rows = ["| object | camera | setup | bands | width x height | px per mm | quantity | verdict |"]
     rows.append("|---" * 8 + "|")
     for e in entries:
         scale = "" if e.px_per_mm != e.px_per_mm else f"{e.px_per_mm:.3g}"
         cells = [e.object, e.camera, e.setup or "–", str(e.bands), f"{e.width} x {e.height}"]
-        rows.append("| " + " | ".join(map(plain, [*cells, scale, e.quantity, e.verdict])) + " |")
+        verdict = ", ".join(filter(None, (e.verdict, _by_hand(root, e))))
+        rows.append("| " + " | ".join(map(plain, [*cells, scale, e.quantity, verdict])) + " |")
     return "\n".join(rows)
+
+
+def _by_hand(root: Path, entry: Entry) -> str:
+    path = root / "objects" / entry.object / "registration" / f"{entry.layer.name}.json"
+    return describe_pairs(read_registration(path)) if path.is_file() else ""
 
 
 def _files(publication: Publication, root: Path) -> str:

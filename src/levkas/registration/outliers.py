@@ -315,6 +315,7 @@ def _trace(
         frame=terms.scale(corners),
         size=size,
         pinned=pinned,
+        order=terms.order,
     )
 
 

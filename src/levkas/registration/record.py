@@ -167,6 +167,8 @@ class Trace:
     size : (width, height) of the reference
     pinned : ndarray of bool, (n,), optional
         Pairs that a person gave: they stay, whatever their error.
+    order : int
+        Of the polynomial.
     """
 
     reject: float
@@ -179,6 +181,7 @@ class Trace:
     frame: np.ndarray
     size: tuple[int, int]
     pinned: np.ndarray | None = None
+    order: int = 3
 
     @property
     def rounds(self) -> int:

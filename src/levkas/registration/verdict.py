@@ -186,16 +186,18 @@ def _praise(numbers: Numbers) -> str:
     return (
         f"{n.get('agreeing', 0)} of {n.get('found', 0)} windows that are recognised lie where "
         f"the map puts them; blocks left out of the fit are predicted to {numbers['held_out_px']:.2f} px, "
-        f"over the {_percent(n['checked'])} of the object that is checked."
+        f"over the {percent(n['checked'])} of the object that is checked."
     )
 
 
-def _percent(share: float) -> str:
-    """Return a share as text, never rounded up to all of it.
+def percent(share: float) -> str:
+    """Return a share as text, never rounded up to all or down to nothing of it.
 
-    >>> _percent(1.0), _percent(0.998), _percent(0.375)
-    ('100 %', '99 %', '38 %')
+    >>> percent(1.0), percent(0.998), percent(0.375), percent(0.002), percent(0.0)
+    ('100 %', '99 %', '38 %', 'less than 1 %', '0 %')
     """
+    if 0 < share < 0.005:
+        return "less than 1 %"
     return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
 
 
@@ -250,7 +252,7 @@ def better_than_chance(n: Numbers) -> Objection | None:
     refused = share < SETTINGS.predicted.refuse
     return Objection(
         "refuse" if refused else "warn",
-        f"{share:.0%} of the windows are predicted better than windows that cannot match.",
+        f"Only {percent(share)} of the windows are predicted better than windows that cannot match.",
         BY_HAND if refused else LOOK,
     )
 
@@ -280,7 +282,7 @@ def does_not_fold(n: Numbers) -> Objection | None:
         return None
     return Objection(
         "refuse",
-        f"The map folds over or has no answer in {100 * n['folded']:.0f} % of the overlap.",
+        f"The map folds over or has no answer in {percent(n['folded'])} of the overlap.",
         BY_HAND,
         f"{OTHER}; if they do, lower the order of the polynomial.",
     )
@@ -347,10 +349,12 @@ def windows_agree(n: Numbers) -> Objection | None:
         )
     few = n["agreeing"] < SETTINGS.least_agreeing_share * n["found"]
     if few or n["window_median"] > n["tolerance"]:
+        off = n["window_median"] > n["tolerance"]
+        median = f"; they are {n['window_median']:.1f} px off in the median" if off else ""
         return Objection(
             "refuse",
-            f"Of {n['found']} windows of the reference that are recognised, {n['agreeing']} lie "
-            f"where the map puts them; they are {n['window_median']:.1f} px off in the median.",
+            f"Of {n['found']} windows of the reference that are recognised, only {n['agreeing']} lie "
+            f"where the map puts them{median}.",
             BY_HAND,
             f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
         )
@@ -384,7 +388,7 @@ def shows_the_reference(n: Numbers) -> Objection | None:
     refused = n["overlap"] < SETTINGS.overlap.refuse
     return Objection(
         "refuse" if refused else "warn",
-        f"This camera shows {100 * n['overlap']:.0f} % of the reference; nothing is known "
+        f"This camera shows {percent(n['overlap'])} of the reference; nothing is known "
         "of the rest.",
         f"{OTHER}." if refused else "Use nothing outside the overlap.",
     )
@@ -395,20 +399,20 @@ def matches_cover(n: Numbers) -> Objection | None:
     if n["off_share"] > SETTINGS.off_share:
         return Objection(
             "refuse",
-            f"The map is off in {100 * n['off_share']:.0f} % of what both pictures show.",
+            f"The map is off in {percent(n['off_share'])} of what both pictures show.",
             f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
         )
     if n["coverage"] < SETTINGS.coverage.refuse:
         return Objection(
             "refuse",
-            f"Only {100 * n['coverage']:.0f} % of what both pictures show is confirmed by matches "
+            f"Only {percent(n['coverage'])} of what both pictures show is confirmed by matches "
             "or by comparison.",
             BY_HAND,
         )
     if n["off"] or n["coverage"] < SETTINGS.coverage.warn:
         return Objection(
             "warn",
-            f"The map is off or not confirmed in {100 * (1 - n['coverage']):.0f} % of what both "
+            f"The map is off or not confirmed in {percent(1 - n['coverage'])} of what both "
             f"pictures show {_places(n['unsupported'] + n['off'])}.",
             REGION,
         )
@@ -422,13 +426,13 @@ def windows_cover(n: Numbers) -> Objection | None:
     if n["off_share"] > SETTINGS.off_share or n["coverage"] < SETTINGS.least_coverage:
         return Objection(
             "refuse",
-            f"Of what both pictures show, {n['coverage']:.0%} is confirmed by comparison, and the "
-            f"map is off in {n['off_share']:.0%}.",
+            f"Comparison confirms the map in only {percent(n['coverage'])} of what both pictures show"
+            + (f", and shows it off in {percent(n['off_share'])}." if n["off_share"] else "."),
             BY_HAND,
         )
     return Objection(
         "warn",
-        f"The map is off or not confirmed in {1 - n['coverage']:.0%} of what both pictures show "
+        f"The map is off or not confirmed in {percent(1 - n['coverage'])} of what both pictures show "
         f"{_places(n['unsupported'] + n['off'])}.",
         REGION,
     )
@@ -442,8 +446,8 @@ def is_checked(n: Numbers) -> Objection | None:
     *box, part = n["unchecked"][0]
     return Objection(
         "warn",
-        f"Blocks left out of the fit are predicted to {n['held_out_px']:.2f} px over the {_percent(share)} of "
-        f"the object that could be checked; nothing confirms the map in {_percent(part)} of it (x, y, width, "
+        f"Blocks left out of the fit are predicted to {n['held_out_px']:.2f} px over the {percent(share)} of "
+        f"the object that could be checked; nothing confirms the map in {percent(part)} of it (x, y, width, "
         f"height: {', '.join(f'{v:.0f}' for v in box)}), where it only reaches over.",
         REGION,
     )
@@ -455,7 +459,7 @@ def shows_the_same_painting(n: Numbers) -> Objection | None:
     if strange is None or strange < SETTINGS.strange.warn:
         return None
     found = n["found"] / max(n["windows"], 1)
-    seen = f"Where windows are recognised, {strange:.0%} of their detail (strokes, cracks) is not in the reference"
+    seen = f"Where windows are recognised, {percent(strange)} of their detail (strokes, cracks) is not in the reference"
     copied = strange >= SETTINGS.strange.refuse and found < SETTINGS.most_found_of_a_copy
     if n["alike"] and copied:
         return Objection(
@@ -487,7 +491,9 @@ def is_compared(n: Numbers) -> Objection | None:
     """Warn where less than half of the reference could be compared."""
     if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
         return None
-    return Objection("warn", f"Only {n['cover']:.0%} of the reference could be compared.", LOOK)
+    return Objection(
+        "warn", f"Only {percent(n['cover'])} of the reference could be compared.", LOOK
+    )
 
 
 def has_converged(n: Numbers) -> Objection | None:

@@ -18,7 +18,7 @@ from levkas.core.text import parse_bounded, read_text
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
-from levkas.database.registrations import read_registration
+from levkas.database.registrations import describe_pairs, read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import DECISIONS
@@ -125,6 +125,7 @@ def write_object(write: Write, item: Item) -> Iterator[dict[str, Any]]:
             **{"id": str(number), "name": name, "camera": camera, "setup": setup},
             **{"decision": decision, "verdict": _say(item, camera, setup, decision)},
             "reasons": [str(reason) for reason in reasons],
+            "by_hand": describe_pairs(record).capitalize(),
             **{"quantity": "", "rendering": "", "bands": [], "pictures": []},
             **{"thumbnail": "", "spectra": None, "lattice": None, "downloads": []},
             "reference_band": 0,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,7 +16,8 @@ from levkas.colour.relighting import adaptation
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, find_rendering
 from levkas.core.cube import Band
 from levkas.core.flags import MARKS
-from levkas.database.pixel_frames import Frame, Records
+from levkas.database.pixel_frames import predict_error
+from levkas.database.registrations import shares_light
 from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
@@ -178,14 +178,16 @@ def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
         image, legend = sigma_map(source.sigma)
         note = f"one standard deviation of the random part, mean of the bands, {source.quantity}"
         yield LayerPicture("sigma", "Sigma", "map", image, note, legend=legend)
-    if source.reference is not None and source.reference != source.tiff:
+    compared = source.reference is not None and source.reference != source.tiff
+    if compared and shares_light(source.record, [band.wavelength for band in source.bands]):
+        assert source.reference is not None
         found = similarity_map(source.tiff, source.reference)
         if found:
             note = "SSIM against the reference camera; gold and glare differ between cameras"
             yield LayerPicture("ssim", "Similarity (SSIM)", "map", found[0], note, legend=found[1])
     predicted = registration_map(source.database, source.object, source.record, size)
     if predicted:
-        note = "error of the registration as its own evidence predicts it"
+        note = "error of the registration as its own evidence predicts it; grey where nothing confirms the map"
         yield LayerPicture(
             "error", "Registration error", "map", predicted[0], note, legend=predicted[1]
         )
@@ -285,23 +287,15 @@ def registration_map(
 ) -> tuple[np.ndarray, Legend] | None:
     """Return the predicted error of a registration over the grid, px of the reference.
 
-    The worst band's, as its record has it in a few nodes, linear between them. None where the
-    record has none.
+    The worst band's; grey where nothing confirms the map. None where the record has none.
     """
-    bands = record.get("bands", {}).values() if record else ()
-    tables = (band["sigma"] for band in bands if isinstance(band, dict) and band.get("sigma"))
-    known = list({json.dumps(table, sort_keys=True): table for table in tables}.values())
-    if not known:
+    step = math.ceil(math.sqrt(size[0] * size[1] / MOST_PLACES))
+    worst = predict_error(database, item, record, size, step)
+    if worst is None:
         return None
-    width, height = size
-    step = math.ceil(math.sqrt(width * height / MOST_PLACES))
-    x, y = np.meshgrid(np.arange(0.0, width, step), np.arange(0.0, height, step))
-    grid = Records(database, item).pixels(Frame())
-    places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
-    worst = np.max([_between(table, places) for table in known], axis=0).reshape(x.shape)
     most = float(np.nanmax(worst, initial=0.0, where=np.isfinite(worst)))
     picture = colour_scale(worst, 0.0, most).repeat(step, 0).repeat(step, 1)
-    return picture[:height, :width], Legend(least="0", most=f"{most:.2g} px of the reference")
+    return picture[: size[1], : size[0]], Legend(least="0", most=f"{most:.2g} px of the reference")
 
 
 def similarity_map(tiff: Path, reference: Path) -> tuple[np.ndarray, Legend] | None:
@@ -342,21 +336,6 @@ def colour_scale(values: np.ndarray, low: float, high: float) -> np.ndarray:
         [np.interp(place, np.linspace(0, 1, len(table)), column) for column in table.T], -1
     )
     return np.where(known[..., None], np.round(colours), UNKNOWN).astype(np.uint8)
-
-
-def _between(table: dict[str, Sequence[Any]], places: np.ndarray) -> np.ndarray:
-    """Interpolate a table of nodes linearly; beyond the nodes the nearest value."""
-    xs, ys = (np.asarray(table[axis], float) for axis in "xy")
-    values = np.array(table["sigma_px"], float)
-    column, row = (_fraction(nodes, places[:, i]) for i, nodes in enumerate((xs, ys)))
-    c, r = (np.minimum(part.astype(int), n - 2) for part, n in ((column, len(xs)), (row, len(ys))))
-    u, v = column - c, row - r
-    top = values[r, c] * (1 - u) + values[r, c + 1] * u
-    return top * (1 - v) + (values[r + 1, c] * (1 - u) + values[r + 1, c + 1] * u) * v
-
-
-def _fraction(nodes: np.ndarray, places: np.ndarray) -> np.ndarray:
-    return np.interp(places, nodes, np.arange(len(nodes), dtype=float))
 
 
 ILLUMINANTS = {
