@@ -231,7 +231,7 @@ def predict_error(
     if not known:
         return None
     x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in size))
-    grid = Records(Path(database), name).pixels(Frame())
+    grid = Records(place(database), name).pixels(Frame())
     places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
     worst = np.max([Sigma.from_dict(table)(places) for table in known], axis=0)
     for left, top, width, height in unconfirmed_cells(record):
