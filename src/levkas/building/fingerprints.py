@@ -10,8 +10,9 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import Hashes, Key, key_of
+from levkas.building.build_records import Key, key_of
 from levkas.building.control_points import told_points
+from levkas.building.hashes import Hashes
 from levkas.building.sources import code_version
 
 if TYPE_CHECKING:
