@@ -18,7 +18,7 @@ NOT_INSTALLED = {
     "mitsuba": "mitsuba",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
-USED = ("cluster", "export", "peers", "render")
+USED = ("cluster", "export", "peers", "remote", "render")
 """Extras that the package, or the comparison with its peers, imports."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 

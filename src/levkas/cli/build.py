@@ -14,6 +14,7 @@ from levkas.cli.output import (
     Json,
     draw_steps,
     finish,
+    path_or_address,
     print_report,
     refusing,
 )
@@ -120,7 +121,11 @@ def status(
 @refusing("validate")
 def validate(
     database: Annotated[
-        Path, typer.Argument(help="Database folder, or one of the same kind by others.")
+        Path,
+        typer.Argument(
+            help="Database folder or its address (s3://…, https://…), or one of the same kind by others.",
+            parser=path_or_address,
+        ),
     ],
     threads: Annotated[
         int | None,

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, cast
 
 import typer
 
@@ -25,6 +25,11 @@ DatabasePath = Annotated[
     typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
 ]
 CampaignPath = Annotated[Path, typer.Argument(help="Folder of a campaign, or its campaign.toml.")]
+
+
+def path_or_address(text: str) -> Path:
+    """Return a path; the address of a database on a server stays text."""
+    return cast(Path, text) if "://" in text else Path(text)
 
 
 class Report(Protocol):
