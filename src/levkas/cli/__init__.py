@@ -10,6 +10,7 @@ import typer
 
 from levkas import __version__
 from levkas.cli import build, demo, doctor, estimate, evaluate, inspect, measure, plan, publish
+from levkas.core.instructions import hold_instructions
 
 app = typer.Typer(
     name="levkas",
@@ -85,5 +86,6 @@ app.add_typer(_points, name="points")
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line, with libraries that compute alike on unlike processors."""
+    hold_instructions()
     app()
