@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, cast
 
 import typer
 
@@ -25,6 +25,11 @@ DatabasePath = Annotated[
     typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
 ]
 CampaignPath = Annotated[Path, typer.Argument(help="Folder of a campaign, or its campaign.toml.")]
+
+
+def path_or_address(text: str) -> Path:
+    """Return a path; the address of a database on a server stays text."""
+    return cast(Path, text) if "://" in text else Path(text)
 
 
 class Report(Protocol):
@@ -119,7 +124,7 @@ def draw_steps(steps: Iterable[Any], quiet: bool) -> list[Any]:
     for step in steps:
         done.append(step)
         if not quiet and step.finished:
-            typer.echo(step.line, err=True)
+            typer.echo(_with_where(step, step.line), err=True)
     return done
 
 
@@ -145,9 +150,14 @@ def _draw_bar(steps: Iterable[Any]) -> list[Any]:
         task = progress.add_task("starting", total=None)
         for step in steps:
             done.append(step)
-            progress.update(
-                task, description=step.label, completed=step.done, total=step.total or None
-            )
+            label = _with_where(step, step.label)
+            progress.update(task, description=label, completed=step.done, total=step.total or None)
             if step.finished and getattr(step, "state", "") in ("refused", "failed"):
                 console.print(step.line, style="red", markup=False)
     return done
+
+
+def _with_where(step: Any, text: str) -> str:
+    """Say behind a step on how many workers it was done, where there are any."""
+    where = getattr(step, "where", "")
+    return f"{text} ({where})" if where else text

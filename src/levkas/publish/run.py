@@ -17,6 +17,7 @@ from levkas.publish.publication import Editions, Publication, PublishRefused
 if TYPE_CHECKING:
     from levkas.database.manifest import Manifest
     from levkas.publish.publication import Publication
+    from levkas.publish.upload import UploadTarget
 
     Part = Callable[[Publication], Iterator[str]]
 
@@ -70,12 +71,14 @@ class PublishReport:
     bytes: int
     editions: str
     bag: Path | None = None
+    address: str | None = None
 
     @property
     def text(self) -> str:
         """Report for people."""
         text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
-        return text + (f"\nBag, checked: {self.bag}" if self.bag else "")
+        text += f"\nBag, checked: {self.bag}" if self.bag else ""
+        return text + (f"\nSent, with its manifest last: {self.address}" if self.address else "")
 
     def to_dict(self) -> dict[str, Any]:
         """Return what `--json` adds to the problems."""
@@ -85,6 +88,7 @@ class PublishReport:
             "bytes": self.bytes,
             "editions": self.editions,
             "bag": str(self.bag) if self.bag else None,
+            "address": self.address,
         }
 
 
@@ -185,6 +189,7 @@ def publish(
     url: str = "",
     iiif: bool = True,
     bag: str | Path | None = None,
+    to: str | None = None,
 ) -> Iterator[PublishStep]:
     """Publish a database, yielding what is done, and in the end a report.
 
@@ -202,11 +207,16 @@ def publish(
         Whether tiles and IIIF manifests are made.
     bag : path, optional
         Folder for a BagIt bag, a copy of the publication.
+    to : str, optional
+        Address in an S3-like store that the publication is sent to, ``s3://BUCKET/PATH``.
 
     Raises
     ------
     PublishRefused
-        Where facts are missing, the database is not whole, or `output` holds it, or lies in it.
+        Where facts are missing, the database is not whole, or `output` holds it, or lies in it; where
+        something stands at `to` that Levkas did not send.
+    RemoteRefused
+        Where the store does not answer; the next call goes on.
     WriteRefused
         Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
         publication still stands then.
@@ -226,6 +236,7 @@ def publish(
     if bag is not None:
         for root in (subject.database.resolve(), final):
             check_target(root, Path(bag).resolve())
+    target = _find_target(to, subject) if to else None
     if final.parent.is_dir():
         sweep_beside(final)
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
@@ -239,10 +250,23 @@ def publish(
         for what in write_bag(final, bag, facts):
             yield PublishStep("bag", what, len(PARTS), len(PARTS))
         yield PublishStep("bag", "", len(PARTS), len(PARTS), True, "done")
-    report = PublishReport(
-        final, len(made.files) + 1, made.bytes, editions, Path(bag).resolve() if bag else None
-    )
+    if target is not None:
+        for what, done, count in target.send(final):
+            yield PublishStep("upload", what, done, count, done == count, "done")
+    packed = Path(bag).resolve() if bag else None
+    report = PublishReport(final, len(made.files) + 1, made.bytes, editions, packed, to)
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
+
+
+def _find_target(address: str, subject: PublishSubject) -> UploadTarget:
+    from levkas.database.catalogue import DatabaseRefused, read_catalogue
+    from levkas.publish.upload import UploadTarget
+
+    try:
+        objects = {entry.object for entry in read_catalogue(subject.database)}
+    except DatabaseRefused:
+        objects = set()
+    return UploadTarget(address, objects)
 
 
 def facts_of_subject(subject: PublishSubject) -> PublicationFacts:
