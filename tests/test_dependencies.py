@@ -18,7 +18,7 @@ NOT_INSTALLED = {
     "mitsuba": "mitsuba",
 }  # fmt: skip
 """Import name → distribution of the extras that the tests' environment does not have."""
-USED = ("export", "peers", "render")
+USED = ("cluster", "export", "peers", "remote", "render")
 """Extras that the package, or the comparison with its peers, imports."""
 UNIX = ("resource", "fcntl", "pwd", "grp", "termios", "tty", "pty", "syslog")
 
@@ -85,9 +85,9 @@ def test_locks_name_what_is_declared_and_no_registry():
 
 
 def test_every_module_imports_where_there_is_nothing_of_unix():
-    """As on Windows: a module that is not there is None in `sys.modules`."""
+    """As on Windows: a module that is not there is None in `sys.modules`; distributed finds others there."""
     code = (
-        "import importlib, pkgutil, sys\n"
+        "import importlib, pkgutil, sys, distributed\n"
         f"sys.modules.update(dict.fromkeys({UNIX!r}))\n"
         "import levkas\n"
         "failed = []\n"

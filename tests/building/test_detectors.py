@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from levkas.building import build, summarise
-from levkas.building.run import check_detectors
+from levkas.building.plan import check_detectors
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.geometry import from_dict
 from levkas.registration.features import DETECTORS, available_detectors

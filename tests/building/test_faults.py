@@ -35,7 +35,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building import build, executor, register, summarise
+from levkas.building import build, register, stages, summarise
 from levkas.core import files
 from levkas.core.digests import hash_tree
 from levkas.core.json_safe import to_json
@@ -244,7 +244,7 @@ def scenes(tmp_path_factory):
 def hasten(patch):
     """Spare what a kill does not ask for: registering again, memory, and the syncs themselves."""
     patch.setattr(register, "register_capture", remembered())
-    patch.setattr(executor, "give_back_memory", lambda: None)
+    patch.setattr(stages, "give_back_memory", lambda: None)
     patch.setattr(os, "fsync", lambda descriptor: None)
     patch.setattr(files, "_sync_file_system", lambda descriptor: None)
 

@@ -127,6 +127,14 @@ class Hashes:
             self._files[path] = files_of(path)
         return {file: self(file) for file in self._files[path]}
 
+    def take(self, path: str | Path, entry: Sequence[Any]) -> None:
+        """Take stamp and hash of a file that another process has read, where the file has that stamp still."""
+        with suppress(OSError):
+            if [*stamp_of(path)] == [*entry[:-1]]:
+                with self._lock:
+                    self.known[str(path)] = [*entry]
+                    self.changed = True
+
     def save(self) -> None:
         """Keep what was learnt."""
         for name in list(self._unsettled):
@@ -191,7 +199,7 @@ class BuildRecords:
     def why_stale(self, key: Key, fingerprint: dict[str, Any]) -> str:
         """Say why a stage must be done; empty where its products stand and fit."""
         if not (record := self._record(key)):
-            return "its record was damaged" if self._path(key).is_file() else "not yet built"
+            return "its record was damaged" if self.path_of(key).is_file() else "not yet built"
         if changed := _difference(record.get("fingerprint", {}), fingerprint):
             return changed
         for path, name, digest in self._made(record):
@@ -212,6 +220,15 @@ class BuildRecords:
             if not _is_file(path) or hash_file(path) != digest:
                 return name
         return ""
+
+    def check(self, key: Key) -> str:
+        """Return the hash of the record of a finished stage; empty where it is not finished."""
+        record = self._record(key)
+        return _check(record) if record else ""
+
+    def reread(self, key: Key) -> None:
+        """Read a record anew when it is asked for: another process may have written it since."""
+        self._known.pop(str(self.path_of(key)), None)
 
     def fingerprint(self, key: Key) -> dict[str, Any]:
         """Return what a finished stage was made of; empty where it is not finished."""
@@ -260,7 +277,7 @@ class BuildRecords:
             p.relative_to(self.folder).as_posix(): self.hashes(p, own=True) for p in sorted(aside)
         }:
             told["aside"] = kept
-        path = self._path(key)
+        path = self.path_of(key)
         make_folder(path.parent)
         record = json.loads(to_json(told))
         write_json(path, {**record, "check": _check(record)})
@@ -276,7 +293,7 @@ class BuildRecords:
         It stays under another name until the stage has ended: what the stage does not make any more is
         still known then.
         """
-        path = self._path(key)
+        path = self.path_of(key)
         self._known[str(path)] = {}
         rename_file(path, path.with_suffix(WAS))
 
@@ -284,20 +301,20 @@ class BuildRecords:
         """Note what a stage was made of when it was refused, and why."""
         told = {"fingerprint": fingerprint, "refused": [p.to_dict() for p in problems]}
         record = json.loads(to_json(told))
-        path = self._path(key).with_suffix(REFUSED)
+        path = self.path_of(key).with_suffix(REFUSED)
         make_folder(path.parent)
         write_changed(path, to_json({**record, "check": _check(record)}).encode())
 
     def refusal(self, key: Key, fingerprint: dict[str, Any]) -> tuple[Problem, ...]:
         """Return why a stage was refused that was made of the same; empty where it was not."""
-        record = _sound(_read(self._path(key).with_suffix(REFUSED)))
+        record = _sound(_read(self.path_of(key).with_suffix(REFUSED)))
         if not record or _difference(record.get("fingerprint", {}), fingerprint):
             return ()
         return tuple(Problem(**problem) for problem in record["refused"])
 
     def drop(self, key: Key) -> None:
         """Forget a stage that will not be done again, and what was kept aside of it."""
-        path = self._path(key)
+        path = self.path_of(key)
         for name in self._record(key).get("aside", {}):
             remove(self.folder / name)
         self._known[str(path)] = {}
@@ -325,7 +342,7 @@ class BuildRecords:
 
     def made_by(self, key: Key) -> set[str]:
         """Return the names of all that a stage has made, also of one that was being done anew."""
-        path = self._path(key)
+        path = self.path_of(key)
         records = self._record(key), _sound(_read(path.with_suffix(WAS)))
         return {
             n for record in records for part in ("products", "left") for n in record.get(part, ())
@@ -357,16 +374,17 @@ class BuildRecords:
                 yield f"{folder}{os.sep}{name}", name, digest
 
     def _record(self, key: Key) -> dict[str, Any]:
-        return self._recorded(str(self._path(key)))
+        return self._recorded(str(self.path_of(key)))
 
     def _recorded(self, path: str) -> dict[str, Any]:
         if path not in self._known:
             self._known[path] = _sound(_read(Path(path))) if _is_file(path) else {}
         return self._known[path]
 
-    def _path(self, key: Key) -> Path:
+    def path_of(self, key: Key, suffix: str = ".json") -> Path:
+        """Return where the record of a stage is kept, or what stands beside it."""
         parts = [part for part in (key.object, key.layer, key.stage) if part]
-        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}.json")
+        return self.folder.joinpath(*parts[:-1], f"{parts[-1]}{suffix}")
 
 
 def _read(path: Path) -> dict[str, Any]:

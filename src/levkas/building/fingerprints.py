@@ -76,11 +76,6 @@ class Inputs:
         self._numbers[task.key] = digest(prints, numbers_of=task.key.stage)
         return prints
 
-    def has(self, key: Key) -> bool:
-        """Tell whether a capture's own registration is there to adjust others with."""
-        kept = self.records.fingerprint(key)
-        return bool(kept) and measured_path(self.records.folder, key).is_file()
-
     def _prints(self, task: Task, refused: Collection[tuple[str, str]]) -> dict[str, Any]:
         capture, lead = task.capture, task.reference
         assert capture is not None and lead is not None
@@ -103,7 +98,7 @@ class Inputs:
         return prints
 
     def _measured(self, key: Key) -> str:
-        if not self.has(key):
+        if not is_measured(self.records, key):
             return NOT_THERE
         own = digest(self.records.fingerprint(key), numbers_of="measure")
         return self._numbers.get(key, own)
@@ -112,6 +107,11 @@ class Inputs:
 def measured_path(folder: Path, key: Key) -> Path:
     """Return where a capture's own registration is kept, in a folder beside the database."""
     return folder / key.object / key.layer / "measured.npz"
+
+
+def is_measured(records: BuildRecords, key: Key) -> bool:
+    """Tell whether a capture's own registration is there to adjust others with."""
+    return bool(records.fingerprint(key)) and measured_path(records.folder, key).is_file()
 
 
 def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[str, Any]:

@@ -108,6 +108,13 @@ def ordered(tasks: Graph, wanted: Iterable[Key]) -> list[Task]:
     return list(done.values())
 
 
+def captures_of(task: Task) -> tuple[Capture, Capture]:
+    """Return what a task is done with, and what that is registered to; ValueError for pages."""
+    if task.capture is None or task.reference is None:
+        raise ValueError(f"{task.key} is no task of a capture")
+    return task.capture, task.reference
+
+
 def keys_of(campaign: Campaign, capture: Capture) -> dict[str, Key]:
     """Return the keys of a capture's stages in their order, with `measure` where it is adjusted."""
     joint = ("measure",) if campaign.is_joint(capture.camera) else ()
@@ -242,8 +249,9 @@ FINISHED = ("fresh", "done", "refused", "failed", "stale")
 class Step:
     """One stage of one capture, as it begins (``state = "running"``) or as it has ended.
 
-    `done` of `total` stages are behind us, this one counted where it has ended. The last step of a build
-    has the database's folder as its `output`.
+    `done` of `total` stages are behind us, this one counted where it has ended, and `place` is the stage's
+    in the graph. The last step of a build has the database's folder as its `output`. `where` says of a
+    cluster how many workers it has, and how many tasks wait for memory.
     """
 
     key: Key
@@ -254,6 +262,8 @@ class Step:
     problems: tuple[Problem, ...] = ()
     warnings: tuple[str, ...] = ()
     output: Path | None = None
+    place: int = 0
+    where: str = ""
 
     @property
     def finished(self) -> bool:
@@ -337,8 +347,8 @@ def _gathered(warnings: Iterable[str]) -> list[str]:
 
 
 def summarise(steps: Iterable[Step], output: Path | None = None) -> BuildReport:
-    """Return the report of a build from its steps, problems and warnings each once."""
-    ended = tuple(step for step in steps if step.finished)
+    """Return the report of a build from its steps in the graph's order, problems and warnings each once."""
+    ended = tuple(sorted((step for step in steps if step.finished), key=lambda step: step.place))
     problems = list(dict.fromkeys(p for step in ended for p in step.problems))
     warnings = tuple(dict.fromkeys(w for step in ended for w in step.warnings))
     output = output or next((step.output for step in ended if step.output), None)

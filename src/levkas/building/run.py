@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from levkas.building import fingerprints, sources
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
-from levkas.building.camera_pages import CameraPage, camera_pages, prints_of_page, write_camera_page
+from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
     by_others,
     foreign_files,
@@ -20,12 +23,13 @@ from levkas.building.catalogue import (
     write_catalogue_of,
 )
 from levkas.building.claiming import check_apart, claim
-from levkas.building.executor import Executor, fresh_step
+from levkas.building.endings import Endings, fresh_step
+from levkas.building.executor import Executor
 from levkas.building.fingerprints import Inputs
-from levkas.building.graph import BuildReport, Graph, Step, Task, draw, graph_of, ordered, summarise
+from levkas.building.graph import BuildReport, Graph, Step, Task, draw, summarise
+from levkas.building.plan import Plan, read_plan
 from levkas.building.removal import (
     REMOVED,
-    NoReference,
     describe,
     no_longer_there,
     no_reference,
@@ -35,72 +39,14 @@ from levkas.building.removal import (
     removal,
 )
 from levkas.building.template_cache import TemplateCache
-from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
-from levkas.campaign.discovery.captures import Capture, Refusals
-from levkas.campaign.discovery.check_names import check_names
-from levkas.campaign.discovery.file_index import scan_folders
-from levkas.campaign.discovery.find_captures import check_edits, find_captures
-from levkas.campaign.edits import FILE_NAME, Edits
-from levkas.core.problems import Problem, Refused, closest_match
+from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 
-CODE = "code.json"
-"""Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
+if TYPE_CHECKING:
+    from levkas.building.cluster_executor import ClusterExecutor
 
-
-@dataclass(frozen=True)
-class Plan:
-    """A campaign, its captures and the graph of its tasks.
-
-    Parameters
-    ----------
-    refusals : dict of (object, camera, setup) to Refused
-        Captures that cannot be begun.
-    pages : dict of Key to CameraPage
-    """
-
-    campaign: Campaign
-    captures: list[Capture]
-    refusals: Refusals
-    graph: Graph
-    pages: dict[Key, CameraPage]
-
-    @property
-    def names(self) -> list[str]:
-        """Every object, also those of which nothing can be built."""
-        return list(
-            dict.fromkeys([c.object for c in self.captures] + [key[0] for key in self.refusals])
-        )
-
-    def lost(self) -> dict[str, list[Step]]:
-        """Return how the captures end that are not in the graph, by object."""
-        found: dict[str, list[Step]] = {name: [] for name in self.names}
-        for (name, camera, setup), refused in self.refusals.items():
-            found[name].append(refused_step(Key(name, camera, setup, "calibrate"), refused))
-        for capture in self.captures:
-            if key_of(capture, "calibrate") not in self.graph:
-                found[capture.object].append(_without_reference(self, capture))
-        return found
-
-    def of(self, objects: Sequence[str]) -> Plan:
-        """Return the plan of some objects; raises CampaignInvalid where there is none of a name."""
-        if missing := [name for name in objects if name not in self.names]:
-            raise CampaignInvalid(
-                Problem(
-                    "E_VALUE",
-                    "there is no such object",
-                    str(self.campaign.path),
-                    "--object",
-                    ", ".join(missing),
-                    ", ".join(sorted(self.names)),
-                    closest_match(missing[0], self.names),
-                )
-            )
-        captures = [c for c in self.captures if c.object in objects]
-        refusals = {key: r for key, r in self.refusals.items() if key[0] in objects}
-        wanted = (key for key in self.graph if key.object in objects)
-        graph = {task.key: task for task in ordered(self.graph, wanted)}
-        return Plan(self.campaign, captures, refusals, graph, {})
+SCHEDULER = "DASK_SCHEDULER_ADDRESS"
+"""The variable by which dask's own programs know their scheduler."""
 
 
 def build(
@@ -110,6 +56,9 @@ def build(
     objects: list[str] | None = None,
     keep_removed: bool = False,
     verify: bool = False,
+    cluster: str | None = None,
+    workers: int | None = None,
+    insecure: bool = False,
 ) -> Iterator[Step]:
     """Build the database of a campaign, yielding each stage as it begins and as it ends.
 
@@ -126,6 +75,13 @@ def build(
         are moved to the folder OUTPUT.removed otherwise.
     verify : bool
         Read every file anew, whatever its size, times and inode say.
+    cluster : str, optional
+        Address of a dask scheduler, ``tcp://HOST:PORT``, whose workers do the tasks; else that in
+        $DASK_SCHEDULER_ADDRESS. They see all files under the same paths.
+    workers : int, optional
+        Processes of this machine that do the tasks; 0: this one, whatever the variable says.
+    insecure : bool
+        Go on where the scheduler is another machine's and the connection is not encrypted.
 
     Yields
     ------
@@ -135,37 +91,100 @@ def build(
     Raises
     ------
     Refused
-        Where the campaign itself cannot be read, or the output cannot be written.
+        Where the campaign itself cannot be read, the output cannot be written, or the cluster cannot be
+        used.
     """
     from levkas.core.sweeping import sweep
 
-    whole = _plan(path)
+    where = _chosen(cluster, workers, insecure)
+
+    whole = read_plan(path)
     plan = whole.of(objects) if objects else whole
     spectra_of(plan.campaign, setups_of(plan.campaign))  # refused before any work
     places = Places(Path(output).resolve() if output else plan.campaign.output)
     claim(plan.campaign, places, whole.captures, whole.names)
     for folder in (places.output, places.kept):
         sweep(folder)
-    sources.remember(places.kept / CODE)
+    sources.remember(places.kept / sources.CODE)
     records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
     gone = no_longer_there(
         plan.campaign, records, plan.captures, plan.refusals, plan.pages, objects
     )
     total = _count(plan) + bool(describe(gone, records))
-    steps = _steps(plan, places, records, gone, whole=not objects)
-    yield from _numbered(steps, plan.graph, total)
+    templates = TemplateCache(places.kept / "templates", records.hashes, shared=len(plan.names) > 1)
+    endings = Endings(plan.campaign, places, records, plan.graph)
+    with _executor(where, endings, templates, verify=verify) as executor:
+        steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
+        yield from _numbered(steps, plan.graph, total)
     records.hashes.save()
-    sources.keep(places.kept / CODE)
+    sources.keep(places.kept / sources.CODE)
+
+
+class Where(NamedTuple):
+    """Workers of a cluster: of a scheduler, or so many of this machine."""
+
+    address: str
+    workers: int
+    insecure: bool
+
+
+def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where | None:
+    """Return where tasks are done; None for this process. Raises Refused where that cannot be."""
+    if cluster and workers is not None:
+        raise Refused(
+            Problem(
+                "E_VALUE",
+                "--cluster has workers of its own",
+                field="--workers",
+                found=str(workers),
+                fix="Give one of the two.",
+            )
+        )
+    address = cluster or (os.environ.get(SCHEDULER, "") if workers is None else "")
+    if not address and not workers:
+        return None
+    if find_spec("distributed") is None:
+        raise Refused(
+            Problem(
+                "E_MISSING",
+                "the library dask.distributed is not installed",
+                field="--cluster" if address else "--workers",
+                fix='Install it: pip install "levkas[cluster]".',
+            )
+        )
+    from levkas.building.cluster import check_address
+
+    if address:
+        check_address(address, insecure=insecure)
+    return Where(address, workers or 0, insecure)
+
+
+@contextmanager
+def _executor(
+    where: Where | None, endings: Endings, templates: TemplateCache, *, verify: bool
+) -> Iterator[Executor | ClusterExecutor]:
+    """Yield what does the tasks of captures."""
+    if where is None:
+        yield Executor(endings, templates)
+        return
+    from levkas.building.cluster import connected
+    from levkas.building.cluster_executor import ClusterExecutor
+
+    with connected(where.address, where.workers, insecure=where.insecure) as cluster:
+        yield ClusterExecutor(endings, cluster, endings.campaign.path, verify=verify)
 
 
 def _steps(
-    plan: Plan, places: Places, records: BuildRecords, gone: Sequence[Key], *, whole: bool
+    plan: Plan,
+    endings: Endings,
+    executor: Executor | ClusterExecutor,
+    templates: TemplateCache,
+    gone: Sequence[Key],
+    *,
+    whole: bool,
 ) -> Iterator[Step]:
     """Yield the steps of a build."""
-    campaign = plan.campaign
-    shared = len(plan.names) > 1
-    templates = TemplateCache(places.kept / "templates", records.hashes, shared=shared)
-    executor = Executor(campaign, places, records, templates, plan.graph)
+    campaign, places, records = plan.campaign, endings.places, endings.records
     lost = plan.lost()
     for step in (step for steps in lost.values() for step in steps):
         put_away(step.key.object, step.key.camera, step.key.setup, records)
@@ -173,20 +192,23 @@ def _steps(
     for name in plan.names:
         if Key(name, stage="report") not in plan.graph:
             put_away_stage(Key(name, stage="report"), records)
-    for of_captures, tasks in groupby(plan.graph.values(), lambda task: task.capture is not None):
+    in_order = [*plan.graph.values()]
+    if executor.takes_all:
+        in_order.sort(key=lambda task: task.capture is None)
+    for of_captures, tasks in groupby(in_order, lambda task: task.capture is not None):
         if of_captures:
             yield from executor.run(list(tasks))
             continue
         for task in tasks:
             if task.key.stage == "report":
-                ended = [s for k, s in executor.ended.items() if k.object == task.key.object]
+                ended = [s for k, s in endings.ended.items() if k.object == task.key.object]
                 steps = [*lost[task.key.object], *ended]
-                yield from _report(plan, places, records, executor.inputs, task, steps)
+                yield from _report(plan, places, records, endings.inputs, task, steps)
             elif task.key.stage == "camera":
                 yield from _camera(plan, places, records, templates, task)
     yield from removal(gone, records)
     step = write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
-    warnings = (*campaign.without_effect, *step.warnings)
+    warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)
     yield replace(step, output=places.output, warnings=warnings)
 
 
@@ -199,6 +221,8 @@ def _count(plan: Plan) -> int:
 def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]:
     """Say of every step how many tasks are behind it; a lost capture takes its later ones along."""
     stages: dict[tuple[str, str], list[str]] = {}
+    places = {key: number for number, key in enumerate(graph, 1)}
+    place = 0
     for key, task in graph.items():
         if task.capture is not None:
             stages.setdefault((key.object, key.layer), []).append(key.stage)
@@ -208,7 +232,9 @@ def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]
             mine = stages.get((step.key.object, step.key.layer), [])
             lost = step.state == "refused" and step.key.stage in mine
             done += 1 + (len(mine) - 1 - mine.index(step.key.stage) if lost else 0)
-        yield replace(step, done=total if step.key == CATALOGUE else min(done, total), total=total)
+        place = places.get(step.key, place)
+        behind = total if step.key == CATALOGUE else min(done, total)
+        yield replace(step, done=behind, total=total, place=place)
 
 
 def status(
@@ -218,11 +244,11 @@ def status(
 
     Parameters are those of `build`, and it raises as `build`.
     """
-    plan = _plan(path)
+    plan = read_plan(path)
     campaign = plan.campaign
     places = Places(Path(output).resolve() if output else campaign.output)
     check_apart(campaign, places.output, plan.captures)
-    sources.remember(places.kept / CODE)
+    sources.remember(places.kept / sources.CODE)
     records = BuildRecords(places.kept, places.output, verify=verify)
     lost = plan.lost()
     inputs = Inputs(campaign, records)
@@ -294,60 +320,6 @@ def _state_of_catalogue(
     why = records.why_stale(CATALOGUE, prints)
     warnings = foreign_files(by_others(places, records))
     return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
-
-
-def _plan(path: str | Path) -> Plan:
-    """Read a campaign, find its captures and lay out its tasks."""
-    campaign = load_campaign(path)
-    check_detectors(campaign)
-    index = scan_folders(campaign)
-    captures, refusals = find_captures(campaign, index)
-    check_names(campaign, index, refusals)
-    _check_edits(campaign, captures, refusals)
-    pages = camera_pages(campaign, captures, index)
-    return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
-
-
-def check_detectors(campaign: Campaign) -> None:
-    """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
-    tables = {"registration": campaign.registration}
-    tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
-    asked = {where: keys.detector for where, keys in tables.items() if keys.detector}
-    if set(asked.values()) <= {"sift"}:
-        return
-    from levkas.registration.features import available_detectors, no_detector
-
-    here = available_detectors()
-    missing = [no_detector(name, f"{w}.detector") for w, name in asked.items() if name not in here]
-    if missing:
-        raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
-
-
-def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:
-    """Refuse corrections by hand of what the campaign does not have; what is refused is had."""
-    lost = [Capture(name, camera, setup, ()) for name, camera, setup in refusals]
-    lost_frames = {(c.object, c.layer) for c in lost}
-    frames = {
-        (name, frame): edits
-        for (name, frame), edits in campaign.edits.frames.items()
-        if (name, frame.partition(":")[0]) not in lost_frames
-    }
-    if frames:
-        check_edits(Edits(frames), captures, campaign.root / FILE_NAME)
-
-
-def _without_reference(plan: Plan, capture: Capture) -> Step:
-    """Return the step of a capture that there is nothing to register to."""
-    name, reference = capture.object, plan.campaign.reference.camera
-    lost = plan.refusals.get((name, reference, ""))
-    problem = Problem(
-        "E_NO_REFERENCE",
-        f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
-        field="campaign.reference",
-        found=lost.problems[0].message if lost else "no capture",
-        fix="Mend the reference camera's frames first.",
-    )
-    return refused_step(key_of(capture, "calibrate"), NoReference(problem))
 
 
 def _report_prints(plan: Plan, inputs: Inputs, name: str, steps: Sequence[Step]) -> dict[str, Any]:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from levkas.calibration.sensor_context import SensorContext
     from levkas.campaign.discovery.captures import FrameRef
 
-BLOCK_SAMPLES = 3_000_000
+BLOCK_SAMPLES = 4_000_000
 """Samples of a block of lines, where $LEVKAS_TILE does not say how many lines."""
 TRIPLES = 64
 """Threes of neighbouring lines of a mirror scanner's dark and white that tell its noise."""
@@ -86,11 +86,11 @@ class ScanFile:
         content = self.content
         return np.dtype(content.dtype if isinstance(content, np.ndarray) else content.facts.dtype)
 
-    def read(self, start: int, stop: int, *, turned: bool = True) -> np.ndarray:
-        """Return lines `start` to `stop`, (lines, samples, bands); `turned` as of `EnviFile.read_lines`."""
+    def read(self, start: int, stop: int) -> np.ndarray:
+        """Return lines `start` to `stop`, (lines, samples, bands)."""
         if isinstance(self.content, np.ndarray):
             return self.content[start:stop]
-        return self.content.read_lines(start, stop, turned=turned)
+        return self.content.read_lines(start, stop)
 
     def blocks(self) -> Iterator[np.ndarray]:
         """Yield all lines, some at a time."""

@@ -38,10 +38,10 @@ from levkas.calibration.sensor_context import (
 from levkas.calibration.templates import (
     CalibrationRefused,
     Template,
-    average,
     describe_lost,
     gaps_of,
     no_values,
+    single_shot,
 )
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import UNRELIABLE, Band, Cube
@@ -124,9 +124,9 @@ class Strip:
     def flat(self, start: int, stop: int) -> FlatLines:
         """Flat-field lines `start` to `stop`; the same values for any block that they are part of."""
         context, frame = self.context, self.file.frame
-        codes = context.checked(self.file.read(start, stop, turned=False), frame)
+        codes = context.checked(self.file.read(start, stop), frame)
         shape = codes.shape
-        shot = average(iter([codes]), saturation=context.saturation)
+        shot = single_shot(codes, saturation=context.saturation)
         del codes
         shot = timed(gaps_marked(shot), times_of(frame))
         darks = [lines_of(dark, start, stop) for dark in self.templates.darks]

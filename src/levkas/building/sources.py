@@ -42,7 +42,8 @@ ENTRIES = {
 RIM = frozenset(
     "levkas.building." + name
     for name in (
-        *("run", "executor", "graph", "build_records", "fingerprints", "sources"),
+        *("run", "plan", "executor", "stages", "endings", "worker", "graph"),
+        *("cluster", "cluster_executor", "build_records", "fingerprints", "sources"),
         *("removal", "claiming"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
@@ -57,6 +58,8 @@ LIBRARIES = {
     "tifffile": "tifffile",
 }
 """Whose version may be in the numbers: module → distribution."""
+CODE = "code.json"
+"""Among what is kept: the hashes of each stage's code, so that it is not read at every start."""
 _NAME = re.compile(r"[a-z_]+\.(py|csv|html)")
 
 

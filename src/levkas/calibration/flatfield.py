@@ -232,7 +232,13 @@ def model_of(
     """Return gain, variance without light of object and of white, and step, as the kernels take them."""
     if noise is None:
         return -1.0, 0.0, 0.0, 0.0
-    return noise.gain, noise.read_under(under), noise.read_under(white_under), noise.step
+    read = noise.read_under(under)
+    return (
+        noise.gain,
+        read,
+        read if white_under is under else noise.read_under(white_under),
+        noise.step,
+    )
 
 
 def pair_darks(
@@ -455,6 +461,7 @@ def propagate_line(y, sides, table, model, shared, shares, variance):  # type: i
 
 def _widened(array: np.ndarray, width: int) -> np.ndarray:
     """Return a (rows, period) array with its columns repeated to a width, that cannot be written to."""
-    if array.shape[1] != width:
-        array = array[:, np.arange(width) % array.shape[1]]
+    period = array.shape[1]
+    if period != width:
+        array = np.tile(array, (1, -(-width // period)))[:, :width]
     return read_only(np.ascontiguousarray(array))

@@ -145,6 +145,16 @@ def average(
     return sums.template(exposure_s)
 
 
+def single_shot(codes: np.ndarray, *, saturation: float | None = None) -> Template:
+    """Return what `average` gives of one shot, whose memory is not held on to.
+
+    >>> single_shot(np.array([[0, 7, 9]], np.uint16), saturation=9.0).saturated.tolist()
+    [[False, False, True]]
+    """
+    saturated = codes >= (np.inf if saturation is None else saturation)
+    return Template(codes.astype(np.float32), None, 1, saturated, codes <= 0)
+
+
 class _Sums:
     """Running sums over shots, begun by the second, so that a single shot costs no more."""
 

@@ -14,6 +14,7 @@ from levkas.cli.output import (
     Json,
     draw_steps,
     finish,
+    path_or_address,
     print_report,
     refusing,
 )
@@ -59,6 +60,23 @@ def build(
         ),
     ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            help="Scheduler of dask whose workers do the work, tcp://HOST:PORT; else that in "
+            "DASK_SCHEDULER_ADDRESS. Needs levkas[cluster]."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Processes of this machine that do the work; 0: one alone.", min=0, max=1000
+        ),
+    ] = None,
+    insecure: Annotated[
+        bool,
+        typer.Option("--insecure", help="Use a scheduler of another machine without encryption."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Build the database of a campaign from its raw frames."""
@@ -66,7 +84,14 @@ def build(
     from levkas.building import summarise
 
     steps = build_campaign(
-        campaign, output=output, objects=objects, keep_removed=keep_removed, verify=verify
+        campaign,
+        output=output,
+        objects=objects,
+        keep_removed=keep_removed,
+        verify=verify,
+        cluster=cluster,
+        workers=workers,
+        insecure=insecure,
     )
     report = summarise(draw_steps(steps, as_json))
     finish("build", report, as_json)
@@ -96,7 +121,11 @@ def status(
 @refusing("validate")
 def validate(
     database: Annotated[
-        Path, typer.Argument(help="Database folder, or one of the same kind by others.")
+        Path,
+        typer.Argument(
+            help="Database folder or its address (s3://…, https://…), or one of the same kind by others.",
+            parser=path_or_address,
+        ),
     ],
     threads: Annotated[
         int | None,

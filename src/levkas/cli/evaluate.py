@@ -12,6 +12,7 @@ from levkas.cli.output import (
     Json,
     Overwrite,
     draw_steps,
+    path_or_address,
     print_report,
     refusing,
 )
@@ -20,7 +21,11 @@ from levkas.cli.output import (
 @refusing("evaluate")
 def evaluate(
     database: Annotated[
-        Path, typer.Argument(help="Database folder, or the campaign it was built from.")
+        Path,
+        typer.Argument(
+            help="Database folder or its address (s3://…, https://…), or the campaign it was built from.",
+            parser=path_or_address,
+        ),
     ],
     truth: Annotated[
         Path | None,
@@ -69,6 +74,7 @@ def evaluate(
 
     --compare sets Levkas beside the paper's method, the paper's opponents and today's peers.
     """
+    from levkas.database.remote import place
     from levkas.quality.evaluation.layer_report import assess, locate
 
     if compared:
@@ -95,7 +101,7 @@ def evaluate(
     if loops:
         from levkas.quality.evaluation.loop_closure import close_database, loops_text
 
-        more["loops"] = close_database(locate(database)[0])
+        more["loops"] = close_database(locate(place(database))[0])
         text = f"{text}\n\n{loops_text(more['loops'])}"
     print_report("evaluate", as_json, True, report.problems, results=report.results, **more)
     if not as_json:
@@ -104,7 +110,12 @@ def evaluate(
 
 @refusing("map")
 def map_points(
-    database: Annotated[Path, typer.Argument(help="Database folder.")],
+    database: Annotated[
+        Path,
+        typer.Argument(
+            help="Database folder or its address (s3://…, https://…).", parser=path_or_address
+        ),
+    ],
     name: Annotated[str, typer.Argument(metavar="OBJECT", help="Object in the database.")],
     points: Annotated[
         Path | None, typer.Argument(help="CSV with header x,y; standard input without it.")

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, cast
 
 import typer
 
@@ -30,6 +30,11 @@ DatabasePath = Annotated[
     typer.Option("--output", "-o", help="Database folder, instead of the campaign's own."),
 ]
 CampaignPath = Annotated[Path, typer.Argument(help="Folder of a campaign, or its campaign.toml.")]
+
+
+def path_or_address(text: str) -> Path:
+    """Return a path; the address of a database on a server stays text."""
+    return cast(Path, text) if "://" in text else Path(text)
 
 
 class Report(Protocol):
@@ -142,7 +147,7 @@ def draw_steps(steps: Iterable[Any], quiet: bool) -> list[Any]:
     for step in steps:
         done.append(step)
         if not quiet and step.finished:
-            typer.echo(_plain_line(step), err=True)
+            typer.echo(_with_where(step, _plain_line(step)), err=True)
             print_problems(_causes(step))
     return done
 
@@ -197,7 +202,7 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
                 start = {"since": time.monotonic(), "frames": FRAMES.count}
             progress.update(
                 task,
-                description=step.label,
+                description=_with_where(step, step.label),
                 completed=completed,
                 total=total or None,
                 **start,
@@ -229,3 +234,9 @@ def _clock(seconds: float) -> str:
     minutes, rest = divmod(int(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def _with_where(step: Any, text: str) -> str:
+    """Say behind a step on how many workers it was done, where there are any."""
+    where = getattr(step, "where", "")
+    return f"{text} ({where})" if where else text

@@ -11,6 +11,7 @@ from levkas.cli.output import (
     Json,
     Overwrite,
     draw_steps,
+    path_or_address,
     print_report,
     refusing,
 )
@@ -39,6 +40,10 @@ def publish(
     bag: Annotated[
         Path | None, typer.Option("--bag", help="Also a BagIt bag, a copy, in this new folder.")
     ] = None,
+    to: Annotated[
+        str | None,
+        typer.Option("--to", help="Also send it to a store like S3: s3://BUCKET/PATH."),
+    ] = None,
     url: Annotated[str, typer.Option(help="Address under which the folder will be found.")] = "",
     no_iiif: Annotated[
         bool, typer.Option("--no-iiif", help="Leave tiles and IIIF manifests out.")
@@ -54,7 +59,9 @@ def publish(
         if not as_json:
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
-    made = run.publish(subject, output=output, editions=edition, url=url, iiif=not no_iiif, bag=bag)
+    made = run.publish(
+        subject, output=output, editions=edition, url=url, iiif=not no_iiif, bag=bag, to=to
+    )
     steps = draw_steps(made, as_json)
     report = run.summarise(steps)
     print_report("publish", as_json, True, [], **report.to_dict())
@@ -64,7 +71,13 @@ def publish(
 
 @refusing("export")
 def export(
-    database: Annotated[Path, typer.Argument(help="Database, also a published one.")],
+    database: Annotated[
+        Path,
+        typer.Argument(
+            help="Database, also a published one, or its address (s3://…, https://…).",
+            parser=path_or_address,
+        ),
+    ],
     form: Annotated[
         Literal["imagej", "envi", "matlab", "ntire", "qgis", "netcdf", "csv-spectra"],
         typer.Option("--for", help="Who is to read it."),

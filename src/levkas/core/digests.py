@@ -16,10 +16,11 @@ def hash_file(path: str | Path) -> str:
 
     Raises OSError where it cannot be read, or is none: a pipe would be waited for, for ever.
     """
-    mode = Path(path).stat().st_mode
+    path = Path(path) if isinstance(path, str) else path
+    mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is no plain file", str(path))
-    with Path(path).open("rb") as handle:
+    with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 

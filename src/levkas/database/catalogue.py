@@ -14,6 +14,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_text
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import LayerId
+from levkas.database.remote import place
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -93,7 +94,7 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     LinkRefused
         Where it is a link that leads out of the database.
     """
-    path = Path(database) / NAME
+    path = place(database) / NAME
     check_inside(path.parent, path)
     try:
         rows = list(csv.reader(io.StringIO(read_text(path, "a CSV in UTF-8"), newline="")))

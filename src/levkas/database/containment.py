@@ -65,6 +65,8 @@ def find_escapes(root: Path, names: Iterable[str]) -> Iterator[Problem]:
     problem : Problem
         ``E_LINK`` for a link that leads out, ``E_UNREADABLE`` for a pipe, a socket or a device.
     """
+    if not isinstance(root, Path):  # on a server, where there are no links
+        return
     real = root.resolve()
     for name in names:
         if _is_plain_file(f"{root}{os.sep}{name}"):
@@ -86,6 +88,8 @@ def check_inside(root: Path, *paths: Path) -> None:
     LinkRefused
         ``E_LINK`` with every such file.
     """
+    if not isinstance(root, Path):
+        return
     real = os.path.join(os.path.realpath(root), "")  # noqa: PTH118 -- once a file that is opened
     places = ((path, os.path.realpath(path)) for path in paths)
     if wrong := [(path, place) for path, place in places if not place.startswith(real)]:

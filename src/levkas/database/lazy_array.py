@@ -16,6 +16,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.catalogue import DatabaseRefused
 from levkas.database.containment import check_inside
+from levkas.database.remote import RemotePath
 from levkas.database.tiff_pages import DAMAGE, TiffPages, open_pages
 
 if TYPE_CHECKING:
@@ -69,8 +70,13 @@ class ZarrArray(LazyArray):
     def _array(self) -> zarr.Array[Any]:
         import zarr
 
+        store: Any = str(self.path)
+        if isinstance(self.path, RemotePath):
+            from levkas.database.remote_zarr import RemoteArrayStore
+
+            store = RemoteArrayStore(self.path)
         try:
-            return zarr.open_array(str(self.path), mode="r", zarr_format=3)
+            return zarr.open_array(store, mode="r", zarr_format=3)
         except DAMAGE as error:
             raise DatabaseRefused(_damaged(self.path / "zarr.json", error)) from error
 
@@ -79,7 +85,7 @@ class ZarrArray(LazyArray):
 
     def _read(self, key: tuple[Any, ...]) -> np.ndarray:
         places = self._places(key)
-        if all(len(p) for p in places):
+        if all(len(p) for p in places) and not isinstance(self.path, RemotePath):
             self._check_shards([(int(p[0]), int(p[-1])) for p in places])
         try:
             return np.asarray(self._array.oindex[key])
@@ -119,6 +125,13 @@ def _reopen_tiff(path: Path) -> TiffPixels:
     return TiffPixels(open_pages(path))
 
 
+def is_described(path: Path) -> bool:
+    """Whether a folder is a group or an array of Zarr 3."""
+    if isinstance(path, RemotePath):
+        return path.describe() is not None
+    return (path / "zarr.json").is_file()
+
+
 def read_description(path: Path) -> dict[str, Any]:
     """Read the description of an array of Zarr 3.
 
@@ -129,7 +142,7 @@ def read_description(path: Path) -> dict[str, Any]:
     """
     place = path / "zarr.json"
     try:
-        record = read_json(place)
+        record = path.describe() if isinstance(path, RemotePath) else read_json(place)
         shape, grid = record["shape"], record["chunk_grid"]["configuration"]["chunk_shape"]
         codecs = [codec.get("configuration") or {} for codec in record["codecs"]]
         inner = [codec.get("chunk_shape", grid) for codec in codecs]

@@ -106,7 +106,7 @@ def write_manifest(
 
 def read_manifest(path: str | Path) -> Manifest:
     """Read a manifest, ours or any in BagIt's format; what is damaged in it is told, never raised."""
-    path = Path(path)
+    path = Path(path) if isinstance(path, str) else path
     try:
         size = path.stat().st_size
         data = b"" if size > LARGEST else path.read_bytes()
@@ -132,7 +132,10 @@ def list_files(folder: str | Path) -> list[str]:
     """Return the files below `folder`, relative with ``/``, sorted by code point; links to folders too.
 
     What file browsers leave behind is left out. A folder deeper than `DEEPEST` is listed like a file.
+    One on a server is listed as that does it, or as its manifest does.
     """
+    if not isinstance(folder, str | Path):
+        return sorted(folder.names())
     return sorted(_walk(Path(folder)))
 
 

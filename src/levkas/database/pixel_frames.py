@@ -21,6 +21,7 @@ from levkas.core.problems import Problem, Refused, closest_match
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
 from levkas.database.registrations import RecordRefused, read_registration, unconfirmed_cells
+from levkas.database.remote import place
 from levkas.geometry import from_dict
 from levkas.geometry.transforms import Affine, Inverse, Transform
 from levkas.readers.facts import check_memory
@@ -152,7 +153,7 @@ def find_map(database: str | Path, name: str, source: str | Frame, target: str |
     MappingRefused
         Where a frame is not there, or its registration was refused.
     """
-    records = Records(Path(database), name)
+    records = Records(place(database), name)
     frames = [f if isinstance(f, Frame) else parse_frame(f) for f in (source, target)]
     ends = [records.pixels(frame) for frame in frames]
     return FrameMap(ends[0], ends[1], records.reference())
@@ -184,7 +185,7 @@ def find_position_sigma(
     """
     from levkas.registration.record import Sigma
 
-    records, frame = Records(Path(database), name), Frame(camera, setup, band or "")
+    records, frame = Records(place(database), name), Frame(camera, setup, band or "")
     entry = records.entry(frame)
     grid, reference = records.pixels(Frame()), records.reference()
     if "sigma" not in entry or grid.size is None:
@@ -230,7 +231,7 @@ def predict_error(
     if not known:
         return None
     x, y = np.meshgrid(*(np.arange(0.0, side, step) for side in size))
-    grid = Records(Path(database), name).pixels(Frame())
+    grid = Records(place(database), name).pixels(Frame())
     places = grid.from_reference.inverse(np.stack([x.ravel(), y.ravel()], 1))
     worst = np.max([Sigma.from_dict(table)(places) for table in known], axis=0)
     for left, top, width, height in unconfirmed_cells(record):
@@ -327,7 +328,8 @@ class Records:
         self.name = name
         self.folder = database / "objects" / name / "registration"
         if Path(name).name != name or not self.folder.is_dir():
-            there = sorted(p.parent.name for p in database.glob("objects/*/registration"))
+            records = database.glob("objects/*/registration/*.json")
+            there = sorted({p.parent.parent.name for p in records})
             raise MappingRefused(
                 Problem(
                     "E_KEY",

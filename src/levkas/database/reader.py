@@ -18,7 +18,8 @@ from levkas.core.text import parse_bounded
 from levkas.database.catalogue import NAME, DatabaseRefused, Entry, read_catalogue
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import KINDS, LayerId, layer_name
-from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray
+from levkas.database.lazy_array import LazyArray, TiffPixels, ZarrArray, is_described
+from levkas.database.remote import is_remote, place
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.store import DIMENSIONS
 from levkas.database.tiff_pages import TiffPages, open_pages
@@ -47,7 +48,7 @@ class Database(Mapping[str, "Object"]):
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = place(path)
         listed = (self.path / NAME).is_file()
         if not listed and not (self.path / "objects").is_dir():
             raise DatabaseRefused(
@@ -56,7 +57,7 @@ class Database(Mapping[str, "Object"]):
                     "there is no database here",
                     file=str(path),
                     expected=f"a folder with {NAME} and objects/",
-                    fix="Give the folder of a database, or build the campaign first.",
+                    fix="Give the folder or the address of a database, or build the campaign first.",
                 )
             )
         self.catalogue: tuple[Entry, ...] = read_catalogue(self.path) if listed else ()
@@ -163,7 +164,7 @@ class Origin:
     def open(self, kind: str) -> LayerArray:
         """Open the values, flags or sigma of the layer, selected as the array was."""
         group = self.path / self.layer.group
-        if (group / "zarr.json").is_file():
+        if is_described(group):
             array = _from_zarr(group, kind, self.path)
         else:
             check_inside(self.path, tiff := self.path / (self.layer.path + KINDS[kind]))
@@ -230,8 +231,9 @@ class LayerArray(xarray.DataArray):
 
 
 def _from_zarr(group: Path, kind: str, root: Path) -> LayerArray:
-    check_inside(root, *group.glob("*/zarr.json"), *group.glob("*/c/0"))
-    if not (group / kind / "zarr.json").is_file():
+    if not is_remote(group):
+        check_inside(root, *group.glob("*/zarr.json"), *group.glob("*/c/0"))
+    if not is_described(group / kind):
         raise _missing(group / kind, kind)
     pixels = ZarrArray(group / kind, root)
     labels, centres, widths = (ZarrArray(group / k, root) for k in ("band", "wavelength", "fwhm"))

@@ -21,6 +21,7 @@ from levkas.colour.srgb import srgb_profile
 from levkas.core.files import replacing
 from levkas.core.machine import count_threads
 from levkas.core.problems import Problem
+from levkas.core.transpose import transpose
 from levkas.database.credits import Credits
 from levkas.database.tiff_pages import TiffRefused, open_pages
 
@@ -259,7 +260,10 @@ def planes_of(values: np.ndarray) -> Iterator[np.ndarray]:
 
 def _turned(values: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Return bands `start` to `stop` of (height, width, bands) as (bands, height, width)."""
-    return np.ascontiguousarray(np.moveaxis(values[:, :, start:stop], 2, 0))
+    planes = np.empty((stop - start, *values.shape[:2]), values.dtype)
+    for y, row in enumerate(values[:, :, start:stop]):
+        planes[:, y] = transpose(row)
+    return planes
 
 
 def write_stiff(

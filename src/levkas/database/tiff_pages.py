@@ -20,7 +20,7 @@ from levkas.readers.tiff import LARGEST_RATIO, check_strips, kinds_of_pages
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from tifffile import TiffPage
+    from tifffile import TiffFile, TiffPage
 
 DAMAGE = (
     *(RuntimeError, ValueError, IndexError, KeyError, TypeError, AttributeError),
@@ -64,12 +64,10 @@ class TiffPages:
 
     def read_render(self) -> np.ndarray | None:
         """Return the RGB page, (height, width, 3), or None."""
-        from tifffile import TiffFile
-
         if self._render is None:
             return None
         try:
-            with TiffFile(self.path) as tiff:
+            with _tiff_file(self.path) as tiff:
                 return tiff.pages[0].asarray()
         except DAMAGE as error:
             raise TiffRefused(_unreadable(self.path, error)) from error
@@ -117,7 +115,7 @@ def open_pages(path: str | Path, *, uniform: bool = True) -> TiffPages:
     TiffRefused
         ``E_UNREADABLE``, ``E_TRUNCATED`` (data or pages missing), ``E_SIZE`` (pages that differ).
     """
-    path = Path(path)
+    path = Path(path) if isinstance(path, str) else path
     with opening_tiff(path) as pages:
         tags = [{t.code: t.value for t in p.tags if t.code >= FIRST_PRIVATE} for p in pages]
         render = pages[0] if uniform and pages[0].ndim == 3 else None
@@ -135,13 +133,11 @@ def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
     TiffRefused
         Also where the block that uses the pages raises what damaged files lead tifffile to.
     """
-    from tifffile import TiffFile
-
     try:
         if path.exists() and not path.is_file():  # to open a pipe waits for ever
             raise ValueError("it is no file")
         kinds = kinds_of_pages(path)
-        with TiffFile(path) as tiff:
+        with _tiff_file(path) as tiff:
             pages: list[Any] = list(tiff.pages)
             if len(pages) != len(kinds) or not pages:
                 raise ValueError(f"{len(pages)} of its {len(kinds)} pages can be read")
@@ -157,6 +153,14 @@ def opening_tiff(path: Path) -> Iterator[list[TiffPage]]:
         raise TiffRefused(*again) from None
     except DAMAGE as error:
         raise TiffRefused(_unreadable(path, error)) from error
+
+
+@contextmanager
+def _tiff_file(path: Path) -> Iterator[TiffFile]:
+    from tifffile import TiffFile
+
+    with path.open("rb") as handle, TiffFile(handle, name=path.name) as tiff:
+        yield tiff
 
 
 def _check_bands(path: Path, pages: list[TiffPage], uniform: bool) -> None:

@@ -30,6 +30,7 @@ from levkas.database.manifest import (
     read_manifest,
     unfinished,
 )
+from levkas.database.remote import THREADS, RemoteRefused, is_remote, place
 
 BAG, TAGS = "bagit.txt", "tagmanifest-sha256.txt"
 
@@ -105,7 +106,8 @@ def validate(
     Parameters
     ----------
     database : path
-        A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag.
+        A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag;
+        or the address of such a one that has a manifest.
     threads : int, optional
         For hashing; default: `levkas.core.machine.count_threads`.
     draw : callable
@@ -126,7 +128,7 @@ def validate(
     Traceback (most recent call last):
     levkas.database.catalogue.DatabaseRefused: there is no database here...
     """
-    root = Path(database)
+    root = place(database)
     manifest = _find_manifest(root)
     steps = draw(check_files(root, threads=threads))
     problems = _once(p for step in steps for p in step.problems)
@@ -139,10 +141,10 @@ def check_files(database: str | Path, *, threads: int | None = None) -> Iterator
 
     Raises DatabaseRefused where there is no database at all.
     """
-    root = Path(database)
+    root = place(database)
     manifest = _find_manifest(root)
     names = list_files(root)
-    count = threads or count_threads()
+    count = threads or (THREADS if is_remote(root) else count_threads())
     escapes = {str(p.file): p for p in find_escapes(root, names)}
     for name in (n for n in names if str(root / n) in escapes):
         yield Checked(name, (escapes[str(root / name)],), total=len(names))
@@ -169,9 +171,11 @@ def _find_manifest(root: Path) -> Manifest | None:
                 fix="Give the folder of a database, or build the campaign first.",
             )
         )
-    if not found:
+    if not found and not is_remote(root):
         return None
     manifest = read_manifest(root / NAME)
+    if is_remote(root) and manifest.problems:  # to decode every file, each would come over the net
+        raise DatabaseRefused(*manifest.problems)
     if not (root / BAG).is_file() or not (root / TAGS).is_file():
         return manifest
     tags = read_manifest(root / TAGS)
@@ -248,6 +252,8 @@ def _damage_of(
 ) -> Problem:
     """Return as closely as can be what happened to a file whose hash is not the one it had."""
     if digest.startswith("cannot"):
+        if is_remote(root) and not (root / name).is_file():  # the manifest was taken for a listing
+            return _problem(root, name, "E_MISSING", "it is missing")
         return _problem(root, name, "E_UNREADABLE", f"it {digest}")
     others = [e.name for e in listed.values() if e.sha256 == digest and e.name != entry.name]
     if others:
@@ -281,6 +287,8 @@ def _hash(path: Path) -> str:
         return hash_file(path)
     except OSError as error:
         return f"cannot be read: {error.strerror or error}"
+    except RemoteRefused as refused:
+        return f"cannot be read: {refused.problems[0].message}"
 
 
 # --- by structure -----------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from levkas.publish.publication import Editions, Publication, PublishRefused
 if TYPE_CHECKING:
     from levkas.database.manifest import Manifest
     from levkas.publish.publication import Publication
+    from levkas.publish.upload import UploadTarget
 
     Part = Callable[[Publication], Iterator[str]]
 
@@ -70,6 +71,7 @@ class PublishReport:
     bytes: int
     editions: str
     bag: Path | None = None
+    address: str | None = None
     deposit: tuple[Problem, ...] = ()
     """What a repository must know before it gives a DOI."""
 
@@ -78,6 +80,7 @@ class PublishReport:
         """Report for people."""
         text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
         text += f"\nBag, checked: {self.bag}" if self.bag else ""
+        text += f"\nSent, with its manifest last: {self.address}" if self.address else ""
         missing = ", ".join(p.message for p in self.deposit)
         return text + (f"\nBefore it gets a DOI: {missing}" if missing else "")
 
@@ -89,6 +92,7 @@ class PublishReport:
             "bytes": self.bytes,
             "editions": self.editions,
             "bag": str(self.bag) if self.bag else None,
+            "address": self.address,
         }
 
 
@@ -201,6 +205,7 @@ def publish(
     url: str = "",
     iiif: bool = True,
     bag: str | Path | None = None,
+    to: str | None = None,
 ) -> Iterator[PublishStep]:
     """Publish a database, yielding what is done, and in the end a report.
 
@@ -218,11 +223,16 @@ def publish(
         Whether tiles and IIIF manifests are made.
     bag : path, optional
         Folder for a BagIt bag, a copy of the publication.
+    to : str, optional
+        Address in an S3-like store that the publication is sent to, ``s3://BUCKET/PATH``.
 
     Raises
     ------
     PublishRefused
-        Where facts are missing, the database is not whole, or `output` holds it, or lies in it.
+        Where facts are missing, the database is not whole, or `output` holds it, or lies in it; where
+        something stands at `to` that Levkas did not send.
+    RemoteRefused
+        Where the store does not answer; the next call goes on.
     WriteRefused
         Where anything but an earlier publication stands at `output`, or the disk refuses; an earlier
         publication still stands then.
@@ -243,6 +253,7 @@ def publish(
     if bag is not None:
         for root in (subject.database.resolve(), final):
             check_target(root, Path(bag).resolve())
+    target = _find_target(to, subject) if to else None
     if final.parent.is_dir():
         sweep_beside(final)
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
@@ -256,11 +267,24 @@ def publish(
         for what in write_bag(final, bag, facts):
             yield PublishStep("bag", what, len(PARTS), len(PARTS))
         yield PublishStep("bag", "", len(PARTS), len(PARTS), True, "done")
-    report = PublishReport(
-        final, len(made.files) + 1, made.bytes, editions, Path(bag).resolve() if bag else None,
-        tuple(check_datacite(facts)[0]),
-    )  # fmt: skip
+    if target is not None:
+        for what, done, count in target.send(final):
+            yield PublishStep("upload", what, done, count, done == count, "done")
+    packed = Path(bag).resolve() if bag else None
+    needed = tuple(check_datacite(facts)[0])
+    report = PublishReport(final, len(made.files) + 1, made.bytes, editions, packed, to, needed)
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
+
+
+def _find_target(address: str, subject: PublishSubject) -> UploadTarget:
+    from levkas.database.catalogue import DatabaseRefused, read_catalogue
+    from levkas.publish.upload import UploadTarget
+
+    try:
+        objects = {entry.object for entry in read_catalogue(subject.database)}
+    except DatabaseRefused:
+        objects = set()
+    return UploadTarget(address, objects)
 
 
 def facts_of_subject(subject: PublishSubject) -> PublicationFacts:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.text import what_stands_at
+from levkas.core.transpose import transpose
 from levkas.readers.envi_header import (
     EnviHeader,
     Fields,
@@ -73,10 +74,8 @@ class EnviFile:
         """Read all, (lines, samples, bands), native byte order."""
         return self.read_lines(0, self.facts.shape[0])
 
-    def read_lines(self, start: int, stop: int, *, turned: bool = True) -> np.ndarray:
-        """Read lines `start` to `stop` − 1, (stop − start, samples, bands), native byte order.
-
-        Bands are innermost in memory, or where `turned` is false as they are in the file.
+    def read_lines(self, start: int, stop: int) -> np.ndarray:
+        """Read lines `start` to `stop` − 1, (stop − start, samples, bands), native byte order, bands innermost.
 
         Raises
         ------
@@ -90,16 +89,15 @@ class EnviFile:
             raise ValueError(f"lines {start} to {stop} of {lines}")
         count, dtype = stop - start, np.dtype(self.layout)
         if self.facts.interleave == "bsq":
-            stored = np.empty((bands, count, samples), dtype)
-            starts = [(band * lines + start) * samples for band in range(bands)]
-            out = stored.transpose(1, 2, 0)
+            stored = np.empty((bands, count * samples), dtype)
+            self._fill(stored, [(band * lines + start) * samples for band in range(bands)])
+            out = transpose(stored).reshape(count, samples, bands)
         else:
-            shape = (count, bands, samples) if self.facts.interleave == "bil" else None
-            stored = np.empty(shape or (count, samples, bands), dtype)
-            starts = [start * samples * bands]
-            out = stored.transpose(0, 2, 1) if shape else stored
-        self._fill(stored.reshape(len(starts), -1), starts)
-        out = np.ascontiguousarray(out) if turned else out
+            out = np.empty((count, samples, bands), dtype)
+            self._fill(out.reshape(1, -1), [start * samples * bands])
+            if self.facts.interleave == "bil":
+                lying = out.reshape(count, bands, samples)
+                out = np.stack([transpose(line) for line in lying]) if count else out
         return out if out.dtype.isnative else out.byteswap(inplace=True).view(dtype.newbyteorder())
 
     def _fill(self, blocks: np.ndarray, starts: list[int]) -> None:

@@ -79,8 +79,10 @@ def export(
     """
     from levkas.core.ownership import OwnFiles
     from levkas.database.reader import Database
+    from levkas.database.remote import is_remote, place
 
-    root = Path(database).resolve()
+    root = place(database)
+    root = root if is_remote(root) else root.resolve()
     opened = Database(root)
     layers = [
         (name, *key)
@@ -90,7 +92,8 @@ def export(
     ]
     _check_names(root, opened, objects, cameras)
     writer = load_writer(form)
-    folder = Path(output).resolve() if output else root.with_name(f"{root.name}.{form}")
+    beside = Path(root.name) if is_remote(root) else root
+    folder = Path(output or beside.with_name(f"{root.name}.{form}")).resolve()
     if folder == root or root in folder.parents:
         raise ExportRefused(
             Problem(

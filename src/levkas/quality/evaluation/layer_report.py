@@ -15,6 +15,7 @@ from levkas.core.text import read_json
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
 from levkas.database.registrations import read_registrations
+from levkas.database.remote import is_remote, place
 from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import (
     BandError,
@@ -105,7 +106,7 @@ def assess(
     from levkas.core.ownership import OwnFiles
 
     own = OwnFiles(maps, overwrite=overwrite) if maps else None
-    output, beside = locate(Path(database))
+    output, beside = locate(place(database))
     folder = Path(truth) if truth else beside / "truth"
     if truth and not (folder / "truth.json").is_file():
         raise EvaluationRefused(
@@ -131,7 +132,7 @@ def locate(path: Path) -> tuple[Path, Path]:
     """Return (database, folder where its truth may lie) for a database or a campaign."""
     if (path / "catalogue.csv").is_file():
         return path, path.parent
-    if path.name == "campaign.toml" or (path / "campaign.toml").is_file():
+    if not is_remote(path) and (path.name == "campaign.toml" or (path / "campaign.toml").is_file()):
         from levkas.campaign.campaign import load_campaign
 
         campaign = load_campaign(path)
@@ -307,6 +308,8 @@ def _grey(output: Path, name: str, record: dict[str, Any]) -> tuple[np.ndarray, 
 
 
 def _seconds(output: Path, name: str, layer: str) -> float | None:
+    if is_remote(output):  # what a build keeps beside the database is not published
+        return None
     path = output.with_name(output.name + ".kept") / name / layer / "register.json"
     try:
         return float(read_json(path)["notes"]["seconds"])

@@ -35,8 +35,8 @@ def close_database(database: Path) -> list[dict[str, Any]]:
     """
 
     found = []
-    for folder in sorted(database.glob("objects/*/registration")):
-        name = folder.parent.name
+    folders = {p.parent.parent.name for p in database.glob("objects/*/registration/*.json")}
+    for name in sorted(folders):
         records = [record for _, record in read_registrations(database, escape(name))]
         views, points = [], None
         for record in records:

@@ -1,0 +1,263 @@
+"""A cluster of dask.distributed: its scheduler, of this machine or another, and what its workers are."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import queue
+import secrets
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from ipaddress import ip_address
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import dask
+from distributed import Client, Future, LocalCluster, WorkerPlugin, get_worker
+
+from levkas.building import sources
+from levkas.building.worker import (
+    Job,
+    code_digest,
+    facts,
+    prepare,
+    work,
+)
+from levkas.core.machine import THREADS, count_threads, memory_bound
+from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    pass
+
+SLOT, BYTES = "levkas", "levkas-memory"
+"""Resources of a worker: one task of ours at a time, and the memory that it may take, bytes."""
+ALONE = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+}
+"""Of workers of this machine: every loss is heard of, and nothing that could be spilled is held."""
+LIMITS = (
+    THREADS, "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)  # fmt: skip
+
+
+class ClusterRefused(Refused):
+    """A cluster that cannot be used."""
+
+
+# --- where the workers are ----------------------------------------------------------------------
+
+
+def check_address(address: str, *, insecure: bool = False) -> None:
+    """Refuse a scheduler that is reached unencrypted and is not of this machine; raises ClusterRefused.
+
+    dask runs what it is sent: whoever reaches an open scheduler commands all its workers.
+    """
+    text = address if "://" in address else f"tcp://{address}"
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname or "", parts.port
+    except ValueError:
+        parts, host, port = urlsplit("tcp://"), "", None
+    if parts.scheme not in ("tcp", "tls", "ws", "wss", "ucx") or not host or port is None:
+        raise ClusterRefused(
+            Problem(
+                "E_VALUE",
+                "this is no address of a scheduler",
+                field="--cluster",
+                found=address,
+                expected="tcp://HOST:PORT or tls://HOST:PORT",
+            )
+        )
+    if parts.scheme in ("tls", "wss") or insecure or _is_loopback(host):
+        return
+    raise ClusterRefused(
+        Problem(
+            "E_INSECURE",
+            "the scheduler is reached unencrypted over a network; whoever reaches it too can run "
+            "programs on all its workers",
+            field="--cluster",
+            found=address,
+            expected="an address of this machine (through an ssh tunnel, say), or tls://",
+            fix="See docs/howto/cluster.md; on a network of your own, --insecure goes on.",
+        )
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@contextmanager
+def connected(address: str | None, workers: int, *, insecure: bool = False) -> Iterator[Cluster]:
+    """Connect to a scheduler, or start `workers` processes on this machine; all ends with the block.
+
+    Raises
+    ------
+    ClusterRefused
+        Where the address may not be used, or nobody answers there.
+    """
+    if address:
+        check_address(address, insecure=insecure)
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    with ExitStack() as stack:
+        here: LocalCluster | None = None
+        if not address:
+            threads = max(1, count_threads() // workers)
+            with dask.config.set(ALONE):
+                here = stack.enter_context(
+                    LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=threads,
+                        memory_limit=int(memory_bound() / workers),
+                        host="127.0.0.1",
+                        dashboard_address="127.0.0.1:0",
+                        worker_dashboard_address="127.0.0.1:0",
+                        silence_logs=logging.ERROR,
+                        env=dict.fromkeys(LIMITS, str(threads)),
+                    )
+                )
+        cluster = Cluster(here.scheduler_address if here else str(address))
+        stack.callback(cluster.close)
+        yield cluster
+
+
+@dataclass
+class Cluster:
+    """A scheduler, and what its workers have said of themselves.
+
+    Parameters
+    ----------
+    address : str
+    """
+
+    address: str
+    build: str = field(default_factory=lambda: secrets.token_hex(6))
+    sizes: dict[str, float] = field(default_factory=dict)
+    """Bytes of every worker that was ever seen, by address."""
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    events: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
+    _client: Client | None = None
+    _scheduler: str = ""
+
+    @property
+    def client(self) -> Client:
+        """The connection, made anew where it was given up; raises ClusterRefused where nobody answers."""
+        if self._client is None or self._client.status in ("closed", "closing"):
+            try:
+                self._client = Client(self.address, set_as_default=False)
+            except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+                raise ClusterRefused(
+                    Problem(
+                        "E_CLUSTER",
+                        "the scheduler does not answer",
+                        field="--cluster",
+                        found=f"{self.address}: {str(error).splitlines()[0] if str(error) else ''}",
+                        fix="Start `dask scheduler` and `dask worker` there; what is done is kept.",
+                    )
+                ) from error
+        return self._client
+
+    def greet(self, kept: Path) -> None:
+        """Have every worker, also those that come later, limit its threads and say what it is."""
+        scheduler = self.client.scheduler_info(n_workers=0)["id"]
+        if scheduler != self._scheduler:
+            self._scheduler = scheduler
+            topic = f"levkas-{self.build}"
+            self.client.subscribe_topic(topic, self._hear)
+            self.client.register_plugin(Greeting(topic, str(kept)), name=topic)
+
+    def _hear(self, event: Any) -> None:
+        told = event[1] if isinstance(event, tuple) else event
+        self.events.put(dict(told))
+
+    def learn(self, told: dict[str, Any]) -> None:
+        """Take what a worker says of itself; raises ClusterRefused where its code is another one."""
+        worker = told["worker"]
+        self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
+        if told["code"] != code_digest():
+            mine = facts()
+            unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
+            raise ClusterRefused(
+                Problem(
+                    "E_VERSION",
+                    f"the worker {worker} has another Levkas, or other libraries, than this machine",
+                    field="--cluster",
+                    found=", ".join(f"{name} {told[name]}" for name in unlike),
+                    expected=", ".join(f"{name} {mine[name]}" for name in unlike),
+                    fix="Install the same requirements.lock on all machines.",
+                )
+            )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What differs from worker to worker, and may differ in the last bits of what they compute."""
+        told = []
+        for name in ("python", "numpy", "BLAS", "instruction set"):
+            kinds = Counter(str(one[name]) for one in self.facts.values())
+            if len(kinds) > 1:
+                each = "; ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items()))
+                told.append(f"the workers are unlike in {name}: {each}")
+        return tuple(told)
+
+    def workers(self) -> list[str]:
+        """Return the addresses of the workers that are there."""
+        try:
+            return list(self.client.nthreads())
+        except (OSError, TimeoutError):
+            return []
+
+    def send(self, job: Job, need: float, attempt: int) -> Future:
+        """Send a task; its result is a few words."""
+        name = "-".join(part for part in (*job.key, job.build, str(attempt)) if part)
+        return self.client.submit(
+            _do,
+            job,
+            key=name,
+            resources={SLOT: 1, BYTES: need},
+            retries=0,
+            pure=False,
+        )
+
+    def close(self) -> None:
+        """Leave the cluster as it was found."""
+        if self._client is not None:
+            with suppress(Exception):  # it may have gone first
+                self._client.unregister_worker_plugin(f"levkas-{self.build}")
+            self._client.close(timeout=5)
+
+
+class Greeting(WorkerPlugin):  # type: ignore[misc]
+    """Prepares a worker: threads, memory, resources; and says what it is."""
+
+    def __init__(self, topic: str, kept: str) -> None:
+        self.topic, self.kept = topic, kept
+
+    async def setup(self, worker: Any) -> None:
+        """Prepare a worker that is there, or that has just come."""
+        size = prepare(worker.state.nthreads, worker.memory_manager.memory_limit)
+        await asyncio.to_thread(sources.remember, Path(self.kept) / sources.CODE)
+        told = await asyncio.to_thread(facts)
+        await worker.set_resources(**{SLOT: 1, BYTES: size})
+        worker.log_event(self.topic, {"worker": worker.address, "bytes": size, **told})
+
+
+def _do(job: Job) -> dict[str, Any]:
+    """Do a task on a worker, and say there that it has begun."""
+    worker = get_worker()
+    topic, name = f"levkas-{job.build}", list(job.key)
+
+    def say(peak: int) -> None:
+        worker.log_event(topic, {"begun": name, "on": worker.address, "peak": peak})
+
+    say(0)
+    return {**work(job, say), "on": worker.address}

@@ -1,0 +1,128 @@
+"""A campaign, its captures and the graph of their tasks, read from its files without a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from levkas.building.build_records import Key, key_of
+from levkas.building.camera_pages import CameraPage, camera_pages
+from levkas.building.graph import Graph, Step, graph_of, ordered
+from levkas.building.removal import NoReference, refused_step
+from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
+from levkas.campaign.discovery.captures import Capture, Refusals
+from levkas.campaign.discovery.check_names import check_names
+from levkas.campaign.discovery.file_index import scan_folders
+from levkas.campaign.discovery.find_captures import check_edits, find_captures
+from levkas.campaign.edits import FILE_NAME, Edits
+from levkas.core.problems import Problem, closest_match
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A campaign, its captures and the graph of its tasks.
+
+    Parameters
+    ----------
+    refusals : dict of (object, camera, setup) to Refused
+        Captures that cannot be begun.
+    pages : dict of Key to CameraPage
+    """
+
+    campaign: Campaign
+    captures: list[Capture]
+    refusals: Refusals
+    graph: Graph
+    pages: dict[Key, CameraPage]
+
+    @property
+    def names(self) -> list[str]:
+        """Every object, also those of which nothing can be built."""
+        return list(
+            dict.fromkeys([c.object for c in self.captures] + [key[0] for key in self.refusals])
+        )
+
+    def lost(self) -> dict[str, list[Step]]:
+        """Return how the captures end that are not in the graph, by object."""
+        found: dict[str, list[Step]] = {name: [] for name in self.names}
+        for (name, camera, setup), refused in self.refusals.items():
+            found[name].append(refused_step(Key(name, camera, setup, "calibrate"), refused))
+        for capture in self.captures:
+            if key_of(capture, "calibrate") not in self.graph:
+                found[capture.object].append(_without_reference(self, capture))
+        return found
+
+    def of(self, objects: Sequence[str]) -> Plan:
+        """Return the plan of some objects; raises CampaignInvalid where there is none of a name."""
+        if missing := [name for name in objects if name not in self.names]:
+            raise CampaignInvalid(
+                Problem(
+                    "E_VALUE",
+                    "there is no such object",
+                    str(self.campaign.path),
+                    "--object",
+                    ", ".join(missing),
+                    ", ".join(sorted(self.names)),
+                    closest_match(missing[0], self.names),
+                )
+            )
+        captures = [c for c in self.captures if c.object in objects]
+        refusals = {key: r for key, r in self.refusals.items() if key[0] in objects}
+        wanted = (key for key in self.graph if key.object in objects)
+        graph = {task.key: task for task in ordered(self.graph, wanted)}
+        return Plan(self.campaign, captures, refusals, graph, {})
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Read a campaign, find its captures and lay out its tasks."""
+    campaign = load_campaign(path)
+    check_detectors(campaign)
+    index = scan_folders(campaign)
+    captures, refusals = find_captures(campaign, index)
+    check_names(campaign, index, refusals)
+    _check_edits(campaign, captures, refusals)
+    pages = camera_pages(campaign, captures, index)
+    return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
+
+
+def check_detectors(campaign: Campaign) -> None:
+    """Refuse a campaign whose key points the installed OpenCV cannot find; raises CampaignInvalid."""
+    tables = {"registration": campaign.registration}
+    tables |= {f"cameras.{n}.registration": c.registration for n, c in campaign.cameras.items()}
+    asked = {where: keys.detector for where, keys in tables.items() if keys.detector}
+    if set(asked.values()) <= {"sift"}:
+        return
+    from levkas.registration.features import available_detectors, no_detector
+
+    here = available_detectors()
+    missing = [no_detector(name, f"{w}.detector") for w, name in asked.items() if name not in here]
+    if missing:
+        raise CampaignInvalid(*(replace(p, file=str(campaign.path)) for p in missing))
+
+
+def _check_edits(campaign: Campaign, captures: list[Capture], refusals: Refusals) -> None:
+    """Refuse corrections by hand of what the campaign does not have; what is refused is had."""
+    lost = [Capture(name, camera, setup, ()) for name, camera, setup in refusals]
+    lost_frames = {(c.object, c.layer) for c in lost}
+    frames = {
+        (name, frame): edits
+        for (name, frame), edits in campaign.edits.frames.items()
+        if (name, frame.partition(":")[0]) not in lost_frames
+    }
+    if frames:
+        check_edits(Edits(frames), captures, campaign.root / FILE_NAME)
+
+
+def _without_reference(plan: Plan, capture: Capture) -> Step:
+    """Return the step of a capture that there is nothing to register to."""
+    name, reference = capture.object, plan.campaign.reference.camera
+    lost = plan.refusals.get((name, reference, ""))
+    problem = Problem(
+        "E_NO_REFERENCE",
+        f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
+        field="campaign.reference",
+        found=lost.problems[0].message if lost else "no capture",
+        fix="Mend the reference camera's frames first.",
+    )
+    return refused_step(key_of(capture, "calibrate"), NoReference(problem))

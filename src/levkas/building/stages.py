@@ -1,0 +1,236 @@
+"""The stages of a capture as tasks: what one reads is read back from files where it is not held already."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING
+from zipfile import BadZipFile
+
+from levkas.building.build_records import BuildRecords, Key, Written, key_of
+from levkas.building.fingerprints import is_measured, measured_path
+from levkas.building.graph import Graph, Task, captures_of
+from levkas.core.machine import give_back_memory, steady_libraries
+from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from levkas.building.native_cubes import FiledSigma, Native, PackedSigma
+    from levkas.building.reference import ReferenceFrame
+    from levkas.building.register import Measured
+    from levkas.building.scans import Scan
+    from levkas.building.template_cache import TemplateCache
+    from levkas.campaign.campaign import Campaign
+    from levkas.campaign.discovery.captures import Capture
+    from levkas.database.layout import Places
+
+    Write = Callable[[Callable[[], object]], Written]
+
+
+class Damaged(Refused):
+    """What an earlier task has kept cannot be read; `key` is that task's."""
+
+    def __init__(self, key: Key, problem: Problem) -> None:
+        super().__init__(problem)
+        self.key = key
+
+
+class Held:
+    """Calibrated cubes of one capture and the reference of one object: in memory, else read back."""
+
+    def __init__(
+        self, campaign: Campaign, places: Places, records: BuildRecords, templates: TemplateCache
+    ) -> None:
+        self.campaign, self.places, self.records = campaign, places, records
+        self.templates = templates
+        self._capture: Capture | None = None
+        self._native: Native | Scan | None = None
+        self._sigmas: dict[str, PackedSigma] = {}
+        self._frame: ReferenceFrame | None = None
+        self.streams = False
+        """Whether the capture is a scan, which is calibrated as it is written and read."""
+
+    def calibrate(self, capture: Capture) -> Native | Scan:
+        """Calibrate a capture; all but sigma, which is packed, is kept for the next stages."""
+        from levkas.building.calibrate import calibrate
+        from levkas.building.native_cubes import Native, PackedSigma
+
+        self.let_go()
+        made = calibrate(capture, self.campaign, self.templates)
+        self.streams = not isinstance(made, Native)
+        self._capture, self._native = capture, made.without_sigma()
+        if isinstance(made, Native):
+            self._sigmas = {
+                name: PackedSigma(cube.sigma)
+                for name, cube in made.cubes.items()
+                if cube.sigma is not None
+            }
+        return made
+
+    def native(self, capture: Capture) -> Native | Scan:
+        """Return the calibrated cubes of a capture, without sigma."""
+        from levkas.building.native_cubes import Native
+
+        if self._native is None or self._capture is not capture:
+            self.let_go()
+            self._capture, self._native = capture, self._read(capture)
+            self.streams = not isinstance(self._native, Native)
+        return self._native
+
+    def sigmas(self, capture: Capture) -> dict[str, PackedSigma | FiledSigma]:
+        """Return the sigma of every sensor of a capture that has one."""
+        from levkas.building.native_cubes import sigmas_of
+
+        if self._sigmas and self._capture is capture:
+            return {**self._sigmas}
+        return {**sigmas_of(capture, self.places)}
+
+    def frame(self, task: Task, graph: Graph) -> ReferenceFrame:
+        """Return the reference that a capture is registered to."""
+        from levkas.building.native_cubes import Native
+        from levkas.building.reference import ReferenceFrame
+
+        _, lead = captures_of(task)
+        if self._frame is None or self._frame.capture is not lead:
+            self._frame = None
+            native = self.native(lead) if task.leads else self._read(lead)
+            assert isinstance(native, Native)
+            mine = [t.capture for t in graph.values() if t.key.object == lead.object and t.capture]
+            self._frame = ReferenceFrame(self.campaign, self.places, [lead, *mine], native)
+        return self._frame
+
+    def let_go(self) -> None:
+        """Let go of the capture's cubes."""
+        self._capture, self._native, self._sigmas = None, None, {}
+
+    def let_go_of_frame(self) -> None:
+        """Let go of the reference, which is read back when it is needed."""
+        self._frame = None
+
+    def _read(self, capture: Capture) -> Native | Scan:
+        from levkas.building.calibrate import load_calibrated
+
+        notes = self.records.notes(key_of(capture, "calibrate"))
+        return load_calibrated(capture, self.campaign, self.places, notes, self.templates)
+
+
+class Stages:
+    """Computes the tasks of a graph, one at a time; the records are only read.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    places : Places
+    records : BuildRecords
+    templates : TemplateCache
+    graph : Graph
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        places: Places,
+        records: BuildRecords,
+        templates: TemplateCache,
+        graph: Graph,
+    ) -> None:
+        self.campaign, self.places, self.records = campaign, places, records
+        self.graph = graph
+        self.held = Held(campaign, places, records, templates)
+
+    def compute(self, task: Task) -> Write:
+        """Do what a task computes; return what writes it. Raises Refused or MemoryError."""
+        stages: Mapping[str, Callable[[Task], Write]] = {
+            "calibrate": self._calibrate,
+            "measure": self._measure,
+            "register": self._register,
+            "resample": self._resample,
+        }
+        give_back_memory()
+        with steady_libraries():
+            return stages[task.key.stage](task)
+
+    def _calibrate(self, task: Task) -> Write:
+        from levkas.building.calibrate import write_calibrated
+
+        capture, _ = captures_of(task)
+        made = self.held.calibrate(capture)
+        return partial(write_calibrated, made, capture, self.campaign, self.places)
+
+    def _measure(self, task: Task) -> Write:
+        from levkas.building.register import write_measured
+
+        path = measured_path(self.records.folder, task.key)
+        return partial(write_measured, self._alone(task), path)
+
+    def _alone(self, task: Task) -> Measured:
+        """Register a capture by itself."""
+        from levkas.building.register import measure
+
+        capture, _ = captures_of(task)
+        native, frame = self.held.native(capture), self.held.frame(task, self.graph)
+        found = measure(capture, native, frame, self.campaign)
+        if task.leads and task.key.stage == "measure":
+            self.held.let_go_of_frame()  # others are registered to what it is adjusted to
+        return found
+
+    def _register(self, task: Task) -> Write:
+        from levkas.building.joint import adjust_capture
+        from levkas.building.reference import record_of, sigmas_of
+        from levkas.building.register import publish_registration
+
+        capture, lead = captures_of(task)
+        if task.needs[0].stage != "measure":
+            return partial(publish_registration, self._alone(task), capture, self.places)
+        own = self._read_measured(task.needs[0])
+        there = {f"{k.object}/{k.layer}": k for k in task.mates if is_measured(self.records, k)}
+        others = {name: self._read_measured(key) for name, key in there.items()}
+        reference = None if task.leads else sigmas_of(record_of(self.places, lead))
+        found = adjust_capture(capture, own, others, reference)
+        return partial(publish_registration, found, capture, self.places)
+
+    def _read_measured(self, key: Key) -> Measured:
+        """Read a capture's own registration; raises Damaged where it cannot be."""
+        from levkas.building.register import Measured
+
+        path = measured_path(self.records.folder, key)
+        try:
+            return Measured.read(path)
+        except (OSError, KeyError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+            problem = Problem(
+                "E_DAMAGED",
+                "the registration that was kept of a capture cannot be read",
+                str(path),
+                found=str(error),
+                fix="Build again: it is made anew.",
+            )
+            raise Damaged(key, problem) from error
+
+    def _resample(self, task: Task) -> Write:
+        from levkas.building.reference import record_of
+        from levkas.building.resample import (
+            flag_glare_in,
+            mosaics_of,
+            resample,
+            stream_resampled,
+            target_of,
+            write_resampled,
+        )
+        from levkas.building.scans import Scan
+        from levkas.core.files import make_folder
+
+        capture, _ = captures_of(task)
+        frame = self.held.frame(task, self.graph)
+        native = self.held.native(capture)
+        captured = self.records.notes(key_of(capture, "calibrate")).get("captured", "")
+        target = target_of(capture, native, frame, record_of(self.places, capture), captured)
+        for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
+            make_folder(folder)
+        if isinstance(native, Scan):
+            return partial(stream_resampled, native, target, frame)
+        sigmas = self.held.sigmas(capture)
+        mosaics = mosaics_of(capture, self.campaign.cameras[capture.camera])
+        self.held.let_go()
+        cube = resample(native, target.transforms, target.grid, sigmas, mosaics)
+        del native
+        return partial(write_resampled, cube, flag_glare_in(cube, target), target, frame)

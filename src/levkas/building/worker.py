@@ -1,0 +1,365 @@
+"""A worker of a cluster: does one task by its key, with files on a file system that all share.
+
+What a task made is written under its own names, and listed in a receipt beside the records; the client
+that sent the task reads that and records it. Nothing but keys and short texts passes the network.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import threading
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import psutil
+
+from levkas import __version__
+from levkas.building.build_records import BuildRecords, Key, Written
+from levkas.building.graph import Graph, Task
+from levkas.building.native_cubes import ran_out
+from levkas.building.plan import read_plan
+from levkas.building.sources import ENTRIES, code_version
+from levkas.building.stages import Damaged, Stages
+from levkas.building.template_cache import TemplateCache
+from levkas.core.digests import hash_file, stamp_of
+from levkas.core.files import make_folder, write_json
+from levkas.core.machine import MEMORY, THREADS, memory_bytes
+from levkas.core.problems import Problem, Refused
+from levkas.core.text import read_json
+from levkas.database.layout import Places
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+ASKED, RECEIPT = ".asked", ".made"
+"""Suffixes beside a stage's record: what a client waits for, and what a worker made of it."""
+PATIENCE_S, PAUSE_S = 60.0, 0.2
+"""How long a shared file system may take to show what another machine wrote (NFS: up to 60 s)."""
+SAMPLED_S = 0.05
+"""Between two looks at the memory of a task."""
+
+
+class NotShared(Exception):
+    """What another machine wrote is not seen here."""
+
+
+class NoLongerAsked(Exception):
+    """Nobody waits for the task any more, or what it is made of has changed since."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One task as it is sent: a few hundred bytes.
+
+    Parameters
+    ----------
+    campaign, output : str
+        Paths, the same on all machines.
+    build : str
+        Name of the build that asks.
+    key : tuple of str
+        Object, camera, setup and stage.
+    made_of : str
+        Hash of the task's fingerprint.
+    task : str
+        `digest_of` the task.
+    reads : tuple of (key, str)
+        Tasks whose products it reads, and the hash of the record of each.
+    code : str
+        `code_digest()` of the client.
+    verify : bool
+        Hash frames anew.
+    """
+
+    campaign: str
+    output: str
+    build: str
+    key: tuple[str, ...]
+    made_of: str
+    task: str
+    reads: tuple[tuple[tuple[str, ...], str], ...]
+    code: str
+    verify: bool = False
+
+
+@cache
+def code_digest() -> str:
+    """Hash the code of all stages, the versions of the libraries that compute among it."""
+    return hashlib.sha256(repr([code_version(stage) for stage in ENTRIES]).encode()).hexdigest()
+
+
+def digest_of(task: Task) -> str:
+    """Hash what a task is done with: files, roles, bands and what it reads."""
+    return hashlib.sha256(repr(task).encode()).hexdigest()
+
+
+def facts() -> dict[str, Any]:
+    """Return what the numbers of this process rest on, and the bytes that it may take."""
+    return {
+        "levkas": __version__,
+        "code": code_digest(),
+        "python": platform.python_version(),
+        "numpy": _numpy_version(),
+        "BLAS": linear_algebra(),
+        "instruction set": instruction_set(),
+        "pid": os.getpid(),
+    }
+
+
+def linear_algebra() -> str:
+    """Return name, version and kernel of the BLAS that numpy uses: ``openblas 0.3.30 SkylakeX``."""
+    import numpy as np
+    from threadpoolctl import threadpool_info
+
+    np.dot(np.eye(2), np.eye(2))
+    found = {
+        " ".join(str(one[k]) for k in ("internal_api", "version", "architecture") if one.get(k))
+        for one in threadpool_info()
+        if one["user_api"] == "blas"
+    }
+    return ", ".join(sorted(found)) or "unknown"
+
+
+def instruction_set() -> str:
+    """Return the kind of processor, and the extensions that numpy and numba use of it."""
+    import numba
+    import numpy as np
+    from numba.core import codegen
+
+    features = np.show_config("dicts")["SIMD Extensions"].get("found", [])  # type: ignore[index,call-overload]
+    target = getattr(numba.config, "CPU_NAME", None) or codegen.ll.get_host_cpu_name()
+    return f"{platform.machine()} {target}, numpy {features[-1] if features else 'baseline'}"
+
+
+def _numpy_version() -> str:
+    import numpy as np
+
+    return np.__version__
+
+
+def prepare(threads: int, memory: float | None) -> float:
+    """Set threads and memory of this process, where the machine's own variables do not; return its bytes."""
+    os.environ.setdefault(THREADS, str(max(1, threads)))
+    if memory:
+        os.environ.setdefault(MEMORY, f"{memory / 1e9:.6f}")
+    return float(memory or memory_bytes()[0])
+
+
+# --- one task -----------------------------------------------------------------------------------
+
+_alone = threading.Lock()
+_workplaces: dict[str, Workplace] = {}
+
+
+def work(job: Job, say: Callable[[int], object]) -> dict[str, Any]:
+    """Do a task and leave a receipt, unless that is there already.
+
+    Parameters
+    ----------
+    job : Job
+    say : callable
+        Called with the peak of private memory, bytes, whenever that has grown by a quarter.
+
+    Returns
+    -------
+    told : dict
+        ``peak``: private bytes; ``damaged``: the key of a task whose products must be made anew, and
+        the name of the file, where one was.
+
+    Raises
+    ------
+    NotShared, NoLongerAsked, OSError
+        Where another attempt may do.
+    """
+    with _alone, Peak(say) as peak:
+        if job.code != code_digest():
+            raise _other_version(job)
+        workplace = _workplace(job)
+        try:
+            workplace.do(job)
+        except Damaged as error:
+            return {"damaged": _tuple(error.key), "name": str(error.problems[0].found)}
+        return {"peak": peak.bytes}
+
+
+def _workplace(job: Job) -> Workplace:
+    """Return what all tasks of a build share, read once a build."""
+    if job.build not in _workplaces:
+        _workplaces.clear()
+        _workplaces[job.build] = Workplace.open(job)
+    return _workplaces[job.build]
+
+
+@dataclass
+class Workplace:
+    """A campaign, its graph and the stages that compute, kept from one task of a build to the next."""
+
+    places: Places
+    records: BuildRecords
+    graph: Graph
+    stages: Stages
+    sound: set[tuple[Key, str]]
+    """Tasks, by key and record, whose products were read whole here and are what was written."""
+
+    @classmethod
+    def open(cls, job: Job) -> Workplace:
+        """Read a campaign as the client has read it."""
+        plan = read_plan(job.campaign)
+        places = Places(Path(job.output))
+        records = BuildRecords(places.kept, places.output, verify=job.verify)
+        shared = len(plan.names) > 1
+        templates = TemplateCache(places.kept / "templates", records.hashes, shared=shared)
+        stages = Stages(plan.campaign, places, records, templates, plan.graph)
+        return cls(places, records, plan.graph, stages, set())
+
+    def do(self, job: Job) -> None:
+        """Do a task, and leave a receipt of what it made or of why it was refused."""
+        task = self.graph.get(Key(*job.key))
+        if task is None or digest_of(task) != job.task:
+            raise NotShared(f"{'/'.join(job.key)}: other files are seen here than by the client")
+        path = self.records.path_of(task.key, RECEIPT)
+        if is_whole(read_receipt(path), job.made_of, self.places):
+            return
+        self._await(job)
+        started = time.monotonic()
+        try:
+            write = self.stages.compute(task)
+            made = write(lambda: self._require_asked(job, task.key))
+            seconds = round(time.monotonic() - started, 2)
+            receipt = receipt_of(made, self.places) | {"seconds": seconds}
+        except Damaged:
+            raise
+        except MemoryError as error:
+            assert task.capture is not None
+            receipt = refusal_of(ran_out(task.capture, error))
+        except Refused as error:
+            receipt = refusal_of(error)
+        self._require_asked(job, task.key)
+        make_folder(path.parent)
+        write_json(path, {"made of": job.made_of, **receipt})
+
+    def _await(self, job: Job) -> None:
+        """Wait until what the task reads is seen here, and read all of it once."""
+        until = time.monotonic() + PATIENCE_S
+        for name, check in job.reads:
+            key = Key(*name)
+            self.records.reread(key)
+            while self.records.check(key) != check:
+                if time.monotonic() > until:
+                    raise NotShared(f"{'/'.join(name)}: its record is not seen here")
+                time.sleep(PAUSE_S)
+                self.records.reread(key)
+            if (key, check) not in self.sound:
+                if damaged := self.records.damaged(key):
+                    raise Damaged(key, Problem("E_DAMAGED", "a file was damaged", found=damaged))
+                self.sound.add((key, check))
+
+    def _require_asked(self, job: Job, key: Key) -> None:
+        """Raise NoLongerAsked where a later build has taken over, or has done without."""
+        try:
+            asked = self.records.path_of(key, ASKED).read_text(encoding="utf-8")
+        except OSError as error:
+            raise NoLongerAsked("/".join(job.key)) from error
+        if asked != job.made_of:
+            raise NoLongerAsked("/".join(job.key))
+
+
+def receipt_of(made: Written, places: Places) -> dict[str, Any]:
+    """Return what a task made: files with stamp and hash, notes, warnings, problems."""
+    return {
+        "files": {str(p.relative_to(places.output).as_posix()): _entry(p) for p in made.files},
+        "aside": {str(p.relative_to(places.kept).as_posix()): _entry(p) for p in made.aside},
+        "notes": made.notes,
+        "warnings": list(made.warnings),
+        "problems": [problem.to_dict() for problem in made.problems],
+    }
+
+
+def refusal_of(refused: Refused) -> dict[str, Any]:
+    """Return the receipt of a refused task."""
+    return {"refused": [problem.to_dict() for problem in refused.problems]}
+
+
+def is_refused(receipt: Mapping[str, Any]) -> bool:
+    """Tell whether a receipt is of a refused task."""
+    return "refused" in receipt
+
+
+def read_receipt(path: Path) -> dict[str, Any]:
+    """Read a receipt; empty where there is none that can be read."""
+    try:
+        found = read_json(path)
+    except (Refused, OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def is_whole(receipt: Mapping[str, Any], made_of: str, places: Places) -> bool:
+    """Tell whether a receipt is of what was asked for, and its files are what was written."""
+    if receipt.get("made of") != made_of or is_refused(receipt):
+        return False
+    try:
+        return all(
+            hash_file(folder / name) == entry[-1]
+            for part, folder in (("files", places.output), ("aside", places.kept))
+            for name, entry in receipt[part].items()
+        )
+    except OSError:
+        return False
+
+
+def written_of(receipt: Mapping[str, Any], places: Places) -> Written:
+    """Return what a task made, of its receipt."""
+    return Written(
+        [places.output / name for name in receipt["files"]],
+        dict(receipt["notes"]),
+        tuple(places.kept / name for name in receipt["aside"]),
+        tuple(receipt["warnings"]),
+        tuple(Problem(**problem) for problem in receipt["problems"]),
+    )
+
+
+def _entry(path: Path) -> list[Any]:
+    return [*stamp_of(path), hash_file(path)]
+
+
+def _tuple(key: Key) -> tuple[str, ...]:
+    return key.object, key.camera, key.setup, key.stage
+
+
+def _other_version(job: Job) -> NotShared:
+    return NotShared(f"levkas {__version__} or its libraries differ from those of the client")
+
+
+class Peak:
+    """The most private memory, bytes, that this process had while the block ran, looked at every 50 ms."""
+
+    def __init__(self, say: Callable[[int], object]) -> None:
+        self.bytes = 0
+        self._say = say
+        self._ended = threading.Event()
+
+    def __enter__(self) -> Peak:
+        self._thread = threading.Thread(target=self._look, name="memory", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        process, said = psutil.Process(), 0
+        while True:
+            found = process.memory_info()
+            self.bytes = max(self.bytes, found.rss - getattr(found, "shared", 0))
+            if self.bytes > 1.25 * said:
+                said = self.bytes
+                self._say(said)
+            if self._ended.wait(SAMPLED_S):
+                return

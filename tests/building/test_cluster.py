@@ -1,0 +1,193 @@
+"""A build on workers: the database of a build in one process, whatever comes to an end meanwhile."""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import warnings
+
+import dask
+import distributed.comm.tcp
+import psutil
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from levkas.building import build, cluster, cluster_executor, summarise
+from levkas.cli import app
+from levkas.core.digests import hash_tree
+from levkas.core.files import PARTIAL
+from levkas.core.problems import Refused
+
+LARGEST_MESSAGE = 64_000
+BUILD = "from levkas.cli import main; main()"
+
+
+@pytest.fixture(autouse=True)
+def no_scheduler(monkeypatch):
+    monkeypatch.delenv("DASK_SCHEDULER_ADDRESS", raising=False)
+
+
+@pytest.fixture(scope="module")
+def plates(make_plates, tmp_path_factory):
+    """A campaign of two objects, its database as one process builds it, and the steps of that build."""
+    folder = make_plates(tmp_path_factory.mktemp("plates") / "campaign")
+    report = summarise(build(folder, workers=0))
+    assert report.ok
+    return folder, hash_tree(folder / "database"), report
+
+
+@pytest.fixture
+def messages(monkeypatch):
+    """The bytes of every message that this process, its scheduler's, has sent or received."""
+    sizes = []
+    write, read = distributed.comm.tcp.to_frames, distributed.comm.tcp.from_frames
+
+    async def written(*args, **options):
+        frames = await write(*args, **options)
+        sizes.append(sum(memoryview(frame).nbytes for frame in frames))
+        return frames
+
+    async def taken(frames, **options):
+        sizes.append(sum(memoryview(frame).nbytes for frame in frames))
+        return await read(frames, **options)
+
+    monkeypatch.setattr(distributed.comm.tcp, "to_frames", written)
+    monkeypatch.setattr(distributed.comm.tcp, "from_frames", taken)
+    return sizes
+
+
+def workers_of(process=None):
+    found = (process or psutil.Process()).children(recursive=True)
+    return [one for one in found if any("spawn_main" in part for part in one.cmdline())]
+
+
+def partial_files(folder):
+    return [p for p in folder.rglob("*") if PARTIAL.fullmatch(p.name)]
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_the_bytes_are_those_of_one_process_in_any_order(
+    count, plates, messages, tmp_path, monkeypatch
+):
+    folder, expected, alone = plates
+    run = cluster_executor.ClusterExecutor.run
+
+    def shuffled(self, tasks):
+        yield from run(self, random.Random(count).sample(tasks, len(tasks)))
+
+    monkeypatch.setattr(cluster_executor.ClusterExecutor, "run", shuffled)
+    steps, listening = [], set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)  # of a large graph, among others
+        for step in build(folder, output=tmp_path / "database", workers=count):
+            steps.append(step)
+            if step.state == "running" and step.key.stage == "resample":
+                for process in (psutil.Process(), *workers_of()):
+                    held = process.net_connections("inet")
+                    listening |= {one.laddr.ip for one in held if one.status == "LISTEN"}
+    assert hash_tree(tmp_path / "database") == expected
+    assert listening == {"127.0.0.1"}
+    assert messages and max(messages) < LARGEST_MESSAGE
+    report = summarise(steps)
+    assert [s.to_dict() for s in report.stages] == [s.to_dict() for s in alone.stages]
+    assert any(s.where.startswith(f"{count} workers") for s in steps)
+    assert not partial_files(tmp_path) and not [*tmp_path.rglob("*.asked")]
+
+
+def test_a_killed_client_and_a_killed_worker_cost_only_what_they_were_doing(plates, tmp_path):
+    folder, expected, _ = plates
+    output = tmp_path / "database"
+    command = [sys.executable, "-c", BUILD, "build", str(folder), "-o", str(output)]
+    with subprocess.Popen(
+        [*command, "--workers", "2"], stderr=subprocess.PIPE, text=True
+    ) as client:
+        done = [next(line for line in client.stderr if "register: done" in line)]
+        client.send_signal(signal.SIGKILL)
+    steps, killed = [], []
+    for step in build(folder, output=output, workers=2):
+        steps.append(step)
+        if step.state == "done" and step.key.object and not killed:
+            killed = workers_of()[:1]
+            killed[0].kill()
+    assert done and killed
+    fresh = [s for s in steps if s.state == "fresh"]
+    assert {s.key.stage for s in fresh} >= {"calibrate", "register"}
+    assert hash_tree(output) == expected
+    assert not partial_files(tmp_path)
+
+
+def test_what_fits_on_no_worker_is_refused_by_name_and_the_rest_goes_on(
+    make_plates, tmp_path, monkeypatch
+):
+    folder = make_plates(tmp_path / "campaign")
+    keys = (folder / "campaign.toml").read_text()
+    (folder / "campaign.toml").write_text(
+        keys.replace("infrared/{target}.png", "infrared/{target}.*")
+    )
+    (folder / "infrared/two.png").unlink()
+    tifffile.memmap(folder / "infrared/two.tif", shape=(20_000, 20_000), dtype="u1").flush()
+    monkeypatch.setenv("LEVKAS_MEMORY", "4")  # GB, of both
+    steps = list(build(folder, workers=2))
+    ended = {(s.key.object, s.key.layer, s.key.stage): s for s in steps if s.finished}
+    (problem,) = ended["two", "infrared", "calibrate"].problems
+    assert problem.code == "E_MEMORY" and "two/infrared" in problem.message
+    assert "2.0 GB" in problem.found and "3.8 GB" in problem.expected
+    assert not [s for s in steps if s.state == "running" and s.key == ended[
+        "two", "infrared", "calibrate"].key]  # fmt: skip
+    assert ended["one", "infrared", "resample"].state == "done"
+    assert ended["two", "photo", "resample"].state == "done"
+
+
+@pytest.mark.parametrize(
+    ("address", "code"),
+    {
+        "tcp://10.0.0.7:8786": "E_INSECURE",
+        "icons.example.org:8786": "E_INSECURE",
+        "tcp://[2001:db8::1]:8786": "E_INSECURE",
+        "tcp://0.0.0.0:8786": "E_INSECURE",
+        "tcp://127.0.0.1": "E_VALUE",
+        "tcp://127.0.0.1:port": "E_VALUE",
+        "http://127.0.0.1:8786": "E_VALUE",
+        "": "E_VALUE",
+    }.items(),
+)
+def test_an_open_scheduler_of_another_machine_is_refused(address, code):
+    with pytest.raises(Refused) as refused:
+        cluster.check_address(address)
+    assert refused.value.problems[0].code == code
+
+
+def test_a_scheduler_of_this_machine_or_one_behind_tls_is_taken():
+    for address in ("tcp://127.0.0.1:8786", "localhost:8786", "tcp://[::1]:8786", "tls://a.org:1"):
+        cluster.check_address(address)
+    cluster.check_address("tcp://10.0.0.7:8786", insecure=True)
+
+
+def test_the_command_refuses_as_every_command_does(plates, tmp_path, monkeypatch):
+    def run(*more):
+        found = CliRunner().invoke(
+            app, ["build", str(plates[0]), "-o", str(tmp_path / "d"), "--json", *more]
+        )
+        return found.exit_code, json.loads(found.stdout)["problems"][0]["code"]
+
+    assert run("--cluster", "tcp://10.0.0.7:8786") == (1, "E_INSECURE")
+    assert run("--cluster", "tcp://127.0.0.1:9", "--workers", "2") == (1, "E_VALUE")
+    with dask.config.set({"distributed.comm.timeouts.connect": "200ms"}):
+        assert run("--cluster", "tcp://127.0.0.1:9") == (1, "E_CLUSTER")
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", "tcp://10.0.0.7:8786")
+    assert run() == (1, "E_INSECURE")
+
+
+def test_unlike_workers_are_said_to_be_so_and_another_levkas_is_refused():
+    one = {"worker": "tcp://a:1", "bytes": 4e9, **cluster.facts()}
+    found = cluster.Cluster("tcp://127.0.0.1:9")
+    found.learn(one)
+    assert found.warnings == ()
+    found.learn({**one, "worker": "tcp://b:1", "BLAS": "mkl 2026.0"})
+    assert len(found.warnings) == 1 and "1 of mkl 2026.0" in found.warnings[0]
+    with pytest.raises(Refused) as refused:
+        found.learn({**one, "worker": "tcp://c:1", "code": "0", "levkas": "0.0.9"})
+    (problem,) = refused.value.problems
+    assert (problem.code, problem.found) == ("E_VERSION", "levkas 0.0.9")
