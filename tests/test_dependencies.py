@@ -85,9 +85,9 @@ def test_locks_name_what_is_declared_and_no_registry():
 
 
 def test_every_module_imports_where_there_is_nothing_of_unix():
-    """As on Windows: a module that is not there is None in `sys.modules`; psutil has a module a system."""
+    """As on Windows: a module that is not there is None in `sys.modules`; distributed finds others there."""
     code = (
-        "import importlib, pkgutil, sys, psutil\n"
+        "import importlib, pkgutil, sys, distributed\n"
         f"sys.modules.update(dict.fromkeys({UNIX!r}))\n"
         "import levkas\n"
         "failed = []\n"

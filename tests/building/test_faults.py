@@ -847,7 +847,7 @@ def lost(scene, disk, records):
 @pytest.mark.parametrize("name", SCENES)
 def test_a_loss_of_power_at_any_moment_leaves_the_old_or_the_new(scenes, name):
     operations, wrong = replay(scenes[name])
-    assert operations > 250
+    assert operations > 200
     assert not wrong
 
 

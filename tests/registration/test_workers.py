@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from levkas.core.threads import WORTH_THREADS, each, in_threads
+from levkas.registration.predictors import principal_components
 
 
 @pytest.fixture(params=["1", "3"])
@@ -71,3 +72,13 @@ def test_threads_of_each_heed_what_numpy_is_told(threads):
         assert each(divide, [1, 2]) == [np.inf, np.inf]
     with np.errstate(divide="raise"), pytest.raises(FloatingPointError):
         each(divide, [1, 2])
+
+
+def test_principal_images_are_the_same_bytes_for_any_number_of_threads(monkeypatch):
+    rng = np.random.default_rng(3)
+    stack = rng.uniform(0.2, 0.9, (6, 311, 418)).astype(np.float32)
+    found = set()
+    for count in ("1", "2", "3", "4"):
+        monkeypatch.setenv("LEVKAS_THREADS", count)
+        found.add(principal_components(stack).images.tobytes())
+    assert len(found) == 1

@@ -130,6 +130,17 @@ class Hashes:
         return entry
 
 
+class Unread(Hashes):
+    """Stands for the hashes of files that need not be read: what is made of them was never made."""
+
+    def __init__(self) -> None:
+        super().__init__(Path(), verify=True)
+
+    def __call__(self, path: str | Path, *, own: bool = False) -> str:
+        """Return no hash."""
+        return "not read"
+
+
 def _opened(path: Path) -> sqlite3.Connection | None:
     """Open an index for reading from any thread; None where there is none that can be read."""
     if not path.is_file():

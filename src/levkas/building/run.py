@@ -250,7 +250,7 @@ def status(
     sources.remember(places.kept / sources.CODE)
     records = BuildRecords(places.kept, places.output, verify=verify)
     lost = plan.lost()
-    inputs = Inputs(campaign, records)
+    inputs = Inputs(campaign, records, unread=not verify)
     ended: dict[Key, Step] = {}
     by_object: dict[str, list[Step]] = {name: [*steps] for name, steps in lost.items()}
     refused: dict[tuple[str, str], Step] = {}

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 NAME = "catalogue.csv"
+LARGEST = 256 << 20
+"""Bytes of a catalogue that is still read: two million layers."""
 MEASURED, ESTIMATED = "measured", "estimated"
 
 
@@ -27,7 +29,7 @@ class DatabaseRefused(Refused):
     """A folder is no database, or a part of it is missing or damaged."""
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True, order=True, slots=True)
 class Entry:
     """One layer: an object by a camera under a setup ("" for the default one).
 
@@ -97,7 +99,9 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     path = place(database) / NAME
     check_inside(path.parent, path)
     try:
-        rows = list(csv.reader(io.StringIO(read_text(path, "a CSV in UTF-8"), newline="")))
+        rows = list(
+            csv.reader(io.StringIO(read_text(path, "a CSV in UTF-8", most=LARGEST), newline=""))
+        )
     except (Refused, csv.Error) as error:
         raise DatabaseRefused(
             Problem(

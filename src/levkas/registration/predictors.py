@@ -109,7 +109,7 @@ def principal_components(
     ]
     images = np.empty((sum(map(len, loadings)), *stack.shape[1:]), np.float32)
     shares = [vectors.astype(np.float32) for vectors in loadings]
-    in_threads(_mix, stack.shape[1], stack, *shares, images)
+    in_threads(_mix, -(-stack.shape[1] // LINES), stack, *shares, images)
     groups = np.repeat([0, 1], [len(vectors) for vectors in loadings])
     for group in (0, 1):
         part = images[groups == group]
@@ -120,9 +120,13 @@ def principal_components(
 def _mix(
     start: int, stop: int, stack: np.ndarray, linear: np.ndarray, bent: np.ndarray, out: np.ndarray
 ) -> None:
-    """Mix the bands of some rows; what a mean adds is slow and goes with the slow part."""
-    for top in range(start, stop, LINES):
-        rows = slice(top, min(top + LINES, stop))
+    """Mix the bands of blocks of rows; what a mean adds is slow and goes with the slow part.
+
+    The blocks are the same for any number of threads: the last bits of a product of matrices depend on
+    their width.
+    """
+    for block in range(start, stop):
+        rows = slice(block * LINES, min((block + 1) * LINES, stack.shape[1]))
         part = stack[:, rows].reshape(len(stack), -1)
         shape = (-1, *stack[0, rows].shape)
         out[: len(linear), rows] = (linear @ np.square(part)).reshape(shape)
