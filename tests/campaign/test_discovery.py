@@ -319,12 +319,12 @@ def test_two_images_of_one_object_are_refused(tmp_path):
 # --- templates --------------------------------------------------------------------------------
 
 
-def test_a_declared_template_that_is_not_there_is_refused_with_the_way_out(tmp_path):
+def test_a_declared_template_that_is_not_there_is_refused_and_never_switched_off(tmp_path):
     bands(tmp_path, "white")
     bands(tmp_path, "icon1")
     problem = problem_of(tmp_path, VIS)
     assert problem.code == "E_TEMPLATE_MISSING"
-    assert problem.fix.endswith("write `dark = []` under [cameras.vis].")
+    assert problem.found == "icon1, white" and problem.fix == "Add the frames."
     (capture,) = found_in(tmp_path, VIS + "dark = []\n")
     assert capture.sensors[0].dark == () and len(capture.sensors[0].white) == 2
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import threading
 import time
 from contextlib import suppress
@@ -428,7 +429,13 @@ def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
         return f"{name} changed{more}"
     if name.startswith("frame "):
         return f"{name}{_other_use(before[name], now[name])}{more}"
+    if _is_hash(before[name]) or _is_hash(now[name]):
+        return f"{name} changed{more}"
     return f"{name} {_short(before[name])} → {_short(now[name])}{more}"
+
+
+def _is_hash(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch("[0-9a-f]{8,}", value) is not None
 
 
 def _other_use(before: list[dict[str, Any]], now: list[dict[str, Any]]) -> str:

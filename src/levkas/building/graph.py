@@ -301,7 +301,7 @@ class BuildReport:
     @property
     def ok(self) -> bool:
         """Whether nothing was refused and nothing failed."""
-        return not any(step.state in ("refused", "failed") for step in self.stages)
+        return not any(_lost(step) for step in self.stages)
 
     @property
     def text(self) -> str:
@@ -309,7 +309,10 @@ class BuildReport:
         states = [step.state for step in self.stages]
         told = [f"{states.count(s)} {s}" for s in FINISHED if s in states]
         lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
-        lines += [step.line for step in self.stages if step.state in ("refused", "failed", "stale")]
+        # What was refused is among the problems, where it is said once.
+        lines += [
+            s.line for s in self.stages if s.state == "stale" or (_lost(s) and not s.problems)
+        ]
         where = f": {self.output}" if self.output else ""
         lines.append(f"{', '.join(told) or 'nothing to do'}{where}")
         return "\n".join(lines)
@@ -321,6 +324,10 @@ class BuildReport:
             "stages": [step.to_dict() for step in self.stages],
             "warnings": list(self.warnings),
         }
+
+
+def _lost(step: Step) -> bool:
+    return step.state in ("refused", "failed")
 
 
 def _gathered(warnings: Iterable[str]) -> list[str]:

@@ -12,10 +12,11 @@ from levkas.building.graph import Graph, Step, graph_of, ordered
 from levkas.building.removal import NoReference, refused_step
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture, Refusals
+from levkas.campaign.discovery.check_names import check_names
 from levkas.campaign.discovery.file_index import scan_folders
 from levkas.campaign.discovery.find_captures import check_edits, find_captures
 from levkas.campaign.edits import FILE_NAME, Edits
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, closest_match
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class Plan:
                     "--object",
                     ", ".join(missing),
                     ", ".join(sorted(self.names)),
+                    closest_match(missing[0], self.names),
                 )
             )
         captures = [c for c in self.captures if c.object in objects]
@@ -78,6 +80,7 @@ def read_plan(path: str | Path) -> Plan:
     check_detectors(campaign)
     index = scan_folders(campaign)
     captures, refusals = find_captures(campaign, index)
+    check_names(campaign, index, refusals)
     _check_edits(campaign, captures, refusals)
     pages = camera_pages(campaign, captures, index)
     return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
@@ -119,7 +122,7 @@ def _without_reference(plan: Plan, capture: Capture) -> Step:
         "E_NO_REFERENCE",
         f"{name}: there is no image by the reference camera {reference}, so nothing can be registered",
         field="campaign.reference",
-        found="; ".join(str(p) for p in lost.problems) if lost else "no capture",
+        found=lost.problems[0].message if lost else "no capture",
         fix="Mend the reference camera's frames first.",
     )
     return refused_step(key_of(capture, "calibrate"), NoReference(problem))

@@ -139,12 +139,18 @@ def load_campaign(path: str | Path) -> Campaign:
     except TomlRefused as refused:
         missing = refused.problems[0].found == "no such file"
         fix = (
-            "Give a campaign's folder; levkas look writes a first campaign.toml for a folder of raw"
-            " frames, and docs/campaign.md has every key."
+            "Give a campaign's folder; `levkas look FOLDER --write` makes a first campaign.toml for a folder"
+            " of raw frames; docs/campaign.md has every key."
             if missing
             else None
         )
-        raise CampaignInvalid(*(replace(p, fix=fix or p.fix) for p in refused.problems)) from None
+        problems = [replace(p, fix=fix or p.fix) for p in refused.problems]
+        if missing:
+            in_folder = path.name == "campaign.toml" and path.parent.is_dir()
+            found = "a folder without campaign.toml" if in_folder else "no such folder"
+            message = "there is no campaign here"
+            problems = [replace(p, message=message, found=found) for p in problems]
+        raise CampaignInvalid(*problems) from None
     document, problems = _validate(path, record)
     if document is None or problems:
         raise CampaignInvalid(*dict.fromkeys(problems))

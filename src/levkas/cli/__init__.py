@@ -4,15 +4,38 @@ from __future__ import annotations
 
 import io
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from levkas import __version__
 from levkas.cli import build, demo, doctor, estimate, evaluate, inspect, measure, plan, publish
+from levkas.core.instructions import hold_instructions
+
+ORDER = {
+    "Begin": ("doctor", "demo", "look", "plan", "simulate"),
+    "Build": ("build", "status", "inspect", "points"),
+    "Measure": ("radiometry", "chart", "evaluate", "validate"),
+    "Use": ("map", "estimate", "export", "publish"),
+}
+"""Commands as `levkas --help` lists them: in groups, in the order of work."""
+
+
+class Grouped(typer.core.TyperGroup):
+    """Commands listed in groups, each with the whole of its first sentence."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a list of commands for each group."""
+        for title, names in ORDER.items():
+            with formatter.section(title):
+                rows = [(name, self.commands[name].get_short_help_str(limit=200)) for name in names]
+                formatter.write_dl(rows)
+
 
 app = typer.Typer(
     name="levkas",
+    cls=Grouped,
     help="Raw captures of a painting to one calibrated, registered spectral image database.",
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -85,5 +108,6 @@ app.add_typer(_points, name="points")
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line, with libraries that compute alike on unlike processors."""
+    hold_instructions()
     app()

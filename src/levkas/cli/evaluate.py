@@ -142,6 +142,12 @@ def map_points(
     )
     file = str(points) if points else None
     mapped = map_table(database, name, text, source=source, target=target, file=file)
+    if outside := mapped.count("\nnan,nan"):
+        typer.secho(
+            f"warning: {outside} of {mapped.count(chr(10)) - 1} points lie outside what {source} and {target} "
+            "both show; their rows are nan,nan",
+            err=True, fg=typer.colors.YELLOW,
+        )  # fmt: skip
     if output is None:
         typer.echo(mapped, nl=False)
         return

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Protocol, cast
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, cast
 
 import typer
 
 from levkas import __version__
 from levkas.core.json_safe import plain
 from levkas.core.problems import Problem, Refused
+from levkas.core.progress import FRAMES
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Json = Annotated[bool, typer.Option("--json", help="Report as one JSON object.")]
 Overwrite = Annotated[
@@ -65,8 +70,24 @@ def print_report(
         }
         typer.echo(json.dumps(plain(record), ensure_ascii=False, indent=2, allow_nan=False))
         return
-    for problem in problems:
-        typer.secho(f"{problem.code}: {problem}", err=True, fg=typer.colors.RED)
+    told = list(problems)
+    causes = [problem for problem in told if problem.code != CONSEQUENCE]
+    print_problems(causes or told)
+
+
+_shown: set[Problem] = set()
+"""Problems that this command has printed; each is said once."""
+
+
+def print_problems(problems: Iterable[Problem]) -> None:
+    """Print problems on standard error, what, where and what to do in a line each, unless they were printed."""
+    fresh = [p for p in dict.fromkeys(problems) if p not in _shown]
+    _shown.update(fresh)
+    for problem in fresh:
+        head, *rest = problem.lines
+        typer.secho(head, err=True, fg=typer.colors.RED)
+        for line in rest:
+            typer.echo(line, err=True)
 
 
 def finish(command: str, report: Report, as_json: bool) -> None:
@@ -84,6 +105,7 @@ def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None
         @wraps(function)
         def wrapped(*args: Any, **options: Any) -> None:
             as_json = bool(options.get("as_json"))
+            _shown.clear()
             try:
                 function(*args, **options)
             except Refused as refused:
@@ -115,46 +137,103 @@ def _out_of_memory() -> Problem:
 def draw_steps(steps: Iterable[Any], quiet: bool) -> list[Any]:
     """Consume the steps of long work and return them; draw a bar on a terminal, print lines elsewhere.
 
-    A step has `label`, `done`, `total`, `finished` and `line`; refused and failed ones stay on the
-    screen above the bar.
+    A step has `label`, `done`, `total`, `finished` and `line`. What was refused is said as soon as it is.
     """
     if not quiet and sys.stderr.isatty():
-        return _draw_bar(steps)
+        from rich.console import Console
+
+        return draw_bar(steps, Console(stderr=True))
     done = []
     for step in steps:
         done.append(step)
         if not quiet and step.finished:
-            typer.echo(_with_where(step, step.line), err=True)
+            typer.echo(_with_where(step, _plain_line(step)), err=True)
+            print_problems(_causes(step))
     return done
 
 
-def _draw_bar(steps: Iterable[Any]) -> list[Any]:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+def _causes(step: Any) -> list[Problem]:
+    """Return why a step was refused; what only follows from the refusal of its reference is no cause."""
+    refused = getattr(step, "state", "") in ("refused", "failed")
+    problems = step.problems if refused else ()
+    return [problem for problem in problems if problem.code != CONSEQUENCE]
 
-    columns = (
-        TextColumn("{task.description}", style="bold"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    done = []
-    console = Console(stderr=True)
+
+CONSEQUENCE = "E_NO_REFERENCE"
+
+
+def _plain_line(step: Any) -> str:
+    """Return the line of a step, without the reason that follows it."""
+    return f"{step.label}: {step.state}" if _causes(step) else str(step.line)
+
+
+def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
+    """Consume steps as `draw_steps` does and draw how far the work is on a terminal.
+
+    What was fresh is no work: it is left out of both numbers. No time left is shown, for stages differ
+    by a hundredfold; the time of the stage and of all, and the frames that were read, move meanwhile.
+    """
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.table import Column
+    from rich.text import Text
+
+    class Within(ProgressColumn):
+        """Time and frames of the stage, and time of all."""
+
+        def render(self, task: Task) -> Text:
+            frames = FRAMES.count - task.fields["frames"]
+            read = f", {frames} frame{'' if frames == 1 else 's'}" if frames else ""
+            stage = _clock(time.monotonic() - task.fields["since"])
+            return Text(f"{stage}{read}; {_clock(task.elapsed or 0)} in all")
+
+    one_line = Column(no_wrap=True)
+    told = TextColumn("{task.completed} of at most {task.fields[most]}", table_column=one_line)
+    name = TextColumn("{task.description}", style="bold", table_column=one_line)
+    columns = (name, BarColumn(10), told, Within(one_line))
+    done, fresh = [], 0
     with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("starting", total=None)
+        start: dict[str, Any] = {"since": time.monotonic(), "frames": FRAMES.count}
+        task = progress.add_task("starting", total=None, most="?", **start)
         for step in steps:
             done.append(step)
-            label = _with_where(step, step.label)
-            progress.update(task, description=label, completed=step.done, total=step.total or None)
-            if step.finished and getattr(step, "state", "") in ("refused", "failed"):
-                console.print(step.line, style="red", markup=False)
+            fresh += step.finished and getattr(step, "state", "") == "fresh"
+            completed, total = step.done - fresh, max(step.total - fresh, 0)
+            if not step.finished:
+                start = {"since": time.monotonic(), "frames": FRAMES.count}
+            progress.update(
+                task,
+                description=_with_where(step, step.label),
+                completed=completed,
+                total=total or None,
+                **start,
+                most=total,
+            )
+            if causes := _causes(step):
+                console.print(f"{step.label}: {step.state}", markup=False, highlight=False)
+                for problem in causes:
+                    print_above(console, problem)
     return done
+
+
+def print_above(console: Console, problem: Problem) -> None:
+    """Print a problem above the bar, once."""
+    if problem not in _shown:
+        _shown.add(problem)
+        head, *rest = problem.lines
+        console.print(head, style="red", markup=False, highlight=False, soft_wrap=True)
+        for line in rest:
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _clock(seconds: float) -> str:
+    """Return a duration as people read it.
+
+    >>> _clock(7.4), _clock(3725)
+    ('0:07', '1:02:05')
+    """
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 def _with_where(step: Any, text: str) -> str:

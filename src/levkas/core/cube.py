@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -161,9 +161,26 @@ def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = (
             field="band",
             found=str(text),
             expected=", ".join(labels) if len(labels) <= 12 else f"{labels[0]} … {labels[-1]}",
-            fix="Name a band as it stands in the list.",
+            fix=_near_bands(labels, text, number) or "Name a band as it stands in the list.",
         )
     )
+
+
+def _near_bands(labels: Sequence[str], text: str, number: float) -> str | None:
+    """Return which bands may be meant: those next to a wavelength, else the one of the nearest name.
+
+    >>> _near_bands(["540 nm", "550 nm", "600 nm"], "555", 555.0)
+    "Did you mean '550 nm' or '600 nm'?"
+    """
+    known = [(nm, label) for label in labels if (nm := _wavelength(label)) == nm]
+    if number != number or not known:
+        return closest_match(text, labels)
+    below, above = (
+        (max, [k for k in known if k[0] < number]),
+        (min, [k for k in known if k[0] > number]),
+    )
+    near = [repr(choose(some)[1]) for choose, some in (below, above) if some]
+    return f"Did you mean {' or '.join(near)}?"
 
 
 def _wavelength(text: str) -> float:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from itertools import islice
 from typing import Any
 
 LONGEST_VALUE = 2000
 """Characters of a value in a message; the rest of a longer one is left out."""
+LONGEST_SHOWN = 240
+"""Characters of a value in the lines that people read."""
+LONGEST_NAME = 80
+MOST_COMPARED = 20_000
+"""Pairs of names whose likeness is looked at, one after the other; each takes some 10 µs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +61,21 @@ class Problem:
         text = _shortened(self.message) + (f" ({'; '.join(parts)})" if parts else "")
         return f"{text}. {self.fix}" if self.fix else text
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """At most three lines for people: what is wrong, where with what was found, and what to do.
+
+        >>> "; ".join(Problem("E_BAND_COUNT", "the bands do not fit", "nir", None, 31, 33, "Look.").lines)
+        'E_BAND_COUNT: the bands do not fit;   where: nir: found 31, expected 33;   do: Look.'
+        """
+        seen = (("found", self.found), ("expected", self.expected))
+        values = (f"{word} {_one_line(value)}" for word, value in seen if value is not None)
+        parts = (", ".join(filter(None, (self.file, self.field))), ", ".join(values))
+        where = ": ".join(filter(None, parts))
+        lines = [f"{self.code}: {_one_line(self.message, LONGEST_VALUE)}"]
+        lines += [f"  where: {where}"] if where else []
+        return (*lines, *([f"  do: {_one_line(self.fix, LONGEST_VALUE)}"] if self.fix else []))
+
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON-ready values; what is unknown is ``None``."""
         plain = (str, int, float, bool, type(None))
@@ -61,6 +84,22 @@ class Problem:
 
 def _shortened(text: str) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]} …"
+
+
+def _one_line(value: Any, most: int = LONGEST_SHOWN) -> str:
+    text = " ".join(str(value).split())
+    return text if len(text) <= most else f"{text[:most]} …"
+
+
+def closest_match(text: str, known: Iterable[str]) -> str | None:
+    """Return ``Did you mean 'files'?`` where a known name is near.
+
+    >>> closest_match("fles", ["files", "kind"])
+    "Did you mean 'files'?"
+    """
+    names = [n for n in islice(known, MOST_COMPARED) if len(n) <= LONGEST_NAME]
+    near = difflib.get_close_matches(text[:LONGEST_NAME], names, 1, 0.6)
+    return f"Did you mean {near[0]!r}?" if near else None
 
 
 class Refused(Exception):

@@ -125,12 +125,13 @@ def read_stream(
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        line = 1 + data.count(b"\n", 0, error.start)
         raise TextRefused(
             Problem(
                 "E_UNREADABLE",
                 f"{name} cannot be read",
                 file,
-                found=str(error),
+                found=f"a byte that is not UTF-8 in line {line}",
                 expected=expected,
                 fix="Save it again as text in UTF-8.",
             )

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.cube import find_band
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 from levkas.database.containment import check_inside
 from levkas.database.layout import layer_name
 from levkas.database.registrations import RecordRefused, read_registration, unconfirmed_cells
@@ -271,7 +271,7 @@ def map_table(
 ) -> str:
     """Map a CSV table with the header ``x,y``; the answer has the same rows in the same order.
 
-    `file` is where the text was read from, for refusals.
+    `file` is where the text was read from, for refusals; points that lie outside are ``nan,nan``.
 
     Raises
     ------
@@ -337,6 +337,7 @@ class Records:
                     file=str(database),
                     found=name,
                     expected=", ".join(there) or "a database with registration records",
+                    fix=closest_match(name, there),
                 )
             )
         self.layers = {p.stem: p for p in sorted(self.folder.glob("*.json"))}
@@ -384,6 +385,7 @@ class Records:
                     file=str(self.folder),
                     found=str(frame),
                     expected=", ".join([GRID, *self.layers]),
+                    fix=closest_match(frame.layer, [GRID, *self.layers]),
                 )
             )
         record = _load(self.layers[frame.layer])

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.campaign.schema.cross_checks import closest_match
 from levkas.core.cube import Cube, Flag
 from levkas.core.digests import hash_file
 from levkas.core.files import write_json
 from levkas.core.machine import steady_libraries
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, closest_match
 from levkas.database.catalogue import ESTIMATED, read_catalogue, write_catalogue
 from levkas.database.containment import check_plain_names
 from levkas.database.credits import Credits

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.campaign.schema.cross_checks import closest_match
 from levkas.campaign.schema.toml import read_toml
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 from levkas.database.layout import LayerId
 from levkas.database.reader import Database
 from levkas.database.registrations import read_registrations

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.schema.cross_checks import closest_match
 from levkas.core.cube import Flag
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 from levkas.database.layout import LayerId
 from levkas.estimation.training import Training, select_training
 

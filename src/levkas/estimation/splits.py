@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from levkas.campaign.schema.cross_checks import closest_match
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, closest_match
 from levkas.database.layout import LayerId
 from levkas.estimation.samples import BLOCKS, EstimationRefused, PaintSamples
 

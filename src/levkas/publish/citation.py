@@ -15,7 +15,6 @@ from levkas.publish.metadata import (
     Person,
     PublicationFacts,
     fact_missing,
-    missing_facts,
 )
 from levkas.publish.publication import describe_dataset
 
@@ -144,7 +143,7 @@ def describe_datacite(facts: PublicationFacts, description: str) -> dict[str, An
 
 
 def check_datacite(facts: PublicationFacts) -> tuple[list[Problem], list[Problem]]:
-    """Return what DataCite requires and is missing, and what it recommends and is missing."""
+    """Return what DataCite requires beside `missing_facts` and is missing, and what it recommends and is missing."""
     required = {
         "publication.doi": (
             facts.doi,
@@ -181,7 +180,7 @@ def check_datacite(facts: PublicationFacts) -> tuple[list[Problem], list[Problem
             '"CC-BY-4.0"',
         )
     return (
-        [*missing_facts(facts), *_missing(facts, required)],
+        [*_missing(facts, required)],
         [*_missing(facts, recommended)],
     )
 

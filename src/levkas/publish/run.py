@@ -72,13 +72,17 @@ class PublishReport:
     editions: str
     bag: Path | None = None
     address: str | None = None
+    deposit: tuple[Problem, ...] = ()
+    """What a repository must know before it gives a DOI."""
 
     @property
     def text(self) -> str:
         """Report for people."""
         text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
         text += f"\nBag, checked: {self.bag}" if self.bag else ""
-        return text + (f"\nSent, with its manifest last: {self.address}" if self.address else "")
+        text += f"\nSent, with its manifest last: {self.address}" if self.address else ""
+        missing = ", ".join(p.message for p in self.deposit)
+        return text + (f"\nBefore it gets a DOI: {missing}" if missing else "")
 
     def to_dict(self) -> dict[str, Any]:
         """Return what `--json` adds to the problems."""
@@ -98,6 +102,8 @@ class CheckReport:
 
     problems: tuple[Problem, ...]
     advice: tuple[Problem, ...]
+    deposit: tuple[Problem, ...] = ()
+    """What a repository must know before it gives a DOI; a publication can be made without."""
 
     @property
     def ok(self) -> bool:
@@ -107,19 +113,28 @@ class CheckReport:
     @property
     def text(self) -> str:
         """Report for people."""
-        lines = [f"Advised: {problem}" for problem in self.advice]
-        end = "Nothing that is required is missing." if self.ok else ""
+        lines = [f"{word}: {p.message}\n  do: {p.fix}" for word, p in self._wanted()]
+        end = "Nothing that `levkas publish` requires is missing." if self.ok else ""
         count = len(self.problems)
         end = end or f"{count} thing{'s are' if count > 1 else ' is'} required and missing."
+        if self.ok and self.deposit:
+            end += f" Before it gets a DOI, {len(self.deposit)} more must be known."
         return "\n".join([*lines, end])
+
+    def _wanted(self) -> Iterator[tuple[str, Problem]]:
+        yield from (("Needed for a DOI", problem) for problem in self.deposit)
+        yield from (("Advised", problem) for problem in self.advice)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what `--json` adds to the problems."""
-        return {"advice": [problem.to_dict() for problem in self.advice]}
+        told = {"advice": self.advice, "deposit": self.deposit}
+        return {key: [p.to_dict() for p in problems] for key, problems in told.items()}
 
 
 def check(path: str | Path) -> CheckReport:
-    """Check what is missing before a database can be published and get a DOI; nothing is written.
+    """Check what is missing before a database can be published, and before it can get a DOI; nothing is written.
+
+    What is a problem here is what `publish` refuses, and nothing else is.
 
     Parameters
     ----------
@@ -141,8 +156,9 @@ def check(path: str | Path) -> CheckReport:
         if subject.campaign is None and not (subject.database / FACTS).is_file():
             return CheckReport(refused.problems, ())
         problems += refused.problems
-    required, advice = check_datacite(facts_of_subject(subject))
-    return CheckReport((*problems, *required), tuple(advice))
+    facts = facts_of_subject(subject)
+    deposit, advice = check_datacite(facts)
+    return CheckReport((*problems, *missing_facts(facts)), tuple(advice), tuple(deposit))
 
 
 def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
@@ -225,6 +241,7 @@ def publish(
     from levkas.core.sweeping import sweep_beside
     from levkas.database.manifest import write_manifest
     from levkas.publish.bagging import check_target, write_bag
+    from levkas.publish.citation import check_datacite
 
     subject = find_subject(path)
     manifest = find_manifest(subject.database)
@@ -254,7 +271,8 @@ def publish(
         for what, done, count in target.send(final):
             yield PublishStep("upload", what, done, count, done == count, "done")
     packed = Path(bag).resolve() if bag else None
-    report = PublishReport(final, len(made.files) + 1, made.bytes, editions, packed, to)
+    needed = tuple(check_datacite(facts)[0])
+    report = PublishReport(final, len(made.files) + 1, made.bytes, editions, packed, to, needed)
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from levkas.core.digests import Stamp, stamp_of
+from levkas.core.progress import FRAMES
 from levkas.core.text import what_stands_at
 from levkas.readers import images
 from levkas.readers.envi_header import DATA_SUFFIXES, find_header
@@ -177,6 +178,7 @@ def read_frame(path: str | Path, *, page: int | None = None) -> np.ndarray:
         Whatever is wrong with the file: what is missing never reads as zeros.
     """
     read = _reader(path, 2)
+    FRAMES.add()
     if read.__name__ == "read_tiff_page":
         return read(Path(path), page)
     if page not in (None, 0):

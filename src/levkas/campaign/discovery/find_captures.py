@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -36,11 +36,11 @@ from levkas.campaign.discovery.file_index import (
     patterns_of,
     scan_folders,
 )
-from levkas.campaign.discovery.patterns import natural
+from levkas.campaign.discovery.patterns import Pattern, natural
 from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
-from levkas.campaign.schema.cross_checks import closest_match, is_safe_name
+from levkas.campaign.schema.cross_checks import is_safe_name
 from levkas.core.cube import find_band
-from levkas.core.problems import Problem, Refused
+from levkas.core.problems import Problem, Refused, closest_match
 
 if TYPE_CHECKING:
     from levkas.campaign.campaign import Camera, Campaign
@@ -169,6 +169,8 @@ def _is_promised(index: FileIndex, name: str, camera: str, setup: str) -> bool:
         return True
     if (camera, setup) == (index.campaign.reference.camera, ""):
         return True
+    if index.frames[camera, setup] and not any(index.of(name, *key) for key in index.frames):
+        return False  # nothing has it: the refusal of the reference says so
     if index.has_objects(camera, setup):
         return False
     only_in_setups = not setup and any(
@@ -226,8 +228,14 @@ def _no_frames(index: FileIndex, camera: str, setup: str, what: str, target: str
         field=where,
         found=", ".join(names) if names else "nothing there",
         expected=" or ".join(dict.fromkeys(p.text for p in patterns)),
-        fix="Mend the pattern, or put the frames where it looks.",
+        fix=_meant(wanted, names) or "Mend the pattern, or put the frames where it looks.",
     )
+
+
+def _meant(wanted: Pattern, names: Sequence[str]) -> str | None:
+    """Return which of some names a folder or file of a pattern may mean."""
+    plain = (part for part in wanted.text.split("/") if part not in names and "{" not in part)
+    return next((fix for part in plain if (fix := closest_match(part, names))), None)
 
 
 def _misspelt(index: FileIndex) -> Refusals:
@@ -504,6 +512,8 @@ def _no_template(
     index: FileIndex, camera: Camera, sensor: str, setup: str, kind: str, names: tuple[str, ...]
 ) -> Problem:
     own = getattr(camera, kind) is not None
+    frames = index.frames[camera.name, setup]
+    known = sorted({f.target for f in frames if not sensor or f.sensor == sensor}, key=natural)
     patterns = dict.fromkeys(p.text for p in patterns_of(index, camera.name, setup))
     under = f" under {setup}" if setup else ""
     return Problem(
@@ -511,10 +521,15 @@ def _no_template(
         f"{' '.join(filter(None, (camera.name, sensor)))}{under}: the declared {kind} was not found",
         str(index.campaign.path),
         f"cameras.{camera.name}.{kind}" if own else f"targets.{kind}",
-        "no file",
+        ", ".join(known) or "no file",
         f"{{target}} = {' or '.join(names)} in {' or '.join(patterns)}",
-        f"Add the frames; or, if there are none, write `{kind} = []` under [cameras.{camera.name}].",
+        near_names(names, known) or "Add the frames.",
     )
+
+
+def near_names(names: Iterable[str], there: Sequence[str]) -> str | None:
+    """Return which name that is there one of some may mean; None where none is near."""
+    return next((fix for name in names if (fix := closest_match(name, there))), None)
 
 
 # --- corrections by hand ----------------------------------------------------------------------

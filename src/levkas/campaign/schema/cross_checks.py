@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
@@ -20,11 +19,8 @@ from levkas.campaign.schema.tables import (
     RegistrationKeys,
     SensorKeys,
 )
-from levkas.core.problems import Problem
+from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_match
 
-LONGEST_NAME = 80
-MOST_COMPARED = 20_000
-"""Pairs of names whose likeness is looked at, one after the other; each takes some 10 µs."""
 MOST_LISTED = 20
 MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
 """Cameras; objects times cameras; patterns of one camera: each is looked up among the files."""
@@ -76,17 +72,6 @@ def is_safe_name(name: str) -> bool:
     (True, False)
     """
     return 0 < len(name) <= LONGEST_NAME and not _UNSAFE.search(name)
-
-
-def closest_match(text: str, known: Iterable[str]) -> str | None:
-    """Return ``Did you mean 'files'?`` where a known name is near.
-
-    >>> closest_match("fles", ["files", "kind"])
-    "Did you mean 'files'?"
-    """
-    names = [n for n in islice(known, MOST_COMPARED) if len(n) <= LONGEST_NAME]
-    near = difflib.get_close_matches(text[:LONGEST_NAME], names, 1, 0.6)
-    return f"Did you mean {near[0]!r}?" if near else None
 
 
 def listed(names: Collection[str]) -> str:

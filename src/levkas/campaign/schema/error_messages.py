@@ -8,9 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from levkas.campaign.schema.cross_checks import closest_match
 from levkas.campaign.schema.tables import Document
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, closest_match
 
 MOST_PROBLEMS = 100
 """Problems that one report lists; a file with more is probably another kind of file."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from levkas.core.problems import Problem
+from levkas.core.problems import Problem, closest_match
 from levkas.publish.export.layer import ExportLayer, ExportRefused
 
 FORMS = {
@@ -148,5 +148,6 @@ def _check_names(
                     field,
                     found,
                     expected,
+                    closest_match(missing[0], known),
                 )
             )

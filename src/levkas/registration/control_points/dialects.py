@@ -113,7 +113,7 @@ def sniff(data: bytes) -> str:
         Problem(
             "E_UNREADABLE",
             "these are no control points that are known",
-            found=repr(data[:40]),
+            found=repr(data[:40].decode("utf-8", "replace").splitlines()[:1])[1:-1] or "nothing",
             expected=", ".join(d.title for d in DIALECTS.values()),
             fix="Export the points again, or write a CSV: reference_x,reference_y,x,y.",
         )

@@ -1,0 +1,34 @@
+"""Frames that this process has decoded, for whoever draws how far a stage has come."""
+
+from __future__ import annotations
+
+import threading
+
+
+class Tally:
+    """A count that any thread may raise.
+
+    Examples
+    --------
+    >>> tally = Tally()
+    >>> tally.add(); tally.count
+    1
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._count = 0
+
+    def add(self) -> None:
+        """Count one more."""
+        with self._lock:
+            self._count += 1
+
+    @property
+    def count(self) -> int:
+        """How many there were."""
+        return self._count
+
+
+FRAMES = Tally()
+"""Frames decoded by `levkas.readers.frames.read_frame`."""

@@ -1,0 +1,241 @@
+"""What people read in a terminal: each mistake once, in three short lines, before any stage runs."""
+
+import io
+import re
+import shutil
+
+import numpy as np
+import pytest
+import tifffile
+from rich.console import Console
+from typer.testing import CliRunner
+
+from levkas.building.build_records import Key
+from levkas.building.graph import Step
+from levkas.cli import ORDER, app
+from levkas.cli.output import draw_bar
+from levkas.core.problems import Problem
+
+TOML = """
+[campaign]
+title = "Two cameras"
+date = 2020-01-01
+reference = { camera = "vis", band = "550 nm" }
+[cameras.vis]
+kind = "bands"
+files = "raw/vis/{target}/{wavelength}nm.tif"
+[cameras.nir]
+kind = "bands"
+files = "raw/nir/{target}/{wavelength}nm.tif"
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 0.99 }
+objects = ["icon1"]
+"""
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """Frames of two cameras: small, of noise and strokes, enough to be found."""
+    root = tmp_path_factory.mktemp("frames")
+    rng = np.random.default_rng(1)
+    for camera, centres in (("vis", (500, 550, 600)), ("nir", (800, 850))):
+        for target, level in (("dark", 60), ("white", 3000), ("icon1", 1500)):
+            for nm in centres:
+                path = root / "raw" / camera / target / f"{nm}nm.tif"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                tifffile.imwrite(path, rng.normal(level, 5, (60, 80)).astype(np.uint16))
+    return root
+
+
+@pytest.fixture
+def campaign(frames, tmp_path):
+    """Return what writes the campaign with a mistake: `campaign(old, new)`."""
+
+    def write(old="", new=""):
+        shutil.copytree(frames / "raw", tmp_path / "raw", dirs_exist_ok=True)
+        assert old in TOML
+        (tmp_path / "campaign.toml").write_text(TOML.replace(old, new) if old else TOML)
+        return tmp_path
+
+    return write
+
+
+def run(*words):
+    """Run a command: (exit status, standard output, standard error)."""
+    done = CliRunner().invoke(app, [str(w) for w in words])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done.exit_code, done.stdout, done.stderr
+
+
+MISTAKES = [
+    ('"550 nm"', '"560 nm"', "E_BAND_MISSING", "Did you mean '550 nm' or '600 nm'?"),
+    ('"vis", band', '"viss", band', "E_VALUE", "Did you mean 'vis'?"),
+    ('names = "white"', 'names = "whit"', "E_TEMPLATE_MISSING", "Did you mean 'white'?"),
+    ('dark = "dark"', 'dark = "drak"', "E_TEMPLATE_MISSING", "Did you mean 'dark'?"),
+    ('["icon1"]', '["icno1"]', "E_NO_FRAMES", "Did you mean 'icon1'?"),
+    ('"raw/vis', '"rwa/vis', "E_NO_FRAMES", "Did you mean 'raw'?"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("command", ["build", "status"])
+@pytest.mark.parametrize(("old", "new", "code", "fix"), MISTAKES, ids=[m[1] for m in MISTAKES])
+def test_a_mistake_is_one_message_of_three_lines_before_any_stage(
+    campaign, command, old, new, code, fix
+):
+    folder = campaign(old, new)
+    status, out, err = run(command, folder)
+    assert status == 1 and out == ""
+    what, where, do = err.splitlines()
+    assert what.startswith(f"{code}: ") and where.startswith("  where: ") and do == f"  do: {fix}"
+    assert not (folder / "database").exists()
+
+
+def test_what_switches_calibration_off_is_never_advised(campaign):
+    folder = campaign()
+    shutil.rmtree(folder / "raw/nir/white")
+    _, _, err = run("build", folder)
+    assert "E_TEMPLATE_MISSING: nir: the declared white was not found" in err
+    assert "= []" not in err and err.count("E_TEMPLATE_MISSING") == 1
+
+
+def test_a_refusal_and_what_follows_from_it_are_said_once(campaign):
+    folder = campaign()
+    (folder / "raw/vis/icon1/550nm.tif").write_bytes(b"no picture")
+    status, out, err = run("build", folder)
+    assert status == 1 and err.count("E_UNREADABLE") == 1 and "E_NO_REFERENCE" not in err + out
+    lines = err.splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("E_"))
+    assert lines[at - 1] == "icon1/vis calibrate: refused"
+    assert "550nm.tif" in lines[at + 1] and lines[at + 2].startswith("  do: ")
+    assert "refused" in out and "E_" not in out
+
+
+def test_a_campaign_that_is_not_there_is_said_so(tmp_path):
+    for path, found in ((tmp_path / "no", "no such folder"), (tmp_path, "a folder without")):
+        status, _, err = run("build", path)
+        assert status == 1 and "there is no campaign here" in err and found in err
+
+
+def test_an_object_that_is_not_there_is_refused_with_the_nearest(campaign):
+    status, _, err = run("build", campaign(), "--object", "icon2")
+    assert status == 1 and err.splitlines()[-1] == "  do: Did you mean 'icon1'?"
+
+
+def test_why_a_stage_is_stale_has_no_hashes(campaign):
+    folder = campaign()
+    run("build", folder)
+    (folder / "campaign.toml").write_text(TOML.replace("0.99", "0.98"))
+    _, out, _ = run("status", folder)
+    assert "stale" in out and not re.search(r"[0-9a-f]{12}", out.replace(str(folder), ""))
+
+
+# --- map ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mapped(tmp_path):
+    """A database of two layers and nothing but their maps."""
+    from levkas.core.files import write_json
+    from levkas.geometry.transforms import Affine
+
+    same = Affine.identity().to_dict()
+    for camera in ("vis", "nir"):
+        record = {
+            "object": "icon1", "camera": camera, "setup": "",
+            "reference": {"camera": "vis", "band": "550 nm", "size": [80, 60]},
+            "target": {"camera": camera, "band": "550 nm"},
+            "grid": {"size": [80, 60], "transform": same},
+            "verdict": {"decision": "accept", "reasons": []},
+            "bands": {"550 nm": {"transform": same, "size": [80, 60]}},
+        }  # fmt: skip
+        write_json(tmp_path / f"objects/icon1/registration/{camera}.json", record)
+    return tmp_path
+
+
+def test_points_outside_are_counted_in_a_warning(mapped):
+    (mapped / "points.csv").write_text("x,y\n1,2\n1000,2\n3,-40\n")
+    status, out, err = run("map", mapped, "icon1", mapped / "points.csv", "--to", "nir")
+    assert status == 0 and out.splitlines()[2:] == ["nan,nan", "nan,nan"]
+    assert err.startswith("warning: 2 of 3 points lie outside")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("icon1", "missing.csv"), "no such file"),
+        (("icon1", "latin.csv"), "a byte that is not UTF-8 in line 3"),
+        (("icon2", "points.csv"), "Did you mean 'icon1'?"),
+        (("icon1", "points.csv", "--to", "nirr"), "Did you mean 'nir'?"),
+        (("icon1", "points.csv", "--to", "nir:560"), "Did you mean '550 nm'?"),
+    ],
+)
+def test_map_says_what_is_wrong_and_ends_with_1(mapped, monkeypatch, words, told):
+    (mapped / "points.csv").write_text("x,y\n1,2\n")
+    (mapped / "latin.csv").write_bytes(b"x,y\n1,2\n\xe9,3\n")
+    monkeypatch.chdir(mapped)
+    status, out, err = run("map", mapped, *words)
+    assert status == 1 and out == "" and told in err and len(err.splitlines()) <= 3
+
+
+def test_control_points_of_no_known_kind_are_quoted_as_text(tmp_path):
+    (tmp_path / "a.csv").write_text("x,y\n1,2\n")
+    _, _, err = run("points", "convert", tmp_path / "a.csv", tmp_path / "b.csv")
+    assert "found 'x,y'" in err and "b'" not in err
+
+
+# --- bar and help ---------------------------------------------------------------------------------
+
+
+def drawn(steps):
+    """Return what a terminal shows while steps go by."""
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=160, color_system=None)
+    draw_bar(steps, console)
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen.getvalue())
+
+
+def test_the_bar_counts_work_alone_and_promises_no_time():
+    keys = [Key("a", camera, stage="calibrate") for camera in ("c1", "c2", "c3", "c4")]
+    steps = [
+        Step(keys[0], "fresh", done=1, total=4), Step(keys[1], "fresh", done=2, total=4),
+        Step(keys[2], "running", done=2, total=4), Step(keys[2], "done", done=3, total=4),
+        Step(keys[3], "running", done=3, total=4),
+    ]  # fmt: skip
+    shown = drawn(iter(steps))
+    assert "1 of at most 2" in shown and "of at most 4" not in shown.replace("0 of at most 3", "")
+    assert "0:00; 0:00 in all" in shown and "a/c4 calibrate" in shown
+    assert "-:--" not in shown and "remaining" not in shown
+
+
+def test_the_bar_shows_the_frames_that_a_stage_reads(tmp_path):
+    from levkas.readers.frames import read_frame
+
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 5), np.uint16))
+
+    def steps():
+        key = Key("a", "c", stage="calibrate")
+        yield Step(key, "running", done=0, total=2)
+        for _ in range(3):
+            read_frame(tmp_path / "a.tif")
+        yield Step(Key("a", "d", stage="calibrate"), "fresh", done=1, total=2)
+
+    assert "0:00, 3 frames; " in drawn(steps())
+
+
+def test_a_refusal_above_the_bar_is_three_lines():
+    problem = Problem("E_X", "it is broken", "a.tif", found=[1, 2], fix="Mend it.")
+    step = Step(Key("a", "c", stage="register"), "refused", done=1, total=1, problems=(problem,))
+    shown = drawn(iter([step, step]))
+    assert shown.count("E_X: it is broken") == 1
+    assert "  where: a.tif: found [1, 2]" in shown and "  do: Mend it." in shown
+
+
+def test_the_commands_are_listed_in_groups_in_the_order_of_work():
+    _, out, _ = run("--help")
+    places = [out.index(f"\n{title}:") for title in ORDER]
+    assert places == sorted(places) and "…" not in out and "..." not in out.split("Options:")[1]
+    import typer.main
+
+    listed = [name for names in ORDER.values() for name in names]
+    assert sorted(listed) == sorted(typer.main.get_command(app).commands)
