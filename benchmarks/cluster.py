@@ -13,6 +13,7 @@ CAMPAIGN is simulated where none is given. Other work on the machine is in the t
 import json
 import os
 import random
+import runpy
 import signal
 import subprocess
 import sys
@@ -27,10 +28,12 @@ from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
 from levkas.simulation import simulate_campaign
 
-SMALL = {"scale": 0.1, "objects": 4, "cameras": ["lctf-vis", "d80"]}
+PLATES = tuple(f"plate{number:02}" for number in range(12))
+EVERY_KIND = Path(__file__).resolve().parents[1] / "tests/building/every_kind.py"
 KILLS, EVERY_S, STOPPED_S, WORKERS = 30, 2.0, 60.0, 3
 LEVKAS = [sys.executable, "-c", "from levkas.cli import main; main()"]
-DASK = [sys.executable, "-m", "dask"]
+HELD = "from levkas.core.instructions import hold_instructions; hold_instructions(); "
+DASK = [sys.executable, "-c", f"{HELD}from dask.__main__ import main; main()"]
 WITH_MESSAGES = """
 import sys, distributed.comm.tcp as tcp
 sizes, write, read = [0], tcp.to_frames, tcp.from_frames
@@ -50,10 +53,15 @@ finally:
 """
 
 
-def simulated(folder, **more):
-    for _ in simulate_campaign(folder, preset="small", **more):
+def simulated(folder):
+    for _ in simulate_campaign(folder, preset="small", objects=2):
         pass
     return folder
+
+
+def plates(folder):
+    """Write a campaign of tasks of about a second."""
+    return runpy.run_path(str(EVERY_KIND))["make"](folder, PLATES, ("photo", "xray"))
 
 
 def build(campaign, output, *options, threads=None, program=LEVKAS):
@@ -210,6 +218,7 @@ if __name__ == "__main__":
     what = sys.argv[1] if sys.argv[1:] else "speed"
     with tempfile.TemporaryDirectory() as place:
         given = Path(sys.argv[2]) if sys.argv[2:] else None
-        size = {"objects": 2} if what == "speed" else SMALL
-        chosen = given or simulated(Path(place) / "campaign", **size)
+        folder = Path(place) / "campaign"
+        make = simulated if what == "speed" else plates
+        chosen = given or make(folder)
         {"speed": speed, "kills": kills}[what](chosen.resolve(), Path(place))

@@ -200,13 +200,14 @@ class Cluster:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What differs from worker to worker, and may differ in the last bits of what they compute."""
+        """What differs from machine to machine, this one among them, and so may differ in the last bits."""
         told = []
         for name in ("python", "numpy", "BLAS", "instruction set"):
             kinds = Counter(str(one[name]) for one in self.facts.values())
-            if len(kinds) > 1:
+            here = str(facts()[name]) if kinds else ""
+            if kinds and {*kinds} != {here}:
                 each = "; ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items()))
-                told.append(f"the workers are unlike in {name}: {each}")
+                told.append(f"the workers are unlike in {name}: {each}; this machine {here}")
         return tuple(told)
 
     def workers(self) -> list[str]:
@@ -237,7 +238,7 @@ class Cluster:
 
 
 class Greeting(WorkerPlugin):  # type: ignore[misc]
-    """Prepares a worker: threads, memory, resources; and says what it is."""
+    """Prepares a worker: threads, memory, resources; and has it say what it is."""
 
     def __init__(self, topic: str, kept: str) -> None:
         self.topic, self.kept = topic, kept
