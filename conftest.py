@@ -2,8 +2,12 @@
 
 from collections.abc import Iterator
 
-import numpy as np
-import pytest
+from levkas.core.instructions import hold_instructions
+
+hold_instructions()  # before NumPy is loaded: what tests build in this process is what commands build
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
 
 
 @pytest.fixture(autouse=True)

@@ -1,12 +1,15 @@
 """One campaign built under other circumstances: the databases must be the same, byte for byte.
 
-    python benchmarks/same_bytes.py [FOLDER] [--plain] [--matrix | --single]
+    python benchmarks/same_bytes.py [FOLDER] [--plain] [--matrix | --single | --instructions | --processors]
 
 A mosaic camera, one of many bands and a line scan, simulated. First one circumstance at a time: other
 numbers of threads, order and dates of the files, folder, locale, time zone and day. Then (``--matrix``:
 this alone; ``--single``: not this) 1, 2 and 3 threads x 64, 97 and all rows at a time, each with its
 files made in an order of their own, in a folder, locale and time zone of their own; once with the scan
-held in memory, once with it streamed. FOLDER keeps the simulated campaign. With ``--plain`` FOLDER is
+held in memory, once with it streamed. ``--instructions`` (this alone) asks each library for other
+instructions, which held libraries do not heed: with ``LEVKAS_INSTRUCTIONS=native`` it shows what each
+would change. ``--processors`` (this alone) builds on emulated processors, by ``qemu-x86_64-static`` of the
+package qemu-user-static, or the program that $QEMU names. FOLDER keeps the simulated campaign. With ``--plain`` FOLDER is
 any campaign, and nothing is simulated.
 """
 
@@ -59,6 +62,8 @@ if "shuffled" in how:
         close = __exit__
     os.listdir = lambda *place: mixed(listed(*place))
     os.scandir = lambda *place: Scan(mixed(scanned(*place)))
+from levkas.core.instructions import hold_instructions
+hold_instructions()
 from levkas.building import build, scans, streaming, summarise
 if "streamed" in how:
     scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 3_000_000
@@ -101,6 +106,34 @@ MATRIX |= {
     for threads in THREADS
     for row, tile in enumerate(TILES)
 }
+INSTRUCTIONS: dict[str, dict[str, str]] = {
+    "OpenBLAS for Nehalem": {"OPENBLAS_CORETYPE": "Nehalem"},
+    "OpenBLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "NumPy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR"},
+    "NumPy without AVX": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"},
+    "OpenCV without AVX-512": {"OPENCV_CPU_DISABLE": "AVX512-SKX"},
+    "OpenCV without AVX": {"OPENCV_CPU_DISABLE": "AVX,FP16,AVX2,AVX512-SKX"},
+    "IPP for SSE4.2": {"OPENCV_IPP": "sse42"},
+    "no IPP": {"OPENCV_IPP": "disabled"},
+    "C library without fused multiply-add": {
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-AVX512F,-AVX512VL,-AVX512BW,-AVX512DQ"
+    },
+    "numba for any x86-64": {"NUMBA_CPU_NAME": "generic"},
+}
+INSTRUCTIONS["the least of all of them"] = {
+    variable: value
+    for name in INSTRUCTIONS
+    if name not in ("OpenBLAS for Haswell", "NumPy without AVX-512", "OpenCV without AVX-512")
+    for variable, value in INSTRUCTIONS[name].items()
+}
+EMULATED = {
+    f"emulated {name}": ({"NUMBA_CPU_NAME": "generic"}, 0, f"emulated {name}")
+    for name in ("Nehalem", "Haswell")  # without and with AVX2 and fused multiply-add
+}
+LIBRARIES: dict[str, tuple[dict[str, str], int, str]] = {
+    **{name: (settings, 0, "") for name, settings in INSTRUCTIONS.items()},
+    **EMULATED,
+}
 
 
 def scatter(folder: Path, copy: Path, seed: int) -> None:
@@ -116,7 +149,7 @@ def scatter(folder: Path, copy: Path, seed: int) -> None:
 
 def run(folder: Path, output: Path, name: str) -> dict[str, str]:
     """Build in a process of its own, and return the hashes."""
-    more, days, how = {**CIRCUMSTANCES, **MATRIX}[name]
+    more, days, how = {**CIRCUMSTANCES, **MATRIX, **LIBRARIES}[name]
     if "shuffled" in how:
         elsewhere = output.with_name(f"{output.name} elsewhere")
         scatter(folder, elsewhere, 3 + days)
@@ -124,6 +157,9 @@ def run(folder: Path, output: Path, name: str) -> dict[str, str]:
     command = [sys.executable, "-c", BUILD, str(folder), str(output), str(days), how]
     if how == "pinned":
         command[2] = "import os; os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])" + BUILD
+    if how.startswith("emulated"):
+        emulator = os.environ.get("QEMU", "qemu-x86_64-static")
+        command = [emulator, "-cpu", how.removeprefix("emulated "), *command]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, **more})
     return hash_tree(output)
 
@@ -168,4 +204,6 @@ if __name__ == "__main__":
     chosen = [list(CIRCUMSTANCES), held, [name for name in MATRIX if name not in held]]
     chosen = chosen[1:] if "--matrix" in sys.argv else chosen
     chosen = chosen[:1] if "--single" in sys.argv else chosen
+    chosen = [["as it comes", *INSTRUCTIONS]] if "--instructions" in sys.argv else chosen
+    chosen = [["as it comes", *EMULATED]] if "--processors" in sys.argv else chosen
     sys.exit(main(where, chosen, plain="--plain" in sys.argv))

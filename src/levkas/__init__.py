@@ -13,6 +13,7 @@ _HOMES = {
     "load_campaign": "campaign.campaign",
     "find_captures": "campaign.discovery.find_captures",
     "open": "database",
+    "hold_instructions": "core.instructions",
     "read_stiff": "database.spectral_tiff",
     "write_stiff": "database.spectral_tiff",
     "read_mtiff": "database.spectral_tiff",

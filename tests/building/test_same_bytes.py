@@ -36,6 +36,8 @@ def plate(make_plates, tmp_path_factory):
         "2 threads, whole rows",
         "3 threads, 97 rows",
         "Turkish, Kathmandu, 400 days on",
+        "OpenBLAS for Haswell",
+        "C library without fused multiply-add",
     ],
 )
 def test_the_bytes_are_the_same(name, plate, other_ways, tmp_path):

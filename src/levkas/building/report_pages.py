@@ -18,6 +18,7 @@ from levkas.building.sources import LIBRARIES
 from levkas.calibration.sensor_context import Times, times_of
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
+from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
 from levkas.database.registrations import describe_pairs, read_registration, shares_light
 from levkas.pages.maps import draw_maps
@@ -345,7 +346,8 @@ def provenance_of(
     Returns
     -------
     record : dict
-        ``levkas`` and ``libraries``: versions. ``steps``: of every stage that has ended well, in order,
+        ``levkas`` and ``libraries``: versions. ``instructions``: as of `describe_instructions`, in
+        the process that wrote this record. ``steps``: of every stage that has ended well, in order,
         ``camera``, ``setup``, ``stage``, ``code`` (hash of the sources that it rests on),
         ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
         chunks, which hold the same numbers as the TIFFs); of a calibration ``frames`` too: of every
@@ -357,7 +359,13 @@ def provenance_of(
             if step := _step(records, key):
                 frames = _frames(campaign, capture, step["inputs"])
                 steps.append(step | ({"frames": frames} if key.stage == "calibrate" else {}))
-    return {"object": name, "levkas": __version__, "libraries": _libraries(), "steps": steps}
+    return {
+        "object": name,
+        "levkas": __version__,
+        "libraries": _libraries(),
+        "instructions": describe_instructions(),
+        "steps": steps,
+    }
 
 
 def _step(records: BuildRecords, key: Key) -> dict[str, Any]:

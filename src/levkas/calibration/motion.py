@@ -149,7 +149,7 @@ def _limit(freedom: int) -> float:
     return MISFIT * 2 * float(gammainccinv(9 * freedom / 2, BY_CHANCE)) / freedom
 
 
-@njit(parallel=True, cache=True, fastmath={"contract"})
+@njit(parallel=True, cache=True)
 def _find(mean, variance, saturated, dark, model, period):  # type: ignore[no-untyped-def]
     """Return where a pixel and its neighbours, those beyond the border left out, pass the limit.
 

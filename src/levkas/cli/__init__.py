@@ -11,6 +11,7 @@ import typer.core
 
 from levkas import __version__
 from levkas.cli import build, demo, doctor, estimate, evaluate, inspect, measure, plan, publish
+from levkas.core.instructions import hold_instructions
 
 ORDER = {
     "Begin": ("doctor", "demo", "look", "plan", "simulate"),
@@ -107,5 +108,6 @@ app.add_typer(_points, name="points")
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line, with libraries that compute alike on unlike processors."""
+    hold_instructions()
     app()

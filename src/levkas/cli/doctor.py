@@ -19,6 +19,7 @@ import typer
 import levkas
 from levkas import __version__
 from levkas.cli.output import Json, finish, refusing
+from levkas.core.instructions import BASELINE, describe_instructions
 from levkas.core.machine import (
     MEMORY,
     THREADS,
@@ -195,6 +196,7 @@ def _look(folder: Path) -> Iterator[MachineFinding]:
     yield _find_memory()
     yield _find_disk(folder)
     yield _find_threads()
+    yield _find_instructions()
     yield _find_kernel_cache()
     for one, extra in optional:
         yield _package(one, EXTRAS[extra], lacking="absent")
@@ -396,6 +398,17 @@ def _find_threads() -> MachineFinding:
         "",
         "speed; the bytes are the same",
     )
+
+
+def _find_instructions() -> MachineFinding:
+    """Say which instruction set the numerical libraries are held to."""
+    name, purpose = "instructions", "the same bytes on unlike processors"
+    try:
+        found = describe_instructions()
+    except (ImportError, OSError, AttributeError):  # the line of that library says why
+        return MachineFinding(name, "absent", "", BASELINE, purpose, "Mend the libraries above.")
+    text = found.pop("level") + "; " + "; ".join(f"{k} {v}" for k, v in found.items())
+    return MachineFinding(name, "ok", text, BASELINE, purpose)
 
 
 def _find_kernel_cache() -> MachineFinding:
