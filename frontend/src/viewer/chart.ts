@@ -8,7 +8,7 @@ import type { Layer, Mark } from "./record";
 import type { Spectrum } from "./spectra";
 
 export interface Curve {
-  layer: Layer;
+  layer: Pick<Layer, "bands">;
   spectrum: Spectrum;
   colour: string;
 }
@@ -151,7 +151,11 @@ function drawDoubt(
   );
 }
 
-function samplesOf({ layer, spectrum: { values, sigma, flags } }: Curve, marks: Mark[]): Sample[] {
+/** The bands of a curve that have a wavelength and were seen, by wavelength. */
+export function samplesOf(
+  { layer, spectrum: { values, sigma, flags } }: Curve,
+  marks: Mark[],
+): Sample[] {
   const samples = layer.bands.flatMap(({ wavelength, centroid, fwhm }, i) => {
     const [nm, value, bits] = [wavelength ?? centroid, values[i]!, flags?.[i] ?? 0];
     if (nm === null || !Number.isFinite(value) || bits & OUTSIDE) return [];

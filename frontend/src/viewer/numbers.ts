@@ -91,9 +91,11 @@ function fixed(value: number | undefined, digits: number): string {
   return value !== undefined && Number.isFinite(value) ? value.toFixed(digits) : "–";
 }
 
-/** The spectra of a pixel as a table of comma-separated values. */
-export function toCsv([x, y]: Point, readings: Pick<Reading, "layer" | "spectrum">[]): string {
-  const lines = readings.flatMap(({ layer, spectrum }) =>
+export const CSV_HEAD = "x,y,layer,band,wavelength_nm,value,sigma,flags";
+
+/** The spectra of a pixel as lines of comma-separated values, a band a line. */
+export function csvRows([x, y]: Point, readings: Pick<Reading, "layer" | "spectrum">[]): string[] {
+  return readings.flatMap(({ layer, spectrum }) =>
     layer.bands.flatMap((band, i) => {
       if (!spectrum) return [];
       const { values, sigma, flags } = spectrum;
@@ -103,7 +105,11 @@ export function toCsv([x, y]: Point, readings: Pick<Reading, "layer" | "spectrum
       return [x, y, name, label, nm, shortest(values[i]!), spread, flags?.[i] ?? ""].join();
     }),
   );
-  return ["x,y,layer,band,wavelength_nm,value,sigma,flags", ...lines, ""].join("\n");
+}
+
+/** The spectra of a pixel as a table of comma-separated values. */
+export function toCsv(pixel: Point, readings: Pick<Reading, "layer" | "spectrum">[]): string {
+  return [CSV_HEAD, ...csvRows(pixel, readings), ""].join("\n");
 }
 
 /** A cell in quotation marks; one that begins like a formula would be one in a spreadsheet. */

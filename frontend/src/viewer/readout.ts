@@ -5,7 +5,7 @@ import { describeDoubts, drawChart, type Range } from "./chart";
 import { Lattice } from "./lattice";
 import { describeChannels, numbersTable, toCsv, type Reading } from "./numbers";
 import type { Layer, PageRecord } from "./record";
-import { Spectra } from "./spectra";
+import type { LayerSpectra, Spectra } from "./spectra";
 
 const CURVES = 8; // colours of the style sheet, --curve-1 and on
 
@@ -34,6 +34,7 @@ export class Readout {
   constructor(
     host: HTMLElement,
     private readonly record: PageRecord,
+    spectra: LayerSpectra,
     private readonly hint: string,
   ) {
     this.sources = record.layers
@@ -41,7 +42,7 @@ export class Readout {
       .map((layer, i) => ({
         layer,
         colour: `var(--curve-${(i % CURVES) + 1})`,
-        spectra: layer.spectra && new Spectra(layer, layer.spectra),
+        spectra: spectra.get(layer) ?? null,
         lattice: layer.lattice && new Lattice(layer, layer.lattice),
       }));
     const label = "Numbers of the spectra";

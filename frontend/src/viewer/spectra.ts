@@ -77,6 +77,15 @@ export class Spectra {
   }
 }
 
+/** The spectra of every layer that has them; one reader a layer, for its files are scripts that load once. */
+export type LayerSpectra = Map<Layer, Spectra>;
+
+export function openSpectra(layers: Layer[]): LayerSpectra {
+  return new Map(
+    layers.flatMap((layer) => (layer.spectra ? [[layer, new Spectra(layer, layer.spectra)]] : [])),
+  );
+}
+
 /** Where an array of bands x rows x columns stands among bytes, and how many bytes a sample has. */
 export interface Block {
   start: number;

@@ -4,8 +4,9 @@ import { make } from "../shared/element";
 import { Pane, type Layer, type PaneOptions, type Point } from "../shared/pane";
 import { Stage, type Wanted } from "../shared/stage";
 import { addressOf, mixedSource } from "./mixing";
+import { pinColour } from "./pins";
 import type { Picture } from "./record";
-import type { Slot, State } from "./state";
+import type { Pin, Slot, State } from "./state";
 
 /** The stage of the viewer; both panes have the grid's pixels. */
 export class PaintingStage extends Stage<Pane> {
@@ -41,14 +42,20 @@ export class PaintingStage extends Stage<Pane> {
     }
   }
 
-  /** Mark a pixel in both panes, or take the marks away. */
-  mark(pixel: Point | null): void {
+  /** Mark the pixel that is read, if any, and the places that are kept in both panes. */
+  mark(pixel: Point | null, pins: Pin[]): void {
+    const placement = OpenSeadragon.Placement.CENTER;
     for (const pane of [this.left, this.right]) {
       pane.viewer.clearOverlays();
-      if (!pixel) continue;
-      const element = make("div", { class: "pin", "aria-hidden": "true" });
-      const placement = OpenSeadragon.Placement.CENTER;
-      pane.viewer.addOverlay({ element, location: pane.toViewport(...pixel), placement });
+      const add = (element: HTMLElement, place: Point): void => {
+        pane.viewer.addOverlay({ element, location: pane.toViewport(...place), placement });
+      };
+      for (const [i, { at }] of pins.entries()) {
+        const element = make("div", { class: "kept-pin", "aria-hidden": "true" }, String(i + 1));
+        element.style.background = pinColour(i);
+        add(element, at);
+      }
+      if (pixel) add(make("div", { class: "pin", "aria-hidden": "true" }), pixel);
     }
   }
 

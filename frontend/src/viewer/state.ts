@@ -10,11 +10,19 @@ export interface Choice {
   picture: Picture;
 }
 
+/** A place that is kept: its name and where it is on the grid, fractions kept. */
+export interface Pin {
+  name: string;
+  at: Point;
+}
+
 export class State {
   readonly a = signal<Choice | null>(null);
   readonly b = signal<Choice | null>(null);
   /** The pixel whose spectrum is held, fractions kept. */
   readonly pin = signal<Point | null>(null);
+  /** Places that are kept. */
+  readonly pins = signal<Pin[]>([]);
 
   swap(): void {
     const { a, b } = this;

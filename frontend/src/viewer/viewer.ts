@@ -19,11 +19,13 @@ import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
 import { LayerList } from "./layers";
+import { LONGEST_NAME, MOST_PINS, PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
 import { ScaleBar } from "./scalebar";
+import { openSpectra } from "./spectra";
 import { PaintingStage } from "./stage";
-import { State, type Slot } from "./state";
+import { State, type Pin, type Slot } from "./state";
 import { fillToolbar, MODES } from "./toolbar";
 
 const ZOOM_STEP = 1.4;
@@ -35,7 +37,12 @@ const record = readRecord();
 const state = new State();
 const stage = new PaintingStage(find("stage"), [record.grid.width, record.grid.height], state);
 const layers = new LayerList(find("layers"), record, state);
-const readout = new Readout(find("spectrum"), record, HINT);
+const spectra = openSpectra(record.layers);
+const readout = new Readout(find("spectrum"), record, spectra, HINT);
+const pins = new PinList(find("pins"), record, spectra, state, (place) => {
+  state.pin.value = place;
+  stage.look(...place, stage.heading[2], false);
+});
 const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
 startTheme(find<HTMLButtonElement>("theme"));
@@ -78,7 +85,7 @@ stage.onPick = (pixel) => {
 
 effect(() => {
   const pin = state.pin.value;
-  stage.mark(pin);
+  stage.mark(pin, state.pins.value);
   if (pin) void readout.show(pin, true);
   else readout.clear();
 });
@@ -141,6 +148,7 @@ const keys: Key[] = [
   arrowKey("Shift ← ↑ → ↓", "Move the pin by a pixel", true, (event) =>
     movePin(...direction(event)),
   ),
+  key("P", ["p"], "Keep the pinned place", () => pins.keep()),
   key("Esc", ["Escape"], "Let go of the pin", () => (state.pin.value = null)),
   key("?", ["?"], "This page", () => help.showModal()),
 ];
@@ -167,7 +175,16 @@ function remember(): void {
       const choice = state[slot].value;
       if (choice) facts.set(slot, `${choice.layer.name}/${choice.picture.key}`);
     }
+    // Other objects keep how they are looked at, not where.
+    for (const id of ["previous", "next"]) {
+      const link = document.getElementById(id);
+      const shown = ["mode", "a", "b"].map((name) => [name, facts.get(name) ?? ""]);
+      if (link instanceof HTMLAnchorElement)
+        link.hash = new URLSearchParams(shown.filter(([, value]) => value)).toString();
+    }
     if (state.pin.value) facts.set("pin", state.pin.value.map((at) => at.toFixed(2)).join());
+    for (const { name, at } of state.pins.value)
+      facts.append("kept", [...at.map((value) => value.toFixed(2)), name].join());
     history.replaceState(null, "", `#${facts.toString()}`);
   }, SAVE_AFTER_MS);
 }
@@ -189,12 +206,25 @@ function recall(): void {
   };
   const [at, scale, pin] = [numbers("at"), numbers("scale"), numbers("pin")];
   if (at?.length === 2 && scale && scale[0]! > 0) stage.look(at[0]!, at[1]!, scale[0]!);
-  if (pin?.length === 2) state.pin.value = [pin[0]!, pin[1]!];
+  state.pin.value = pin?.length === 2 ? [pin[0]!, pin[1]!] : null;
+  state.pins.value = facts.getAll("kept").slice(0, MOST_PINS).flatMap(readPin);
+}
+
+/** Read a kept place from an address, "x,y,name"; none where it is not on the painting. */
+function readPin(text: string): Pin[] {
+  const [x, y, ...rest] = text.split(",");
+  const at: Point = [Number(x), Number(y)];
+  const { width, height } = record.grid;
+  const inside = at[0] >= 0 && at[1] >= 0 && at[0] <= width - 1 && at[1] <= height - 1;
+  return inside ? [{ name: rest.join().slice(0, LONGEST_NAME), at }] : [];
 }
 
 if (layers.layers.length) {
   recall();
-  watch([state.a, state.b, state.pin, stage.mode], remember);
+  addEventListener("hashchange", () => {
+    if (location.hash.includes("=")) recall(); // a link was pasted over this one
+  });
+  watch([state.a, state.b, state.pin, state.pins, stage.mode], remember);
   stage.onMove = () => {
     scaleBar.update(stage.left.scale);
     remember();
@@ -202,4 +232,4 @@ if (layers.layers.length) {
 }
 
 // For tests and for the curious: the parts by name.
-Object.assign(window, { levkasViewer: { stage, layers, state, readout, record } });
+Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, record } });

@@ -145,6 +145,7 @@ class Cluster:
     sizes: dict[str, float] = field(default_factory=dict)
     """Bytes of every worker that was ever seen, by address."""
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    mine: dict[str, Any] = field(default_factory=lambda: facts())
     events: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     _client: Client | None = None
     _scheduler: str = ""
@@ -185,7 +186,7 @@ class Cluster:
         worker = told["worker"]
         self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
         if told["code"] != code_digest():
-            mine = facts()
+            mine = self.mine
             unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
             raise ClusterRefused(
                 Problem(
@@ -200,14 +201,13 @@ class Cluster:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What differs from machine to machine, this one among them, and so may differ in the last bits."""
-        told = []
+        """What workers and this process differ in, and what they compute may in its last bits."""
+        told, mine = [], self.mine
         for name in ("python", "numpy", "BLAS", "instruction set"):
             kinds = Counter(str(one[name]) for one in self.facts.values())
-            here = str(facts()[name]) if kinds else ""
-            if kinds and {*kinds} != {here}:
+            if kinds.keys() - {str(mine[name])}:
                 each = "; ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items()))
-                told.append(f"the workers are unlike in {name}: {each}; this machine {here}")
+                told.append(f"the workers are unlike in {name}: {each}; here {mine[name]}")
         return tuple(told)
 
     def workers(self) -> list[str]:
@@ -238,7 +238,7 @@ class Cluster:
 
 
 class Greeting(WorkerPlugin):  # type: ignore[misc]
-    """Prepares a worker: threads, memory, resources; and has it say what it is."""
+    """Prepares a worker: threads, memory, resources; and says what it is."""
 
     def __init__(self, topic: str, kept: str) -> None:
         self.topic, self.kept = topic, kept

@@ -13,7 +13,6 @@ import threading
 import time
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,16 +100,23 @@ def digest_of(task: Task) -> str:
 
 
 def facts() -> dict[str, Any]:
-    """Return what the numbers of this process rest on."""
-    found = describe_instructions()
+    """Return what the numbers of this process rest on, and the bytes that it may take."""
+    used = describe_instructions()
     return {
         "levkas": __version__,
         "code": code_digest(),
         "python": platform.python_version(),
-        "numpy": version("numpy"),
-        "BLAS": found["blas"],
-        "instruction set": f"{found['level']}: numpy {found['numpy']}, OpenCV {found['opencv']}",
+        "numpy": _numpy_version(),
+        "BLAS": used["blas"],
+        "instruction set": f"{used['level']}: numpy {used['numpy']}, opencv {used['opencv']}",
+        "pid": os.getpid(),
     }
+
+
+def _numpy_version() -> str:
+    import numpy as np
+
+    return np.__version__
 
 
 def prepare(threads: int, memory: float | None) -> float:

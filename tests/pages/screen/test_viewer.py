@@ -1,3 +1,4 @@
+import csv
 import io
 import re
 from pathlib import Path
@@ -461,3 +462,79 @@ def test_the_predicted_error_of_every_registered_camera_can_be_shown(browser, ad
         page.keyboard.press(digit)
         options = page.locator(".picker-a select").first.locator("option").all_inner_texts()
         assert "Registration error" in options, digit
+
+
+def keep_places(page):
+    for x, y in ((25, 25), (95, 65)):
+        click_pixel(page, x, y)
+        page.keyboard.press("p")
+    page.get_by_label("Name of place 2").fill('=azurite, "dark"')
+    page.wait_for_function("() => location.hash.includes('azurite')")
+
+
+def test_kept_places_stand_in_the_address_and_on_the_painting(browser, address):
+    page = open_object(browser, address("file"))
+    keep_places(page)
+    again = open_object(browser, page.url)
+    names = [again.get_by_label(f"Name of place {n}").input_value() for n in (1, 2)]
+    assert names == ["Place 1", '=azurite, "dark"']
+    assert again.locator(".stage .pane:not([hidden]) .kept-pin").count() >= 2
+    again.wait_for_selector("#pins svg .line")
+    assert again.locator("#pins svg .line").count() == 2
+    assert "holds nothing" not in again.locator("#spectrum").inner_text()
+    again.get_by_label("Remove Place 1").click()
+    assert again.locator(".pins li").count() == 1
+    # A link pasted over the page's own is followed; one to a part of the page changes nothing.
+    again.evaluate("location.hash = '#stage'")
+    assert again.locator(".pins li").count() == 1
+    again.evaluate("location.hash = '#a=vis/colour&kept=30,40,Red%20lake&kept=9999,1,far&kept=x'")
+    again.wait_for_selector("text=30, 40")
+    assert again.locator(".pins li").count() == 1
+
+
+def test_kept_places_are_saved_with_the_numbers_of_all_cameras(browser, viewer, address):
+    page = open_object(browser, address("file"))
+    keep_places(page)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save places as CSV").click()
+    with Path(download.value.path()).open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["place"] for row in rows} == {"Place 1", "'=azurite, \"dark\""}
+    pages = open_pages(viewer / "objects/icon1/icon1_vis.tif")
+    chosen = [r for r in rows if r["layer"] == "vis" and r["place"] == "Place 1"]
+    expected = [pages.read_page(band)[25, 25] for band in range(len(chosen))]
+    assert len(chosen) > 3 and np.array_equal([np.float32(r["value"]) for r in chosen], expected)
+
+
+def test_a_reference_spectrum_lies_over_the_kept_ones_with_its_angle(browser, address, tmp_path):
+    page = open_object(browser, address("file"))
+    keep_places(page)
+    page.wait_for_selector("#pins svg .line")
+    bands, values = page.evaluate(
+        "async () => { const l = levkasViewer.record.layers.find(l => l.name === 'vis');"
+        " const s = levkasViewer.pins.sources.find(s => s.layer === l);"
+        " const r = await s.spectra.read(25, 25);"
+        " return [l.bands.map(b => b.wavelength), [...r.values]]; }"
+    )
+    page.get_by_label("Layer whose spectra are compared").select_option("vis")
+    path = tmp_path / "lead white.csv"
+    path.write_text("".join(f"{nm},{v / 2}\n" for nm, v in zip(bands, values, strict=True)))
+    page.get_by_label("File of a reference spectrum").set_input_files(path)
+    page.wait_for_selector("text=not an identification")
+    angles = page.locator(".angle").all_inner_texts()
+    assert angles[0] == "0.0°" and float(angles[1].rstrip("°")) > 0.5
+    assert page.locator("#pins svg .line").count() == 3
+    (tmp_path / "bad.csv").write_text("<img src=x onerror=alert(1)>\n")
+    page.get_by_label("File of a reference spectrum").set_input_files(tmp_path / "bad.csv")
+    page.wait_for_selector("text=bad.csv has no spectrum")
+    assert page.locator("#pins svg .line").count() == 2
+
+
+def test_the_next_object_is_looked_at_in_the_same_way(browser, address):
+    page = open_object(browser, address("file") + "#a=vis/flags&b=vis/colour&mode=curtain&pin=30,40")
+    page.wait_for_function("() => location.hash.includes('scale')")
+    page.keyboard.press("]")
+    page.wait_for_url("**/icon2/**")
+    page.wait_for_function("() => levkasViewer.stage.mode.value === 'curtain'")
+    page.wait_for_function("() => levkasViewer.state.a.value.picture.key === 'flags'")
+    assert page.evaluate("levkasViewer.state.pin.value") is None

@@ -1,0 +1,228 @@
+// Places that are kept: named, marked on the painting, their spectra over one another.
+import { effect } from "@preact/signals-core";
+import { make, saveFile } from "../shared/element";
+import type { Point } from "../shared/pane";
+import { drawChart, samplesOf, type Curve } from "./chart";
+import { csvRows, CSV_HEAD, quoted } from "./numbers";
+import type { Layer, PageRecord } from "./record";
+import { parseReference, spectralAngle, type Reference } from "./reference";
+import type { LayerSpectra, Spectra, Spectrum } from "./spectra";
+import type { Pin, State } from "./state";
+
+export const MOST_PINS = 24;
+export const LONGEST_NAME = 60;
+const CURVES = 8; // colours of the style sheet, --curve-1 and on
+const LARGEST_FILE = 2_000_000; // bytes
+
+/** The colour of the pin of a number, from 0. */
+export const pinColour = (number: number): string => `var(--curve-${(number % CURVES) + 1})`;
+
+interface Source {
+  layer: Layer;
+  spectra: Spectra;
+}
+
+/** The panel "Kept places". */
+export class PinList {
+  private readonly sources: Source[];
+  private readonly choice = make("select", { "aria-label": "Layer whose spectra are compared" });
+  private readonly list = make("ol", { class: "pins" });
+  private readonly drawing = make("div", { class: "drawing" });
+  private readonly file = make("input", {
+    type: "file",
+    accept: ".csv,.txt,.tsv,text/csv,text/plain",
+    class: "unseen",
+    "aria-label": "File of a reference spectrum",
+  });
+  private readonly forget = make(
+    "button",
+    { type: "button", class: "small" },
+    "Remove the reference",
+  );
+  private readonly message = make("p", { class: "note-line soft", role: "status" });
+  private readonly save = make("button", { type: "button", class: "small" }, "Save places as CSV");
+  private reference: Reference | null = null;
+  private turn = 0;
+
+  constructor(
+    host: HTMLElement,
+    private readonly record: PageRecord,
+    spectra: LayerSpectra,
+    private readonly state: State,
+    private readonly go: (place: Point) => void,
+  ) {
+    this.sources = [...spectra]
+      .filter(([{ bands }]) => bands.length)
+      .map(([layer, one]) => ({ layer, spectra: one }));
+    for (const { layer } of this.sources)
+      this.choice.append(make("option", { value: layer.name }, layer.name));
+    const most = [...this.sources].sort((a, b) => narrow(b.layer) - narrow(a.layer))[0];
+    if (most) this.choice.value = most.layer.name;
+    const keep = make("button", { type: "button", class: "small" }, "Keep this place");
+    const load = make("button", { type: "button", class: "small" }, "Load a reference (CSV)…");
+    const compared = make("label", { class: "compared" }, "Spectra of ", this.choice);
+    const tools = make("div", { class: "pin-tools" }, this.save, load, this.forget, this.file);
+    host.append(
+      make("div", { class: "pin-tools" }, keep, compared),
+      this.list,
+      this.drawing,
+      this.message,
+      tools,
+    );
+    keep.addEventListener("click", () => this.keep());
+    load.addEventListener("click", () => this.file.click());
+    this.file.addEventListener("change", () => void this.load());
+    this.forget.addEventListener("click", () => this.use(null));
+    this.choice.addEventListener("change", () => void this.refresh());
+    this.save.addEventListener("click", () => void this.saveAll());
+    effect(() => {
+      keep.disabled = !state.pin.value || state.pins.value.length >= MOST_PINS;
+    });
+    effect(() => {
+      this.save.disabled = !state.pins.value.length;
+      void this.refresh();
+    });
+  }
+
+  /** Keep the place that is pinned. */
+  keep(): void {
+    const { pin, pins } = this.state;
+    if (!pin.value || pins.value.length >= MOST_PINS) return;
+    const taken = new Set(pins.value.map(({ name }) => name));
+    let number = pins.value.length + 1;
+    while (taken.has(`Place ${number}`)) number++;
+    pins.value = [...pins.value, { name: `Place ${number}`, at: pin.value }];
+  }
+
+  private async load(): Promise<void> {
+    const file = this.file.files?.[0];
+    this.file.value = "";
+    if (!file) return;
+    try {
+      if (file.size > LARGEST_FILE) throw new Error(`${file.name} is too large for a spectrum.`);
+      this.use(parseReference(file.name, await file.text()));
+    } catch (error) {
+      this.use(null, error instanceof Error ? error.message : String(error));
+    }
+  }
+
+  private use(reference: Reference | null, message = ""): void {
+    this.reference = reference;
+    void this.refresh(message);
+  }
+
+  /** Read the spectra of all kept places and show them; an older reading that ends later is dropped. */
+  private async refresh(message = ""): Promise<void> {
+    const turn = ++this.turn;
+    const pins = this.state.pins.value;
+    const source = this.sources.find(({ layer }) => layer.name === this.choice.value);
+    const spectra = source ? await Promise.all(pins.map((pin) => read(source.spectra, pin))) : [];
+    if (turn !== this.turn) return;
+    const { flags } = this.record;
+    const curves = spectra.map((spectrum, i) =>
+      source && spectrum ? { layer: source.layer, colour: pinColour(i), spectrum } : null,
+    );
+    const angles = curves.map((curve) =>
+      curve && this.reference ? spectralAngle(samplesOf(curve, flags), this.reference) : null,
+    );
+    this.fill(pins, angles);
+    const known: Curve[] = curves.filter((curve) => curve !== null);
+    const reflectance = source?.layer.quantity === "reflectance";
+    if (this.reference && reflectance) known.push(curveOf(this.reference));
+    const quantity = reflectance ? "Reflectance" : "Counts";
+    const chart = known.length ? drawChart(known, { quantity, marks: flags, range: null }) : null;
+    this.drawing.replaceChildren(...(chart ? [chart] : []));
+    this.forget.hidden = !this.reference;
+    this.message.textContent = message || this.explain();
+  }
+
+  private explain(): string {
+    if (!this.reference) return "";
+    const { name, nm } = this.reference;
+    const range = `${nm[0]!.toFixed(0)} to ${nm.at(-1)!.toFixed(0)} nm`;
+    return `Grey: ${name}, ${range}. The spectral angle compares shapes; a small one is not an identification.`;
+  }
+
+  private fill(pins: Pin[], angles: (number | null)[]): void {
+    // Who types a name stays where they are.
+    const held = document.activeElement;
+    const typing = held instanceof HTMLInputElement && this.list.contains(held);
+    if (typing && this.list.childElementCount === pins.length) {
+      this.list.querySelectorAll(".angle").forEach((element, i) => {
+        element.textContent = describeAngle(angles[i] ?? null);
+      });
+      return;
+    }
+    this.list.replaceChildren(...pins.map((pin, i) => this.row(pin, i, angles[i] ?? null)));
+  }
+
+  private row(pin: Pin, number: number, angle: number | null): HTMLElement {
+    const badge = make("span", { class: "pin-number", "aria-hidden": "true" }, String(number + 1));
+    badge.style.background = pinColour(number);
+    const name = make("input", {
+      type: "text",
+      maxlength: LONGEST_NAME,
+      "aria-label": `Name of place ${number + 1}`,
+    });
+    name.value = pin.name;
+    name.addEventListener("input", () => this.change(number, { ...pin, name: name.value }));
+    const [x, y] = pin.at.map((at) => Math.round(at));
+    const where = make("button", { type: "button", class: "small" }, `${x}, ${y}`);
+    where.title = "Show this place";
+    where.addEventListener("click", () => this.go(this.state.pins.value[number]!.at));
+    const label = `Remove ${pin.name || `place ${number + 1}`}`;
+    const remove = make("button", { type: "button", class: "small", "aria-label": label }, "×");
+    remove.addEventListener("click", () => this.change(number, null));
+    const apart = make("span", { class: "angle" }, describeAngle(angle));
+    return make("li", {}, badge, name, where, apart, remove);
+  }
+
+  private change(number: number, pin: Pin | null): void {
+    const { pins } = this.state;
+    pins.value = pins.value.flatMap((old, i) => (i !== number ? [old] : pin ? [pin] : []));
+  }
+
+  private async saveAll(): Promise<void> {
+    const lines = await Promise.all(
+      this.state.pins.value.map(async (pin) => {
+        const pixel = pixelOf(pin);
+        const readings = await Promise.all(
+          this.sources.map(async ({ layer, spectra }) => ({
+            layer,
+            spectrum: await spectra.read(...pixel).catch(() => null),
+          })),
+        );
+        return csvRows(pixel, readings).map((row) => `${quoted(pin.name)},${row}`);
+      }),
+    );
+    const text = [`place,${CSV_HEAD}`, ...lines.flat(), ""].join("\n");
+    saveFile(`${this.record.object.name}_places.csv`, text, "text/csv");
+  }
+}
+
+const pixelOf = ({ at }: Pin): Point => [Math.round(at[0]), Math.round(at[1])];
+
+const describeAngle = (angle: number | null): string =>
+  angle === null ? "" : `${angle.toFixed(1)}°`;
+
+const narrow = ({ bands }: Layer): number =>
+  bands.filter(({ wavelength }) => wavelength !== null).length;
+
+function read(spectra: Spectra, pin: Pin): Promise<Spectrum | null> {
+  return spectra.read(...pixelOf(pin)).catch(() => null);
+}
+
+/** A reference as a curve of the chart, in grey. */
+function curveOf({ nm, values }: Reference): Curve {
+  const bands = nm.map((wavelength) => ({
+    label: String(wavelength),
+    wavelength,
+    centroid: null,
+    fwhm: null,
+  }));
+  return {
+    layer: { bands },
+    colour: "var(--soft)",
+    spectrum: { values: Float32Array.from(values), sigma: null, flags: null },
+  };
+}
