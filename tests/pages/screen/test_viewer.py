@@ -232,6 +232,13 @@ def test_the_picture_shows_the_render_at_any_zoom(browser, address, viewer, how)
             assert difference.max() < 40, (scale, x, y)
 
 
+def test_a_layer_that_was_aligned_by_hand_says_so(browser, address):
+    page = open_object(browser, address("file"))
+    row = page.locator("li.row", has=page.locator(".by-hand"))
+    assert row.locator(".layer-name").inner_text() == "rgb"
+    assert row.locator(".by-hand").inner_text() == "Aligned with 4 pairs by hand."
+
+
 @pytest.mark.parametrize("how", FLIGHTS)
 def test_the_curtain_shows_a_left_and_b_right_of_a_visible_line(browser, address, viewer, how):
     page = open_object(browser, address(how, fragment="#a=vis/colour&b=vis/flags"))
@@ -499,7 +506,7 @@ def test_kept_places_are_saved_with_the_numbers_of_all_cameras(browser, viewer, 
         page.get_by_role("button", name="Save places as CSV").click()
     with Path(download.value.path()).open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert {row["place"] for row in rows} == {"Place 1", "'=azurite, \"dark\""}
+    assert {row["place"] for row in rows} == {"Place 1", '\'=azurite, "dark"'}
     pages = open_pages(viewer / "objects/icon1/icon1_vis.tif")
     chosen = [r for r in rows if r["layer"] == "vis" and r["place"] == "Place 1"]
     expected = [pages.read_page(band)[25, 25] for band in range(len(chosen))]
@@ -531,7 +538,9 @@ def test_a_reference_spectrum_lies_over_the_kept_ones_with_its_angle(browser, ad
 
 
 def test_the_next_object_is_looked_at_in_the_same_way(browser, address):
-    page = open_object(browser, address("file") + "#a=vis/flags&b=vis/colour&mode=curtain&pin=30,40")
+    page = open_object(
+        browser, address("file") + "#a=vis/flags&b=vis/colour&mode=curtain&pin=30,40"
+    )
     page.wait_for_function("() => location.hash.includes('scale')")
     page.keyboard.press("]")
     page.wait_for_url("**/icon2/**")
