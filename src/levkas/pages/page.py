@@ -36,6 +36,8 @@ class LayerReport:
     decision: str
     method: str
     model: str = ""
+    error_px: float | None = None
+    checked: float | None = None
     reasons: Sequence[str] = ()
     next_step: str = ""
     warnings: Sequence[str] = ()
@@ -47,6 +49,9 @@ class LayerReport:
     preview: str = ""
     description: str = ""
     figures: Sequence[Figure] = ()
+    history: Sequence[Figure] = ()
+    maps: Sequence[Any] = ()
+    links: Sequence[tuple[str, str]] = ()
     ssim_map: str = ""
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
@@ -93,6 +98,8 @@ class ObjectReport:
     views: Sequence[dict[str, str]] = field(default=())
     radiometry: Sequence[Any] = ()
     setups: Sequence[CloseUps] = ()
+    short: Sequence[tuple[str, str]] = ()
+    links: Sequence[tuple[str, str]] = ()
 
 
 def render_page(template: str, **values: Any) -> str:
