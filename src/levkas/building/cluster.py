@@ -145,6 +145,7 @@ class Cluster:
     sizes: dict[str, float] = field(default_factory=dict)
     """Bytes of every worker that was ever seen, by address."""
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    mine: dict[str, Any] = field(default_factory=lambda: facts())
     events: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     _client: Client | None = None
     _scheduler: str = ""
@@ -185,7 +186,7 @@ class Cluster:
         worker = told["worker"]
         self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
         if told["code"] != code_digest():
-            mine = facts()
+            mine = self.mine
             unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
             raise ClusterRefused(
                 Problem(
@@ -200,13 +201,13 @@ class Cluster:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What differs from worker to worker, and may differ in the last bits of what they compute."""
-        told = []
+        """What workers and this process differ in, and what they compute may in its last bits."""
+        told, mine = [], self.mine
         for name in ("python", "numpy", "BLAS", "instruction set"):
             kinds = Counter(str(one[name]) for one in self.facts.values())
-            if len(kinds) > 1:
+            if kinds.keys() - {str(mine[name])}:
                 each = "; ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items()))
-                told.append(f"the workers are unlike in {name}: {each}")
+                told.append(f"the workers are unlike in {name}: {each}; here {mine[name]}")
         return tuple(told)
 
     def workers(self) -> list[str]:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from levkas.building.build_records import Key
     from levkas.campaign.campaign import Campaign
 
-RETRIES, LOSSES = 3, 10
+RETRIES, LOSSES = 3, 20
 """Times that a task is sent again where it failed or ran out of memory, and where its worker vanished."""
 NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
