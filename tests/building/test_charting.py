@@ -124,7 +124,7 @@ def test_a_build_writes_a_page_a_camera_and_leaves_it_alone_the_second_time(camp
     html = page.read_text(encoding="utf-8")
     assert "Light field" in html and "stops" in html.lower()
     told = (campaign / "database/objects/panel/report.html").read_text(encoding="utf-8")
-    assert "Radiometry" in told
+    assert "Noise, glare and focus" in told
     states = {s.key.stage: s.state for s in status(campaign).stages}
     assert states["camera"] == "fresh"
     again = [s for s in build(campaign) if s.finished]

@@ -98,6 +98,8 @@ def test_the_record_tells_the_course_and_the_matches_what_became_of_them(correct
     page = (folder / "database/objects/bad/report.html").read_text()
     assert "lie where the map puts them" in page and "Figure 10" not in page
     assert f"over {percent(numbers['checked'])}" in page
+    # What an X-ray and a photograph have in common is not likeness.
+    assert "SSIM map" not in page and page.index("In short") < page.index('id="evidence"')
     assert "aligned with 4 pairs by hand" in page and record["pairs_by_hand"] == 4
     other = folder / "database/objects/good"
     assert "pairs_by_hand" not in json.loads((other / "registration/xray.json").read_text())

@@ -8,7 +8,7 @@ import numpy as np
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.flags import MARKS, describe_marks
 from levkas.database.layers import Layer, write_tiffs
-from levkas.publish.viewer.pictures import CLEAR, flag_map
+from levkas.pages.maps import CLEAR, flag_map
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "conventions.md"
 

@@ -1,5 +1,6 @@
 // Spectra of single pixels, from tiles of script files: the very numbers of the TIFF.
 import type { Layer, SpectraFacts } from "./record";
+import type { Bounds } from "./shapes";
 import { inflate, loadScript, toBytes } from "./tiles";
 
 export interface Spectrum {
@@ -11,6 +12,12 @@ export interface Spectrum {
 interface Tile extends Spectrum {
   columns: number;
   rows: number;
+}
+
+/** A tile and where its first pixel lies on the grid. */
+export interface PlacedTile extends Tile {
+  left: number;
+  top: number;
 }
 
 const KEPT = 24; // tiles a layer
@@ -40,6 +47,22 @@ export class Spectra {
       sigma: tile.sigma && pick(tile.sigma, new Float32Array(bands)),
       flags: tile.flags && pick(tile.flags, new Uint8Array(bands)),
     };
+  }
+
+  /** Bands of the layer. */
+  get bands(): number {
+    return this.facts.bands;
+  }
+
+  /** The tiles that have pixels between `x0`, `y0` and `x1`, `y1`, and where each begins on the grid. */
+  async *tilesWithin([x0, y0, x1, y1]: Bounds): AsyncGenerator<PlacedTile> {
+    const { columns, rows, width, height } = this.facts;
+    const from = (low: number, side: number): number => Math.floor(Math.max(0, low) / side);
+    const to = (high: number, size: number, side: number): number =>
+      Math.floor(Math.min(size - 1, high) / side);
+    for (let row = from(y0, rows); row <= to(y1, height, rows); row++)
+      for (let column = from(x0, columns); column <= to(x1, width, columns); column++)
+        yield { ...(await this.tile(column, row)), left: column * columns, top: row * rows };
   }
 
   private tile(column: number, row: number): Promise<Tile> {

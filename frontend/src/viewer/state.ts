@@ -2,6 +2,7 @@
 import { signal } from "@preact/signals-core";
 import type { Point } from "../shared/pane";
 import type { Layer, Picture } from "./record";
+import type { Region } from "./shapes";
 
 export type Slot = "a" | "b";
 
@@ -23,6 +24,8 @@ export class State {
   readonly pin = signal<Point | null>(null);
   /** Places that are kept. */
   readonly pins = signal<Pin[]>([]);
+  /** Regions that are measured. */
+  readonly regions = signal<Region[]>([]);
 
   swap(): void {
     const { a, b } = this;

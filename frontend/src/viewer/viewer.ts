@@ -18,12 +18,15 @@ import type { Point } from "../shared/pane";
 import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
+import { RegionLayer } from "./drawing";
 import { LayerList } from "./layers";
 import { LONGEST_NAME, MOST_PINS, PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
+import { MOST_REGIONS, RegionPanel } from "./regions";
 import { ScaleBar } from "./scalebar";
 import { openSpectra } from "./spectra";
+import { fromText, toText } from "./shapes";
 import { PaintingStage } from "./stage";
 import { State, type Pin, type Slot } from "./state";
 import { fillToolbar, MODES } from "./toolbar";
@@ -34,6 +37,7 @@ const SAVE_AFTER_MS = 300;
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
+const { width, height } = record.grid;
 const state = new State();
 const stage = new PaintingStage(find("stage"), [record.grid.width, record.grid.height], state);
 const layers = new LayerList(find("layers"), record, state);
@@ -43,6 +47,16 @@ const pins = new PinList(find("pins"), record, spectra, state, (place) => {
   state.pin.value = place;
   stage.look(...place, stage.heading[2], false);
 });
+const sheets = [new RegionLayer(stage.left), new RegionLayer(stage.right)];
+const inView = (): [Point, Point] => {
+  const box = stage.left.host.getBoundingClientRect();
+  const [low, high] = [
+    stage.left.pixelAt(box.left, box.top),
+    stage.left.pixelAt(box.right, box.bottom),
+  ];
+  return [within(low), within(high)];
+};
+new RegionPanel(find("regions"), record, spectra, state, sheets, inView);
 const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
 startTheme(find<HTMLButtonElement>("theme"));
@@ -92,10 +106,14 @@ effect(() => {
 
 function movePin(x: number, y: number): void {
   const from = state.pin.value ?? stage.left.centre;
-  const within = (at: number, size: number): number =>
+  state.pin.value = within([from[0] + x, from[1] + y]);
+}
+
+/** The pixel of the painting that is nearest to a place. */
+function within([x, y]: Point): Point {
+  const clip = (at: number, size: number): number =>
     Math.min(Math.max(Math.round(at), 0), size - 1);
-  const { width, height } = record.grid;
-  state.pin.value = [within(from[0] + x, width), within(from[1] + y, height)];
+  return [clip(x, width), clip(y, height)];
 }
 
 // --- keys -----------------------------------------------------------------------------------------
@@ -149,7 +167,13 @@ const keys: Key[] = [
     movePin(...direction(event)),
   ),
   key("P", ["p"], "Keep the pinned place", () => pins.keep()),
-  key("Esc", ["Escape"], "Let go of the pin", () => (state.pin.value = null)),
+  key("Enter", ["Enter"], "Close the polygon that is drawn", () => {
+    for (const sheet of sheets) sheet.close();
+  }),
+  key("Esc", ["Escape"], "Give up what is drawn, or let go of the pin", () => {
+    if (sheets.some(({ drawing }) => drawing)) for (const sheet of sheets) sheet.cancel();
+    else state.pin.value = null;
+  }),
   key("?", ["?"], "This page", () => help.showModal()),
 ];
 const help = helpDialog(
@@ -185,6 +209,7 @@ function remember(): void {
     if (state.pin.value) facts.set("pin", state.pin.value.map((at) => at.toFixed(2)).join());
     for (const { name, at } of state.pins.value)
       facts.append("kept", [...at.map((value) => value.toFixed(2)), name].join());
+    for (const region of state.regions.value) facts.append("region", toText(region));
     history.replaceState(null, "", `#${facts.toString()}`);
   }, SAVE_AFTER_MS);
 }
@@ -207,6 +232,10 @@ function recall(): void {
   const [at, scale, pin] = [numbers("at"), numbers("scale"), numbers("pin")];
   if (at?.length === 2 && scale && scale[0]! > 0) stage.look(at[0]!, at[1]!, scale[0]!);
   state.pin.value = pin?.length === 2 ? [pin[0]!, pin[1]!] : null;
+  state.regions.value = facts
+    .getAll("region")
+    .slice(0, MOST_REGIONS)
+    .flatMap((text) => fromText(text, LONGEST_NAME) ?? []);
   state.pins.value = facts.getAll("kept").slice(0, MOST_PINS).flatMap(readPin);
 }
 
@@ -214,7 +243,6 @@ function recall(): void {
 function readPin(text: string): Pin[] {
   const [x, y, ...rest] = text.split(",");
   const at: Point = [Number(x), Number(y)];
-  const { width, height } = record.grid;
   const inside = at[0] >= 0 && at[1] >= 0 && at[0] <= width - 1 && at[1] <= height - 1;
   return inside ? [{ name: rest.join().slice(0, LONGEST_NAME), at }] : [];
 }
@@ -224,9 +252,10 @@ if (layers.layers.length) {
   addEventListener("hashchange", () => {
     if (location.hash.includes("=")) recall(); // a link was pasted over this one
   });
-  watch([state.a, state.b, state.pin, state.pins, stage.mode], remember);
+  watch([state.a, state.b, state.pin, state.pins, state.regions, stage.mode], remember);
   stage.onMove = () => {
     scaleBar.update(stage.left.scale);
+    for (const sheet of sheets) sheet.show();
     remember();
   };
 }

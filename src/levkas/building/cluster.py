@@ -145,9 +145,11 @@ class Cluster:
     sizes: dict[str, float] = field(default_factory=dict)
     """Bytes of every worker that was ever seen, by address."""
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    mine: dict[str, Any] = field(default_factory=lambda: facts())
     events: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     _client: Client | None = None
     _scheduler: str = ""
+    _prepared: set[str] = field(default_factory=set)
 
     @property
     def client(self) -> Client:
@@ -169,12 +171,14 @@ class Cluster:
 
     def greet(self, kept: Path) -> None:
         """Have every worker, also those that come later, limit its threads and say what it is."""
-        scheduler = self.client.scheduler_info(n_workers=0)["id"]
-        if scheduler != self._scheduler:
-            self._scheduler = scheduler
-            topic = f"levkas-{self.build}"
-            self.client.subscribe_topic(topic, self._hear)
-            self.client.register_plugin(Greeting(topic, str(kept)), name=topic)
+        topic = f"levkas-{self.build}"
+        with suppress(OSError, TimeoutError):  # it is away: asked again in a second
+            scheduler = self.client.scheduler_info(n_workers=0).get("id", "")
+            if scheduler and scheduler != self._scheduler:
+                self._prepared.clear()
+                self.client.subscribe_topic(topic, self._hear)
+                self.client.register_plugin(Greeting(topic, str(kept)), name=topic)
+                self._scheduler = scheduler
 
     def _hear(self, event: Any) -> None:
         told = event[1] if isinstance(event, tuple) else event
@@ -184,8 +188,9 @@ class Cluster:
         """Take what a worker says of itself; raises ClusterRefused where its code is another one."""
         worker = told["worker"]
         self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
+        self._prepared.add(worker)
         if told["code"] != code_digest():
-            mine = facts()
+            mine = self.mine
             unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
             raise ClusterRefused(
                 Problem(
@@ -200,19 +205,19 @@ class Cluster:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What differs from worker to worker, and may differ in the last bits of what they compute."""
-        told = []
+        """What workers and this process differ in, and what they compute may in its last bits."""
+        told, mine = [], self.mine
         for name in ("python", "numpy", "BLAS", "instruction set"):
             kinds = Counter(str(one[name]) for one in self.facts.values())
-            if len(kinds) > 1:
+            if kinds.keys() - {str(mine[name])}:
                 each = "; ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items()))
-                told.append(f"the workers are unlike in {name}: {each}")
+                told.append(f"the workers are unlike in {name}: {each}; here {mine[name]}")
         return tuple(told)
 
     def workers(self) -> list[str]:
-        """Return the addresses of the workers that are there."""
+        """Return the addresses of the workers that are there and prepared."""
         try:
-            return list(self.client.nthreads())
+            return [worker for worker in self.client.nthreads() if worker in self._prepared]
         except (OSError, TimeoutError):
             return []
 

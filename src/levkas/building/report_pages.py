@@ -20,7 +20,8 @@ from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
-from levkas.database.registrations import describe_pairs, read_registration
+from levkas.database.registrations import describe_pairs, read_registration, shares_light
+from levkas.pages.maps import draw_maps
 from levkas.pages.page import (
     CloseUpRow,
     CloseUps,
@@ -33,6 +34,7 @@ from levkas.pages.page import (
     render_page,
 )
 from levkas.pages.radiometry import RadiometryRow, describe_layer
+from levkas.pages.summary import describe_length, summarise_layers
 from levkas.quality.image_quality.light import choose_places
 from levkas.readers.frames import files_of
 from levkas.registration.verdict import percent
@@ -100,14 +102,17 @@ def report_of(
     )
     told += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
     told += [campaign.campaign.licence]
+    said = {layer.name for layer in layers if layer.decision == "refuse"}  # in its own section
+    refused = [s for s in steps if s.state in ("refused", "failed") and s.key.layer not in said]
     problems = [
-        {"code": p.code, "text": written(campaign, p)}
-        for step in steps
-        if step.state in ("refused", "failed")
-        for p in step.problems
+        {"code": p.code, "text": written(campaign, p)} for step in refused for p in step.problems
     ]
     reference = campaign.reference
     sampling = _sampling(places, captures)
+    rows = radiometry_rows(records, captures)
+    reported = {layer.name for layer in layers}
+    lost = list(dict.fromkeys(step.key.layer for step in refused))
+    lost = [layer for layer in lost if layer and layer not in reported]
     return render_page(
         "report.html",
         page=ObjectReport(
@@ -117,9 +122,11 @@ def report_of(
             layers=layers,
             problems=problems,
             mm_per_px=sampling,
-            footer=f"Levkas {__version__}. Object {name}; every figure is in pixels of the reference band unless it says otherwise.",
+            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band unless they say otherwise.",
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
-            radiometry=radiometry_rows(records, captures),
+            radiometry=rows,
+            short=summarise_layers(layers, rows, float(sampling) if sampling else None, lost),
+            links=_links_of_object(places, name),
             setups=close_ups(places, captures),
         ),
     )
@@ -142,10 +149,18 @@ def _layer(
     shown = preview.is_file() and verdict["decision"] != "refuse"
     is_reference = capture.camera == campaign.reference.camera and not capture.setup
     ssim, ssim_map = resampled.get("ssim"), resampled.get("ssim_map", "")
+    if not shares_light(record, [band.wavelength for band in capture.bands]):
+        ssim, ssim_map = None, ""
+    error, checked = _error(record)
+    mm_per_px = _mm_per_px(record)
+    drawn = [Figure(svg, caption) for svg, caption in registered.get("figures", [])]
+    removal = record.get("trace", {}).get("kind") == "removal"
+    quantity = str(calibrated.get("quantity", ""))
+    tiff = places.layer(capture.object, capture.camera, capture.setup)
     return LayerReport(
         name=capture.layer,
         bands=[band.label for band in capture.bands],
-        quantity=str(calibrated.get("quantity", "")),
+        quantity=quantity,
         decision="reference"
         if is_reference and verdict["decision"] == "accept"
         else verdict["decision"],
@@ -155,34 +170,67 @@ def _layer(
         next_step=verdict["next_step"],
         warnings=calibrated.get("warnings", []),
         by_hand=describe_pairs(record),
-        error=_error(record),
+        error=_describe_error(error, checked, mm_per_px),
+        error_px=error,
+        checked=checked,
         checks=_checks(errors),
         ssim="–" if ssim is None else f"{ssim:.3f}",
-        flags=describe_flags(resampled.get("flags", {})),
+        flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
         description=str(resampled.get("description", "")) or f"{len(capture.bands)} bands",
-        figures=[Figure(svg, caption) for svg, caption in registered.get("figures", [])],
+        figures=[] if removal else drawn,
+        history=drawn if removal else [],
+        maps=draw_maps(places.output, capture.object, record, tiff, quantity) if shown else [],
+        links=_links_of_layer(campaign, places, capture),
         ssim_map=f"data:image/png;base64,{ssim_map}" if ssim_map else "",
         columns=("shift at the centre, px", "x", "y"),
         rows=_band_rows(record),
     )
 
 
-def _error(record: dict[str, Any]) -> str:
-    """Error on what was not fitted, the worst sensor's, and over how much of the object that was checked.
+def _error(record: dict[str, Any]) -> tuple[float | None, float | None]:
+    """Return the error, px, on what was not fitted, the worst sensor's, and over which share of the object.
 
     None of a layer that was refused: where it was measured is not where it is off.
     """
     verdict, errors = record["verdict"], record.get("errors", {})
     if verdict["decision"] == "refuse":
-        return "–"
+        return None, None
     sensors = list((errors.get("sensors") or {}).values())
     found = [(verdict.get("numbers") or {}).get("held_out_median")]
     found += [sensor.get("held_out_px") for sensor in sensors]
     numbers = [value for value in found if isinstance(value, int | float)]
     checked = [s["checked"] for s in sensors if isinstance(s.get("checked"), int | float)]
-    over = f" over {percent(min(checked))}" if checked else ""
-    return f"{max(numbers):.3f}{over}" if numbers else "–"
+    return (max(numbers), min(checked, default=None)) if numbers else (None, None)
+
+
+def _describe_error(error: float | None, checked: float | None, mm_per_px: float | None) -> str:
+    over = "" if checked is None else f" over {percent(checked)}"
+    return "–" if error is None else f"{describe_length(error, mm_per_px)}{over}"
+
+
+def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> list[tuple[str, str]]:
+    """Return (words, address from the report) of the files of one layer, and its camera's page."""
+    folder, layer = places.folder(capture.object), capture.layer
+    kinds = {"layer, TIFF": ".tif", "flags": ".flags.tif", "sigma": ".sigma.tif", "preview": ".png"}
+    paths = {
+        words: places.layer(capture.object, capture.camera, capture.setup, kind=kind)
+        for words, kind in kinds.items()
+    }
+    paths["registration"] = places.registration(capture.object, layer)
+    paths["pairs"] = places.matches(capture.object, layer)
+    links = [(w, p.relative_to(folder).as_posix()) for w, p in paths.items() if p.is_file()]
+    if campaign.cameras[capture.camera].kind != "image":  # nothing is calibrated: it has no page
+        links.append(("report of the camera", f"../../cameras/{capture.camera}/report.html"))
+    return links
+
+
+def _links_of_object(places: Places, name: str) -> list[tuple[str, str]]:
+    return [
+        ("viewer, once published", f"../../viewer/objects/{name}/index.html"),
+        ("museum facts", "object.toml"),
+        ("provenance", PROVENANCE),
+    ]
 
 
 def _checks(errors: dict[str, Any]) -> str:
@@ -223,18 +271,21 @@ def _band_rows(record: dict[str, Any]) -> list[list[str]]:
 
 def _sampling(places: Places, captures: list[Capture]) -> str:
     path = places.registration(captures[0].object, captures[0].layer)
-    if not path.is_file():
-        return ""
-    record = read_registration(path)
+    millimetres = _mm_per_px(read_registration(path)) if path.is_file() else None
+    return "" if millimetres is None else f"{millimetres:.3f}"
+
+
+def _mm_per_px(record: dict[str, Any]) -> float | None:
+    """Return mm a pixel of the reference, None where the sampling is not known."""
     px_per_mm = record["grid"].get("px_per_mm")
     if not px_per_mm:
-        return ""
+        return None
     import numpy as np
 
     from levkas.geometry import from_dict
 
     step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
-    return f"{1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5):.3f}"
+    return float(1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5))
 
 
 def radiometry_rows(records: BuildRecords, captures: Sequence[Capture]) -> list[RadiometryRow]:

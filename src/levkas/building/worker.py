@@ -28,6 +28,7 @@ from levkas.building.stages import Damaged, Stages
 from levkas.building.template_cache import TemplateCache
 from levkas.core.digests import hash_file, stamp_of
 from levkas.core.files import make_folder, write_json
+from levkas.core.instructions import describe_instructions
 from levkas.core.machine import MEMORY, THREADS, memory_bytes
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
@@ -100,40 +101,16 @@ def digest_of(task: Task) -> str:
 
 def facts() -> dict[str, Any]:
     """Return what the numbers of this process rest on, and the bytes that it may take."""
+    used = describe_instructions()
     return {
         "levkas": __version__,
         "code": code_digest(),
         "python": platform.python_version(),
         "numpy": _numpy_version(),
-        "BLAS": linear_algebra(),
-        "instruction set": instruction_set(),
+        "BLAS": used["blas"],
+        "instruction set": f"{used['level']}: numpy {used['numpy']}, opencv {used['opencv']}",
         "pid": os.getpid(),
     }
-
-
-def linear_algebra() -> str:
-    """Return name, version and kernel of the BLAS that numpy uses: ``openblas 0.3.30 SkylakeX``."""
-    import numpy as np
-    from threadpoolctl import threadpool_info
-
-    np.dot(np.eye(2), np.eye(2))
-    found = {
-        " ".join(str(one[k]) for k in ("internal_api", "version", "architecture") if one.get(k))
-        for one in threadpool_info()
-        if one["user_api"] == "blas"
-    }
-    return ", ".join(sorted(found)) or "unknown"
-
-
-def instruction_set() -> str:
-    """Return the kind of processor, and the extensions that numpy and numba use of it."""
-    import numba
-    import numpy as np
-    from numba.core import codegen
-
-    features = np.show_config("dicts")["SIMD Extensions"].get("found", [])  # type: ignore[index,call-overload]
-    target = getattr(numba.config, "CPU_NAME", None) or codegen.ll.get_host_cpu_name()
-    return f"{platform.machine()} {target}, numpy {features[-1] if features else 'baseline'}"
 
 
 def _numpy_version() -> str:

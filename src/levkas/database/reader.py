@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import nan
 from pathlib import Path
@@ -202,6 +202,41 @@ class LayerArray(xarray.DataArray):
         from levkas.database.pixel_frames import find_map
 
         return find_map(self._beside.path, self._beside.layer.object, source, target)
+
+    def region(
+        self,
+        polygon: Sequence[tuple[float, float]] | None = None,
+        *,
+        rectangle: tuple[float, float, float, float] | None = None,
+        circle: tuple[float, float, float] | None = None,
+        bins: int = 0,
+    ) -> xarray.Dataset:
+        """Return mean, standard deviation and number of sound pixels of a region, band by band.
+
+        Parameters
+        ----------
+        polygon : sequence of (x, y), px
+            Corners, on the grid of this array; a pixel belongs to it where its centre lies within.
+        rectangle : (x0, y0, x1, y1), px
+            From pixel to pixel, both included.
+        circle : (x, y, radius), px
+        bins : int
+            Of a histogram of each band; 0: none.
+
+        Returns
+        -------
+        statistics : xarray.Dataset
+            As of `levkas.database.regions.region_statistics`.
+
+        Raises
+        ------
+        RegionRefused
+            ``E_REGION`` where the region is none, or no pixel lies within.
+        """
+        from levkas.database.regions import make_region, region_statistics
+
+        region = make_region(polygon, rectangle, circle)
+        return region_statistics(self, region, bins=bins)
 
     def isel(self, *args: Any, **kwargs: Any) -> LayerArray:
         """Select by position, as xarray does."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from dataclasses import dataclass, field
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,8 @@ class LayerReport:
     decision: str
     method: str
     model: str = ""
+    error_px: float | None = None
+    checked: float | None = None
     reasons: Sequence[str] = ()
     next_step: str = ""
     warnings: Sequence[str] = ()
@@ -47,6 +50,9 @@ class LayerReport:
     preview: str = ""
     description: str = ""
     figures: Sequence[Figure] = ()
+    history: Sequence[Figure] = ()
+    maps: Sequence[Any] = ()
+    links: Sequence[tuple[str, str]] = ()
     ssim_map: str = ""
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
@@ -93,6 +99,8 @@ class ObjectReport:
     views: Sequence[dict[str, str]] = field(default=())
     radiometry: Sequence[Any] = ()
     setups: Sequence[CloseUps] = ()
+    short: Sequence[tuple[str, str]] = ()
+    links: Sequence[tuple[str, str]] = ()
 
 
 def render_page(template: str, **values: Any) -> str:
@@ -105,7 +113,19 @@ def render_page(template: str, **values: Any) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["coded"] = mark_code
     return environment.get_template(template).render(**values)
+
+
+def mark_code(text: str) -> Any:
+    """Return text as HTML in which what stands between backticks is code; everything else is escaped.
+
+    >>> str(mark_code("run `a <b>` & c"))
+    'run <code>a &lt;b&gt;</code> &amp; c'
+    """
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def embed_png(data: bytes) -> str:

@@ -33,6 +33,8 @@ class RadiometryRow:
     light: str
     notes: Sequence[str] = ()
     figures: Sequence[Figure] = ()
+    glare_share: float | None = None
+    noise_median: float | None = None
 
 
 def describe_layer(
@@ -48,7 +50,11 @@ def describe_layer(
     quantity = str(calibrated.get("quantity", ""))
     stops = max(r["stops"] for r in ranges)
     sensors = [one["sensor"]["stops"] for one in learnt.values() if "sensor" in one]
-    notes = [*_notes_of_range(ranges, sensors), *_notes_of_snr(ranges), *_notes_of_focus(focus)]
+    notes = [
+        *_notes_of_range(ranges, sensors, quantity),
+        *_notes_of_snr(ranges),
+        *_notes_of_focus(focus),
+    ]
     return RadiometryRow(
         name,
         _noise(ranges, quantity),
@@ -60,14 +66,26 @@ def describe_layer(
         _light(learnt),
         tuple(notes),
         tuple(_figures(ranges, focus)),
+        _glare_share(resampled.get("glare", {}), quantity),
+        _noise_median(ranges) if quantity == "reflectance" else None,
     )
 
 
-def _noise(ranges: Sequence[Mapping[str, Any]], quantity: str) -> str:
+def _noise_median(ranges: Sequence[Mapping[str, Any]]) -> float | None:
     known = [r["noise"] for r in ranges if r["noise"] is not None]
-    if not known:
+    return median(known) if known else None
+
+
+def _glare_share(glare: Mapping[str, int], quantity: str) -> float | None:
+    looked = quantity == "reflectance" and glare.get("seen")
+    return glare["glare"] / glare["seen"] if looked else None
+
+
+def _noise(ranges: Sequence[Mapping[str, Any]], quantity: str) -> str:
+    middle = _noise_median(ranges)
+    if middle is None:
         return "–"
-    return f"{median(known):.2g}" + ("" if quantity == "reflectance" else f" {quantity}")
+    return f"{middle:.2g}" + ("" if quantity == "reflectance" else f" {quantity}")
 
 
 def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
@@ -87,9 +105,10 @@ def _snr(ranges: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _glare(glare: Mapping[str, int], quantity: str) -> str:
-    if quantity != "reflectance" or not glare.get("seen"):
+    part = _glare_share(glare, quantity)
+    if part is None:
         return "not looked for"
-    share = 100 * glare["glare"] / glare["seen"]
+    share = 100 * part
     signs = {
         "saturated": "saturated",
         "bright": "brighter than paint",
@@ -124,14 +143,21 @@ def _light(learnt: Mapping[str, Any]) -> str:
     return f"{100 * min(levels):.0f} % of the brightest"
 
 
-def _notes_of_range(ranges: Sequence[Mapping[str, Any]], sensors: Sequence[float]) -> list[str]:
+def _notes_of_range(
+    ranges: Sequence[Mapping[str, Any]], sensors: Sequence[float], quantity: str
+) -> list[str]:
     clipped = [r for r in ranges if r["clipped"] > 5e-4]
     worst = max(clipped, key=lambda r: r["clipped"], default=None)
     notes = []
     if worst is not None:
         notes.append(
             f"The scene goes beyond the sensor: {100 * worst['clipped']:.2g} % saturates in {worst['band']}. "
-            "Move the lamps out of the mirror's angle, or merge exposures."
+            # A plain photograph or radiograph has no lamps that are known of.
+            + (
+                "Move the lamps out of the mirror's angle, or merge exposures."
+                if quantity == "reflectance"
+                else "Take it with a shorter exposure."
+            )
         )
     stops = max(r["stops"] for r in ranges)
     if sensors and stops > min(sensors):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import levkas
 from levkas.core.cube import Flag
 from levkas.core.flags import MARKS
 from levkas.database.pixel_frames import find_map
@@ -230,6 +231,13 @@ def test_the_picture_shows_the_render_at_any_zoom(browser, address, viewer, how)
         for x, y in ((75, 65), (65, 75), (85, 55)):
             difference = np.abs(shown_colour(page, x, y) - rendered(viewer, "vis", x, y))
             assert difference.max() < 40, (scale, x, y)
+
+
+def test_a_layer_that_was_aligned_by_hand_says_so(browser, address):
+    page = open_object(browser, address("file"))
+    row = page.locator("li.row", has=page.locator(".by-hand"))
+    assert row.locator(".layer-name").inner_text() == "rgb"
+    assert row.locator(".by-hand").inner_text() == "Aligned with 4 pairs by hand."
 
 
 @pytest.mark.parametrize("how", FLIGHTS)
@@ -540,3 +548,84 @@ def test_the_next_object_is_looked_at_in_the_same_way(browser, address):
     page.wait_for_function("() => levkasViewer.stage.mode.value === 'curtain'")
     page.wait_for_function("() => levkasViewer.state.a.value.picture.key === 'flags'")
     assert page.evaluate("levkasViewer.state.pin.value") is None
+
+
+def drag(page, start, end):
+    first, last = (
+        page.evaluate(f"levkasViewer.stage.left.pageOf({x}, {y})") for x, y in (start, end)
+    )
+    page.mouse.move(*first)
+    page.mouse.down()
+    page.mouse.move(*((a + b) / 2 for a, b in zip(first, last, strict=True)))
+    page.mouse.move(*last)
+    page.mouse.up()
+
+
+def region_numbers(page):
+    page.wait_for_selector("text=one standard deviation")
+    return [
+        page.locator(".region-words").nth(i).evaluate("e => ({...e.dataset})")
+        for i in range(page.locator(".region-words").count())
+    ]
+
+
+def test_regions_have_the_numbers_of_the_database(browser, viewer, address):
+    layer = levkas.open(viewer)["icon1"]["vis"]
+    page = open_object(browser, address("file") + "#a=vis/colour")
+    page.get_by_label("Layer that regions are measured in").select_option("vis")
+    page.get_by_label("Band of the histogram").select_option("2")
+    page.get_by_role("button", name="Rectangle", exact=True).click()
+    drag(page, (30, 30), (60, 70))
+    page.get_by_role("button", name="Circle", exact=True).click()
+    drag(page, (90, 60), (100, 60))
+    page.get_by_role("button", name="Polygon", exact=True).click()
+    for x, y in ((20, 80), (70, 85), (45, 110)):
+        page.mouse.click(*page.evaluate(f"levkasViewer.stage.left.pageOf({x}, {y})"))
+    page.keyboard.press("Enter")
+    page.wait_for_function("() => document.querySelectorAll('.region-words').length === 3")
+    shapes = page.evaluate("levkasViewer.state.regions.value")
+    found = region_numbers(page)
+    (a, b), (centre, edge) = shapes[0]["points"], shapes[1]["points"]
+    corners = [round(v) for v in (*map(min, a, b), *map(max, a, b))]
+    expected = [
+        layer.region(rectangle=corners),
+        layer.region(circle=(*centre, float(np.hypot(*np.subtract(edge, centre))))),
+        layer.region([tuple(point) for point in shapes[2]["points"]]),
+    ]
+    for numbers, one in zip(found, expected, strict=True):
+        assert int(numbers["n"]) == int(one["n"][2]) > 100
+        assert float(numbers["mean"]) == pytest.approx(float(one["mean"][2]), rel=1e-9)
+        assert float(numbers["spread"]) == pytest.approx(float(one["std"][2]), rel=1e-9)
+    assert page.locator("#regions .histogram polyline").count() == 3
+    # Drawing moved nothing and pinned nothing; afterwards the mouse pans and pins again.
+    assert page.evaluate("levkasViewer.state.pin.value") is None
+    click_pixel(page, 25, 25)
+    page.wait_for_function("() => location.hash.split('region=').length === 4")
+    again = open_object(browser, page.url)
+    again.wait_for_selector(".region-words")
+    again.get_by_label("Band of the histogram").select_option("2")
+    again.wait_for_function(
+        f"() => document.querySelector('.region-words').dataset.mean === '{found[0]['mean']}'"
+    )
+    assert [one["n"] for one in region_numbers(again)] == [one["n"] for one in found]
+    with again.expect_download() as download:
+        again.get_by_role("button", name="Save regions as CSV").click()
+    with Path(download.value.path()).open(newline="") as file:
+        rows = [r for r in csv.DictReader(file) if r["layer"] == "vis"]
+    assert len(rows) == 3 * layer.sizes["band"]
+    assert [int(r["n"]) for r in rows[: layer.sizes["band"]]] == expected[0]["n"].values.tolist()
+
+
+def test_a_region_can_be_given_up_and_made_without_a_mouse(browser, address):
+    page = open_object(browser, address("file"))
+    page.get_by_role("button", name="Polygon", exact=True).click()
+    page.mouse.click(*page.evaluate("levkasViewer.stage.left.pageOf(20, 20)"))
+    page.keyboard.press("Escape")
+    assert page.evaluate("levkasViewer.state.regions.value.length") == 0
+    assert page.locator('#regions [aria-pressed="true"]').count() == 0
+    page.get_by_role("button", name="What is in view").focus()
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".region-words")
+    (one,) = page.evaluate("levkasViewer.state.regions.value")
+    grid = page.evaluate("levkasViewer.record.grid")
+    assert one["points"] == [[0, 0], [grid["width"] - 1, grid["height"] - 1]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -15,10 +14,16 @@ from levkas.colour.observer import read_table, tables_by_nm
 from levkas.colour.relighting import adaptation
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, find_rendering
 from levkas.core.cube import Band
-from levkas.core.flags import MARKS
-from levkas.database.pixel_frames import predict_error
 from levkas.database.registrations import shares_light
 from levkas.database.tiff_pages import open_pages
+from levkas.pages.maps import (
+    Legend,
+    blocks_of,
+    colour_scale,
+    flag_map,
+    registration_map,
+    sigma_map,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -193,109 +198,7 @@ def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
         )
 
 
-SCALE = ((20, 17, 15), (60, 32, 64), (122, 46, 76), (181, 83, 51), (217, 154, 60), (250, 236, 190))
-"""Colours of a scalar map from least to most; lightness rises evenly."""
-
-
-UNKNOWN = (70, 72, 76)
-
-
-CLEAR = (24, 22, 19)
-
-
-PERCENTILES = (1.0, 99.0)
-
-
-BLOCK_BYTES = 64_000_000
-"""Read at once: so many rows of all bands, and at least one."""
-
-
 MOST_BYTES_SSIM = 2_000_000_000
-
-
-MOST_PLACES = 2_000_000
-"""Where a predicted error is computed; between them it is repeated."""
-
-
-@dataclass(frozen=True)
-class Legend:
-    """Meaning of the colours of a map: named ones, or a scale from `least` to `most`."""
-
-    entries: tuple[tuple[str, tuple[int, int, int]], ...] = ()
-    least: str = ""
-    most: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a page needs."""
-        colours = self.entries or tuple(("", colour) for colour in SCALE)
-        return {
-            "entries": [
-                {"name": name, "colour": "#{:02x}{:02x}{:02x}".format(*rgb)}
-                for name, rgb in colours
-            ],
-            "least": self.least,
-            "most": self.most,
-        }
-
-
-def flag_map(path: Path) -> tuple[np.ndarray, np.ndarray, Legend]:
-    """Return the gravest flag of every pixel as a number, the numbers' colours, and the legend.
-
-    Parameters
-    ----------
-    path : Path
-        A layer's flags.
-
-    Returns
-    -------
-    image : ndarray, (height, width), uint8
-        0 where no band has a flag; the last colour only where all bands are outside.
-    palette : ndarray, (n, 3), uint8
-    legend : Legend
-        Only of what occurs.
-    """
-    pages = open_pages(path)
-    height, width, _ = pages.shape
-    image = np.zeros((height, width), np.uint8)
-    for rows in blocks_of(pages):
-        either = np.bitwise_or.reduce(pages.read(rows.start, rows.stop), axis=2)
-        for number, flag in enumerate(MARKS, start=1):
-            image[rows][(either & flag.value) != 0] = number
-    palette = np.array([CLEAR, *(mark.colour for mark in MARKS.values())], np.uint8)
-    there = np.unique(image)
-    names = [("no flag", CLEAR), *((mark.meaning, mark.colour) for mark in MARKS.values())]
-    return image, palette, Legend(tuple(names[number] for number in there))
-
-
-def sigma_map(path: Path) -> tuple[np.ndarray, Legend]:
-    """Return the mean sigma over the bands as a picture, and its legend; NaN is grey."""
-    pages = open_pages(path)
-    mean = np.empty(pages.shape[:2], np.float32)
-    for rows in blocks_of(pages):
-        some = pages.read(rows.start, rows.stop)
-        known = np.isfinite(some)
-        total = np.where(known, some, 0).sum(2, dtype=np.float64)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean[rows] = total / known.sum(2)
-    finite = mean[np.isfinite(mean)]
-    low, high = np.percentile(finite, PERCENTILES) if finite.size else (0.0, 1.0)
-    return colour_scale(mean, low, high), Legend(least=f"{low:.2g}", most=f"{high:.2g}")
-
-
-def registration_map(
-    database: Path, item: str, record: dict[str, Any], size: tuple[int, int]
-) -> tuple[np.ndarray, Legend] | None:
-    """Return the predicted error of a registration over the grid, px of the reference.
-
-    The worst band's; grey where nothing confirms the map. None where the record has none.
-    """
-    step = math.ceil(math.sqrt(size[0] * size[1] / MOST_PLACES))
-    worst = predict_error(database, item, record, size, step)
-    if worst is None:
-        return None
-    most = float(np.nanmax(worst, initial=0.0, where=np.isfinite(worst)))
-    picture = colour_scale(worst, 0.0, most).repeat(step, 0).repeat(step, 1)
-    return picture[: size[1], : size[0]], Legend(least="0", most=f"{most:.2g} px of the reference")
 
 
 def similarity_map(tiff: Path, reference: Path) -> tuple[np.ndarray, Legend] | None:
@@ -313,29 +216,6 @@ def similarity_map(tiff: Path, reference: Path) -> tuple[np.ndarray, Legend] | N
     if np.isnan(score):
         return None
     return colour_scale(full, 0.0, 1.0), Legend(least="0", most="1, alike")
-
-
-def blocks_of(pages: TiffPages) -> Iterator[slice]:
-    """Yield slices of rows that together are the whole, each of about `BLOCK_BYTES`."""
-    height, width, bands = pages.shape
-    step = max(1, BLOCK_BYTES // (width * bands * pages.dtype.itemsize))
-    return (slice(start, min(height, start + step)) for start in range(0, height, step))
-
-
-def colour_scale(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return numbers as colours of `SCALE`, uint8 (…, 3); NaN is `UNKNOWN`.
-
-    >>> colour_scale(np.array([0.0, 1.0, np.nan]), 0, 1).tolist()
-    [[20, 17, 15], [250, 236, 190], [70, 72, 76]]
-    """
-    span = high - low if high > low else 1.0
-    known = np.isfinite(values)
-    place = np.clip(np.where(known, (values - low) / span, 0), 0, 1)
-    table = np.array(SCALE, float)
-    colours = np.stack(
-        [np.interp(place, np.linspace(0, 1, len(table)), column) for column in table.T], -1
-    )
-    return np.where(known[..., None], np.round(colours), UNKNOWN).astype(np.uint8)
 
 
 ILLUMINANTS = {

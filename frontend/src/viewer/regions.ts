@@ -1,0 +1,256 @@
+// The panel "Regions": mean spectra with their spread, histograms of a band, and numbers to save.
+import { effect } from "@preact/signals-core";
+import { draw, make, saveFile } from "../shared/element";
+import type { Point } from "../shared/pane";
+import { across, joined, level, startChart, upwards, type Box } from "../shared/plot";
+import { drawChart, niceTop, type Curve } from "./chart";
+import type { RegionLayer } from "./drawing";
+import { quoted, shortest } from "./numbers";
+import { LONGEST_NAME, pinColour } from "./pins";
+import type { Layer, PageRecord } from "./record";
+import { KINDS, type Kind, type Region } from "./shapes";
+import type { LayerSpectra } from "./spectra";
+import type { State } from "./state";
+import { histogram, measure, type Histogram, type Statistics } from "./statistics";
+
+export const MOST_REGIONS = 12;
+const BINS = 40;
+const BOX: Box = { width: 360, height: 130, left: 52, right: 16, top: 8, bottom: 26 };
+
+export class RegionPanel {
+  private readonly choice = make("select", { "aria-label": "Layer that regions are measured in" });
+  private readonly band = make("select", { "aria-label": "Band of the histogram" });
+  private readonly list = make("ol", { class: "pins" });
+  private readonly drawing = make("div", { class: "drawing" });
+  private readonly bars = make("div", { class: "drawing histogram" });
+  private readonly message = make("p", { class: "note-line soft", role: "status" });
+  private readonly save = make("button", { type: "button", class: "small" }, "Save regions as CSV");
+  private readonly tools: HTMLButtonElement[];
+  private readonly measured = new Map<string, Promise<Statistics>>();
+  private turn = 0;
+
+  constructor(
+    host: HTMLElement,
+    private readonly record: PageRecord,
+    private readonly spectra: LayerSpectra,
+    private readonly state: State,
+    private readonly sheets: RegionLayer[],
+    view: () => [Point, Point],
+  ) {
+    for (const { name } of spectra.keys())
+      this.choice.append(make("option", { value: name }, name));
+    this.tools = KINDS.map((kind) => this.tool(kind));
+    const whole = make("button", { type: "button", class: "small" }, "What is in view");
+    whole.addEventListener("click", () => this.add("rectangle", view()));
+    const line = (...parts: HTMLElement[]): HTMLElement =>
+      make("div", { class: "pin-tools" }, ...parts);
+    const compared = make("label", { class: "compared" }, "Measured in ", this.choice);
+    const shown = make("label", { class: "compared" }, "Histogram of ", this.band);
+    const parts = [line(...this.tools, whole), line(compared, shown)];
+    host.append(...parts, this.list, this.drawing, this.bars, this.message, line(this.save));
+    for (const sheet of sheets) {
+      sheet.onDrawn = (kind, points) => this.add(kind, points);
+      sheet.onEnd = () => this.end();
+    }
+    this.choice.addEventListener("change", () => this.chooseLayer());
+    this.band.addEventListener("change", () => void this.refresh());
+    this.save.addEventListener("click", () => void this.saveAll());
+    this.offerBands();
+    effect(() => {
+      const regions = state.regions.value;
+      this.save.disabled = !regions.length;
+      for (const button of [...this.tools, whole]) button.disabled = regions.length >= MOST_REGIONS;
+      const shapes = regions.map((region, i) => ({ region, colour: pinColour(i) }));
+      for (const sheet of sheets) sheet.show(shapes);
+      void this.refresh();
+    });
+  }
+
+  private tool(kind: Kind): HTMLButtonElement {
+    const attributes = { type: "button", class: "small", "aria-pressed": "false" };
+    const button = make("button", attributes, kind[0]!.toUpperCase() + kind.slice(1));
+    button.addEventListener("click", () => {
+      const chosen = button.getAttribute("aria-pressed") === "true";
+      for (const sheet of this.sheets) sheet.cancel();
+      if (chosen) return;
+      button.setAttribute("aria-pressed", "true");
+      for (const sheet of this.sheets) sheet.start(kind);
+      this.message.textContent =
+        kind === "polygon"
+          ? "Click the corners; a double click or Enter closes the polygon, Esc gives it up."
+          : `Drag over the painting${kind === "circle" ? ", from the middle outwards" : ""}; Esc gives it up.`;
+    });
+    return button;
+  }
+
+  private end(): void {
+    for (const button of this.tools) button.setAttribute("aria-pressed", "false");
+    for (const sheet of this.sheets) if (sheet.drawing) sheet.cancel();
+    this.message.textContent = "";
+  }
+
+  private add(kind: Kind, points: Point[]): void {
+    const { regions } = this.state;
+    if (regions.value.length >= MOST_REGIONS) return;
+    const taken = new Set(regions.value.map(({ name }) => name));
+    let number = regions.value.length + 1;
+    while (taken.has(`Region ${number}`)) number++;
+    regions.value = [...regions.value, { name: `Region ${number}`, kind, points }];
+  }
+
+  private get layer(): Layer | undefined {
+    return [...this.spectra.keys()].find(({ name }) => name === this.choice.value);
+  }
+
+  private chooseLayer(): void {
+    this.offerBands();
+    void this.refresh();
+  }
+
+  private offerBands(): void {
+    const { layer } = this;
+    const labels = layer?.bands.map(({ label }) => label) ?? [];
+    this.band.replaceChildren(...labels.map((label, i) => make("option", { value: i }, label)));
+    if (layer) this.band.value = String(layer.reference_band);
+  }
+
+  private statistics(layer: Layer, region: Region): Promise<Statistics> {
+    const key = JSON.stringify([layer.id, region.kind, region.points]);
+    let found = this.measured.get(key);
+    if (!found) {
+      found = measure(this.spectra.get(layer)!, region, this.record.flags);
+      this.measured.set(key, found);
+      found.catch(() => this.measured.delete(key));
+    }
+    return found;
+  }
+
+  /** Measure all regions and show them; what was asked for before and ends later is dropped. */
+  private async refresh(): Promise<void> {
+    const turn = ++this.turn;
+    const regions = this.state.regions.value;
+    const { layer } = this;
+    if (!layer) return;
+    if (regions.length) this.message.textContent = "Measuring …";
+    const facts = { band: Number(this.band.value), bins: BINS, marks: this.record.flags };
+    try {
+      const found = await Promise.all(regions.map((region) => this.statistics(layer, region)));
+      const bars = await Promise.all(
+        regions.map((region) => histogram(this.spectra.get(layer)!, region, facts)),
+      );
+      if (turn !== this.turn) return;
+      this.fill(regions, found, facts.band);
+      this.plot(layer, found, bars);
+      this.message.textContent = regions.length
+        ? "Lines are means; the band about them is one standard deviation of the pixels, not of the mean."
+        : "";
+    } catch (error) {
+      if (turn === this.turn) this.message.textContent = String(error);
+    }
+  }
+
+  private plot(layer: Layer, found: Statistics[], bars: (Histogram | null)[]): void {
+    const curves = found.map(({ means, spreads }, i): Curve => ({
+      layer,
+      colour: pinColour(i),
+      spectrum: {
+        values: Float32Array.from(means),
+        sigma: Float32Array.from(spreads),
+        flags: null,
+      },
+    }));
+    const quantity = layer.quantity === "reflectance" ? "Reflectance" : "Counts";
+    const options = { quantity, marks: this.record.flags, range: null };
+    const chart = curves.length ? drawChart(curves, options) : null;
+    this.drawing.replaceChildren(...(chart ? [chart] : []));
+    const drawn = drawHistograms(bars, `Pixels over ${quantity.toLowerCase()}`);
+    this.bars.replaceChildren(...(drawn ? [drawn] : []));
+  }
+
+  private fill(regions: Region[], found: Statistics[], band: number): void {
+    const held = document.activeElement;
+    const typing = held instanceof HTMLInputElement && this.list.contains(held);
+    if (typing && this.list.childElementCount === regions.length) return;
+    this.list.replaceChildren(...regions.map((region, i) => this.row(region, i, found[i]!, band)));
+  }
+
+  private row(region: Region, number: number, found: Statistics, band: number): HTMLElement {
+    const badge = make("span", { class: "pin-number", "aria-hidden": "true" }, String(number + 1));
+    badge.style.background = pinColour(number);
+    const name = make("input", {
+      type: "text",
+      maxlength: LONGEST_NAME,
+      "aria-label": `Name of region ${number + 1}`,
+    });
+    name.value = region.name;
+    name.addEventListener("input", () => this.change(number, { ...region, name: name.value }));
+    const remove = make(
+      "button",
+      { type: "button", class: "small", "aria-label": `Remove ${region.name}` },
+      "×",
+    );
+    remove.addEventListener("click", () => this.change(number, null));
+    const { means, spreads, counts, pixels } = found;
+    const digits = (value: number | undefined): string =>
+      value !== undefined && Number.isFinite(value) ? value.toPrecision(4) : "–";
+    const numbers = `${digits(means[band])} ± ${digits(spreads[band])} · ${counts[band] ?? 0} of ${pixels} px sound`;
+    const words = make("span", { class: "region-words soft" }, numbers);
+    Object.assign(words.dataset, { mean: means[band], spread: spreads[band], n: counts[band] });
+    return make("li", { class: "region-row" }, badge, name, remove, words);
+  }
+
+  private change(number: number, region: Region | null): void {
+    const { regions } = this.state;
+    regions.value = regions.value.flatMap((old, i) =>
+      i !== number ? [old] : region ? [region] : [],
+    );
+  }
+
+  private async saveAll(): Promise<void> {
+    const lines: string[] = ["region,layer,band,wavelength_nm,mean,std,n,pixels"];
+    for (const region of this.state.regions.value)
+      for (const layer of this.spectra.keys()) {
+        const { means, spreads, counts, pixels } = await this.statistics(layer, region);
+        layer.bands.forEach(({ label, wavelength, centroid }, i) => {
+          const names = [region.name, layer.name, label].map(quoted);
+          const numbers = [means[i]!, spreads[i]!].map((value) => shortest(Math.fround(value)));
+          lines.push(
+            [...names, wavelength ?? centroid ?? "", ...numbers, counts[i], pixels].join(),
+          );
+        });
+      }
+    const text = [...lines, ""].join("\n");
+    saveFile(`${this.record.object.name}_regions.csv`, text, "text/csv");
+  }
+}
+
+/** Histograms of one band over each other, as steps; null where there is nothing to draw. */
+function drawHistograms(bars: (Histogram | null)[], label: string): SVGElement | null {
+  const known = bars.flatMap((one, i) => (one ? [{ ...one, colour: pinColour(i) }] : []));
+  if (!known.length) return null;
+  const low = Math.min(...known.map((one) => one.low));
+  const high = Math.max(...known.map((one) => one.high));
+  const top = niceTop(Math.max(...known.flatMap(({ counts }) => counts)));
+  const [from, to] = low === high ? [low - 0.5, high + 0.5] : [low, high];
+  const [x, y] = [across(BOX, from, to), upwards(BOX, 0, top)];
+  const chart = startChart(BOX, label);
+  for (const value of [0, top / 2, top])
+    chart.append(level(BOX, y(value), String(value), value ? "grid" : "axis"));
+  for (const [value, anchor] of [
+    [from, "start"],
+    [to, "end"],
+  ] as const) {
+    const place = { x: x(value), y: BOX.height - 10, "text-anchor": anchor };
+    chart.append(draw("text", place, value.toPrecision(3)));
+  }
+  for (const { low: first, high: last, counts, colour } of known) {
+    const width = (last - first) / counts.length || (to - from) / counts.length;
+    const points = counts.flatMap<Point>((n, i) => [
+      [x(first + i * width), y(n)],
+      [x(first + (i + 1) * width), y(n)],
+    ]);
+    const steps = draw("polyline", { points: joined(points), class: "line" });
+    chart.append(draw("g", { stroke: colour, fill: colour }, steps));
+  }
+  return chart;
+}

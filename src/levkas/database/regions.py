@@ -1,0 +1,195 @@
+"""Statistics of a region of a layer: pixels within a rectangle, circle or polygon, of which the sound ones count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray
+
+from levkas.core.flags import MARKS
+from levkas.core.problems import Problem, Refused
+
+if TYPE_CHECKING:
+    from levkas.database.reader import LayerArray
+
+BLOCK_SAMPLES = 16_000_000
+"""Read at a time."""
+TRUSTED = np.uint8(sum(flag for flag, mark in MARKS.items() if mark.trusted))
+"""Bits with which a value is an estimate of the paint all the same; any other makes it unsound."""
+
+
+class RegionRefused(Refused):
+    """A region that is none, or that lies outside."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the grid.
+
+    Parameters
+    ----------
+    vertices : ndarray, (n, 2)
+        x, y of the corners of a polygon, px, pixel centres at whole numbers; of a circle its centre alone.
+    radius : float
+        Of a circle, px; 0: a polygon.
+    """
+
+    vertices: np.ndarray
+    radius: float = 0.0
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least x and y, largest x and y."""
+        low, high = self.vertices.min(0) - self.radius, self.vertices.max(0) + self.radius
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Tell which pixel centres lie within; a polygon by the even-odd rule.
+
+        Examples
+        --------
+        >>> triangle = Region(np.array([(0.0, 0.0), (4.0, 0.0), (0.0, 4.0)]))
+        >>> triangle.contains(np.array([1, 3]), np.array([1, 3])).tolist()
+        [True, False]
+        """
+        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        if self.radius:
+            (cx, cy), r = self.vertices[0], self.radius
+            return np.asarray((x - cx) ** 2 + (y - cy) ** 2 <= r * r)
+        inside = np.zeros(x.shape, bool)
+        for (ax, ay), (bx, by) in zip(
+            self.vertices, np.roll(self.vertices, -1, axis=0), strict=True
+        ):
+            between = (ay > y) != (by > y)
+            if between.any():
+                inside[between] ^= x[between] < ax + (y[between] - ay) / (by - ay) * (bx - ax)
+        return inside
+
+
+def make_region(
+    polygon: Sequence[tuple[float, float]] | None,
+    rectangle: tuple[float, float, float, float] | None,
+    circle: tuple[float, float, float] | None,
+) -> Region:
+    """Return the one region that is described; raises RegionRefused."""
+    given = {"polygon": polygon, "rectangle": rectangle, "circle": circle}
+    named = [name for name, one in given.items() if one is not None]
+    if len(named) != 1:
+        raise _refused(", ".join(named) or "none", "one of polygon, rectangle and circle")
+    numbers = np.asarray(given[named[0]], float)
+    if not np.isfinite(numbers).all():
+        raise _refused(str(given[named[0]]), "finite numbers")
+    if rectangle is not None:
+        if numbers.shape != (4,) or not (numbers[2:] >= numbers[:2]).all():
+            raise _refused(str(rectangle), "x0, y0, x1, y1 with x0 ≤ x1 and y0 ≤ y1")
+        # Half a pixel more on each side: the pixels of both corners belong to it.
+        x0, y0, x1, y1 = numbers + np.array([-0.5, -0.5, 0.5, 0.5])
+        return Region(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
+    if circle is not None:
+        if numbers.shape != (3,) or not numbers[2] > 0:
+            raise _refused(str(circle), "x, y and a radius above 0")
+        return Region(numbers[None, :2], float(numbers[2]))
+    if numbers.ndim != 2 or numbers.shape[1] != 2 or len(numbers) < 3:
+        raise _refused(f"shape {numbers.shape}", "three or more corners (x, y)")
+    return Region(numbers)
+
+
+def region_statistics(layer: LayerArray, region: Region, *, bins: int = 0) -> xarray.Dataset:
+    """Return mean, standard deviation and number of sound pixels of a region, band by band.
+
+    Parameters
+    ----------
+    layer : LayerArray, (y, x, band)
+        Read some rows at a time; nothing outside the region's rows is read.
+    region : Region
+    bins : int
+        Of a histogram between the least and the largest sound value of all bands; 0: none.
+
+    Returns
+    -------
+    statistics : xarray.Dataset
+        Over ``band``: ``mean``; ``std``, with n − 1 in its denominator, NaN of fewer than two; ``n``, sound
+        pixels; ``pixels``, all of the region on the grid. With `bins`: ``histogram`` (band, bin) and the
+        coordinate ``edges``.
+
+    Raises
+    ------
+    RegionRefused
+        ``E_REGION`` where no pixel of the layer lies within.
+    """
+    height, width = layer.sizes["y"], layer.sizes["x"]
+    x0, y0, x1, y1 = region.bounds
+    rows = range(max(0, int(np.ceil(y0))), min(height, int(np.floor(y1)) + 1))
+    columns = slice(max(0, int(np.ceil(x0))), max(0, min(width, int(np.floor(x1)) + 1)))
+    blocks = _Blocks(layer, region, rows, columns)
+    bands = layer.sizes["band"]
+    count, mean, spread = np.zeros(bands, np.int64), np.zeros(bands), np.zeros(bands)
+    low, high, pixels = np.inf, -np.inf, 0
+    for values, sound in blocks.read():
+        pixels += len(values)
+        n = sound.sum(0)
+        held = np.where(sound, values, 0.0)
+        here = held.sum(0) / np.maximum(n, 1)
+        rest = np.where(sound, values - here, 0.0)
+        total = np.maximum(count + n, 1)
+        # Two groups joined: Chan, Golub, LeVeque (1983), 10.1080/00031305.1983.10483115.
+        spread += np.square(rest).sum(0) + np.square(here - mean) * count * n / total
+        mean += (here - mean) * n / total
+        count += n
+        if n.any():
+            low, high = min(low, values[sound].min()), max(high, values[sound].max())
+    if not pixels:
+        raise _refused(
+            "no pixel within", f"a region on the grid, x 0 to {width - 1}, y 0 to {height - 1}"
+        )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        std = np.sqrt(np.where(count > 1, spread / (count - 1.0), np.nan))
+    found = {
+        "mean": ("band", np.where(count > 0, mean, np.nan)),
+        "std": ("band", std),
+        "n": ("band", count),
+        "pixels": ((), pixels),
+    }
+    made = xarray.Dataset(
+        found, coords={k: v for k, v in layer.coords.items() if v.dims == ("band",)}
+    )
+    if not bins:
+        return made
+    edges = (
+        np.linspace(low, high, bins + 1) if np.isfinite(low) else np.linspace(0.0, 1.0, bins + 1)
+    )
+    counts = np.zeros((bands, bins), np.int64)
+    for values, sound in blocks.read():
+        for band in range(bands):
+            counts[band] += np.histogram(values[sound[:, band], band], edges)[0]
+    return made.assign(histogram=(("band", "bin"), counts)).assign_coords(edges=("edge", edges))
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """The pixels of a region, some rows at a time."""
+
+    layer: LayerArray
+    region: Region
+    rows: range
+    columns: slice
+
+    def read(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield values and which are sound, (pixels, bands)."""
+        across = np.arange(self.columns.start, self.columns.stop)
+        step = max(1, BLOCK_SAMPLES // max(1, len(across) * self.layer.sizes["band"]))
+        for top in self.rows[::step] if len(across) else ():
+            down = np.arange(top, min(top + step, self.rows.stop))
+            mask = self.region.contains(across[None], down[:, None])
+            part = self.layer.isel(y=slice(top, int(down[-1]) + 1), x=self.columns)
+            values = part.values[mask].astype(np.float64)
+            yield values, ((part.flags.values[mask] & ~TRUSTED) == 0) & np.isfinite(values)
+
+
+def _refused(found: str, expected: str) -> RegionRefused:
+    return RegionRefused(
+        Problem("E_REGION", "this is no region of the layer", found=found, expected=expected)
+    )

@@ -1,0 +1,110 @@
+"""The report of an object in short: how well cameras overlay, glare, noise, and what to do next."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from levkas.registration.verdict import percent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from levkas.pages.page import LayerReport
+    from levkas.pages.radiometry import RadiometryRow
+
+GLARE = 0.01
+"""Share of the pixels seen above which glare is to be minded."""
+
+
+def describe_length(px: float, mm_per_px: float | None) -> str:
+    """Return a length in px of the reference, and in mm where the sampling is known.
+
+    >>> describe_length(0.0631, 1.212), describe_length(0.5, None)
+    ('0.063 px = 0.076 mm', '0.500 px')
+    """
+    return f"{px:.3f} px" + (f" = {px * mm_per_px:#.2g} mm" if mm_per_px else "")
+
+
+def summarise_layers(
+    layers: Sequence[LayerReport],
+    rows: Sequence[RadiometryRow],
+    mm_per_px: float | None,
+    lost: Sequence[str] = (),
+) -> list[tuple[str, str]]:
+    """Return (mark, sentence) of what matters, the mark being ok, warn, refuse or next.
+
+    Parameters
+    ----------
+    layers : sequence of LayerReport
+    rows : sequence of RadiometryRow
+    mm_per_px : float or None
+        Of the reference.
+    lost : sequence of str
+        Layers that could not even be begun.
+    """
+    return [
+        *_overlay(layers, mm_per_px),
+        *(("refuse", f"{name} was left out: its frames were refused.") for name in lost),
+        *_glare(rows),
+        *_noise(rows),
+        ("next", _next(layers, rows, lost)),
+    ]
+
+
+def _overlay(layers: Sequence[LayerReport], mm_per_px: float | None) -> Iterator[tuple[str, str]]:
+    laid = [one for one in layers if one.decision in ("accept", "warn")]
+    reference = next((one.name for one in layers if one.decision == "reference"), "the reference")
+    known = [one for one in laid if one.error_px is not None]
+    mark = "warn" if any(one.decision == "warn" for one in laid) else "ok"
+    if known:
+        worst = max(known, key=lambda one: one.error_px or 0.0)
+        assert worst.error_px is not None
+        which = "Every other camera" if len(laid) > 1 else worst.name
+        told = f"{which} lies on {reference} to within {describe_length(worst.error_px, mm_per_px)}"
+        told += ", where it was not fitted"
+        least = min((one.checked for one in known if one.checked is not None), default=None)
+        told += f" and could be checked ({percent(least)} of the object or more)" if least else ""
+        yield mark, f"{told}. {f'The worst is {worst.name}.' if len(laid) > 1 else ''}".rstrip()
+    elif laid:
+        names = ", ".join(one.name for one in laid)
+        yield mark, f"Overlaid on {reference}: {names}; nothing was held out to measure how well."
+    for one in layers:
+        if one.decision == "refuse":
+            yield "refuse", f"{one.name} was left out: it could not be aligned."
+        elif one.by_hand:
+            yield mark, f"{one.name} was {one.by_hand}."
+        elif one.decision == "warn":
+            yield "warn", f"{one.name}: {one.reasons[0] if one.reasons else 'please check it.'}"
+
+
+def _glare(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
+    known = [(row.glare_share, row.name) for row in rows if row.glare_share is not None]
+    if known:
+        most, name = max(known)
+        told = (
+            f"Glare, saturated gold included: at most {100 * most:.2g} % of what is seen ({name})."
+        )
+        yield ("warn" if most > GLARE else "ok"), told
+
+
+def _noise(rows: Sequence[RadiometryRow]) -> Iterator[tuple[str, str]]:
+    known = [(row.noise_median, row.name) for row in rows if row.noise_median is not None]
+    if not known:
+        return
+    (least, best), (most, worst) = min(known), max(known)
+    told = f"Noise of a published reflectance (1 σ, median): {least:.2g} ({best})"
+    told += f" to {most:.2g} ({worst})." if len(known) > 1 else "."
+    low = [f"{row.name}: {note}" for row in rows for note in row.notes if "SNR is below" in note]
+    yield ("warn" if low else "ok"), " ".join([told, *low])
+
+
+def _next(layers: Sequence[LayerReport], rows: Sequence[RadiometryRow], lost: Sequence[str]) -> str:
+    """Return the gravest thing to do."""
+    for decision in ("refuse", "warn"):
+        for one in layers:
+            if one.decision == decision and one.next_step:
+                return f"{one.name}: {one.next_step}"
+    if lost:
+        return "Mend the frames that were refused, listed below, and build again."
+    notes = [(row.glare_share or 0.0, f"{row.name}: {row.notes[0]}") for row in rows if row.notes]
+    return max(notes)[1] if notes else "Nothing has to be done."

@@ -1,0 +1,238 @@
+"""The report of an object in a real browser: in short first, pictures, evidence, details; nothing moves by itself."""
+
+import base64
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from levkas.pages.figures import draw_trace
+from levkas.pages.maps import Legend, ReportMap
+from levkas.pages.page import Figure, LayerReport, ObjectReport, render_page
+from levkas.pages.radiometry import RadiometryRow
+from levkas.pages.summary import summarise_layers
+
+REFERENCE = LayerReport("vis", ["550 nm"], "reflectance", "reference", "levkas", preview="vis.png")
+COLOUR = LayerReport(
+    "rgb", ["R", "G", "B"], "reflectance", "accept", "levkas", error="0.060 px = 0.073 mm over 96 %",
+    error_px=0.06, checked=0.96, ssim="0.918", preview="rgb.png", links=[("layer, TIFF", "o rgb.tif")],
+)  # fmt: skip
+XRAY = LayerReport(
+    "xray", ["grey"], "counts", "warn", "levkas", by_hand="aligned with 4 pairs by hand",
+    error_px=0.25, checked=0.8, reasons=["Half of it is not confirmed."], next_step="Look at it.",
+    preview="xray.png",
+)  # fmt: skip
+LOST = LayerReport(
+    "nir", ["850 nm"], "reflectance", "refuse", "levkas", reasons=["It is another painting."],
+    next_step="Run `levkas inspect CAMPAIGN`.",
+)  # fmt: skip
+ROWS = [
+    RadiometryRow("vis", "0.008", "33", "6 stops", "10 stops", "0.6 %", "0.3 px", "70 %",
+                  glare_share=0.006, noise_median=0.008),
+    RadiometryRow("rgb", "0.002", "50", "6 stops", "11 stops", "2 %", "0.5 px", "65 %",
+                  ("The scene goes beyond the sensor: 2 % saturates in R. Move the lamps.",),
+                  glare_share=0.02, noise_median=0.002),
+]  # fmt: skip
+
+
+def png(colour, size=(90, 120)):
+    target = io.BytesIO()
+    Image.new("RGB", size, colour).save(target, "PNG")
+    return target.getvalue()
+
+
+def written(folder, layers, rows=ROWS, **more):
+    """Write a report with its pictures: its path."""
+    for number, name in enumerate(("vis", "rgb", "xray")):
+        (folder / f"{name}.png").write_bytes(png((60 + 60 * number, 90, 40)))
+    page = ObjectReport(
+        title="An icon", facts=["Egg tempera"], reference="vis:550 nm", layers=layers, mm_per_px="1.212",
+        views=[{"name": one.name, "src": one.preview} for one in layers if one.preview], radiometry=rows,
+        short=summarise_layers(layers, rows, 1.212), links=[("museum facts", "object.toml")], **more,
+    )  # fmt: skip
+    path = folder / "report.html"
+    path.write_text(render_page("report.html", page=page), encoding="utf-8")
+    return path
+
+
+def map_of(title):
+    legend = Legend(least="0", most="0.1 px or more")
+    if title == "Flags":
+        legend = Legend((("no flag", (24, 22, 19)), ("saturated", (230, 80, 80))))
+    source = "data:image/png;base64," + base64.b64encode(png((200, 90, 40))).decode()
+    return ReportMap(title, source, legend)
+
+
+MAPS = [map_of(title) for title in ("Error of the registration", "Sigma", "Flags")]
+
+
+# --- in short -------------------------------------------------------------------------------------
+
+
+def test_in_short_says_error_worst_camera_glare_noise_and_what_to_do():
+    marks, told = zip(*summarise_layers([REFERENCE, COLOUR], ROWS, 1.212), strict=True)
+    assert marks == ("ok", "warn", "ok", "next")
+    assert told[0].startswith(
+        "rgb lies on vis to within 0.060 px = 0.073 mm, where it was not fitted"
+    )
+    assert "96 % of the object" in told[0]
+    assert "at most 2 % of what is seen (rgb)" in told[1]
+    assert "0.002 (rgb) to 0.008 (vis)" in told[2]
+    assert told[3].startswith("rgb: The scene goes beyond the sensor")
+
+
+def test_in_short_names_the_worst_what_was_left_out_and_what_a_hand_placed():
+    lines = summarise_layers([REFERENCE, COLOUR, XRAY, LOST], [], None, ["uv"])
+    assert lines[0] == (
+        "warn",
+        "Every other camera lies on vis to within 0.250 px, where it was not fitted and could be checked "
+        "(80 % of the object or more). The worst is xray.",
+    )
+    assert ("warn", "xray was aligned with 4 pairs by hand.") in lines
+    assert ("refuse", "nir was left out: it could not be aligned.") in lines
+    assert ("refuse", "uv was left out: its frames were refused.") in lines
+    assert lines[-1] == ("next", "nir: Run `levkas inspect CAMPAIGN`.")
+
+
+def test_of_one_sound_object_nothing_has_to_be_done():
+    lines = summarise_layers([REFERENCE, replace(COLOUR, checked=None)], [], None)
+    assert lines == [
+        ("ok", "rgb lies on vis to within 0.060 px, where it was not fitted."),
+        ("next", "Nothing has to be done."),
+    ]
+
+
+# --- in the browser -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 1024, 390])
+def test_short_first_then_pictures_then_evidence_then_details(browser, tmp_path, width, scheme):
+    layers = [
+        replace(one, maps=MAPS) if one.preview else one for one in (REFERENCE, COLOUR, XRAY, LOST)
+    ]
+    path = written(tmp_path, layers)
+    page = browser.open(path.as_uri(), width=width, height=900, scheme=scheme)
+    tops = [
+        page.locator(name).first.bounding_box()["y"]
+        for name in (
+            "nav.contents",
+            "#short",
+            "#compare",
+            "#evidence",
+            "#radiometry",
+            "details.layer",
+        )
+    ]
+    assert tops == sorted(tops)
+    if width == 1440:
+        assert tops[-1] < 4 * 900  # at most four screens before the details
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("nav.contents a[href='#short']").count() == 1
+    for href in page.eval_on_selector_all(
+        "nav.contents a[href^='#']", "a => a.map(x => x.getAttribute('href'))"
+    ):
+        assert page.locator(href).count() == 1
+    assert page.locator(".maprow figure").count() == 9
+    boxes = page.eval_on_selector_all(".badge", "b => b.map(x => [x.scrollWidth, x.clientWidth])")
+    assert all(inner <= outer for inner, outer in boxes)
+
+
+def test_nothing_flickers_by_itself_and_reduced_motion_stops_all_of_it(browser, tmp_path):
+    path = written(tmp_path, [REFERENCE, COLOUR])
+    for motion, moves in (("no-preference", True), ("reduce", False)):
+        page = browser.open(path.as_uri(), reduced_motion=motion)
+        state = "document.getElementById('over').style.visibility"
+        assert "Left of the line vis, right of it rgb" in page.locator("#now").inner_text()
+        seen = []
+        page.locator("[data-mode=flicker]").click()
+        for _ in range(12):
+            seen.append(page.evaluate(state))
+            page.wait_for_timeout(100)
+        assert (len(set(seen)) > 1) is moves
+        if not moves:
+            page.locator("[data-mode=flicker]").click()
+            assert page.evaluate(state) != seen[-1]
+            assert page.locator("#now").inner_text() == "Now: rgb"
+
+
+def test_the_curtain_can_be_moved_where_the_picture_is_enlarged_and_the_picture_stays_in_view(
+    browser, tmp_path
+):
+    page = browser.open(written(tmp_path, [REFERENCE, COLOUR]).as_uri())
+    page.locator("#under").evaluate("image => image.decode()")
+    page.locator("#zoom").fill("4")
+    box = page.locator("#stage").bounding_box()
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 60, middle[1])
+    page.mouse.up()
+    line = page.locator("#divider").bounding_box()
+    assert line["x"] == pytest.approx(middle[0] + 60, abs=2)
+    for dx in (2000, -4000):  # far beyond either side
+        page.mouse.move(box["x"] + 10, middle[1])
+        page.mouse.down()
+        page.mouse.move(box["x"] + 10 + dx, middle[1])
+        page.mouse.up()
+        shown = page.locator("#under").bounding_box()
+        assert shown["x"] <= box["x"] + 1
+        assert shown["x"] + shown["width"] >= box["x"] + box["width"] - 1
+    page.locator("#stage").focus()
+    page.keyboard.press("d")
+    assert "four times amplified" in page.locator("#now").inner_text()
+
+
+def test_details_open_where_something_is_to_be_checked_and_where_a_link_leads(browser, tmp_path):
+    page = browser.open(written(tmp_path, [REFERENCE, COLOUR, XRAY, LOST]).as_uri())
+    opened = "names => names.map(n => document.getElementById('layer-' + n).open)"
+    assert page.evaluate(opened, ["vis", "rgb", "xray", "nir"]) == [False, False, True, True]
+    page.locator("nav.contents a", has_text="rgb").click()
+    assert page.evaluate(opened, ["rgb"]) == [True]
+    assert page.locator("#layer-rgb a").first.get_attribute("href") == "o%20rgb.tif"
+    assert "aligned with 4 pairs by hand" in page.locator("#evidence").inner_text()
+
+
+def test_tables_are_cards_on_a_phone_and_a_thumb_can_scroll_past_the_picture(browser, tmp_path):
+    page = browser.open(written(tmp_path, [REFERENCE, COLOUR]).as_uri(), width=390, height=844)
+    assert page.locator("#evidence thead").is_hidden()
+    cell = page.locator("#evidence tbody td").nth(2)
+    assert (
+        cell.evaluate("c => getComputedStyle(c, '::before').content")
+        == '"Error where nothing was fitted"'
+    )
+    assert page.locator("#stage").evaluate("s => getComputedStyle(s).touchAction") == "pan-y"
+
+
+def test_the_papers_figures_are_history_and_folded(browser, tmp_path):
+    from levkas.geometry.transforms import Affine
+    from levkas.registration.outliers import RemovalTerms, clean
+    from levkas.registration.record import Matches
+
+    points = np.random.default_rng(1).uniform(0, 200, (60, 2))
+    found = clean(points, points + 0.1, RemovalTerms(Affine.identity(), 30.0, 1.0), size=(200, 200),
+                  target_size=(200, 200))  # fmt: skip
+    history = draw_trace(Matches.of(points + 0.1, points), found.trace)
+    paper = replace(COLOUR, history=history, figures=[Figure("<svg></svg>", "windows")])
+    page = browser.open(written(tmp_path, [REFERENCE, paper]).as_uri())
+    page.locator("nav.contents a", has_text="rgb").click()
+    assert page.get_by_text("the paper's Figure 9").is_hidden()
+    page.get_by_text("History: how wrong pairs were removed").click()
+    assert page.get_by_text("the paper's Figure 9").is_visible()
+
+
+def test_commands_in_a_sentence_are_code(browser, tmp_path):
+    page = browser.open(written(tmp_path, [REFERENCE, COLOUR, LOST]).as_uri())
+    assert page.locator("#short code").inner_text() == "levkas inspect CAMPAIGN"
+    assert "`" not in page.locator("main").inner_text()
+
+
+def test_hostile_names_and_reasons_stay_text(browser, tmp_path):
+    evil = "</script><img src=x onerror=alert(1)>"
+    layer = replace(
+        COLOUR, name=evil, reasons=[evil], next_step=evil, decision="warn", links=[(evil, evil)]
+    )
+    page = browser.open(written(tmp_path, [REFERENCE, layer]).as_uri())
+    assert page.locator("img[src=x]").count() == 0 and evil in page.locator("#short").inner_text()
