@@ -176,7 +176,7 @@ def kills(campaign, folder):
 
     building = client()
     try:
-        while building.poll() is None and time.monotonic() - started < 540:
+        while building.poll() is None and time.monotonic() - started < 800:
             time.sleep(EVERY_S)
             there = machines.victims()
             if killed < KILLS and there:

@@ -224,7 +224,8 @@ def test_a_different_painting_is_refused_by_reason_and_nothing_of_it_is_written(
     assert not (campaign / "database/objects/panel/panel_irr.tif").exists()
     assert "irr" not in (campaign / "database/catalogue.csv").read_text()
     page = (campaign / "database/objects/panel/report.html").read_text()
-    assert "What was refused" in page
+    assert "irr was left out: it could not be aligned" in page
+    assert "What was refused" not in page  # its own section says why
 
 
 def test_a_blank_picture_is_refused(campaign):

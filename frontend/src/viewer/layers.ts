@@ -81,7 +81,7 @@ export class LayerList {
       this.onCompare();
     });
     const row = make("li", { class: "row" }, first, second);
-    if (layer.by_hand) row.append(make("p", { class: "reasons by-hand" }, `${layer.by_hand}.`));
+    if (layer.by_hand) row.append(make("p", { class: "by-hand" }, `${layer.by_hand}.`));
     if (layer.decision === "refuse" || layer.decision === "warn") {
       const reasons = layer.reasons.join(" ");
       if (reasons) row.append(make("p", { class: "reasons" }, reasons));

@@ -102,17 +102,16 @@ def report_of(
     )
     told += [campaign.campaign.title, campaign.campaign.date or "", facts.rights if facts else ""]
     told += [campaign.campaign.licence]
+    said = {layer.name for layer in layers if layer.decision == "refuse"}  # in its own section
+    refused = [s for s in steps if s.state in ("refused", "failed") and s.key.layer not in said]
     problems = [
-        {"code": p.code, "text": written(campaign, p)}
-        for step in steps
-        if step.state in ("refused", "failed")
-        for p in step.problems
+        {"code": p.code, "text": written(campaign, p)} for step in refused for p in step.problems
     ]
     reference = campaign.reference
     sampling = _sampling(places, captures)
     rows = radiometry_rows(records, captures)
     reported = {layer.name for layer in layers}
-    lost = list(dict.fromkeys(s.key.layer for s in steps if s.state in ("refused", "failed")))
+    lost = list(dict.fromkeys(step.key.layer for step in refused))
     lost = [layer for layer in lost if layer and layer not in reported]
     return render_page(
         "report.html",
@@ -176,7 +175,7 @@ def _layer(
         checked=checked,
         checks=_checks(errors),
         ssim="–" if ssim is None else f"{ssim:.3f}",
-        flags=describe_flags(resampled.get("flags", {})),
+        flags=describe_flags(resampled.get("flags", {})) if shown else "–",
         preview=preview.name if shown else "",
         description=str(resampled.get("description", "")) or f"{len(capture.bands)} bands",
         figures=[] if removal else drawn,

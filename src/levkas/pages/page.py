@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from dataclasses import dataclass, field
 from importlib.resources import files as resources
 from typing import TYPE_CHECKING, Any
@@ -112,7 +113,19 @@ def render_page(template: str, **values: Any) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(read), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["coded"] = mark_code
     return environment.get_template(template).render(**values)
+
+
+def mark_code(text: str) -> Any:
+    """Return text as HTML in which what stands between backticks is code; everything else is escaped.
+
+    >>> str(mark_code("run `a <b>` & c"))
+    'run <code>a &lt;b&gt;</code> &amp; c'
+    """
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def embed_png(data: bytes) -> str:

@@ -15,6 +15,8 @@ SIZE = (150, 130)
 """Of the grid: (width, height)."""
 GRID = Affine(np.array([[0.0, 1.0, 12.0], [-1.0, 0.0, 170.0]]))
 """Grid → reference: a quarter turn and a crop."""
+BY_HAND = "rgb"
+"""Camera that was aligned with four pairs by hand."""
 CAMERAS = {
     "vis": [f"{w} nm" for w in range(420, 701, 40)],
     "rgb": ["R", "G", "B"],
@@ -88,6 +90,8 @@ def write_record(
     }
     if decision == "refuse":
         record["bands"] = {}
+    if camera == BY_HAND:
+        record["pairs_by_hand"] = 4
     write_json(root / "objects" / name / "registration" / f"{camera}.json", record)
 
 

@@ -223,6 +223,12 @@ def test_the_papers_figures_are_history_and_folded(browser, tmp_path):
     assert page.get_by_text("the paper's Figure 9").is_visible()
 
 
+def test_commands_in_a_sentence_are_code(browser, tmp_path):
+    page = browser.open(written(tmp_path, [REFERENCE, COLOUR, LOST]).as_uri())
+    assert page.locator("#short code").inner_text() == "levkas inspect CAMPAIGN"
+    assert "`" not in page.locator("main").inner_text()
+
+
 def test_hostile_names_and_reasons_stay_text(browser, tmp_path):
     evil = "</script><img src=x onerror=alert(1)>"
     layer = replace(

@@ -233,6 +233,13 @@ def test_the_picture_shows_the_render_at_any_zoom(browser, address, viewer, how)
             assert difference.max() < 40, (scale, x, y)
 
 
+def test_a_layer_that_was_aligned_by_hand_says_so(browser, address):
+    page = open_object(browser, address("file"))
+    row = page.locator("li.row", has=page.locator(".by-hand"))
+    assert row.locator(".layer-name").inner_text() == "rgb"
+    assert row.locator(".by-hand").inner_text() == "Aligned with 4 pairs by hand."
+
+
 @pytest.mark.parametrize("how", FLIGHTS)
 def test_the_curtain_shows_a_left_and_b_right_of_a_visible_line(browser, address, viewer, how):
     page = open_object(browser, address(how, fragment="#a=vis/colour&b=vis/flags"))
