@@ -110,7 +110,8 @@ class Hashes:
             except sqlite3.DatabaseError:  # damaged: made anew
                 self._kept = None
                 remove(self.path)
-                _write(self.path, rows)
+                with suppress(sqlite3.OperationalError):
+                    _write(self.path, rows)
             if self._read is not None:
                 self._read |= self._new
             else:
