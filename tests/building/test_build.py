@@ -10,6 +10,7 @@ import tifffile
 
 import levkas
 from levkas.building import build, status, summarise
+from levkas.building.hashes import HASHES, Hashes
 from levkas.core.digests import hash_tree, stamp_of
 from levkas.core.problems import Refused
 
@@ -169,9 +170,9 @@ def flip_a_bit(path, kept):
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 4
     path.write_bytes(data)
-    hashes = json.loads((kept / "hashes.json").read_text())
-    hashes[str(path)] = [*stamp_of(path), hashes[str(path)][-1]]
-    (kept / "hashes.json").write_text(json.dumps(hashes))
+    hashes = Hashes(kept / HASHES)
+    hashes.take(path, [*stamp_of(path), hashes.known(path)[-1]])
+    hashes.save()
 
 
 @pytest.mark.parametrize(

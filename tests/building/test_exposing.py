@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from levkas.building.build_records import Hashes
 from levkas.building.calibrate import develop
+from levkas.building.hashes import HASHES, Hashes
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -76,7 +76,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     captures, refused = find_captures(campaign)
     assert not refused
-    shelf = TemplateCache(folder / "kept", Hashes(folder / "hashes.json"), shared=False)
+    shelf = TemplateCache(folder / "kept", Hashes(folder / HASHES), shared=False)
     return develop(captures[0], campaign, shelf)
 
 

@@ -362,7 +362,7 @@ def find_torn(scene, *, told):
         except ValueError:
             yield str(path)
             continue
-        for name, sha in products.items() if path.name != "hashes.json" else ():
+        for name, sha in products.items():
             if found.get(name) != sha:
                 yield f"{path.name} without {name}"
 
@@ -837,7 +837,7 @@ def lost(scene, disk, records):
         for digest in disk.may_hold(*place) - {None}:
             if digest == TORN:
                 yield "/".join(place)
-            elif place[-1] != "hashes.json":
+            else:
                 for name, sha in json.loads(disk.contents[digest]).get("products", {}).items():
                     if disk.may_hold(top, *name.split("/")) != {sha}:
                         yield f"{'/'.join(place)} without {name}"
@@ -847,7 +847,7 @@ def lost(scene, disk, records):
 @pytest.mark.parametrize("name", SCENES)
 def test_a_loss_of_power_at_any_moment_leaves_the_old_or_the_new(scenes, name):
     operations, wrong = replay(scenes[name])
-    assert operations > 250
+    assert operations > 200
     assert not wrong
 
 

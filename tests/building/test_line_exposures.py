@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from levkas.building.build_records import Hashes
 from levkas.building.calibrate import develop
+from levkas.building.hashes import HASHES, Hashes
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
@@ -73,7 +73,7 @@ def developed(folder):
     campaign = load_campaign(folder)
     (capture,), refused = find_captures(campaign)
     assert not refused, refused
-    shelf = TemplateCache(folder / "kept", Hashes(folder / "hashes.json"), shared=False)
+    shelf = TemplateCache(folder / "kept", Hashes(folder / HASHES), shared=False)
     native = develop(capture, campaign, shelf)
     (cube,) = native.cubes.values()
     return cube.values, cube.sigma, native.warnings

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from levkas.building import build, scans, status, summarise
-from levkas.building.build_records import Hashes
+from levkas.building.hashes import HASHES, Hashes
 from levkas.building.template_cache import TemplateCache
 from levkas.calibration.templates import average
 from levkas.campaign.discovery.captures import FrameRef
@@ -61,21 +61,21 @@ def test_a_frame_replaced_at_the_same_size_and_time_is_noticed(campaign):
 def test_what_no_stamp_shows_is_found_by_reading_every_file_anew(campaign):
     time.sleep(0.2)  # files that were copied within the last tick of the clock are not kept
     list(build(campaign))  # the copy's own stamps
-    frame, kept = campaign / "filters/one_500nm.tif", campaign / "database.kept/hashes.json"
-    hashes = json.loads(kept.read_text())
+    frame, kept = campaign / "filters/one_500nm.tif", campaign / "database.kept" / HASHES
+    hashes = Hashes(kept)
     frame.write_bytes(frame.read_bytes()[:-1] + b"\x07")
-    hashes[str(frame)] = [*stamp_of(frame), hashes[str(frame)][-1]]
-    kept.write_text(json.dumps(hashes))
+    hashes.take(frame, [*stamp_of(frame), hashes.known(frame)[-1]])
+    hashes.save()
     assert not why(campaign, "filters")
     assert why(campaign, "filters", verify=True) == "file filters/one_500nm.tif changed"
 
 
 def test_a_file_changed_twice_within_a_tick_of_the_clock_is_read_again(tmp_path):
-    frame, kept = tmp_path / "frame.tif", tmp_path / "hashes.json"
+    frame, kept = tmp_path / "frame.tif", tmp_path / HASHES
     frame.write_bytes(b"one")
     first = Hashes(kept)
     assert first(frame) == hash_file(frame)
-    assert str(frame) not in first.known
+    assert first.known(frame) is None
 
 
 def test_dark_and_white_swapped_is_noticed(campaign):
@@ -121,7 +121,7 @@ def test_provenance_has_every_file_of_every_frame_with_role_and_exposure(campaig
 
 
 def test_templates_with_equal_headers_are_not_taken_for_one(campaign):
-    shelf = TemplateCache(campaign / "shelf", Hashes(campaign / "hashes.json"), shared=True)
+    shelf = TemplateCache(campaign / "shelf", Hashes(campaign / HASHES), shared=True)
 
     def template(name):
         path = campaign / f"scan/{name}.hdr"

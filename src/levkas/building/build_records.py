@@ -6,15 +6,13 @@ import hashlib
 import json
 import os
 import re
-import threading
-import time
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from levkas.core.digests import hash_file, stamp_of
+from levkas.building.hashes import HASHES, Hashes
+from levkas.core.digests import hash_file
 from levkas.core.files import (
     make_folder,
     move_files,
@@ -30,7 +28,7 @@ from levkas.database.containment import stays_inside
 from levkas.database.layout import LayerId, layer_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
     from levkas.campaign.discovery.captures import Capture
 
@@ -40,10 +38,6 @@ WAS = ".was"
 """Suffix of the record of a stage that is being done anew."""
 REFUSED = ".refused"
 """Suffix of what a refused stage was refused for: it is tried again by every build, and read by `status`."""
-TICK_NS = 100_000_000
-"""Longer than the clocks of file systems that keep parts of a second stand still: at most 16 ms."""
-COARSE_TICK_NS = 2_000_000_000
-"""As long as those of others stand still: FAT counts in two seconds."""
 
 
 @dataclass(frozen=True, order=True)
@@ -88,88 +82,6 @@ class Written(NamedTuple):
     problems: tuple[Problem, ...] = ()
 
 
-class Hashes:
-    """SHA-256 of files; size, times and inode spare a second reading of an unchanged one.
-
-    A file that was changed just before it was read may have been changed again within one tick of the
-    clock of its file system: its hash is kept only once that tick is over.
-
-    Parameters
-    ----------
-    path : Path
-        Where hashes are kept.
-    verify : bool
-        Read every file anew, whatever is kept of it.
-    """
-
-    def __init__(self, path: Path, *, verify: bool = False) -> None:
-        self.path = path
-        self.known: dict[str, list[Any]] = {} if verify else _read(path)
-        self.changed = False
-        self._unsettled: dict[str, list[Any]] = {}
-        self._files: dict[Path, tuple[Path, ...]] = {}
-        self._lock = threading.Lock()
-
-    def __call__(self, path: str | Path, *, own: bool = False) -> str:
-        """Return the hash of a file; `own` ones were written whole by Levkas just before."""
-        name = str(path)
-        stamp = [*stamp_of(name)]
-        entry = self._unsettled.get(name) or self.known.get(name)
-        if entry is None or entry[:-1] != stamp:
-            entry = self._hashed(name, stamp, own=own)
-        return str(entry[-1])
-
-    def of_frame(self, path: Path) -> dict[Path, str]:
-        """Return the hashes of all files that a frame is read from; raises OSError."""
-        from levkas.readers.frames import files_of
-
-        if path not in self._files:
-            self._files[path] = files_of(path)
-        return {file: self(file) for file in self._files[path]}
-
-    def take(self, path: str | Path, entry: Sequence[Any]) -> None:
-        """Take stamp and hash of a file that another process has read, where the file has that stamp still."""
-        with suppress(OSError):
-            if [*stamp_of(path)] == [*entry[:-1]]:
-                with self._lock:
-                    self.known[str(path)] = [*entry]
-                    self.changed = True
-
-    def save(self) -> None:
-        """Keep what was learnt."""
-        for name in list(self._unsettled):
-            with suppress(OSError):  # taken away meanwhile
-                self._hashed(name, [*stamp_of(name)])
-        with self._lock:
-            if self.changed:
-                write_json(self.path, self.known)
-                self.changed = False
-
-    def _hashed(self, name: str, stamp: list[int], *, own: bool = False) -> list[Any]:
-        """Hash a file that had a stamp just before."""
-        settled = own or _is_settled(stamp, time.time_ns())
-        entry = [*stamp, hash_file(name)]
-        with self._lock:
-            self._unsettled.pop(name, None)
-            if settled:
-                self.known[name] = entry
-                self.changed = True
-            else:
-                self._unsettled[name] = entry
-        return entry
-
-
-def _is_settled(stamp: Sequence[int], now: int) -> bool:
-    """Tell whether a file read from `now` on cannot be changed any more without another stamp.
-
-    >>> _is_settled((1, 10**18 + 1, 10**18 + 1, 1), 10**18 + TICK_NS)
-    False
-    """
-    times = stamp[1:3]
-    coarse = all(one % 1_000_000 == 0 for one in times)
-    return now - max(times) > (COARSE_TICK_NS if coarse else TICK_NS)
-
-
 class BuildRecords:
     """Fingerprints and products of finished stages, one small file a stage.
 
@@ -192,7 +104,7 @@ class BuildRecords:
         self, folder: Path, output: Path, *, keep_removed: bool = False, verify: bool = False
     ) -> None:
         self.folder, self.output, self.keep_removed = folder, output, keep_removed
-        self.hashes = Hashes(folder / "hashes.json", verify=verify)
+        self.hashes = Hashes(folder / HASHES, verify=verify)
         self._known: dict[str, dict[str, Any]] = {}
         self._put_away: Path | None = None
 

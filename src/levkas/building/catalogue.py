@@ -70,13 +70,14 @@ def prints_of_catalogue(
     records: BuildRecords,
     captures: list[Capture],
     names: list[str],
+    others: dict[str, str],
 ) -> dict[str, Any]:
-    """Return what the files that speak of all layers hang on."""
+    """Return what the files that speak of all layers hang on; `others` are those of `by_others`."""
     entries = _entries(places, records, captures, names, whole=True)
     imprint = imprint_of(campaign, entries)
     spectra = spectra_of(campaign, imprint["setups"])
     products = records.hashes_of_products()
-    return _prints(entries, products, imprint, spectra, by_others(places, records))
+    return _prints(entries, products, imprint, spectra, others)
 
 
 def by_others(places: Places, records: BuildRecords) -> dict[str, str]:

@@ -141,7 +141,7 @@ def _of_campaign(
     path: Path, cameras: Sequence[str], report: ChartReport
 ) -> Iterator[tuple[Capture, Chart, Developed]]:
     """Develop every chart of a campaign; what cannot be is told in the report."""
-    from levkas.building.build_records import Hashes
+    from levkas.building.hashes import HASHES, Hashes
     from levkas.building.template_cache import TemplateCache
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.find_captures import find_charts
@@ -171,7 +171,7 @@ def _of_campaign(
             )
         )
     kept = Places(campaign.output).kept
-    templates = TemplateCache(kept / "templates", Hashes(kept / "hashes.json"), shared=False)
+    templates = TemplateCache(kept / "templates", Hashes(kept / HASHES), shared=False)
     captures, refusals = find_charts(campaign)
     report.problems.extend(p for r in refusals.values() for p in r.problems)
     for capture in captures:

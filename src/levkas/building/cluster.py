@@ -149,6 +149,7 @@ class Cluster:
     events: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     _client: Client | None = None
     _scheduler: str = ""
+    _prepared: set[str] = field(default_factory=set)
 
     @property
     def client(self) -> Client:
@@ -170,12 +171,14 @@ class Cluster:
 
     def greet(self, kept: Path) -> None:
         """Have every worker, also those that come later, limit its threads and say what it is."""
-        scheduler = self.client.scheduler_info(n_workers=0)["id"]
-        if scheduler != self._scheduler:
-            self._scheduler = scheduler
-            topic = f"levkas-{self.build}"
-            self.client.subscribe_topic(topic, self._hear)
-            self.client.register_plugin(Greeting(topic, str(kept)), name=topic)
+        topic = f"levkas-{self.build}"
+        with suppress(OSError, TimeoutError):  # it is away: asked again in a second
+            scheduler = self.client.scheduler_info(n_workers=0).get("id", "")
+            if scheduler and scheduler != self._scheduler:
+                self._prepared.clear()
+                self.client.subscribe_topic(topic, self._hear)
+                self.client.register_plugin(Greeting(topic, str(kept)), name=topic)
+                self._scheduler = scheduler
 
     def _hear(self, event: Any) -> None:
         told = event[1] if isinstance(event, tuple) else event
@@ -185,6 +188,7 @@ class Cluster:
         """Take what a worker says of itself; raises ClusterRefused where its code is another one."""
         worker = told["worker"]
         self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
+        self._prepared.add(worker)
         if told["code"] != code_digest():
             mine = self.mine
             unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
@@ -211,9 +215,9 @@ class Cluster:
         return tuple(told)
 
     def workers(self) -> list[str]:
-        """Return the addresses of the workers that are there."""
+        """Return the addresses of the workers that are there and prepared."""
         try:
-            return list(self.client.nthreads())
+            return [worker for worker in self.client.nthreads() if worker in self._prepared]
         except (OSError, TimeoutError):
             return []
 

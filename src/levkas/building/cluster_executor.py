@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import heapq
 import queue
+import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -50,8 +51,8 @@ NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
 BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan that is passed through."""
-LOOK_S = 1.0
-"""How long to wait for news before the workers are counted."""
+LOOK_S, STUCK_S = 1.0, 15.0
+"""How long to wait for news before the workers are counted, and for a worker that is idle to begin."""
 
 
 def memory_needed(task: Task, campaign: Campaign) -> float:
@@ -77,6 +78,7 @@ class Flight:
     on: str = ""
     peak: int = 0
     sent: int = 0
+    since: float = 0.0
     attempts: list[dict[str, Any]] = field(default_factory=list)
     failed: int = 0
     lost: int = 0
@@ -104,6 +106,7 @@ class ClusterExecutor:
         self._redone: Counter[Key] = Counter()
         self._there: list[str] = []
         self._untidy = False
+        self._counted = 0.0
 
     def run(self, tasks: Sequence[Task]) -> Iterator[Step]:
         """Yield each task of captures as it begins and as it ends; `tasks` has all of them."""
@@ -135,11 +138,17 @@ class ClusterExecutor:
         """How many workers there are, and how many tasks wait for memory while one of them is idle."""
         count = len(self._there)
         told = f"{count} worker{'' if count == 1 else 's'}"
-        idle = {*self._there} - {flight.on for flight in self._flying.values()}
-        room = max((self._cluster.sizes.get(worker, 0.0) for worker in idle), default=None)
-        waiting = [f for f in self._flying.values() if not f.on and room and f.need > room]
+        room = self._room(self._idle())
+        waiting = [f for f in self._flying.values() if not f.on and 0 < room < f.need]
         verb = "waits" if len(waiting) == 1 else "wait"
         return f"{told}, {len(waiting)} {verb} for memory" if waiting else told
+
+    def _idle(self) -> set[str]:
+        return {*self._there} - {flight.on for flight in self._flying.values()}
+
+    def _room(self, workers: Iterable[str]) -> float:
+        """Return the bytes of the largest of some workers; 0 where there is none."""
+        return max((self._cluster.sizes[worker] for worker in workers), default=0.0)
 
     def _lay(self, tasks: Sequence[Task]) -> None:
         """Note what each task waits for: what it reads, and what comes before it of its object's reference.
@@ -195,7 +204,7 @@ class ClusterExecutor:
             return
         self._flying[task.key] = flight
         yield Step(task.key, "running", due.why)
-        self._send(flight)
+        self._resend(flight)
 
     def _too_large(self, flight: Flight) -> TooLarge | None:
         """Return the refusal of a task that needs more memory than any worker that was seen has."""
@@ -214,6 +223,25 @@ class ClusterExecutor:
                 fix="Give the cluster a worker with more memory, or take fewer workers a machine.",
             )
         )
+
+    def _resend(self, flight: Flight) -> None:
+        """Send a task, or wait where no worker that is there has the memory.
+
+        dask looks for a worker when a task comes, and when a worker does, which then has no resources yet.
+        """
+        if flight.future is not None:
+            flight.future.release()
+            flight.future = None
+        if flight.need <= self._room(self._there):
+            self._send(flight)
+
+    def _is_stuck(self, flight: Flight) -> bool:
+        """Tell whether a task that was sent is not begun though it could be, or its worker is gone."""
+        if flight.future is None or time.monotonic() - flight.since < STUCK_S:
+            return False
+        if flight.on:
+            return flight.on not in self._there
+        return flight.need <= self._room(self._idle())
 
     def _send(self, flight: Flight) -> None:
         due = flight.due
@@ -236,7 +264,7 @@ class ClusterExecutor:
             code=code_digest(),
             verify=self._verify,
         )
-        flight.sent += 1
+        flight.sent, flight.since = flight.sent + 1, time.monotonic()
         number = sum(self._redone.values()) * 100 + flight.sent
         flight.future = self._cluster.send(job, flight.need, number)
         flight.future.add_done_callback(lambda _: self._cluster.events.put({"done": key}))
@@ -245,10 +273,8 @@ class ClusterExecutor:
 
     def _heard(self) -> Iterator[Step]:
         """Take what workers say and what has ended; wait a second at most for the first of it."""
-        if not self._flying:
-            return
         try:
-            told = [self._cluster.events.get(timeout=LOOK_S)]
+            told = [self._cluster.events.get(timeout=LOOK_S if self._flying else 0)]
         except queue.Empty:
             told = []
         while not self._cluster.events.empty():
@@ -258,23 +284,36 @@ class ClusterExecutor:
                 self._cluster.learn(one)
             elif "begun" in one:
                 self._note_begun(one)
-        if not told or any("bytes" in one for one in told) or not self._there:
-            self._there = [w for w in self._cluster.workers() if w in self._cluster.sizes]
+        now = time.monotonic()
+        if now - self._counted > LOOK_S or any("bytes" in one for one in told):
+            self._cluster.greet(self._places.kept)  # where the scheduler was started again
+            self._there = self._cluster.workers()
+            self._counted = now
         for key, flight in list(self._flying.items()):
             refused = None if flight.on else self._too_large(flight)
             if refused:
-                self._cluster.client.cancel([flight.future])
+                if flight.future is not None:
+                    self._cluster.client.cancel([flight.future])
                 yield from self._end(
                     flight.due.task, self._endings.refuse(flight.due.task, refused)
                 )
-            elif flight.future is not None and flight.future.status != "pending":
+            elif flight.future is None:
+                self._resend(flight)
+            elif flight.future.status != "pending":
                 yield from self._landed(key, flight)
+            elif self._is_stuck(flight):
+                if flight.on:
+                    flight.ended("its worker was lost")
+                self._cluster.client.cancel([flight.future])
+                self._resend(flight)
 
     def _note_begun(self, told: dict[str, Any]) -> None:
         for key, flight in self._flying.items():
             if [key.object, key.camera, key.setup, key.stage] == list(told["begun"]):
                 if flight.on and flight.on != told["on"]:
                     flight.ended("its worker was lost")
+                if flight.on != told["on"]:
+                    flight.since = time.monotonic()
                 flight.on, flight.peak = told["on"], max(flight.peak, told["peak"])
 
     def _landed(self, key: Key, flight: Flight) -> Iterator[Step]:
@@ -294,7 +333,7 @@ class ClusterExecutor:
         elif refused := self._give_up(flight, error):
             yield from self._end(task, self._endings.refuse(task, refused))
         else:
-            self._send(flight)
+            self._resend(flight)
 
     def _give_up(self, flight: Flight, error: BaseException | None) -> Refused | None:
         """Log an attempt that failed; return a refusal where it was the last, raise what is a fault of ours."""
@@ -304,8 +343,6 @@ class ClusterExecutor:
             starved = peak > NEAR * self._cluster.sizes.get(on, float("inf"))
             flight.ended("its worker ran out of memory" if starved else "its worker was lost")
             flight.failed, flight.lost = flight.failed + starved, flight.lost + (not starved)
-            if error is None:
-                self._cluster.greet(self._places.kept)  # of another scheduler, perhaps
         else:
             flight.ended(f"{type(error).__name__}: {error}"[:200])
             flight.failed += 1
@@ -351,7 +388,7 @@ class ClusterExecutor:
             if again := self._give_up(flight, NotShared("the receipt is not seen here")):
                 yield from self._end(task, self._endings.refuse(task, again))
             else:
-                self._send(flight)
+                self._resend(flight)
             return
         flight.ended("done")
         try:

@@ -14,6 +14,8 @@ from levkas.building.stages import Damaged
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from levkas.campaign.campaign import Campaign
     from levkas.database.layout import Places
 
@@ -48,6 +50,7 @@ class Endings:
         self.graph = graph
         self.inputs = Inputs(campaign, records)
         self.ended: dict[Key, Step] = {}
+        self._by_object: dict[str, dict[Key, Step]] = {}
         self.lost: dict[Layer, Step] = {}
         self._before: dict[Key, dict[str, str]] = {}
 
@@ -55,7 +58,12 @@ class Endings:
         """Keep how a task ended."""
         if step.finished:
             self.ended[step.key] = step
+            self._by_object.setdefault(step.key.object, {})[step.key] = step
         return step
+
+    def of(self, name: str) -> Iterable[Step]:
+        """Return how the tasks of an object ended, each once."""
+        return self._by_object.get(name, {}).values()
 
     def due(self, task: Task) -> Due:
         """Return what a task is made of, and why it must be done; all that it reads has ended."""

@@ -10,8 +10,9 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from levkas.building.build_records import Hashes, Key, key_of
+from levkas.building.build_records import Key, key_of
 from levkas.building.control_points import told_points
+from levkas.building.hashes import Hashes, Unread
 from levkas.building.sources import code_version
 
 if TYPE_CHECKING:
@@ -59,10 +60,12 @@ class Inputs:
     ----------
     campaign : Campaign
     records : BuildRecords
+    unread : bool
+        Whether the frames of layers that were never begun need not be read, as for `status`.
     """
 
-    def __init__(self, campaign: Campaign, records: BuildRecords) -> None:
-        self.campaign, self.records = campaign, records
+    def __init__(self, campaign: Campaign, records: BuildRecords, *, unread: bool = False) -> None:
+        self.campaign, self.records, self._unread = campaign, records, unread
         self.digests: dict[Key, str] = {}
         self._numbers: dict[Key, str] = {}
 
@@ -81,7 +84,8 @@ class Inputs:
         assert capture is not None and lead is not None
         campaign, hashes, stage = self.campaign, self.records.hashes, task.key.stage
         if stage == "calibrate":
-            return of_calibration(campaign, capture, hashes)
+            never = self._unread and not self.records.path_of(task.key).parent.is_dir()
+            return of_calibration(campaign, capture, Unread() if never else hashes)
         if stage == "register" and task.needs[0].stage == "measure":
             seen = {f"{k.object}/{k.layer}": self._measured(k) for k in task.mates}
             return of_adjustment(self.digests[task.needs[0]], seen)

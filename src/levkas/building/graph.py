@@ -187,13 +187,15 @@ def draw(graph: Graph, states: Mapping[Key, str]) -> str:
     drawn = [*graph.values()]
     numbers = {task.key: f"t{n}" for n, task in enumerate(drawn)}
     lines = ["flowchart LR"]
-    for name in dict.fromkeys(task.key.object for task in drawn):
+    by_name: dict[str, list[Task]] = {}
+    for task in drawn:
+        by_name.setdefault(task.key.object, []).append(task)
+    for name, mine in by_name.items():
         lines += [f'  subgraph "{name}"'] if name else []
-        for task in drawn:
-            if task.key.object == name:
-                state = states.get(task.key, "refused")
-                what = f"{task.key.layer} {task.key.stage}".strip()
-                lines.append(f'    {numbers[task.key]}["{what}"]:::{state}')
+        for task in mine:
+            state = states.get(task.key, "refused")
+            what = f"{task.key.layer} {task.key.stage}".strip()
+            lines.append(f'    {numbers[task.key]}["{what}"]:::{state}')
         lines += ["  end"] if name else []
     for task in drawn:
         for arrow, keys in (("-->", task.needs), ("-.->", task.uses)):

@@ -201,8 +201,7 @@ def _steps(
             continue
         for task in tasks:
             if task.key.stage == "report":
-                ended = [s for k, s in endings.ended.items() if k.object == task.key.object]
-                steps = [*lost[task.key.object], *ended]
+                steps = [*lost[task.key.object], *endings.of(task.key.object)]
                 yield from _report(plan, places, records, endings.inputs, task, steps)
             elif task.key.stage == "camera":
                 yield from _camera(plan, places, records, templates, task)
@@ -251,8 +250,9 @@ def status(
     sources.remember(places.kept / sources.CODE)
     records = BuildRecords(places.kept, places.output, verify=verify)
     lost = plan.lost()
-    inputs = Inputs(campaign, records)
+    inputs = Inputs(campaign, records, unread=not verify)
     ended: dict[Key, Step] = {}
+    by_object: dict[str, list[Step]] = {name: [*steps] for name, steps in lost.items()}
     refused: dict[tuple[str, str], Step] = {}
     for task in plan.graph.values():
         key = task.key
@@ -260,10 +260,10 @@ def status(
             step = _state(plan, records, inputs, task, refused)
             if step is not None:
                 ended[step.key] = step
+                by_object[key.object].append(step)
             continue
         if key.stage == "report":
-            mine = [*lost[key.object], *(s for k, s in ended.items() if k.object == key.object)]
-            prints = _report_prints(plan, inputs, key.object, mine)
+            prints = _report_prints(plan, inputs, key.object, by_object[key.object])
         elif key.stage == "camera":
             prints = prints_of_page(plan.pages[key], campaign, records)
         else:
@@ -316,9 +316,10 @@ def _state_of_catalogue(
     """Return whether catalogue and manifest are stale, because what they list is, or by themselves."""
     if any(step.state == "stale" for step in steps):
         return Step(CATALOGUE, "stale", "what it lists is stale")
-    prints = prints_of_catalogue(plan.campaign, places, records, plan.captures, plan.names)
+    others = by_others(places, records)
+    prints = prints_of_catalogue(plan.campaign, places, records, plan.captures, plan.names, others)
     why = records.why_stale(CATALOGUE, prints)
-    warnings = foreign_files(by_others(places, records))
+    warnings = foreign_files(others)
     return Step(CATALOGUE, "stale" if why else "fresh", why, warnings=warnings)
 
 

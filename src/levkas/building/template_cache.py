@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from levkas.building.build_records import Hashes
+from levkas.building.hashes import Hashes
 from levkas.building.sources import code_version
 from levkas.calibration.templates import Template
 from levkas.campaign.discovery.captures import FrameRef

@@ -7,11 +7,12 @@ import io
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
+from sys import intern
 from typing import TYPE_CHECKING
 
 from levkas.core.files import write_changed
 from levkas.core.problems import Problem, Refused
-from levkas.core.text import read_text
+from levkas.core.text import TextRefused, read_text
 from levkas.database.containment import check_inside, check_plain_names
 from levkas.database.layout import LayerId
 from levkas.database.remote import place
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 NAME = "catalogue.csv"
+LARGEST = 256 << 20
+"""Bytes of a catalogue that is still read: two million layers."""
 MEASURED, ESTIMATED = "measured", "estimated"
 
 
@@ -27,7 +30,7 @@ class DatabaseRefused(Refused):
     """A folder is no database, or a part of it is missing or damaged."""
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True, order=True, slots=True)
 class Entry:
     """One layer: an object by a camera under a setup ("" for the default one).
 
@@ -96,9 +99,19 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
     """
     path = place(database) / NAME
     check_inside(path.parent, path)
+    entries, problems = [], []
     try:
-        rows = list(csv.reader(io.StringIO(read_text(path, "a CSV in UTF-8"), newline="")))
-    except (Refused, csv.Error) as error:
+        text = read_text(path, "a CSV in UTF-8", most=LARGEST)
+        rows = csv.reader(io.StringIO(text, newline=""))
+        _check_head(path, next(rows, []))
+        for number, row in enumerate(rows, start=2):
+            try:
+                entries.append(entry_of(row))
+            except ValueError as error:
+                field = f"line {number}"
+                what, fix = f"a row is damaged: {error}", "Copy the file anew, or build it again."
+                problems.append(Problem("E_VALUE", what, str(path), field, fix=fix))
+    except (TextRefused, csv.Error) as error:
         raise DatabaseRefused(
             Problem(
                 "E_UNREADABLE",
@@ -107,45 +120,26 @@ def read_catalogue(database: str | Path) -> tuple[Entry, ...]:
                 fix="Give the folder of a database, or build the campaign first.",
             )
         ) from error
-    if not rows or tuple(rows[0]) not in (COLUMNS, (*COLUMNS, KIND)):
-        found = ",".join(rows[0])[:120] if rows else "an empty file"
-        expected = ",".join(COLUMNS)
-        raise DatabaseRefused(
-            Problem(
-                "E_KEY", "the catalogue has other columns", str(path), "line 1", found, expected
-            )
-        )
-    entries, problems = [], []
-    for number, row in enumerate(rows[1:], start=2):
-        try:
-            entries.append(entry_of(row))
-        except ValueError as error:
-            field = f"line {number}"
-            what, fix = f"a row is damaged: {error}", "Copy the file anew, or build it again."
-            problems.append(Problem("E_VALUE", what, str(path), field, fix=fix))
     if problems:
         raise DatabaseRefused(*problems[:10])
     return tuple(entries)
+
+
+def _check_head(path: Path, row: list[str]) -> None:
+    if tuple(row) not in (COLUMNS, (*COLUMNS, KIND)):
+        found = ",".join(row)[:120] if row else "an empty file"
+        what, expected = "the catalogue has other columns", ",".join(COLUMNS)
+        raise DatabaseRefused(Problem("E_KEY", what, str(path), "line 1", found, expected))
 
 
 def entry_of(row: list[str]) -> Entry:
     """Return the entry of one row of the catalogue; raises ValueError where it is none."""
     if len(row) not in (len(COLUMNS), len(COLUMNS) + 1):
         raise ValueError(f"{len(row)} cells of {len(COLUMNS)}")
-    cells = dict(zip((*COLUMNS, KIND), [*row, MEASURED][: len(COLUMNS) + 1], strict=True))
-    if cells[KIND] not in (MEASURED, ESTIMATED):
-        raise ValueError(f"no kind of layer: {cells[KIND]!r}")
-    check_plain_names(cells["object"], cells["camera"], cells["setup"] or "-")
-    return Entry(
-        object=cells["object"],
-        camera=cells["camera"],
-        setup=cells["setup"],
-        bands=int(cells["bands"]),
-        width=int(cells["width"]),
-        height=int(cells["height"]),
-        px_per_mm=float(cells["px_per_mm"] or math.nan),
-        quantity=cells["quantity"],
-        verdict=cells["verdict"],
-        sha256=cells["sha256"],
-        kind=cells[KIND],
-    )
+    kind = row[len(COLUMNS)] if len(row) > len(COLUMNS) else MEASURED
+    if kind not in (MEASURED, ESTIMATED):
+        raise ValueError(f"no kind of layer: {kind!r}")
+    name, camera, setup, bands, width, height, px_per_mm, quantity, verdict, sha256 = row[:10]
+    check_plain_names(name, camera, setup or "-")
+    size = int(bands), int(width), int(height), float(px_per_mm or math.nan)
+    return Entry(name, intern(camera), setup, *size, intern(quantity), verdict, sha256, kind)

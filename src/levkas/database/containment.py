@@ -6,6 +6,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path, PurePath
 
 from levkas.core.problems import Problem, Refused
@@ -23,6 +24,7 @@ class LinkRefused(Refused):
     """A file of a database is a link, or lies behind one, that leads out of the database."""
 
 
+@lru_cache(maxsize=4096)
 def is_plain_name(name: str) -> bool:
     """Whether a name is one part of a path and no way up, on this system.
 

@@ -255,9 +255,7 @@ class RemoteStore:
             try:
                 answer = obstore.get(self.objects, name, options=options)  # type: ignore[arg-type]
             except Exception as error:
-                if (
-                    known is None and _status(error) == "416"
-                ):  # only an empty file has no first byte
+                if known is None and _status(error) == "416":  # the file is empty
                     return Piece(0, 0, b"", None)
                 raise
             data, size = bytes(answer.bytes()), int(answer.meta["size"])

@@ -1,0 +1,62 @@
+"""The index of hashes: found again, made anew where it is damaged, never believed against a stamp."""
+
+import os
+
+import pytest
+
+from levkas.building.hashes import HASHES, Hashes
+from levkas.core.digests import hash_file, stamp_of
+from levkas.database.catalogue import Entry, read_catalogue, write_catalogue
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """An index of one file, whose hash in it is not its own: so one sees where it comes from."""
+    frame, index = tmp_path / "frame \udcff.tif", tmp_path / HASHES
+    frame.write_bytes(b"frame")
+    hashes = Hashes(index)
+    hashes.take(frame, [*stamp_of(frame), "f" * 64])
+    hashes.save()
+    return frame, index
+
+
+def test_what_was_read_is_found_again_by_its_stamp(kept):
+    frame, index = kept
+    assert Hashes(index)(frame) == "f" * 64
+    assert Hashes(index, verify=True)(frame) == hash_file(frame)
+    frame.write_bytes(b"other")
+    assert Hashes(index)(frame) == hash_file(frame)
+
+
+@pytest.mark.parametrize("damage", ["gone", "empty", "garbage", "torn"])
+def test_an_index_that_is_damaged_is_made_anew(kept, damage):
+    frame, index = kept
+    data = index.read_bytes()
+    index.unlink()
+    torn = data[: len(data) // 2] + os.urandom(len(data) // 2)
+    if damage != "gone":
+        index.write_bytes({"empty": b"", "garbage": b"no index" * 1000, "torn": torn}[damage])
+    hashes = Hashes(index)
+    assert hashes.known(frame) is None
+    hashes.take(frame, [*stamp_of(frame), "e" * 64])
+    hashes.save()
+    assert hashes(frame) == Hashes(index)(frame) == "e" * 64
+
+
+def test_two_builds_write_one_index(tmp_path):
+    one, other = Hashes(tmp_path / HASHES), Hashes(tmp_path / HASHES)
+    for number, hashes in enumerate((one, other)):
+        path = tmp_path / f"{number}"
+        path.write_bytes(b"x")
+        hashes(path, own=True)
+        hashes.save()
+    both = Hashes(tmp_path / HASHES)
+    assert both.known(tmp_path / "0") and both.known(tmp_path / "1")
+
+
+def test_a_catalogue_of_many_layers_is_read(tmp_path):
+    row = ("", 33, 1392, 1040, 2.0, "reflectance", "accept", "a" * 64)
+    entries = [Entry(f"icon{n:06d}", "lctf-vis", *row) for n in range(160_000)]
+    path = write_catalogue(tmp_path, entries)
+    assert path.stat().st_size > 16 << 20
+    assert read_catalogue(tmp_path) == tuple(entries)
