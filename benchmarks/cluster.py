@@ -28,7 +28,7 @@ from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
 from levkas.simulation import simulate_campaign
 
-PLATES = tuple(f"plate{number:02}" for number in range(12))
+PLATES = tuple(f"plate{number:02}" for number in range(6))
 EVERY_KIND = Path(__file__).resolve().parents[1] / "tests/building/every_kind.py"
 KILLS, EVERY_S, STOPPED_S, WORKERS = 30, 2.0, 60.0, 3
 LEVKAS = [sys.executable, "-c", "from levkas.cli import main; main()"]

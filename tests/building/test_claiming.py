@@ -174,8 +174,9 @@ def test_a_file_that_is_no_spectrum_is_refused_before_any_work(campaign):
 def test_a_pipe_among_the_frames_is_waited_for_by_nobody(campaign):
     (campaign / "photo/one.png").unlink()
     os.mkfifo(campaign / "photo/one.png")
-    assert not status(campaign).ok
-    assert not summarise(build(campaign)).ok
+    for work in (status, lambda path: summarise(build(path))):
+        with pytest.raises(Refused, match="no file fits for 'one'"):
+            work(campaign)
 
 
 def test_maps_of_an_evaluation_replace_no_picture_of_somebody_else(campaign, tmp_path):
