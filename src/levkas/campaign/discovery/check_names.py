@@ -57,10 +57,10 @@ def _lost_templates(campaign: Campaign, there: Sequence[str]) -> Iterator[Proble
 
 
 def _lost_objects(campaign: Campaign, index: FileIndex, there: Sequence[str]) -> Iterator[Problem]:
-    free = [name for name in there if name not in declared_targets(campaign)]
-    for name in index.objects:
-        near = closest_match(name, free)
-        if name not in there and near:
+    declared, known = declared_targets(campaign), set(there)
+    free = [name for name in there if name not in declared]
+    for name in (name for name in index.objects if name not in known):
+        if near := closest_match(name, free):
             yield Problem(
                 "E_NO_FRAMES",
                 f"no camera has frames of the object {name!r}",
