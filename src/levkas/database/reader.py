@@ -236,7 +236,7 @@ class LayerArray(xarray.DataArray):
         from levkas.database.regions import make_region, region_statistics
 
         region = make_region(polygon, rectangle, circle)
-        return region_statistics(self, region, bins=bins)
+        return region_statistics(self, self.flags, region, bins=bins)
 
     def isel(self, *args: Any, **kwargs: Any) -> LayerArray:
         """Select by position, as xarray does."""

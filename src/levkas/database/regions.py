@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray
 
 from levkas.core.flags import MARKS
 from levkas.core.problems import Problem, Refused
-
-if TYPE_CHECKING:
-    from levkas.database.reader import LayerArray
 
 BLOCK_SAMPLES = 16_000_000
 """Read at a time."""
@@ -97,12 +93,14 @@ def make_region(
     return Region(numbers)
 
 
-def region_statistics(layer: LayerArray, region: Region, *, bins: int = 0) -> xarray.Dataset:
+def region_statistics(
+    layer: xarray.DataArray, flags: xarray.DataArray, region: Region, *, bins: int = 0
+) -> xarray.Dataset:
     """Return mean, standard deviation and number of sound pixels of a region, band by band.
 
     Parameters
     ----------
-    layer : LayerArray, (y, x, band)
+    layer, flags : DataArray, (y, x, band)
         Read some rows at a time; nothing outside the region's rows is read.
     region : Region
     bins : int
@@ -124,7 +122,7 @@ def region_statistics(layer: LayerArray, region: Region, *, bins: int = 0) -> xa
     x0, y0, x1, y1 = region.bounds
     rows = range(max(0, int(np.ceil(y0))), min(height, int(np.floor(y1)) + 1))
     columns = slice(max(0, int(np.ceil(x0))), max(0, min(width, int(np.floor(x1)) + 1)))
-    blocks = _Blocks(layer, region, rows, columns)
+    blocks = _Blocks(layer, flags, region, rows, columns)
     bands = layer.sizes["band"]
     count, mean, spread = np.zeros(bands, np.int64), np.zeros(bands), np.zeros(bands)
     low, high, pixels = np.inf, -np.inf, 0
@@ -172,7 +170,8 @@ def region_statistics(layer: LayerArray, region: Region, *, bins: int = 0) -> xa
 class _Blocks:
     """The pixels of a region, some rows at a time."""
 
-    layer: LayerArray
+    layer: xarray.DataArray
+    flags: xarray.DataArray
     region: Region
     rows: range
     columns: slice
@@ -184,9 +183,10 @@ class _Blocks:
         for top in self.rows[::step] if len(across) else ():
             down = np.arange(top, min(top + step, self.rows.stop))
             mask = self.region.contains(across[None], down[:, None])
-            part = self.layer.isel(y=slice(top, int(down[-1]) + 1), x=self.columns)
-            values = part.values[mask].astype(np.float64)
-            yield values, ((part.flags.values[mask] & ~TRUSTED) == 0) & np.isfinite(values)
+            part = {"y": slice(top, int(down[-1]) + 1), "x": self.columns}
+            values = self.layer.isel(part).values[mask].astype(np.float64)
+            flags = self.flags.isel(part).values[mask]
+            yield values, ((flags & ~TRUSTED) == 0) & np.isfinite(values)
 
 
 def _refused(found: str, expected: str) -> RegionRefused:
