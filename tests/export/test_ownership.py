@@ -95,7 +95,7 @@ def test_a_page_or_table_replaces_no_file_unless_asked_to(database, tmp_path, co
         "plan light render": ["plan", "light", tmp_path, "--render", page],
     }[command]
     done = CliRunner().invoke(app, list(map(str, arguments)))
-    assert done.exit_code == 1 and f"{page}; found: a file" in done.output
+    assert done.exit_code == 1 and f"{page}: found a file" in done.output
     assert "--overwrite" in done.output
     assert page.read_text() == "three years"
     more = CliRunner().invoke(app, [*map(str, arguments), "--overwrite"])
@@ -127,7 +127,7 @@ def test_converted_points_replace_no_file_unless_asked_to(tmp_path):
 
 CONTENTS = {
     "missing": (None, "no such file"),
-    "Latin-1": ("x,y\né,1\n".encode("latin-1"), "utf-8"),
+    "Latin-1": ("x,y\né,1\n".encode("latin-1"), "UTF-8"),
     "empty": (b"", "nothing"),
     "no table": (b'x,y\n"' + b"1" * 200_000, "field larger"),
 }

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from levkas.building.hashes import HASHES
 from levkas.campaign.campaign import CampaignInvalid
 from levkas.campaign.schema.cross_checks import unusable_output
 from levkas.core.ownership import IMPRINT, MARK, made, require_outside, stands_in
@@ -127,12 +128,16 @@ def _is_database(places: Places) -> bool:
     return (
         (places.output / IMPRINT).is_file()
         and _begins(places.output / "catalogue.csv", ",".join(COLUMNS) + "\n")
-        and (places.kept / "hashes.json").is_file()
+        and _has_hashes(places.kept)
     )
 
 
 def _is_kept(folder: Path) -> bool:
-    return (folder / OWNER).is_file() or (folder / "hashes.json").is_file()
+    return (folder / OWNER).is_file() or _has_hashes(folder)
+
+
+def _has_hashes(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in (HASHES, "hashes.json"))
 
 
 def _begins(path: Path, text: str) -> bool:

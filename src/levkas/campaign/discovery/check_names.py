@@ -37,12 +37,11 @@ def check_names(campaign: Campaign, index: FileIndex, refusals: Refusals) -> Non
 
 
 def _lost_templates(campaign: Campaign, there: Sequence[str]) -> Iterator[Problem]:
-    cameras = campaign.cameras.items()
-    roles = {
-        f"cameras.{n}.{kind}": getattr(c, kind) for n, c in cameras for kind in ("dark", "white")
-    }
-    roles["targets.dark"] = campaign.targets.dark
-    roles["targets.white"] = campaign.targets.white.names if campaign.targets.white else ()
+    raw = [(name, camera) for name, camera in campaign.cameras.items() if camera.kind != "image"]
+    roles = {f"cameras.{n}.{kind}": getattr(c, kind) for n, c in raw for kind in ("dark", "white")}
+    if raw:  # photographs are calibrated by none
+        roles["targets.dark"] = campaign.targets.dark
+        roles["targets.white"] = campaign.targets.white.names if campaign.targets.white else ()
     for field, names in roles.items():
         if names and not set(names) & set(there):
             yield Problem(
