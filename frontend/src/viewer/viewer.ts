@@ -18,6 +18,7 @@ import type { Point } from "../shared/pane";
 import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
+import { Address, numbersOf } from "./address";
 import { RegionLayer } from "./drawing";
 import { LayerList } from "./layers";
 import { LONGEST_NAME, MOST_PINS, PinList } from "./pins";
@@ -33,7 +34,6 @@ import { fillToolbar, MODES } from "./toolbar";
 
 const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
-const SAVE_AFTER_MS = 300;
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
@@ -186,58 +186,75 @@ find("help-button").addEventListener("click", () => help.showModal());
 
 // --- the address remembers what is shown ----------------------------------------------------------
 
-let saving = 0;
-
-function remember(): void {
-  clearTimeout(saving);
-  saving = window.setTimeout(() => {
-    const [x, y, scale] = stage.heading;
-    const facts = new URLSearchParams({ mode: stage.mode.value });
-    facts.set("at", [x, y].map((at) => at.toFixed(1)).join());
-    facts.set("scale", scale.toPrecision(5));
-    for (const slot of ["a", "b"] as const) {
+const address = new Address();
+for (const [i, slot] of (["a", "b"] as const).entries())
+  address.add({
+    signals: [state[slot]],
+    carried: true,
+    write: (facts) => {
       const choice = state[slot].value;
       if (choice) facts.set(slot, `${choice.layer.name}/${choice.picture.key}`);
-    }
-    // Other objects keep how they are looked at, not where.
-    for (const id of ["previous", "next"]) {
-      const link = document.getElementById(id);
-      const shown = ["mode", "a", "b"].map((name) => [name, facts.get(name) ?? ""]);
-      if (link instanceof HTMLAnchorElement)
-        link.hash = new URLSearchParams(shown.filter(([, value]) => value)).toString();
-    }
+    },
+    read: (facts) => {
+      const name = facts.get(slot) ?? "";
+      const cut = name.lastIndexOf("/");
+      const layer = layers.layers.find((one) => one.name === name.slice(0, cut));
+      const fallback = layers.layers[i] ?? layers.layers[0];
+      layers.choose(slot, layer ?? fallback, layer && name.slice(cut + 1));
+    },
+  });
+address.add({
+  signals: [stage.mode],
+  carried: true,
+  write: (facts) => facts.set("mode", stage.mode.value),
+  read: (facts) => {
+    const mode = MODES.find(({ value }) => value === facts.get("mode"))?.value ?? "single";
+    if (mode !== stage.mode.value) stage.setMode(mode);
+  },
+});
+address.add({
+  write: (facts) => {
+    const [x, y, scale] = stage.heading;
+    facts.set("at", [x, y].map((at) => at.toFixed(1)).join());
+    facts.set("scale", scale.toPrecision(5));
+  },
+  read: (facts) => {
+    const [at, scale] = [numbersOf(facts, "at", 2), numbersOf(facts, "scale", 1)];
+    if (at && scale && scale[0]! > 0) stage.look(at[0]!, at[1]!, scale[0]!);
+  },
+});
+address.add({
+  signals: [state.pin],
+  write: (facts) => {
     if (state.pin.value) facts.set("pin", state.pin.value.map((at) => at.toFixed(2)).join());
+  },
+  read: (facts) => {
+    const pin = numbersOf(facts, "pin", 2);
+    state.pin.value = pin && [pin[0]!, pin[1]!];
+  },
+});
+address.add({
+  signals: [state.pins],
+  write: (facts) => {
     for (const { name, at } of state.pins.value)
       facts.append("kept", [...at.map((value) => value.toFixed(2)), name].join());
+  },
+  read: (facts) => {
+    state.pins.value = facts.getAll("kept").slice(0, MOST_PINS).flatMap(readPin);
+  },
+});
+address.add({
+  signals: [state.regions],
+  write: (facts) => {
     for (const region of state.regions.value) facts.append("region", toText(region));
-    history.replaceState(null, "", `#${facts.toString()}`);
-  }, SAVE_AFTER_MS);
-}
-
-function recall(): void {
-  const facts = new URLSearchParams(location.hash.slice(1));
-  for (const [i, slot] of (["a", "b"] as const).entries()) {
-    const name = facts.get(slot) ?? "";
-    const cut = name.lastIndexOf("/");
-    const layer = layers.layers.find((one) => one.name === name.slice(0, cut));
-    const fallback = layers.layers[i] ?? layers.layers[0];
-    layers.choose(slot, layer ?? fallback, layer && name.slice(cut + 1));
-  }
-  const mode = MODES.find(({ value }) => value === facts.get("mode"));
-  if (mode) stage.setMode(mode.value);
-  const numbers = (name: string): number[] | null => {
-    const values = facts.get(name)?.split(",").map(Number);
-    return values?.every(Number.isFinite) ? values : null;
-  };
-  const [at, scale, pin] = [numbers("at"), numbers("scale"), numbers("pin")];
-  if (at?.length === 2 && scale && scale[0]! > 0) stage.look(at[0]!, at[1]!, scale[0]!);
-  state.pin.value = pin?.length === 2 ? [pin[0]!, pin[1]!] : null;
-  state.regions.value = facts
-    .getAll("region")
-    .slice(0, MOST_REGIONS)
-    .flatMap((text) => fromText(text, LONGEST_NAME) ?? []);
-  state.pins.value = facts.getAll("kept").slice(0, MOST_PINS).flatMap(readPin);
-}
+  },
+  read: (facts) => {
+    state.regions.value = facts
+      .getAll("region")
+      .slice(0, MOST_REGIONS)
+      .flatMap((text) => fromText(text, LONGEST_NAME) ?? []);
+  },
+});
 
 /** Read a kept place from an address, "x,y,name"; none where it is not on the painting. */
 function readPin(text: string): Pin[] {
@@ -248,15 +265,11 @@ function readPin(text: string): Pin[] {
 }
 
 if (layers.layers.length) {
-  recall();
-  addEventListener("hashchange", () => {
-    if (location.hash.includes("=")) recall(); // a link was pasted over this one
-  });
-  watch([state.a, state.b, state.pin, state.pins, state.regions, stage.mode], remember);
+  address.start();
   stage.onMove = () => {
     scaleBar.update(stage.left.scale);
     for (const sheet of sheets) sheet.show();
-    remember();
+    address.remember();
   };
 }
 
