@@ -71,7 +71,7 @@ def test_a_registration_is_corrected_with_the_keyboard_alone(bench):
     keys.press("ArrowDown")
     after = page.evaluate("levkasWorkbench.stage.left.centre")
     assert after[0] > before[0] + 5 and after[1] > before[1] + 5
-    keys.press("n")
+    keys.press("i")
     page.wait_for_selector("#pair-accept")
     proposed = told(page, "proposal.value.pair")
     assert np.allclose(proposed[:2], after, atol=0.5)
