@@ -2,8 +2,20 @@
 import { effect } from "@preact/signals-core";
 import { draw, make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
-import { across, joined, level, startChart, upwards, type Box } from "../shared/plot";
-import { drawChart, niceTop, type Curve } from "./chart";
+import {
+  across,
+  clipped,
+  footers,
+  joined,
+  level,
+  niceTop,
+  startChart,
+  ticks,
+  titles,
+  upwards,
+  type Box,
+} from "../shared/plot";
+import { drawChart, type Curve } from "./chart";
 import type { RegionLayer } from "./drawing";
 import { quoted, shortest } from "./numbers";
 import { LONGEST_NAME, pinColour } from "./pins";
@@ -15,7 +27,7 @@ import { histogram, measure, type Histogram, type Statistics } from "./statistic
 
 export const MOST_REGIONS = 12;
 const BINS = 40;
-const BOX: Box = { width: 360, height: 130, left: 52, right: 16, top: 8, bottom: 26 };
+const BOX: Box = { width: 360, height: 136, left: 52, right: 16, top: 8, bottom: 32 };
 
 export class RegionPanel {
   private readonly choice = make("select", { "aria-label": "Layer that regions are measured in" });
@@ -163,7 +175,7 @@ export class RegionPanel {
     const options = { quantity, marks: this.record.flags, range: null };
     const chart = curves.length ? drawChart(curves, options) : null;
     this.drawing.replaceChildren(...(chart ? [chart] : []));
-    const drawn = drawHistograms(bars, `Pixels over ${quantity.toLowerCase()}`);
+    const drawn = drawHistograms(bars, quantity);
     this.bars.replaceChildren(...(drawn ? [drawn] : []));
   }
 
@@ -225,7 +237,7 @@ export class RegionPanel {
 }
 
 /** Histograms of one band over each other, as steps; null where there is nothing to draw. */
-function drawHistograms(bars: (Histogram | null)[], label: string): SVGElement | null {
+function drawHistograms(bars: (Histogram | null)[], quantity: string): SVGElement | null {
   const known = bars.flatMap((one, i) => (one ? [{ ...one, colour: pinColour(i) }] : []));
   if (!known.length) return null;
   const low = Math.min(...known.map((one) => one.low));
@@ -233,24 +245,20 @@ function drawHistograms(bars: (Histogram | null)[], label: string): SVGElement |
   const top = niceTop(Math.max(...known.flatMap(({ counts }) => counts)));
   const [from, to] = low === high ? [low - 0.5, high + 0.5] : [low, high];
   const [x, y] = [across(BOX, from, to), upwards(BOX, 0, top)];
-  const chart = startChart(BOX, label);
+  const chart = startChart(BOX, `Pixels over ${quantity.toLowerCase()}`);
   for (const value of [0, top / 2, top])
     chart.append(level(BOX, y(value), String(value), value ? "grid" : "axis"));
-  for (const [value, anchor] of [
-    [from, "start"],
-    [to, "end"],
-  ] as const) {
-    const place = { x: x(value), y: BOX.height - 10, "text-anchor": anchor };
-    chart.append(draw("text", place, value.toPrecision(3)));
-  }
-  for (const { low: first, high: last, counts, colour } of known) {
+  const words = (value: number): string => String(Number(value.toPrecision(3)));
+  chart.append(...footers(BOX, x, ticks(from, to), words), ...titles(BOX, quantity, "Pixels"));
+  const steps = known.map(({ low: first, high: last, counts, colour }) => {
     const width = (last - first) / counts.length || (to - from) / counts.length;
     const points = counts.flatMap<Point>((n, i) => [
       [x(first + i * width), y(n)],
       [x(first + (i + 1) * width), y(n)],
     ]);
-    const steps = draw("polyline", { points: joined(points), class: "line" });
-    chart.append(draw("g", { stroke: colour, fill: colour }, steps));
-  }
+    const line = draw("polyline", { points: joined(points), class: "line" });
+    return draw("g", { stroke: colour, fill: colour }, line);
+  });
+  chart.append(clipped(BOX, ...steps));
   return chart;
 }
