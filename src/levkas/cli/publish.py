@@ -45,6 +45,14 @@ def publish(
         typer.Option("--to", help="Also send it to a store like S3: s3://BUCKET/PATH."),
     ] = None,
     url: Annotated[str, typer.Option(help="Address under which the folder will be found.")] = "",
+    analyse: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--analyse",
+            help="Also pictures computed from the layers: all, or pca, mnf, infrared-visible, "
+            "ratio:700/1000, … separated by commas.",
+        ),
+    ] = None,
     no_iiif: Annotated[
         bool, typer.Option("--no-iiif", help="Leave tiles and IIIF manifests out.")
     ] = False,
@@ -54,14 +62,13 @@ def publish(
     from levkas.publish import run
 
     if check:
-        missing = run.check(subject)
+        missing = run.check(subject, analyse=analyse or ())
         print_report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
         if not as_json:
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
-    made = run.publish(
-        subject, output=output, editions=edition, url=url, iiif=not no_iiif, bag=bag, to=to
-    )
+    chosen = {"editions": edition, "url": url, "iiif": not no_iiif, "analyse": analyse or ()}
+    made = run.publish(subject, output=output, bag=bag, to=to, **chosen)
     steps = draw_steps(made, as_json)
     report = run.summarise(steps)
     print_report("publish", as_json, True, [], **report.to_dict())

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
     from levkas.database.manifest import Manifest
+    from levkas.publish.analysis_names import Analysis
     from levkas.publish.metadata import PublicationFacts
 
 MEDIUM = "medium"
@@ -50,8 +51,12 @@ class Publication:
         Address under which the folder will be found, with ``/`` at its end; empty where not known.
     iiif : bool
         Whether tiles are wanted.
+    analyses : tuple of Analysis
+        That are wanted.
     hashes : dict
         SHA-256 of files that were hashed while they were written, by relative path.
+    notes : list of str
+        What was left out, and why.
     """
 
     source: Path
@@ -61,7 +66,9 @@ class Publication:
     editions: Editions = "both"
     url: str = ""
     iiif: bool = True
+    analyses: tuple[Analysis, ...] = ()
     hashes: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def folder(self) -> Path:
