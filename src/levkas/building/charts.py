@@ -203,7 +203,8 @@ class Developed:
 
     cubes: dict[str, Cube]
     shots: dict[str, tuple[np.ndarray, np.ndarray]]
-    mosaics: frozenset[str]
+    patterns: dict[str, np.ndarray]
+    """Band of each sensel, of sensors with a mosaic."""
     captured: str = ""
     steps: dict[str, tuple[float, ...]] = field(default_factory=dict)
     """What a step from code to code is of the values of each band."""
@@ -214,14 +215,19 @@ class Developed:
 def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
     """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
     from levkas.building.calibrate import develop
+    from levkas.calibration.patterns import channel_table
 
-    mosaics = frozenset(s.name for s in capture.sensors if s.pattern is not None)
+    patterns = {
+        s.name: channel_table(s.pattern, [band.label for band in s.bands])
+        for s in capture.sensors
+        if s.pattern is not None
+    }
     parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
     if parts is None:
         whole = develop(capture, campaign, templates)
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
-        return Developed(dict(whole.cubes), {}, mosaics, whole.captured or "", steps, most)
+        return Developed(dict(whole.cubes), {}, patterns, whole.captured or "", steps, most)
     first, second = (develop(part, campaign, templates) for part in parts)
     cubes, shots = {}, {}
     for name, a in first.cubes.items():
@@ -230,7 +236,7 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         cubes[name] = Cube((a.values + b.values) / 2, a.flags | b.flags, sigma, a.bands, a.quantity)
         shots[name] = (a.values, b.values)
     count = 2 * min(_shots_of(parts[0]))
-    return Developed(cubes, shots, mosaics, first.captured or "", _steps_of(first), count)
+    return Developed(cubes, shots, patterns, first.captured or "", _steps_of(first), count)
 
 
 def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
@@ -285,8 +291,9 @@ def measure_capture(
         near = seen[0].located.corners if seen else None
         found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
         shots, steps = made.shots.get(sensor), made.steps.get(sensor)
-        seen.append(Sighting(sensor, found, cube, shots, steps, made.count))
-    return measure(name, chart, seen, reference, mosaics=made.mosaics, uniformity=uniformity)
+        pattern = made.patterns.get(sensor)
+        seen.append(Sighting(sensor, found, cube, shots, steps, made.count, pattern))
+    return measure(name, chart, seen, reference, uniformity=uniformity)
 
 
 @dataclass(frozen=True)
