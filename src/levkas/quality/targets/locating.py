@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from levkas.colour.srgb import SRGB_TO_XYZ
 from levkas.core.problems import Problem
 from levkas.quality.targets.charts import (
     Chart,
@@ -251,6 +252,8 @@ def rank_agreement(
         return float(np.mean(bands[fit]) if fit.any() else np.nanmax(bands)), bands
     # Infrared channels see other things than the eye does: the best of channels and mean.
     tried = [means.mean(1), *means.T]
+    if means.shape[1] == 3:
+        tried.append(means @ SRGB_TO_XYZ[1])
     return max(_rank_correlation(column, chart.luminances) for column in tried), bands
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from levkas.colour.gamut import xyz_to_lab
-from levkas.colour.srgb import observer_under_d65, visible_coverage, xyz_weights
+from levkas.colour.srgb import SRGB_TO_XYZ, observer_under_d65, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
     Chart,
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from levkas.quality.targets.charts import Chart, ChartReference
     from levkas.quality.targets.patches import Preblur
+    from levkas.quality.targets.photographs import Curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,8 @@ class Sighting:
     steps: np.ndarray | tuple[float, ...] | None = None
     count: int = 1
     pattern: np.ndarray | None = None
+    curve: Curve | None = None
+    """Of a finished photograph, whose values are light by it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +175,9 @@ def measure(
     if reference is not None and reference.note:
         remarks.append(f"reference: {reference.note}")
     colours, rows = None, []
-    reflective = all(s.cube.quantity == "reflectance" for s in seen)
+    photograph = len(seen) == 1 and seen[0].curve is not None
+    remarks += [s.curve.note for s in seen if s.curve is not None]
+    reflective = photograph or all(s.cube.quantity == "reflectance" for s in seen)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
     visible &= ~unfit
     clean = table.saturated.max() <= SATURATED
@@ -181,7 +186,8 @@ def measure(
     elif not reflective:
         remarks.append("the cube is in counts: colours need a white")
     elif visible.sum() >= 3 and clean:
-        colours = compare_colours(table.mean[:, ~unfit], wavelengths[~unfit], reference)
+        means = table.mean[:, ~unfit]
+        colours = compare_colours(means, wavelengths[~unfit], reference, srgb=photograph)
         rows = rate(colours, chart, uniformity=uniformity)
     elif not clean:
         remarks.append("colours are not compared where patches saturate")
@@ -211,7 +217,7 @@ def _misfits(
     ]
     columns = np.concatenate([s.located.means for s in seen], 1)
     fit = np.concatenate([s.located.bands for s in seen])
-    for i in np.flatnonzero(np.concatenate([s.located.unfit for s in seen])):
+    for i in map(int, np.flatnonzero(np.concatenate([s.located.unfit for s in seen]))):
         assert reference is not None  # without it no band is compared
         wavelength, agreement = seen_instead(columns[:, i], reference)
         like = f"it looks like {wavelength:g} nm ({agreement:.2f})"
@@ -304,7 +310,7 @@ class Colours(NamedTuple):
 
 
 def compare_colours(
-    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference
+    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference, *, srgb: bool = False
 ) -> Colours:
     """Compare the patches' colours with those of the reference spectra.
 
@@ -315,6 +321,8 @@ def compare_colours(
     wavelengths : ndarray, (bands,), nm
         NaN for broad channels.
     reference : Reference
+    srgb : bool
+        Whether the three channels are red, green and blue of linear sRGB, as a photograph shows them.
 
     Notes
     -----
@@ -327,7 +335,10 @@ def compare_colours(
     wanted = spectra @ observer_under_d65()[1]
     narrow = np.isfinite(wavelengths)
     covered = narrow.sum() >= 8 and visible_coverage(wavelengths[narrow]) >= LEAST_COVERAGE
-    if covered:
+    if srgb:
+        measured = means @ SRGB_TO_XYZ.T
+        how = "as the photograph shows them, in sRGB"
+    elif covered:
         measured = means[:, narrow] @ xyz_weights(wavelengths[narrow])
         how = f"integrated over {int(narrow.sum())} bands"
     else:
