@@ -27,8 +27,7 @@ from levkas.quality.targets.charts import (
     reference_of,
 )
 from levkas.quality.targets.locating import locate_in_cube
-from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure
-from levkas.quality.targets.photographs import decode_sighting
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, decode_sighting, measure
 from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ standards require their own targets, densities and whole systems."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,13 +19,13 @@ from levkas.quality.targets.charts import (
 )
 from levkas.quality.targets.locating import LEAST_AGREEMENT, Located, seen_instead
 from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patches, noise_planes
+from levkas.quality.targets.photographs import Curve, find_curve
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.quality.targets.charts import Chart, ChartReference
     from levkas.quality.targets.patches import Preblur
-    from levkas.quality.targets.photographs import Curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,34 @@ class Sighting:
     pattern: np.ndarray | None = None
     curve: Curve | None = None
     """Of a finished photograph, whose values are light by it."""
+
+
+def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
+    """Return the sighting of a chart in a photograph as light, 0 … 1, with what its codes resolve.
+
+    Parameters
+    ----------
+    seen : Sighting
+        Its values are the codes of the photograph.
+    chart : Chart
+    top : float
+        The greatest code: 255 of 8 bits.
+    """
+    means = seen.located.means / top
+    curve = find_curve(means, chart)
+    light = curve.decode(seen.cube.values / top).astype(np.float32)
+    shots = None
+    if seen.shots is not None:
+        first, second = (curve.decode(shot / top) for shot in seen.shots)
+        shots = first, second
+    return replace(
+        seen,
+        located=seen.located._replace(means=curve.decode(means)),
+        cube=replace(seen.cube, values=light, sigma=None),
+        shots=shots,
+        steps=curve.steps(means, round(top)),
+        curve=curve,
+    )
 
 
 @dataclass(frozen=True, eq=False)

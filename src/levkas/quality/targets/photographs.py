@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ from levkas.colour.srgb import decode_srgb
 
 if TYPE_CHECKING:
     from levkas.quality.targets.charts import Chart
-    from levkas.quality.targets.measuring import Sighting
 
 DARKEST = 0.01
 """Relative luminance of a grey below which flare and black point hide the curve."""
@@ -68,31 +66,3 @@ def find_curve(means: np.ndarray, chart: Chart) -> Curve:
         y = np.log(np.maximum(value, 1e-6))
         found.append(Curve(encoded, float(np.polyfit(x, y, 1)[0])))
     return min(found, key=lambda curve: abs(np.log(max(curve.slope, 1e-3))))
-
-
-def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
-    """Return the sighting of a chart in a photograph as light, 0 … 1, with what its codes resolve.
-
-    Parameters
-    ----------
-    seen : Sighting
-        Its values are the codes of the photograph.
-    chart : Chart
-    top : float
-        The greatest code: 255 of 8 bits.
-    """
-    means = seen.located.means / top
-    curve = find_curve(means, chart)
-    light = curve.decode(seen.cube.values / top).astype(np.float32)
-    shots = None
-    if seen.shots is not None:
-        first, second = (curve.decode(shot / top) for shot in seen.shots)
-        shots = first, second
-    return replace(
-        seen,
-        located=seen.located._replace(means=curve.decode(means)),
-        cube=replace(seen.cube, values=light, sigma=None),
-        shots=shots,
-        steps=curve.steps(means, round(top)),
-        curve=curve,
-    )
