@@ -67,8 +67,16 @@ def publish(
         if not as_json:
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
-    chosen = {"editions": edition, "url": url, "iiif": not no_iiif, "analyse": analyse or ()}
-    made = run.publish(subject, output=output, bag=bag, to=to, **chosen)
+    made = run.publish(
+        subject,
+        output=output,
+        editions=edition,
+        url=url,
+        iiif=not no_iiif,
+        analyse=analyse or (),
+        bag=bag,
+        to=to,
+    )
     steps = draw_steps(made, as_json)
     report = run.summarise(steps)
     print_report("publish", as_json, True, [], **report.to_dict())

@@ -197,7 +197,7 @@ def _blocks(
         part = {"y": slice(top, top + step)}
         values = layer.isel(part).values.astype(np.float64)
         marks = flags.isel(part).values & ~TRUSTED
-        sound = np.isfinite(values).all(-1) & ~marks.any(-1)
+        sound = np.asarray(np.isfinite(values).all(-1) & ~marks.any(-1))
         yield values, sound, None if sigma is None else sigma.isel(part).values
 
 

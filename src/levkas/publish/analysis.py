@@ -31,12 +31,12 @@ from levkas.database.streaming_writer import PageSpool
 from levkas.database.tiff_pages import open_pages
 from levkas.publish.analysis_names import COMPONENTS, INFRARED, Analysis, find_band, near_bands
 from levkas.publish.publication import PublishRefused
+from levkas.publish.viewer.pictures import ANALYSES
 
 if TYPE_CHECKING:
     from levkas.core.cube import Band
     from levkas.publish.publication import Publication
 
-FOLDER = "analysis"
 MOST_COMPONENTS = 6
 VISIBLE_NM, INFRARED_NM = (400.0, 700.0), (780.0, 1100.0)
 SHOWN_PERCENTILES = (0.5, 99.5)
@@ -198,7 +198,7 @@ def _chosen(source: LayerBands, analysis: Analysis, side: int) -> LayerBands | N
 def _write(publication: Publication, root: Path, work: LayerAnalysis) -> None:
     """Write the pictures of one analysis and its record; raises ComponentsRefused."""
     entry, name = work.entry, work.analysis.name
-    base = root / "objects" / entry.object / FOLDER / f"{entry.layer.stem}.{name}"
+    base = root / "objects" / entry.object / ANALYSES / f"{entry.layer.stem}.{name}"
     tiff, record = base.with_name(f"{base.name}.tif"), base.with_name(f"{base.name}.json")
     facts, labels, rows = _components(work) if work.analysis.kind in COMPONENTS else _pairs(work)
     _write_pages(tiff, (entry.height, entry.width, len(labels)), labels, rows, work)

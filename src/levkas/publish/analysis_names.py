@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from levkas.core.cube import Band
-from levkas.core.problems import Problem, closest_match
-from levkas.publish.publication import PublishRefused
+from levkas.core.problems import Problem, Refused, closest_match
 
 COMPONENTS = ("pca", "mnf")
 INFRARED = "infrared-visible"
@@ -21,6 +20,10 @@ WAVELENGTH_NM = 5.0
 MOST = 24
 """Analyses of one publication."""
 LONGEST_LABEL = 60
+
+
+class AnalysisUnknown(Refused):
+    """A name is that of no analysis; every wrong one is listed."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
 
     Raises
     ------
-    PublishRefused
+    AnalysisUnknown
         ``E_VALUE`` with every name that is none, and the one that may be meant.
 
     Examples
@@ -104,7 +107,7 @@ def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
             )
         )
     if problems:
-        raise PublishRefused(*problems)
+        raise AnalysisUnknown(*problems)
     return tuple(found.values())
 
 
@@ -114,7 +117,7 @@ def _unknown(text: str, kind: str) -> Problem:
         fix = "Write two bands with a slash between them: ratio:700/1000."
     else:
         fix = (
-            closest_match(text.lower(), [*names[:-1], RATIO])
+            closest_match(kind, [*names[:-1], RATIO])
             or "Write --analyse all for those that need no bands."
         )
     what = f"there is no analysis {text!r}" if text else "a name of an analysis is empty"
