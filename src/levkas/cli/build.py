@@ -20,6 +20,7 @@ from levkas.cli.output import (
 )
 
 VERIFY = "Read every file anew, whatever its size, times and inode say."
+FULL = "Compare every stage of a large campaign with its record, whatever the index of the last build says."
 
 
 @refusing("look")
@@ -60,6 +61,7 @@ def build(
         ),
     ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    full: Annotated[bool, typer.Option("--full", help=FULL)] = False,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -89,6 +91,7 @@ def build(
         objects=objects,
         keep_removed=keep_removed,
         verify=verify,
+        full=full,
         cluster=cluster,
         workers=workers,
         insecure=insecure,
@@ -102,6 +105,7 @@ def status(
     campaign: CampaignPath,
     output: DatabasePath = None,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    full: Annotated[bool, typer.Option("--full", help=FULL)] = False,
     graph: Annotated[
         bool,
         typer.Option("--graph", help="Draw the stages and what each reads, as a Mermaid chart."),
@@ -111,7 +115,7 @@ def status(
     """Say what of a database is stale, and why."""
     from levkas.building import status as status_of
 
-    report = status_of(campaign, output=output, verify=verify)
+    report = status_of(campaign, output=output, verify=verify, full=full or graph)
     if graph and not as_json:
         typer.echo(report.graph, nl=False)
         return
