@@ -141,7 +141,9 @@ def look_at(folder: str, never: frozenset[str] = frozenset()) -> Look:
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
-                if OURS.fullmatch(entry.name) or (never and entry.path in never):
+                if ".partial-" in entry.name and OURS.fullmatch(entry.name):
+                    continue
+                if never and entry.path in never:
                     continue
                 if entry.is_dir():
                     lines.append(f"{entry.name}/")

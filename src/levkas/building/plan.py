@@ -90,7 +90,8 @@ def plan_of(campaign: Campaign) -> Plan:
     check_names(campaign, index, refusals)
     _check_edits(campaign, captures, refusals)
     pages = camera_pages(campaign, captures, index)
-    graph = graph_of(campaign, captures)
+    charts = [chart for page in pages.values() for chart in page.charts]
+    graph = graph_of(campaign, captures, charts)
     return Plan(campaign, captures, refusals, graph, pages, index.folders.listed)
 
 

@@ -231,7 +231,9 @@ def _write_layer(
             thumbnail = f"layers/{number}/thumbnail.jpg"
             small = fit_within(picture.image, THUMBNAIL_PX["layer"])
             write(f"{home}/{thumbnail}", encode_jpeg(small, quality=82))
-        pyramid = write_pyramid(write, f"{home}/{folder}", picture.image, palette=picture.palette)
+        pyramid = write_pyramid(
+            write, f"{home}/{folder}", picture.image, key=folder, palette=picture.palette
+        )
         pictures.append(
             {
                 **{"key": picture.key, "label": picture.label, "kind": picture.kind},

@@ -1,12 +1,15 @@
 """Tile pyramids of pictures as static files, readable from file://.
 
 Level n of a picture halves level n + 1; the highest is the picture itself, the lowest fits one tile.
-A tile is ``LEVEL/COLUMN_ROW.jpg`` or ``.png``, and overlaps its neighbours by one pixel.
+A tile overlaps its neighbours by one pixel. It is a JPEG or PNG in base64 in a script file, ``LEVEL/COLUMN_ROW.js``:
+a page from file:// may show a picture file, but may not save what it has drawn with it.
 """
 
 from __future__ import annotations
 
+import base64
 import io
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -22,7 +25,12 @@ Write = Callable[[str, bytes], None]
 
 
 def write_pyramid(
-    write: Write, folder: str, image: np.ndarray, *, palette: np.ndarray | None = None
+    write: Write,
+    folder: str,
+    image: np.ndarray,
+    *,
+    key: str,
+    palette: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Write a picture's tiles.
 
@@ -33,6 +41,8 @@ def write_pyramid(
     folder : str
         Where the levels stand, with ``/``.
     image : ndarray, (height, width) or (height, width, 3), uint8
+    key : str
+        Under which a tile announces itself, with ``/LEVEL/COLUMN_ROW``.
     palette : ndarray, (n, 3), uint8, optional
         Colours of the numbers in `image`: tiles are then PNGs with exactly these colours, and a
         smaller level shows the largest number of four.
@@ -48,7 +58,10 @@ def write_pyramid(
     while True:
         for column, row, tile in cut(image):
             data = encode_jpeg(tile) if palette is None else encode_indexed(tile, palette)
-            write(f"{folder}/{level}/{column}_{row}.{suffix}", data)
+            tile_name = f"{level}/{column}_{row}"
+            text = base64.b64encode(data).decode("ascii")
+            call = f'levkasTile({json.dumps(f"{key}/{tile_name}")},"{text}");\n'
+            write(f"{folder}/{tile_name}.js", call.encode("ascii"))
         if max(image.shape[:2]) <= TILE_PX:
             break
         image, level = halve(image, categories=palette is not None), level - 1
