@@ -76,7 +76,7 @@ def test_a_small_campaign_has_none_and_every_stage_is_listed(built):
 
 
 def test_it_gives_the_answer_of_the_full_comparison_and_says_what_was_compared(large):
-    told, whole = status(large), status(large, full=True)
+    told, whole = status(large), status(large, verify="full")
     assert [s.key.stage for s in told.stages] == ["catalogue"] and len(whole.stages) == 15
     assert states(told) == states(whole) == {"fresh": 15, "stale": 0}
     assert "as of the last build" in told.text and "all 5 files" in told.text
@@ -193,7 +193,7 @@ def test_a_build_sees_what_was_taken_from_the_database_or_the_records(large, how
     assert "no file of the database" in status(large).compared
     assert ("two", "infrared", "resample") in {
         (s.key.object, s.key.layer, s.key.stage)
-        for s in status(large, full=True).stages
+        for s in status(large, verify="full").stages
         if s.state == "stale"
     }
     assert ("two", "infrared", "resample") in stages_done(large)
@@ -202,7 +202,7 @@ def test_a_build_sees_what_was_taken_from_the_database_or_the_records(large, how
 def test_a_product_changed_in_place_is_seen_by_the_full_comparison(large):
     rewrite(large / "database/objects/two/two_infrared.png")
     assert stages_done(large) == set()
-    assert ("two", "infrared", "resample") in stages_done(large, full=True)
+    assert ("two", "infrared", "resample") in stages_done(large, verify="full")
 
 
 def test_a_build_of_one_object_or_one_that_was_interrupted_leaves_none(large):

@@ -398,22 +398,29 @@ def _settled_folders(places: Places, refused: Collection[str]) -> dict[str, tupl
     for pause_s in (0.0, 0.2, 2 * COARSE_TICK_NS / 1e9):
         time.sleep(pause_s)
         folders: dict[str, tuple[int, ...]] = {}
-        for root in (places.output, places.kept):
-            waiting = [str(root)]
-            while waiting:
-                folder = waiting.pop()
-                folders[folder] = _stamp(folder)
-                with os.scandir(folder) as entries:
-                    for entry in entries:
-                        if entry.is_dir(follow_symlinks=False):
-                            waiting.append(entry.path)
-                        elif entry.name.endswith(WAS) and folder not in refused:
-                            return None
+        for folder, anew in (*_folders(str(places.output)), *_folders(str(places.kept))):
+            if anew and folder not in refused:
+                return None
+            folders[folder] = _stamp(folder)
         del folders[str(places.kept)]  # the index itself is written there
         now = time.time_ns()
         if all(is_settled(stamp, now) for stamp in folders.values()):
             return folders
     return None
+
+
+def _folders(root: str) -> Iterator[tuple[str, bool]]:
+    """Yield a folder and all below it, and whether the record of a stage is put aside in it."""
+    waiting = [root]
+    while waiting:
+        folder, anew = waiting.pop(), False
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
+                else:
+                    anew = anew or entry.name.endswith(WAS)
+        yield folder, anew
 
 
 def _of_all(places: Places) -> list[str]:

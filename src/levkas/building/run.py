@@ -10,7 +10,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from levkas.building import fingerprints, sources
 from levkas.building.build_index import (
@@ -66,8 +66,7 @@ def build(
     output: str | Path | None = None,
     objects: list[str] | None = None,
     keep_removed: bool = False,
-    verify: bool = False,
-    full: bool = False,
+    verify: bool | Literal["full"] = False,
     cluster: str | None = None,
     workers: int | None = None,
     insecure: bool = False,
@@ -85,11 +84,9 @@ def build(
     keep_removed : bool
         Leave layers, objects, cameras and charts in the database that the campaign no longer has. They
         are moved to the folder OUTPUT.removed otherwise.
-    verify : bool
-        Read every file anew, whatever its size, times and inode say.
-    full : bool
-        Compare every stage with its record also where the index of a large campaign says that nothing has
-        changed.
+    verify : bool or "full"
+        Read every file anew, whatever its size, times and inode say; ``"full"``: compare every stage with its
+        record by these, also where the index of a large campaign says that nothing has changed.
     cluster : str, optional
         Address of a dask scheduler, ``tcp://HOST:PORT``, whose workers do the tasks; else that in
         $DASK_SCHEDULER_ADDRESS. They see all files under the same paths.
@@ -116,7 +113,7 @@ def build(
     started_ns = time.time_ns()
     campaign = load_campaign(path)
     places = Places(Path(output).resolve() if output else campaign.output)
-    if not (full or verify or objects) and (known := _nothing_to_do(campaign, places)):
+    if not (verify or objects) and (known := _nothing_to_do(campaign, places)):
         yield from known
         return
     whole = plan_of(campaign)
@@ -128,13 +125,15 @@ def build(
     for folder in (places.output, places.kept):
         sweep(folder)
     sources.remember(places.kept / sources.CODE)
-    records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
+    records = BuildRecords(
+        places.kept, places.output, keep_removed=keep_removed, verify=verify is True
+    )
     gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
     total = _count(plan) + bool(describe(gone, records))
     templates = TemplateCache(places.kept / "templates", records.hashes, shared=len(plan.names) > 1)
     endings = Endings(campaign, places, records, plan.graph)
     counts = _counts_of(plan)
-    with _executor(where, endings, templates, verify=verify) as executor:
+    with _executor(where, endings, templates, verify=verify is True) as executor:
         steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
         for step in _numbered(steps, plan.graph, total):
             yield counts.add(step, records)
@@ -282,28 +281,27 @@ def status(
     path: str | Path,
     *,
     output: str | Path | None = None,
-    verify: bool = False,
-    full: bool = False,
+    verify: bool | Literal["full"] = False,
 ) -> BuildReport:
     """Say of every stage whether it is fresh or stale, and why; no pixel is read.
 
     Parameters are those of `build`, and it raises as `build`. Of a large campaign that has an index, and
-    without `full` and `verify`, the states are those of the last build, with what of its inputs has changed
+    without `verify`, the states are those of the last build, with what of its inputs has changed
     since; `compared` says so.
     """
     started_ns = time.time_ns()
     campaign = load_campaign(path)
     places = Places(Path(output).resolve() if output else campaign.output)
-    index = None if full or verify else open_index(campaign, places)
+    index = None if verify else open_index(campaign, places)
     if index is not None and (known := index.steps()) is not None:
         return summarise(known, places.output)
     plan = plan_of(campaign)
     check_apart(campaign, places.output, plan.captures)
     before = _inputs(plan, places, started_ns)
     sources.remember(places.kept / sources.CODE)
-    records = BuildRecords(places.kept, places.output, verify=verify)
+    records = BuildRecords(places.kept, places.output, verify=verify is True)
     lost = plan.lost()
-    inputs = Inputs(campaign, records, unread=not verify)
+    inputs = Inputs(campaign, records, unread=verify is not True)
     ended: dict[Key, Step] = {}
     by_object: dict[str, list[Step]] = {name: [*steps] for name, steps in lost.items()}
     refused: dict[tuple[str, str], Step] = {}

@@ -90,8 +90,7 @@ def build(
         output=output,
         objects=objects,
         keep_removed=keep_removed,
-        verify=verify,
-        full=full,
+        verify=verify or ("full" if full else False),
         cluster=cluster,
         workers=workers,
         insecure=insecure,
@@ -115,7 +114,9 @@ def status(
     """Say what of a database is stale, and why."""
     from levkas.building import status as status_of
 
-    report = status_of(campaign, output=output, verify=verify, full=full or graph)
+    report = status_of(
+        campaign, output=output, verify=verify or ("full" if full or graph else False)
+    )
     if graph and not as_json:
         typer.echo(report.graph, nl=False)
         return

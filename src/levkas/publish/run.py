@@ -184,7 +184,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
     from levkas.campaign.campaign import load_campaign
 
     campaign = load_campaign(path)
-    stages = status(path, full=True).stages if fresh else ()
+    stages = status(path, verify="full").stages if fresh else ()
     stale = [step for step in stages if step.state == "stale"]
     if stale:
         raise PublishRefused(
