@@ -24,8 +24,13 @@ from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import DECISIONS
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, pictures_of
-from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
-from levkas.publish.viewer.spectra import write_lattices, write_spectra
+from levkas.publish.viewer.pyramid import (
+    encode_thumbnail,
+    fit_within,
+    sample_lightness,
+    write_pyramid,
+)
+from levkas.publish.viewer.spectra import encode_block, write_lattices, write_script, write_spectra
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
@@ -160,7 +165,7 @@ def write_thumbnail(write: Write, item: Item) -> tuple[str, int, int] | None:
     if image is None:
         return None
     small = fit_within(image, THUMBNAIL_PX["card"])
-    write(f"viewer/objects/{item.name}/thumbnail.jpg", encode_jpeg(small, quality=82))
+    write(f"viewer/objects/{item.name}/thumbnail.jpg", encode_thumbnail(small))
     height, width = small.shape[:2]
     return address("viewer", "objects", item.name, "thumbnail.jpg"), width, height
 
@@ -230,13 +235,15 @@ def _write_layer(
         if not thumbnail:
             thumbnail = f"layers/{number}/thumbnail.jpg"
             small = fit_within(picture.image, THUMBNAIL_PX["layer"])
-            write(f"{home}/{thumbnail}", encode_jpeg(small, quality=82))
+            write(f"{home}/{thumbnail}", encode_thumbnail(small))
         pyramid = write_pyramid(write, f"{home}/{folder}", picture.image, palette=picture.palette)
+        sampled = picture.palette is None
         pictures.append(
             {
                 **{"key": picture.key, "label": picture.label, "kind": picture.kind},
-                "note": picture.note,
+                **{"note": picture.note, "white": picture.white},
                 "legend": picture.legend.to_dict() if picture.legend else None,
+                "sample": _write_sample(write, home, folder, picture.image) if sampled else None,
                 **{"folder": folder, **pyramid},
             }
         )
@@ -268,6 +275,14 @@ def _write_layer(
         "reference_band": _reference_band(record, bands),
         "downloads": _downloads(item, tiff),
     }
+
+
+def _write_sample(write: Write, home: str, folder: str, image: np.ndarray) -> dict[str, int]:
+    """Write the pixels that a picture's histogram is counted from."""
+    some = sample_lightness(image)
+    key = f"{folder.removeprefix('layers/')}/sample"
+    write_script(write, f"{home}/{folder}/sample.js", key, encode_block(some[..., None]))
+    return {"columns": some.shape[1], "rows": some.shape[0]}
 
 
 def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:
