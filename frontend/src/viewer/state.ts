@@ -2,7 +2,7 @@
 import { signal } from "@preact/signals-core";
 import type { Point } from "../shared/pane";
 import type { Layer, Picture } from "./record";
-import type { Region } from "./shapes";
+import type { Region, Shape } from "./shapes";
 
 export type Slot = "a" | "b";
 
@@ -17,6 +17,12 @@ export interface Pin {
   at: Point;
 }
 
+/** A length or an area that is measured. */
+export interface Measure extends Shape {
+  name: string;
+  kind: Exclude<Shape["kind"], "place">;
+}
+
 export class State {
   readonly a = signal<Choice | null>(null);
   readonly b = signal<Choice | null>(null);
@@ -26,6 +32,10 @@ export class State {
   readonly pins = signal<Pin[]>([]);
   /** Regions that are measured. */
   readonly regions = signal<Region[]>([]);
+  /** Lengths and areas that are measured. */
+  readonly measures = signal<Measure[]>([]);
+  /** Whether a grid lies over the painting. */
+  readonly grid = signal(false);
 
   swap(): void {
     const { a, b } = this;

@@ -58,7 +58,9 @@ Graph = Mapping[Key, Task]
 """Tasks by their keys, each behind what it reads."""
 
 
-def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
+def graph_of(
+    campaign: Campaign, captures: Sequence[Capture], charts: Sequence[Capture] = ()
+) -> Graph:
     """Return the tasks of a campaign in the order in which a build does them.
 
     Parameters
@@ -66,6 +68,8 @@ def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
     campaign : Campaign
     captures : sequence of Capture
         Of all objects, each object's reference first; those without a reference are left out.
+    charts : sequence of Capture
+        Of charts: they are measured for the page of their camera.
     """
     tasks: dict[Key, Task] = {}
     for mine in by_object(captures).values():
@@ -80,7 +84,7 @@ def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
         report = Key(mine[0].object, stage="report")
         layers = tuple(task.key for task in here if task.key.stage == "resample")
         tasks[report] = Task(report, uses=layers)
-    for camera in calibrated_cameras(campaign, captures):
+    for camera in cameras_with_pages(campaign, captures, charts):
         learnt = [keys_of(campaign, c)["calibrate"] for c in captures if c.camera == camera]
         key = page_key(camera)
         tasks[key] = Task(key, uses=tuple(k for k in learnt if k in tasks))
@@ -145,9 +149,15 @@ def is_reference(campaign: Campaign, capture: Capture) -> bool:
     return capture.camera == campaign.reference.camera and not capture.setup
 
 
-def calibrated_cameras(campaign: Campaign, captures: Sequence[Capture]) -> list[str]:
-    """Return the cameras that have a page; plain images, where nothing is calibrated, have none."""
+def cameras_with_pages(
+    campaign: Campaign, captures: Sequence[Capture], charts: Sequence[Capture]
+) -> list[str]:
+    """Return the cameras that have a page: those that are calibrated, or saw a chart.
+
+    Of plain images, where nothing is calibrated, nothing but a chart tells.
+    """
     seen = {c.camera for c in captures if campaign.cameras[c.camera].kind != "image"}
+    seen |= {c.camera for c in charts}
     return [name for name in campaign.cameras if name in seen]
 
 

@@ -83,7 +83,8 @@ def read_plan(path: str | Path) -> Plan:
     check_names(campaign, index, refusals)
     _check_edits(campaign, captures, refusals)
     pages = camera_pages(campaign, captures, index)
-    return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
+    charts = [chart for page in pages.values() for chart in page.charts]
+    return Plan(campaign, captures, refusals, graph_of(campaign, captures, charts), pages)
 
 
 def check_detectors(campaign: Campaign) -> None:

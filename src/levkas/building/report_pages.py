@@ -126,7 +126,8 @@ def report_of(
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=rows,
             short=summarise_layers(layers, rows, float(sampling) if sampling else None, lost),
-            links=_links_of_object(places, name),
+            links=(("museum facts", "object.toml"), ("provenance", PROVENANCE)),
+            viewer=f"../../viewer/objects/{name}/index.html",
             setups=close_ups(places, captures),
         ),
     )
@@ -223,14 +224,6 @@ def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> lis
     if campaign.cameras[capture.camera].kind != "image":  # nothing is calibrated: it has no page
         links.append(("report of the camera", f"../../cameras/{capture.camera}/report.html"))
     return links
-
-
-def _links_of_object(places: Places, name: str) -> list[tuple[str, str]]:
-    return [
-        ("viewer, once published", f"../../viewer/objects/{name}/index.html"),
-        ("museum facts", "object.toml"),
-        ("provenance", PROVENANCE),
-    ]
 
 
 def _checks(errors: dict[str, Any]) -> str:

@@ -134,12 +134,13 @@ class CheckReport:
 def check(path: str | Path) -> CheckReport:
     """Check what is missing before a database can be published, and before it can get a DOI; nothing is written.
 
-    What is a problem here is what `publish` refuses, and nothing else is.
+    What is a problem here is what `publish` refuses before it reads the files of the database, and nothing
+    else is.
 
     Parameters
     ----------
     path : path
-        A database, or its campaign, which need not have been built since its facts were changed.
+        A database, or its campaign, whose facts are taken as they are now.
 
     Returns
     -------
@@ -152,6 +153,7 @@ def check(path: str | Path) -> CheckReport:
     problems: list[Problem] = []
     try:
         find_manifest(subject.database)
+        find_subject(path)
     except PublishRefused as refused:
         if subject.campaign is None and not (subject.database / FACTS).is_file():
             return CheckReport(refused.problems, ())
@@ -190,7 +192,7 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
                 "E_STALE",
                 "the database is not what its campaign says now",
                 file=str(campaign.output),
-                found=f"{len(stale)} stages are stale, the first: {stale[0].line}",
+                found=f"{len(stale)} stage{'s are' if len(stale) > 1 else ' is'} stale, the first: {stale[0].line}",
                 fix=f"Run levkas build {campaign.root} first, or give the database to publish it as it is.",
             )
         )
@@ -436,6 +438,7 @@ PARTS = {
     "readme": "levkas.publish.readme:write_readme",
     "sealing": "levkas.publish.editions:seal_medium",
     "crate": "levkas.publish.crate:write_crate",
+    "preview": "levkas.publish.preview:write_preview",
 }
 """Name of a part → where its function is; imported when it is run."""
 

@@ -189,6 +189,24 @@ def viewer(add_viewer, tmp_path_factory):
     return add_viewer(write_database(folder, {"icon1": "First icon", "icon2": "Second icon"}))
 
 
+@pytest.fixture(scope="session")
+def publish_with():
+    """Return a function that publishes a database under a title and a creator, and gives the folder."""
+    import json
+
+    from levkas.database.manifest import write_manifest
+    from levkas.publish import run
+
+    def publish(database, title, creator, **options):
+        facts = {"title": title, "creator": creator, "date": "2019-06-30", "licence": "CC-BY-4.0"}
+        lines = [f"{key} = {json.dumps(value)}\n" for key, value in facts.items()]
+        (database / "database.toml").write_text("".join(lines), encoding="utf-8")
+        write_manifest(database)
+        return run.summarise(run.publish(database, editions="full", iiif=False, **options)).output
+
+    return publish
+
+
 @pytest.fixture
 def address(viewer, serve):
     """Return a function giving the address of a page of the small viewer, by file or http."""

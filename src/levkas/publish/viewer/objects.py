@@ -24,13 +24,8 @@ from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import DECISIONS
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, pictures_of
-from levkas.publish.viewer.pyramid import (
-    encode_thumbnail,
-    fit_within,
-    sample_lightness,
-    write_pyramid,
-)
-from levkas.publish.viewer.spectra import encode_block, write_lattices, write_script, write_spectra
+from levkas.publish.viewer.pyramid import encode_thumbnail, fit_within, write_pyramid
+from levkas.publish.viewer.spectra import write_lattices, write_spectra
 
 if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
@@ -236,14 +231,14 @@ def _write_layer(
             thumbnail = f"layers/{number}/thumbnail.jpg"
             small = fit_within(picture.image, THUMBNAIL_PX["layer"])
             write(f"{home}/{thumbnail}", encode_thumbnail(small))
-        pyramid = write_pyramid(write, f"{home}/{folder}", picture.image, palette=picture.palette)
-        sampled = picture.palette is None
+        pyramid = write_pyramid(
+            write, f"{home}/{folder}", picture.image, key=folder, palette=picture.palette
+        )
         pictures.append(
             {
                 **{"key": picture.key, "label": picture.label, "kind": picture.kind},
                 **{"note": picture.note, "white": picture.white},
                 "legend": picture.legend.to_dict() if picture.legend else None,
-                "sample": _write_sample(write, home, folder, picture.image) if sampled else None,
                 **{"folder": folder, **pyramid},
             }
         )
@@ -275,14 +270,6 @@ def _write_layer(
         "reference_band": _reference_band(record, bands),
         "downloads": _downloads(item, tiff),
     }
-
-
-def _write_sample(write: Write, home: str, folder: str, image: np.ndarray) -> dict[str, int]:
-    """Write the pixels that a picture's histogram is counted from."""
-    some = sample_lightness(image)
-    key = f"{folder.removeprefix('layers/')}/sample"
-    write_script(write, f"{home}/{folder}/sample.js", key, encode_block(some[..., None]))
-    return {"columns": some.shape[1], "rows": some.shape[0]}
 
 
 def _say_estimate(told: dict[str, Any]) -> dict[str, Any]:

@@ -1,12 +1,15 @@
 """Tile pyramids of pictures as static files, readable from file://.
 
 Level n of a picture halves level n + 1; the highest is the picture itself, the lowest fits one tile.
-A tile is ``LEVEL/COLUMN_ROW.webp`` or ``.png``, without loss, and overlaps its neighbours by one pixel.
+A tile overlaps its neighbours by one pixel. It is a lossless WebP or a PNG, in base64 in a script file,
+``LEVEL/COLUMN_ROW.js``: a page from file:// may show a picture file, but may not save what it has drawn with it.
 """
 
 from __future__ import annotations
 
+import base64
 import io
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -19,15 +22,18 @@ WEBP_EFFORT = 20
 WEBP_METHODS = {2: 1, 3: 0}
 """By the dimensions of a picture: grey shrinks by a third more with method 1, colour hardly."""
 PNG_LEVEL = 6
-SAMPLE_PX = 384
-"""Longest side of the sample that a histogram is counted from."""
 
 Write = Callable[[str, bytes], None]
 """Writes the bytes of a file by its name below the published folder."""
 
 
 def write_pyramid(
-    write: Write, folder: str, image: np.ndarray, *, palette: np.ndarray | None = None
+    write: Write,
+    folder: str,
+    image: np.ndarray,
+    *,
+    key: str,
+    palette: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Write a picture's tiles.
 
@@ -38,6 +44,8 @@ def write_pyramid(
     folder : str
         Where the levels stand, with ``/``.
     image : ndarray, (height, width) or (height, width, 3), uint8
+    key : str
+        Under which a tile announces itself, with ``/LEVEL/COLUMN_ROW``.
     palette : ndarray, (n, 3), uint8, optional
         Colours of the numbers in `image`: tiles are then PNGs with these colours, and a
         smaller level shows the largest number of four. Else tiles are lossless WebP.
@@ -53,7 +61,10 @@ def write_pyramid(
     while True:
         for column, row, tile in cut(image):
             data = encode_webp(tile) if palette is None else encode_indexed(tile, palette)
-            write(f"{folder}/{level}/{column}_{row}.{suffix}", data)
+            tile_name = f"{level}/{column}_{row}"
+            text = base64.b64encode(data).decode("ascii")
+            call = f'levkasTile({json.dumps(f"{key}/{tile_name}")},"{text}");\n'
+            write(f"{folder}/{tile_name}.js", call.encode("ascii"))
         if max(image.shape[:2]) <= TILE_PX:
             break
         image, level = halve(image, categories=palette is not None), level - 1
@@ -114,19 +125,6 @@ def fit_within(image: np.ndarray, longest: int) -> np.ndarray:
     scale = longest / max(height, width)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.LANCZOS))
-
-
-def sample_lightness(image: np.ndarray) -> np.ndarray:
-    """Return every n-th pixel of a picture, at most `SAMPLE_PX` a side; of colours the lightness (Rec. 709).
-
-    >>> sample_lightness(np.zeros((800, 500, 3), np.uint8)).shape
-    (267, 167)
-    """
-    step = max(1, -(-max(image.shape[:2]) // SAMPLE_PX))
-    some = image[::step, ::step]
-    if some.ndim == 2:
-        return some
-    return np.asarray(some @ np.array([0.2126, 0.7152, 0.0722]) + 0.5, np.uint8)
 
 
 def encode_webp(image: np.ndarray) -> bytes:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
 
 
+HIDDEN_LINK = b'<a hidden href="../../viewer/'
+"""Begins the report's link to the viewer: before a database is published there is none."""
 SCRIPTS = ("sheet.js", "sheet.css", "viewer.js", "viewer.css")
 
 
@@ -44,6 +46,7 @@ def write_part(publication: Publication) -> Iterator[str]:
 
     about, root = about_of(publication.facts), publication.root
     yield from write_viewer(root, write, about, beside=_beside(publication))
+    _link_reports(publication)
     medium = publication.roots.get("medium")
     if medium is not None and medium != root:
         place = medium.relative_to(root).as_posix()
@@ -56,6 +59,16 @@ def write_part(publication: Publication) -> Iterator[str]:
         yield from write_viewer(medium, write_below, about, beside=above)
 
 
+def _link_reports(publication: Publication) -> None:
+    """Show the link to the viewer, which reports have in them, now that it leads somewhere."""
+    for path in sorted(publication.root.glob("objects/*/report.html")):
+        page = path.read_bytes()
+        if HIDDEN_LINK in page:
+            name = path.relative_to(publication.root).as_posix()
+            shown = HIDDEN_LINK.replace(b" hidden", b"")
+            publication.write_bytes(name, page.replace(HIDDEN_LINK, shown, 1))
+
+
 def _beside(publication: Publication) -> list[tuple[str, str]]:
     """What the folder holds for other programs; some of it is written after the viewer."""
     found = [("IIIF manifest", "iiif/{object}/manifest.json")] if publication.iiif else []
@@ -63,8 +76,9 @@ def _beside(publication: Publication) -> list[tuple[str, str]]:
         found.append(("Medium edition", "medium/index.html"))
     return [
         *found,
-        ("Read me: what is in the folder", "README.md"),
-        ("RO-Crate: how every file came about", "ro-crate-metadata.json"),
+        ("Read me: what is in the folder", "README.html"),
+        ("How every file came about", "ro-crate-preview.html"),
+        ("RO-Crate", "ro-crate-metadata.json"),
         ("DataCite metadata", "datacite.json"),
         ("Catalogue", "catalogue.csv"),
         ("Hashes", "manifest-sha256.txt"),

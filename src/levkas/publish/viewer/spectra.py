@@ -76,17 +76,13 @@ def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> Iterato
         for column in range(-(-width // across)):
             span = slice(column * across, (column + 1) * across)
             payload = b"".join(encode_block(p[:, span]) for p in parts if p is not None)
-            write_script(write, f"{folder}/{column}_{row}.js", f"{key}/{column}_{row}", payload)
+            text = base64.b64encode(zlib.compress(payload, ZLIB_LEVEL)).decode("ascii")
+            call = f'levkasTile({json.dumps(f"{key}/{column}_{row}")},"{text}");\n'
+            write(f"{folder}/{column}_{row}.js", call.encode("ascii"))
     yield {
         **{"columns": across, "rows": down, "width": width, "height": height, "bands": bands},
         **{"sigma": sigma is not None, "flags": flags is not None},
     }
-
-
-def write_script(write: Write, name: str, key: str, payload: bytes) -> None:
-    """Write a script that hands over compressed bytes under a key."""
-    text = base64.b64encode(zlib.compress(payload, ZLIB_LEVEL)).decode("ascii")
-    write(name, f'levkasTile({json.dumps(key)},"{text}");\n'.encode("ascii"))
 
 
 def tile_shape(width: int, height: int, bands: int) -> tuple[int, int]:
