@@ -313,6 +313,8 @@ class BuildReport:
     warnings: tuple[str, ...] = ()
     graph: str = ""
     """Of `status`: the campaign's graph as a Mermaid flow chart."""
+    layers: tuple[dict[str, Any], ...] = ()
+    """Of `build --json`: verdict, errors and reasons of every layer."""
 
     @property
     def unlisted(self) -> dict[str, int]:
@@ -351,6 +353,7 @@ class BuildReport:
             "output": str(self.output) if self.output else None,
             "stages": [step.to_dict() for step in self.stages],
             "warnings": list(self.warnings),
+            **({"layers": list(self.layers)} if self.layers else {}),
             **told,
         }
 

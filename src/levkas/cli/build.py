@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -84,6 +85,7 @@ def build(
     """Build the database of a campaign from its raw frames."""
     from levkas.building import build as build_campaign
     from levkas.building import summarise
+    from levkas.building.layer_verdicts import layer_verdicts
 
     steps = build_campaign(
         campaign,
@@ -96,6 +98,8 @@ def build(
         insecure=insecure,
     )
     report = summarise(draw_steps(steps, as_json))
+    if as_json:
+        report = replace(report, layers=tuple(layer_verdicts(report)))
     finish("build", report, as_json)
 
 
