@@ -156,7 +156,7 @@ def write_analyses(publication: Publication) -> Iterator[str]:
                 why = f"{problem.message}: {problem.found}"
                 note = f"{work.entry.object}/{work.entry.layer.name}, {work.title.lower()}: {why}"
                 if place == Path():
-                    publication.notes.append(note)
+                    publication.left_out.append(note)
 
 
 def find_work(root: Path, analyses: Sequence[Analysis]) -> list[LayerAnalysis]:

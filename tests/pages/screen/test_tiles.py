@@ -89,6 +89,18 @@ def test_tiles_of_every_level_join_to_the_picture(size):
     assert max(size) / 2 ** (facts["most"] - facts["least"]) <= TILE_PX
 
 
+@pytest.mark.parametrize("shape", [(60, 70), (60, 70, 3)])
+def test_tiles_of_pictures_lose_nothing(shape):
+    image = np.random.default_rng(5).integers(0, 256, shape, np.uint8)
+    files = {}
+    facts = write_pyramid(files.__setitem__, "p", image, key="p")
+    assert facts["format"] == "webp"
+    (name,) = [one for one in files if one.startswith(f"p/{facts['most']}/")]
+    text = files[name].decode("ascii").removesuffix('");\n').split(',"')[1]
+    tile = np.asarray(Image.open(io.BytesIO(b64decode(text))))
+    np.testing.assert_array_equal(tile, image if image.ndim == 3 else image[..., None].repeat(3, 2))
+
+
 def test_neighbouring_tiles_overlap_by_a_pixel_on_each_side():
     tiles = {(column, row): tile for column, row, tile in cut(np.zeros((20, 1100), np.uint8))}
     assert [tiles[column, 0].shape[1] for column in range(3)] == [TILE_PX + 1, TILE_PX + 2, 81]
