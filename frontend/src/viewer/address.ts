@@ -1,5 +1,6 @@
 // The address of a page holds what is shown: each part writes its own fields there, and reads them back.
 import type { ReadonlySignal } from "@preact/signals-core";
+import type { Range, Slider } from "../shared/controls";
 import { watch } from "../shared/watch";
 
 const SAVE_AFTER_MS = 300;
@@ -24,6 +25,38 @@ export class Address {
 
   add(part: Part): void {
     this.parts.push(part);
+  }
+
+  /** Keep the value of a slider, which calls `remember` itself; that of a fresh page is left out. */
+  addSlider(name: string, control: Slider, { value }: Range): void {
+    this.add({
+      carried: true,
+      write: (facts) => {
+        if (control.value !== value) facts.set(name, String(control.value));
+      },
+      read: (facts) => {
+        const wanted = numbersOf(facts, name, 1)?.[0] ?? value;
+        if (wanted !== control.value) control.set(wanted);
+      },
+    });
+  }
+
+  /** Keep what is chosen from a list; what a fresh page has chosen is left out. */
+  addChoice(name: string, list: HTMLSelectElement, fresh: () => string): void {
+    list.addEventListener("change", () => this.remember());
+    this.add({
+      carried: true,
+      write: (facts) => {
+        if (list.value !== fresh()) facts.set(name, list.value);
+      },
+      read: (facts) => {
+        const wanted = facts.get(name) ?? fresh();
+        if (wanted === list.value || ![...list.options].some(({ value }) => value === wanted))
+          return;
+        list.value = wanted;
+        list.dispatchEvent(new Event("change"));
+      },
+    });
   }
 
   /** Show what the address holds, now and whenever a link is pasted over it; from then on keep it up to date. */
