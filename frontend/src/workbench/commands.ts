@@ -52,7 +52,9 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
     key("Enter", ["Enter"], keep, () => pair.accept()),
     key("Esc", ["Escape"], "let go", () => pair.cancel()),
     key("← → ↑ ↓", ARROWS, move, nudge),
-    key("I", ["i"], "insert a pair: propose one in the middle of the reference", () => stage.proposeAtMiddle()),
+    key("I", ["i"], "insert a pair: propose one in the middle of the reference", () =>
+      stage.proposeAtMiddle(),
+    ),
     key("R", ["r"], "read how far off the pictures are in the middle", () =>
       stage.measureAtMiddle(),
     ),

@@ -110,7 +110,7 @@ def _chart(comparison: Comparison, fact: str, y: str, *, log: bool = False) -> s
             )
     if not lines:
         return ""
-    return plot(lines, x="", y=y, log_y=log, legend=False, names=comparison.layers)
+    return plot(lines, x="", y=y, log_y=log, names=comparison.layers)
 
 
 def number(value: float | None, digits: int) -> str:

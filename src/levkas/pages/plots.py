@@ -154,7 +154,6 @@ def plot(
     log_y: bool = False,
     top_axis: tuple[str, Sequence[tuple[float, str]]] | None = None,
     from_zero: bool = False,
-    legend: bool = True,
     names: Sequence[str] = (),
 ) -> str:
     """Return lines as SVG, "" where there is nothing to draw.
@@ -171,7 +170,7 @@ def plot(
     from_zero : bool
         y starts at 0.
     names : sequence of str
-        Of x = 1, 2, …, where it counts things and measures nothing.
+        Of x = 1, 2, …, where it counts things and measures nothing. Such a page names the lines itself.
     """
     drawn = [(line, *_sound(line, log, log_y)) for line in lines]
     if not any(len(xs) for _, xs, _ in drawn):
@@ -196,7 +195,7 @@ def plot(
         above.set_xticks([at for at, _ in marks], [text for _, text in marks], minor=False)
         above.set_xticks([], minor=True)
         above.set_xlabel(title)
-    if legend and len(lines) > 1:
+    if not names and len(lines) > 1:
         draw_legend(axes)
     return to_svg(figure, f"{y} over {x}" if x else y)
 
@@ -248,7 +247,7 @@ def colour_of(label: str, index: int, count: int, wavelength: float = float("nan
     if letters in COLOURS:
         return COLOURS[letters]
     if np.isfinite(wavelength):
-        hue = float(np.interp(wavelength, *zip(*HUES, strict=True)))
+        hue = float(np.interp(wavelength, *np.array(HUES, float).T))
         # What the eye sees no more grows dark, so that bands beyond 700 nm are told apart.
         lightness = float(np.interp(wavelength, (700, 1000), (0.5, 0.25)))
         return hls_colour(hue / 360, lightness, 0.65)
@@ -298,7 +297,7 @@ def light_map(
         x = (np.arange(columns) + 0.5) * width / columns
         y = (np.arange(rows) + 0.5) * height / rows
         lines = axes.contour(x, y, levels, contours, colors="#1d1b16", linewidths=0.9)
-        for (left, top), level in place_labels(lines.get_paths(), lines.levels, size):
+        for (left, top), level in place_labels(lines.get_paths(), list(lines.levels), size):
             axes.text(
                 left, top, f"{100 * level:g} %", fontsize=9, color="#1d1b16", ha="center", va="center",
                 bbox={"facecolor": "#fffbe8", "alpha": 0.8, "linewidth": 0, "pad": 1.5},
