@@ -45,13 +45,15 @@ from levkas.calibration.templates import (
 )
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import UNRELIABLE, Band, Cube
+from levkas.core.files import replacing
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
     from levkas.building.template_cache import TemplateCache
     from levkas.calibration.pushbroom import Seam
@@ -194,6 +196,8 @@ class Scan:
         Object and layer, for warnings.
     aligns, captured
         As of `Native`.
+    pictures : Path, optional
+        What `keep_pictures` has written of the scan.
     """
 
     context: SensorContext
@@ -201,6 +205,7 @@ class Scan:
     where: str = ""
     captured: str | None = None
     aligns: Mapping[str, object] = field(default_factory=dict)
+    pictures: Path | None = None
     _summary: ScanSummary | None = field(default=None, init=False)
 
     @property
@@ -296,13 +301,13 @@ class Scan:
         yield from seen.blocks()
         self._summary = seen.summary()
 
-    def joined(self, parts: Mapping[Lines, Mapping[str, np.ndarray]]) -> None:
-        """Take what parts have seen, `LinesSeen.arrays` of each by its lines, in place of a pass.
+    def joined(self, parts: Iterable[tuple[Lines, Mapping[str, np.ndarray]]]) -> None:
+        """Take what parts have seen, their lines and `LinesSeen.arrays` of each, in place of a pass.
 
         Raises CalibrationRefused where a band has no finite value at all.
         """
         seen = LinesSeen(self)
-        for lines, arrays in parts.items():
+        for lines, arrays in parts:
             seen.join(lines, arrays)
         self._summary = seen.summary()
 
@@ -317,7 +322,25 @@ class Scan:
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""
+        if self._summary is None and self.pictures is not None:
+            return self._kept
         return self.summary.pictures
+
+    def keep_pictures(self, path: Path) -> None:
+        """Write `images` to a file, so that they need no pass; raises WriteRefused."""
+        values = np.stack([image.values for image in self.images()])
+        valid = np.packbits(np.stack([image.valid for image in self.images()]))
+        with replacing(path) as handle:
+            np.savez(handle, values=values, valid=valid)
+
+    @cached_property
+    def _kept(self) -> list[BandImage]:
+        assert self.pictures is not None
+        with np.load(self.pictures) as found:
+            values = found["values"]
+            valid = np.unpackbits(found["valid"], count=values.size).astype(bool)
+        pairs = zip(self.bands, values, valid.reshape(values.shape), strict=True)
+        return [BandImage(band.label, band.wavelength, *planes) for band, *planes in pairs]
 
     def _flat_blocks(self, start: int, stop: int) -> Iterator[FlatLines]:
         step = block_lines(self.shape)
@@ -420,7 +443,7 @@ class Pictures:
         _, samples, bands = scan.shape
         rows, width = self._rows(lines), samples // self._factor
         self._sums = np.zeros((bands, rows.stop - rows.start, width), np.float32)
-        self._counts = np.zeros(self._sums.shape, np.uint16)
+        self._counts: np.ndarray = np.zeros(self._sums.shape, np.uint16)
         self._line = 0
 
     def _rows(self, lines: Lines) -> slice:

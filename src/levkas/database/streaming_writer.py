@@ -199,7 +199,7 @@ class RowsPart:
         more: Callable[[], Mapping[str, np.ndarray]],
     ) -> None:
         """Write the rows of a layer of a shape; `more` is asked for arrays to keep when all have come."""
-        kinds, arrays = _kinds(sigma), dict[str, np.ndarray]()
+        kinds, arrays = _kinds(sigma), dict[str, Any]()
         with ExitStack() as stack:
             pool = stack.enter_context(ThreadPoolExecutor(THREADS))
             spools = {
@@ -218,7 +218,7 @@ class RowsPart:
             for kind, spool in spools.items():
                 arrays |= {f"{kind} {name}": one for name, one in spool.arrays().items()}
         with replacing(self.index) as handle:
-            np.savez(handle, **arrays, **more())
+            np.savez(handle, **(arrays | {**more()}))
 
 
 def _kinds(sigma: bool) -> list[str]:
