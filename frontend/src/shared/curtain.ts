@@ -1,11 +1,13 @@
 // The line between A, left of it, and B, right of it: dragged, or moved with the arrow keys.
+import { signal } from "@preact/signals-core";
 import { make } from "./element";
 
 const STEP = 0.02;
 
-/** A line over a pane; `fraction` is where it stands, 0 left to 1 right. */
+/** A line over a pane. */
 export class Curtain {
-  fraction = 0.5;
+  /** Where the line stands, 0 left to 1 right. */
+  readonly place = signal(0.5);
   readonly line = make(
     "div",
     {
@@ -51,8 +53,13 @@ export class Curtain {
     this.line.hidden = !on;
   }
 
+  /** Where the line stands, 0 left to 1 right. */
+  get fraction(): number {
+    return this.place.peek();
+  }
+
   move(fraction: number): void {
-    this.fraction = Math.min(1, Math.max(0, fraction));
+    this.place.value = Math.min(1, Math.max(0, fraction));
     this.line.style.left = `${100 * this.fraction}%`;
     this.line.setAttribute("aria-valuenow", String(Math.round(100 * this.fraction)));
     this.onMove();

@@ -2,15 +2,16 @@
 import { effect } from "@preact/signals-core";
 import { make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { numbersOf, type Address } from "./address";
 import { drawChart, samplesOf, type Curve } from "./chart";
+import { freeName, LONGEST_NAME } from "./names";
 import { csvRows, CSV_HEAD, quoted } from "./numbers";
 import type { Layer, PageRecord } from "./record";
 import { parseReference, spectralAngle, type Reference } from "./reference";
 import type { LayerSpectra, Spectra, Spectrum } from "./spectra";
 import type { Pin, State } from "./state";
 
-export const MOST_PINS = 24;
-export const LONGEST_NAME = 60;
+const MOST_PINS = 24;
 const CURVES = 8; // colours of the style sheet, --curve-1 and on
 const LARGEST_FILE = 2_000_000; // bytes
 
@@ -50,6 +51,7 @@ export class PinList {
     spectra: LayerSpectra,
     private readonly state: State,
     private readonly go: (place: Point) => void,
+    address: Address,
   ) {
     this.sources = [...spectra]
       .filter(([{ bands }]) => bands.length)
@@ -82,16 +84,46 @@ export class PinList {
       this.save.disabled = !state.pins.value.length;
       void this.refresh();
     });
+    this.register(address, most?.layer.name ?? "");
+  }
+
+  private register(address: Address, fresh: string): void {
+    const { pin, pins } = this.state;
+    const { width, height } = this.record.grid;
+    address.add({
+      signals: [pin],
+      write: (facts) => {
+        if (pin.value) facts.set("pin", pin.value.map((at) => at.toFixed(2)).join());
+      },
+      read: (facts) => {
+        const place = numbersOf(facts, "pin", 2);
+        pin.value = place && [place[0]!, place[1]!];
+      },
+    });
+    address.addChoice("spectra", this.choice, () => fresh);
+    const readPin = (text: string): Pin[] => {
+      const [x, y, ...rest] = text.split(",");
+      const at: Point = [Number(x), Number(y)];
+      const inside = at[0] >= 0 && at[1] >= 0 && at[0] <= width - 1 && at[1] <= height - 1;
+      return inside ? [{ name: rest.join().slice(0, LONGEST_NAME), at }] : [];
+    };
+    address.add({
+      signals: [pins],
+      write: (facts) => {
+        for (const { name, at } of pins.value)
+          facts.append("kept", [...at.map((value) => value.toFixed(2)), name].join());
+      },
+      read: (facts) => {
+        pins.value = facts.getAll("kept").slice(0, MOST_PINS).flatMap(readPin);
+      },
+    });
   }
 
   /** Keep the place that is pinned. */
   keep(): void {
     const { pin, pins } = this.state;
     if (!pin.value || pins.value.length >= MOST_PINS) return;
-    const taken = new Set(pins.value.map(({ name }) => name));
-    let number = pins.value.length + 1;
-    while (taken.has(`Place ${number}`)) number++;
-    pins.value = [...pins.value, { name: `Place ${number}`, at: pin.value }];
+    pins.value = [...pins.value, { name: freeName(pins.value, "Place"), at: pin.value }];
   }
 
   private async load(): Promise<void> {

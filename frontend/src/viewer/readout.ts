@@ -1,6 +1,7 @@
 // The pixel under the cursor: every camera's spectrum with sigma, and where each camera recorded it.
 import { make, saveFile, swatch } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { numbersOf, type Address } from "./address";
 import { describeDoubts, drawChart, type Range } from "./chart";
 import { Lattice } from "./lattice";
 import { describeChannels, numbersTable, toCsv, type Reading } from "./numbers";
@@ -36,6 +37,7 @@ export class Readout {
     private readonly record: PageRecord,
     spectra: LayerSpectra,
     private readonly hint: string,
+    address: Address,
   ) {
     this.sources = record.layers
       .filter((layer) => layer.bands.length)
@@ -55,7 +57,22 @@ export class Readout {
     );
     const keep = make("label", { class: "keep" }, this.keep, " Keep this range of values");
     host.append(this.place, this.drawing, keep, this.key, numbers, this.save);
-    this.keep.addEventListener("change", () => this.render(this.pixel, this.readings));
+    this.keep.addEventListener("change", () => {
+      this.render(this.pixel, this.readings);
+      address.remember();
+    });
+    address.add({
+      carried: true,
+      write: (facts) => {
+        if (this.keep.checked && this.range) facts.set("range", this.range.join());
+      },
+      read: (facts) => {
+        const [low, top] = numbersOf(facts, "range", 2) ?? [0, 0];
+        this.keep.checked = top! > low!;
+        if (this.keep.checked) this.range = [low!, top!];
+        this.render(this.pixel, this.readings);
+      },
+    });
     this.save.addEventListener("click", () => this.saveTable());
     this.clear();
   }

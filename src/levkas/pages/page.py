@@ -101,6 +101,8 @@ class ObjectReport:
     setups: Sequence[CloseUps] = ()
     short: Sequence[tuple[str, str]] = ()
     links: Sequence[tuple[str, str]] = ()
+    viewer: str = ""
+    """Address of the object in the viewer; the link is hidden until the database is published."""
 
 
 def render_page(template: str, **values: Any) -> str:

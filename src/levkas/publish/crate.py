@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 NAME = "ro-crate-metadata.json"
+PREVIEW = "ro-crate-preview.html"
 VERSION = "1.1"
 TERMS = {"sha256": "https://w3id.org/ro/terms/workflow-run#sha256"}
 """Words that RO-Crate 1.1 has not, and where they are explained."""
@@ -89,6 +90,13 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
     """Fill `entities` by their ids, and return the properties of the root."""
     facts = publication.facts
     files = _describe_files(publication, entities)
+    entities[PREVIEW] = {
+        "@id": PREVIEW,
+        "@type": "CreativeWork",
+        "name": "This record as a page",
+        "encodingFormat": "text/html",
+        "about": {"@id": "./"},
+    }
     _nest(entities, files)
     actions = describe_steps(publication, entities)
     describe_tools(entities)

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 MEDIUM = "medium"
 """Folder of the medium edition where both are published."""
 
+LOCAL = "http://localhost:8000/"
+"""Where ``python -m http.server`` in the publication's folder gives it."""
+
 Editions = Literal["full", "medium", "both"]
 
 
@@ -50,6 +53,8 @@ class Publication:
         Address under which the folder will be found, with ``/`` at its end; empty where not known.
     iiif : bool
         Whether tiles are wanted.
+    notes : tuple of Path
+        Files of notes that it carries.
     hashes : dict
         SHA-256 of files that were hashed while they were written, by relative path.
     """
@@ -61,6 +66,7 @@ class Publication:
     editions: Editions = "both"
     url: str = ""
     iiif: bool = True
+    notes: tuple[Path, ...] = ()
     hashes: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -74,6 +80,11 @@ class Publication:
         if self.editions == "both":
             return {"full": self.folder, "medium": self.folder / MEDIUM}
         return {self.editions: self.folder}
+
+    @property
+    def base(self) -> str:
+        """Address of the folder; that of a server on this machine where none is known."""
+        return self.url or LOCAL
 
     @property
     def root(self) -> Path:

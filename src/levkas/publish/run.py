@@ -27,10 +27,11 @@ SPACE = 1.6
 
 @dataclass(frozen=True)
 class PublishSubject:
-    """What is to be published: a database, and the campaign it was built from where that was given."""
+    """What is to be published: a database, the campaign it was built from where that was given, and files of notes."""
 
     database: Path
     campaign: Path | None = None
+    notes: tuple[Path, ...] = ()
 
     @property
     def default_output(self) -> Path:
@@ -131,15 +132,18 @@ class CheckReport:
         return {key: [p.to_dict() for p in problems] for key, problems in told.items()}
 
 
-def check(path: str | Path) -> CheckReport:
+def check(path: str | Path, notes: str | Path | None = None) -> CheckReport:
     """Check what is missing before a database can be published, and before it can get a DOI; nothing is written.
 
-    What is a problem here is what `publish` refuses, and nothing else is.
+    What is a problem here is what `publish` refuses before it reads the files of the database, and nothing
+    else is.
 
     Parameters
     ----------
     path : path
-        A database, or its campaign, which need not have been built since its facts were changed.
+        A database, or its campaign, whose facts are taken as they are now.
+    notes : path, optional
+        As `find_subject` has it.
 
     Returns
     -------
@@ -148,10 +152,12 @@ def check(path: str | Path) -> CheckReport:
     """
     from levkas.publish.citation import check_datacite
 
-    subject = find_subject(path, fresh=False)
+    subject = find_subject(path, fresh=False, notes=notes)
     problems: list[Problem] = []
     try:
         find_manifest(subject.database)
+        check_notes(subject)
+        find_subject(path)
     except PublishRefused as refused:
         if subject.campaign is None and not (subject.database / FACTS).is_file():
             return CheckReport(refused.problems, ())
@@ -161,7 +167,9 @@ def check(path: str | Path) -> CheckReport:
     return CheckReport((*problems, *missing_facts(facts)), tuple(advice), tuple(deposit))
 
 
-def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
+def find_subject(
+    path: str | Path, *, fresh: bool = True, notes: str | Path | None = None
+) -> PublishSubject:
     """Find the database of a campaign, or take a path as a database.
 
     Parameters
@@ -169,20 +177,26 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
     path : path
     fresh : bool
         Whether the database must be up to date with its campaign.
+    notes : path, optional
+        A file of notes, or a folder of them; default the folder ``notes`` beside campaign.toml, where there
+        is one.
 
     Raises
     ------
     Refused
-        Where a campaign cannot be read, or has not been built to the end.
+        Where a campaign cannot be read, or has not been built to the end; where there are no notes.
     """
+    from levkas.publish.annotations import FOLDER, find_annotations
+
     path = Path(path)
+    files = find_annotations(Path(notes)) if notes is not None else ()
     if path.name != "campaign.toml" and not (path / "campaign.toml").is_file():
-        return PublishSubject(path)
+        return PublishSubject(path, None, files)
     from levkas.building import status
     from levkas.campaign.campaign import load_campaign
 
     campaign = load_campaign(path)
-    stages = status(path).stages if fresh else ()
+    stages = status(path, verify="full").stages if fresh else ()
     stale = [step for step in stages if step.state == "stale"]
     if stale:
         raise PublishRefused(
@@ -190,15 +204,27 @@ def find_subject(path: str | Path, *, fresh: bool = True) -> PublishSubject:
                 "E_STALE",
                 "the database is not what its campaign says now",
                 file=str(campaign.output),
-                found=f"{len(stale)} stages are stale, the first: {stale[0].line}",
+                found=f"{len(stale)} stage{'s are' if len(stale) > 1 else ' is'} stale, the first: {stale[0].line}",
                 fix=f"Run levkas build {campaign.root} first, or give the database to publish it as it is.",
             )
         )
-    return PublishSubject(campaign.output, campaign.path)
+    if notes is None and (campaign.root / FOLDER).is_dir():
+        files = find_annotations(campaign.root / FOLDER)
+    return PublishSubject(campaign.output, campaign.path, files)
+
+
+def check_notes(subject: PublishSubject) -> None:
+    """Read the files of notes and keep nothing; raises PublishRefused where one is not as it should be."""
+    from levkas.database.catalogue import read_catalogue
+    from levkas.publish.annotations import read_annotations
+
+    if subject.notes:
+        entries = read_catalogue(subject.database)
+        read_annotations(subject.notes, {e.object: (e.width, e.height) for e in entries})
 
 
 def publish(
-    path: str | Path,
+    path: str | Path | PublishSubject,
     *,
     output: str | Path | None = None,
     editions: Editions = "both",
@@ -211,8 +237,8 @@ def publish(
 
     Parameters
     ----------
-    path : path
-        A database, or a campaign that has been built.
+    path : path or PublishSubject
+        A database, or a campaign that has been built; with notes as `find_subject` returns it.
     output : path, optional
         Default: ``NAME.published`` beside the database. An earlier publication there is replaced
         when the new one is whole.
@@ -243,8 +269,9 @@ def publish(
     from levkas.publish.bagging import check_target, write_bag
     from levkas.publish.citation import check_datacite
 
-    subject = find_subject(path)
+    subject = path if isinstance(path, PublishSubject) else find_subject(path)
     manifest = find_manifest(subject.database)
+    check_notes(subject)
     facts = facts_of_subject(subject)
     if problems := missing_facts(facts):
         raise PublishRefused(*problems)
@@ -257,8 +284,9 @@ def publish(
     if final.parent.is_dir():
         sweep_beside(final)
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
+        source, address = subject.database.resolve(), _with_slash(url)
         publication = Publication(
-            subject.database.resolve(), manifest, folder, facts, editions, _with_slash(url), iiif
+            source, manifest, folder, facts, editions, address, iiif, subject.notes
         )
         yield from _run(publication)
         made = write_manifest(folder.path, publication.hashes)
@@ -436,6 +464,7 @@ PARTS = {
     "readme": "levkas.publish.readme:write_readme",
     "sealing": "levkas.publish.editions:seal_medium",
     "crate": "levkas.publish.crate:write_crate",
+    "preview": "levkas.publish.preview:write_preview",
 }
 """Name of a part → where its function is; imported when it is run."""
 

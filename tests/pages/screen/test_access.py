@@ -5,6 +5,7 @@ import pytest
 
 from levkas.campaign.edits import read_edits
 
+from .database import write_database
 from .serving import READY, opened, told
 from .walking import faint, nameless, walk
 
@@ -142,3 +143,17 @@ def test_tab_leads_to_everything_in_the_viewer_and_all_text_can_be_read(browser,
     assert page.locator("details:not([open])").count() == 0
     assert faint(page) == []
     check_walk(page)
+
+
+@pytest.mark.parametrize("name", ["README.html", "ro-crate-preview.html"])
+def test_tab_leads_through_the_pages_about_a_publication(browser, publish_with, tmp_path, name):
+    database = write_database(tmp_path / "database", {"icon1": "First icon"})
+    folder = publish_with(database, "A small database", "Ada Painter")
+    for width, scheme in ((1280, "light"), (390, "dark")):
+        page = browser.open((folder / name).as_uri(), width=width, scheme=scheme)
+        for fold in page.locator("details > summary").all():
+            if fold.is_visible():
+                fold.press("Enter")
+        assert faint(page) == [], scheme
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width
+        check_walk(page)

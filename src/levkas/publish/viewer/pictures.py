@@ -57,6 +57,8 @@ class LayerPicture:
     image : ndarray, (height, width) or (height, width, 3), uint8
     palette, legend : optional
         Of a map.
+    white : float, optional
+        Of a single band: the value that is shown white; 0 is black.
     """
 
     key: str
@@ -66,6 +68,7 @@ class LayerPicture:
     note: str = ""
     palette: np.ndarray | None = None
     legend: Legend | None = None
+    white: float | None = None
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,7 @@ def _bands(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
         image, white = shown_band(pages.read_page(number))
         label = source.bands[number].label
         note = f"black is 0, white is {source.quantity or 'value'} {white:g}"
-        yield LayerPicture(f"band-{number}", label, "band", image, note)
+        yield LayerPicture(f"band-{number}", label, "band", image, note, white=white)
 
 
 def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
