@@ -119,6 +119,8 @@ def test_a_part_that_is_cut_off_is_never_joined(opened, tmp_path, monkeypatch):
     assert not [p for p in places.output.rglob("*") if p.is_file()]
 
 
+SLOW = pytest.mark.slow
+
 # --- on workers ---------------------------------------------------------------------------------
 
 PRELOAD = """
@@ -175,7 +177,7 @@ def samples_of(output, count):
         return prod(tiff.pages[0].shape) * len(tiff.pages) / count
 
 
-@pytest.mark.parametrize("parts", [1, 2, 5])
+@pytest.mark.parametrize("parts", [pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW), 5])
 def test_workers_share_a_scan_and_write_the_bytes_of_one_process(
     parts, alone, simulated, on_workers, tmp_path
 ):
@@ -225,7 +227,9 @@ worker.Workplace.do = spoilt
 """
 
 
-@pytest.mark.parametrize("fault", [KILLED, SPOILT], ids=["killed", "spoilt"])
+@pytest.mark.parametrize(
+    "fault", [pytest.param(KILLED, marks=SLOW), SPOILT], ids=["killed", "spoilt"]
+)
 def test_parts_that_were_lost_are_made_again(fault, alone, simulated, on_workers, tmp_path):
     output, expected = alone
     fault = fault.replace("MARK", str(tmp_path / "mark"))
