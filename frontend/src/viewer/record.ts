@@ -9,7 +9,7 @@ export interface Legend {
 export interface Picture {
   key: string;
   label: string;
-  kind: "colour" | "light" | "band" | "map" | "mix";
+  kind: "colour" | "light" | "band" | "map" | "mix" | "analysis";
   /** Of a mixture: its red, green and blue part. */
   mixed?: Picture[];
   note: string;
