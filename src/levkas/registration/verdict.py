@@ -17,7 +17,6 @@ import numpy as np
 
 from levkas.registration.record import Decision, Verdict
 
-
 Finding = Literal["refuse", "warn", "unchecked"]
 """What one rule says: refused, contradicted somewhere, or not checked somewhere."""
 
