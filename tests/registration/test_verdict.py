@@ -237,6 +237,8 @@ CELL = [10.0, 20.0, 40.0, 30.0]
         ({"checked": 0.7}, "warn", 0.3),
         ({"off": [CELL], "off_share": 0.05}, "warn", 0.02),
         ({"rival": 0.9}, "warn", 0.02),
+        ({"strange": 0.5, "light": "other"}, "warn", 0.02),
+        ({"strange": 0.5, "light": "unknown"}, "accept", 0.02),
         ({"off": [CELL], "off_share": 0.3}, "refuse", 0.02),
         ({"overlap": 0.05}, "refuse", 0.95),
     ],
@@ -244,12 +246,13 @@ CELL = [10.0, 20.0, 40.0, 30.0]
 def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
     change, decision, unchecked
 ):
-    numbers = {**SOUND, **{k: v for k, v in change.items() if k == "checked"}}
+    numbers = {**SOUND, **{k: v for k, v in change.items() if k in ("checked", "light")}}
     verdict = judge_windows({"sensor": {**numbers, "borne_out": {**CONFIRMED, **change}}})
     assert verdict.decision == decision
     assert verdict.unchecked == pytest.approx(unchecked, abs=0.01)
     if decision == "accept":
-        assert ("othing" in verdict.reasons[-1]) == (unchecked > 0.1)  # named where it is much
+        open_ones = unchecked > 0.1 or "strange" in change
+        assert ("othing" in verdict.reasons[-1]) == open_ones  # named where it is much
 
 
 def test_the_default_method_never_advises_keys_of_the_papers(pictures):

@@ -482,7 +482,10 @@ def is_checked(n: Numbers) -> Objection | None:
 
 
 def shows_the_same_painting(n: Numbers) -> Objection | None:
-    """Refuse or warn where outlines agree and the detail between them does not."""
+    """Refuse or warn where outlines agree and the detail between them does not.
+
+    Where nobody says what light a picture was taken in, as with an X-ray, such detail contradicts nothing.
+    """
     strange = n.get("strange")
     if strange is None or strange < SETTINGS.strange.warn:
         return None
@@ -495,9 +498,13 @@ def shows_the_same_painting(n: Numbers) -> Objection | None:
             f"{seen}, which sees the same light: it is another painting by the same pattern.",
             BY_HAND,
         )
+    unknown = n.get("light") == "unknown"
     return Objection(
-        "warn",
-        f"{seen}: it may be another painting by the same pattern, or one seen in quite another light.",
+        "unchecked" if unknown else "warn",
+        f"{seen}: another light shows other detail, and so does another painting by the same pattern; nothing "
+        "here can tell them apart."
+        if unknown
+        else f"{seen}: it may be another painting by the same pattern, or one seen in quite another light.",
         LOOK,
     )
 
