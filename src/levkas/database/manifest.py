@@ -172,7 +172,7 @@ def list_files(folder: str | Path) -> list[str]:
     """
     if not isinstance(folder, str | Path):
         return sorted(folder.names())
-    return sorted(_walk(Path(folder)))
+    return sorted(walk_files(Path(folder)))
 
 
 def is_partial(name: str) -> bool:
@@ -191,7 +191,8 @@ def plain(name: str) -> str:
     return unicodedata.normalize("NFC", name)
 
 
-def _walk(root: Path) -> Iterator[str]:
+def walk_files(root: Path) -> Iterator[str]:
+    """Yield the files below a folder as `list_files` has them, in no order."""
     # Thousands of names where all is fresh: texts, not paths.
     for place, folders, names in os.walk(root):
         above = place[len(str(root)) :].replace(os.sep, "/").strip("/")
