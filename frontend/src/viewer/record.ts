@@ -9,7 +9,7 @@ export interface Legend {
 export interface Picture {
   key: string;
   label: string;
-  kind: "colour" | "light" | "band" | "map" | "mix";
+  kind: "colour" | "light" | "band" | "map" | "mix" | "analysis";
   /** Of a mixture: its red, green and blue part. */
   mixed?: Picture[];
   note: string;
@@ -94,6 +94,8 @@ export interface PageRecord {
   /** What tells this database from others whose notes the browser keeps. */
   database: string;
   canvas: CanvasFacts;
+  /** How to cite the database, and its licence. */
+  credits: string[];
   /** Notes that were published, as Web Annotations. */
   notes: unknown[];
   object: { name: string; title: string };

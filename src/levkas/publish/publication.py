@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
     from levkas.database.manifest import Manifest
+    from levkas.publish.analysis_names import Analysis
     from levkas.publish.metadata import PublicationFacts
 
 MEDIUM = "medium"
@@ -55,8 +56,12 @@ class Publication:
         Whether tiles are wanted.
     notes : tuple of Path
         Files of notes that it carries.
+    analyses : tuple of Analysis
+        That are wanted.
     hashes : dict
         SHA-256 of files that were hashed while they were written, by relative path.
+    left_out : list of str
+        Analyses that could not be made, and why.
     """
 
     source: Path
@@ -67,7 +72,9 @@ class Publication:
     url: str = ""
     iiif: bool = True
     notes: tuple[Path, ...] = ()
+    analyses: tuple[Analysis, ...] = ()
     hashes: dict[str, str] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
     @property
     def folder(self) -> Path:

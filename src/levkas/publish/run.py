@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.core.problems import Problem
+from levkas.publish.analysis_names import parse_analyses
 from levkas.publish.crate import NAME as CRATE
 from levkas.publish.metadata import NAME as FACTS
 from levkas.publish.metadata import PublicationFacts, facts_of, missing_facts, read_facts
@@ -75,6 +76,8 @@ class PublishReport:
     address: str | None = None
     deposit: tuple[Problem, ...] = ()
     """What a repository must know before it gives a DOI."""
+    left_out: tuple[str, ...] = ()
+    """Analyses that could not be made, and why."""
 
     @property
     def text(self) -> str:
@@ -82,6 +85,7 @@ class PublishReport:
         text = f"Published {self.output}: {self.files} files, {self.bytes / 1e6:.1f} MB"
         text += f"\nBag, checked: {self.bag}" if self.bag else ""
         text += f"\nSent, with its manifest last: {self.address}" if self.address else ""
+        text += "".join(f"\nLeft out: {note}" for note in self.left_out)
         missing = ", ".join(p.message for p in self.deposit)
         return text + (f"\nBefore it gets a DOI: {missing}" if missing else "")
 
@@ -94,6 +98,7 @@ class PublishReport:
             "editions": self.editions,
             "bag": str(self.bag) if self.bag else None,
             "address": self.address,
+            "left_out": list(self.left_out),
         }
 
 
@@ -132,7 +137,9 @@ class CheckReport:
         return {key: [p.to_dict() for p in problems] for key, problems in told.items()}
 
 
-def check(path: str | Path, notes: str | Path | None = None) -> CheckReport:
+def check(
+    path: str | Path, notes: str | Path | None = None, *, analyse: Sequence[str] = ()
+) -> CheckReport:
     """Check what is missing before a database can be published, and before it can get a DOI; nothing is written.
 
     What is a problem here is what `publish` refuses before it reads the files of the database, and nothing
@@ -144,20 +151,25 @@ def check(path: str | Path, notes: str | Path | None = None) -> CheckReport:
         A database, or its campaign, whose facts are taken as they are now.
     notes : path, optional
         As `find_subject` has it.
+    analyse : sequence of str
+        As of `publish`.
 
     Returns
     -------
     report : CheckReport
         Each problem with file, field and what to write there.
     """
+    from levkas.publish.analysis import check_analyses
     from levkas.publish.citation import check_datacite
 
+    analyses = parse_analyses(analyse)
     subject = find_subject(path, fresh=False, notes=notes)
     problems: list[Problem] = []
     try:
         find_manifest(subject.database)
         check_notes(subject)
         find_subject(path)
+        check_analyses(subject.database, analyses)
     except PublishRefused as refused:
         if subject.campaign is None and not (subject.database / FACTS).is_file():
             return CheckReport(refused.problems, ())
@@ -230,6 +242,7 @@ def publish(
     editions: Editions = "both",
     url: str = "",
     iiif: bool = True,
+    analyse: Sequence[str] = (),
     bag: str | Path | None = None,
     to: str | None = None,
 ) -> Iterator[PublishStep]:
@@ -247,6 +260,8 @@ def publish(
         Address under which the folder will be found.
     iiif : bool
         Whether tiles and IIIF manifests are made.
+    analyse : sequence of str
+        Analyses of the layers, as `levkas.publish.analysis_names.parse_analyses` reads them.
     bag : path, optional
         Folder for a BagIt bag, a copy of the publication.
     to : str, optional
@@ -266,12 +281,15 @@ def publish(
     from levkas.core.files import publishing
     from levkas.core.sweeping import sweep_beside
     from levkas.database.manifest import write_manifest
+    from levkas.publish.analysis import check_analyses
     from levkas.publish.bagging import check_target, write_bag
     from levkas.publish.citation import check_datacite
 
+    analyses = parse_analyses(analyse)
     subject = path if isinstance(path, PublishSubject) else find_subject(path)
     manifest = find_manifest(subject.database)
     check_notes(subject)
+    check_analyses(subject.database, analyses)
     facts = facts_of_subject(subject)
     if problems := missing_facts(facts):
         raise PublishRefused(*problems)
@@ -286,7 +304,8 @@ def publish(
     with publishing(final, bytes_needed=int(SPACE * manifest.bytes)) as folder:
         source, address = subject.database.resolve(), _with_slash(url)
         publication = Publication(
-            source, manifest, folder, facts, editions, address, iiif, subject.notes
+            *(source, manifest, folder, facts, editions, address, iiif),
+            *(subject.notes, analyses),
         )
         yield from _run(publication)
         made = write_manifest(folder.path, publication.hashes)
@@ -300,7 +319,10 @@ def publish(
             yield PublishStep("upload", what, done, count, done == count, "done")
     packed = Path(bag).resolve() if bag else None
     needed = tuple(check_datacite(facts)[0])
-    report = PublishReport(final, len(made.files) + 1, made.bytes, editions, packed, to, needed)
+    left_out = tuple(publication.left_out)
+    report = PublishReport(
+        final, len(made.files) + 1, made.bytes, editions, packed, to, needed, left_out
+    )
     yield PublishStep("publication", "", len(PARTS), len(PARTS), True, "done", report)
 
 
@@ -455,6 +477,7 @@ def summarise(steps: Iterable[PublishStep]) -> PublishReport:
 PARTS = {
     "content": "levkas.publish.editions:write_content",
     "medium": "levkas.publish.editions:write_medium",
+    "analysis": "levkas.publish.analysis:write_analyses",
     "colour": "levkas.publish.swatches:write_gamut",
     "iiif": "levkas.publish.iiif:write_iiif",
     "splits": "levkas.publish.editions:write_splits",
