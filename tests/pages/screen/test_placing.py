@@ -128,6 +128,7 @@ def test_undo_is_there_after_the_server_was_started_anew(bench, browser, inspect
     choose_worst(page)
     page.keyboard.press("Delete")
     told(page, "session.value.version")
+    server.library.settle()
     again = opened(browser, inspected(server.folder))
     assert again.locator("#undo").is_enabled()
     again.keyboard.press("Control+z")
