@@ -14,15 +14,18 @@ export class LayerList {
   /** Called when a person put a layer into B. */
   onCompare: () => void = () => {};
 
+  private readonly picker: Picker;
+
   constructor(
     host: HTMLElement,
     record: PageRecord,
     private readonly state: State,
   ) {
+    this.picker = new Picker("a", state);
     this.layers = record.layers.filter((layer) => layer.pictures.length);
     host.append(
       make("ol", { class: "layers" }, ...record.layers.map((layer) => this.rowOf(layer))),
-      new Picker("a", state).element,
+      this.picker.element,
       new Picker("b", state).element,
     );
   }
@@ -36,6 +39,11 @@ export class LayerList {
         (before && likePicture(layer, before)) ??
         layer.pictures[0]);
     if (picture) this.state[slot].value = { layer, picture };
+  }
+
+  /** Show the spectral angle to the pinned place in A. */
+  showAngle(): void {
+    this.picker.showAngle();
   }
 
   private rowOf(layer: Layer): HTMLElement {
@@ -114,6 +122,7 @@ function likePicture(
   layer: Layer,
   { layer: other, picture }: Choice,
 ): Layer["pictures"][number] | undefined {
+  if (picture.angle) return pictureOf(layer, picture.key);
   if (mixNumbers(picture.key)) return pictureOf(layer, proposeMix(layer) ?? "");
   if (picture.kind !== "band") return pictureOf(layer, picture.key);
   const wanted = placeOf(other, bandNumber(picture));

@@ -19,6 +19,7 @@ import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
 import { Address, numbersOf } from "./address";
+import { AngleMaps, provideAngles } from "./angle";
 import { Drawing } from "./drawing";
 import { LayerList } from "./layers";
 import { startCopying } from "./linking";
@@ -45,6 +46,10 @@ const address = new Address();
 const stage = new PaintingStage(find("stage"), [record.grid.width, record.grid.height], state);
 const layers = new LayerList(find("layers"), record, state);
 const spectra = openSpectra(record.layers);
+const angles = new AngleMaps(spectra, record.flags, () =>
+  [state.a, state.b].map((slot) => slot.peek()?.picture.angle),
+);
+provideAngles(angles);
 const readout = new Readout(find("spectrum"), record, spectra, HINT, address);
 const go = (place: Point): void => {
   state.pin.value = place;
@@ -191,6 +196,7 @@ const keys: Key[] = [
     },
   ),
   key("M", ["m"], "Measure a length", () => void measures.start("line")),
+  key("A", ["a"], "Spectral angle of every pixel to the pinned place", () => layers.showAngle()),
   key("G", ["g"], "Grid on and off", () => (state.grid.value = !state.grid.value)),
   key("N", ["n"], "Write a note on the pinned place, or the middle of the view", () =>
     notes.writeHere(),
@@ -267,4 +273,4 @@ if (layers.layers.length) {
 }
 
 // For tests and for the curious: the parts by name.
-Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, record } });
+Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, angles, record } });
