@@ -25,6 +25,7 @@ import { LayerList } from "./layers";
 import { startCopying } from "./linking";
 import { MeasurePanel } from "./measures";
 import { NotePanel } from "./notes";
+import { savePicture } from "./picture";
 import { PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
@@ -37,6 +38,10 @@ import { fillToolbar, MODES } from "./toolbar";
 
 const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
+// Of what addresses carry: what the words above them say, and what changes no picture.
+const NO_SETTINGS = "a b c d mode curtain rate grid marks measured histogram spectra range".split(
+  " ",
+);
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
@@ -262,6 +267,21 @@ address.add({
 });
 const say = (sentence: string): void => void (find("said").textContent = sentence);
 startCopying(find<HTMLButtonElement>("copy-link"), address, say);
+find("save-picture").addEventListener("click", () => {
+  const choices = [state.a, state.b].flatMap(({ value }) => value ?? []);
+  const shown = stage.mode.value === "single" ? choices.slice(0, 1) : choices;
+  const notes = shown.map(({ layer, picture }) => picture.note && `${layer.name}: ${picture.note}`);
+  const settings = address.settings(NO_SETTINGS);
+  const lines = [
+    find("caption").textContent,
+    `${MODES.find(({ value }) => value === stage.mode.value)?.label ?? ""}${settings && `; ${settings}`}.`,
+    ...new Set(notes),
+    ...record.credits,
+  ];
+  const legend = { title: record.object.title, bar: scaleBar.shown, lines: lines.filter(Boolean) };
+  const name = `${record.object.name}_${stage.mode.value}.png`;
+  void savePicture(find("stage"), name, legend).then(say);
+});
 if (layers.layers.length) {
   address.start();
   stage.onMove = () => {

@@ -5,9 +5,12 @@ from __future__ import annotations
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from levkas.core.problems import Refused
 from levkas.database.layout import Places, layer_name
 from levkas.database.registrations import mm_per_px, read_registration
+from levkas.geometry import from_dict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -63,20 +66,36 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
 
 
 def _errors(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the held-out error, px of the reference and mm on the object, and the share that was checked.
+    """Return the held-out error, px of the reference and mm on the object, and what was not checked.
 
-    Of several sensors the largest error and the smallest share.
+    The error is that of the area that was checked. Of several sensors the largest error and the
+    smallest area.
     """
     sensors = [s for s in record.get("errors", {}).get("sensors", {}).values() if s]
     px = [float(s["held_out_px"]) for s in sensors if _is_number(s.get("held_out_px"))]
     shares = [float(s["checked"]) for s in sensors if _is_number(s.get("checked"))]
     worst = max(px, default=None)
-    scale = mm_per_px(record) if "grid" in record else None
+    scale = mm_per_px(record)
     return {
         "held_out_px": worst,
         "held_out_mm": None if worst is None or scale is None else worst * scale,
         "checked_share": min(shares, default=None),
+        "unchecked_share": record.get("verdict", {}).get("unchecked"),
+        "unchecked_mm2": unchecked_mm2(record),
     }
+
+
+def unchecked_mm2(record: Mapping[str, Any]) -> float | None:
+    """Return the area of the object, mm², that a layer does not show or where nothing confirms its map.
+
+    None where the sampling is not known, or an older record does not tell.
+    """
+    share, scale = record.get("verdict", {}).get("unchecked"), mm_per_px(record)
+    if not _is_number(share) or scale is None:
+        return None
+    width, height = record["grid"]["size"]
+    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
+    return float(share * width * height * abs(np.linalg.det(step)) * scale**2)
 
 
 def _is_number(value: Any) -> bool:

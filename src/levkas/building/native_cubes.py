@@ -16,7 +16,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.readers.frames import read_facts
-from levkas.registration.bands import BandImage
+from levkas.registration.bands import BandImage, share_of_most
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -108,8 +108,10 @@ def _pictures(cube: Cube, pool: Executor) -> Iterator[tuple[np.ndarray, np.ndarr
             valid[:, y : y + ROWS] = np.moveaxis(known, 2, 0)
         return values, valid
 
+    scale = share_of_most if cube.quantity == "counts" else np.asarray
     for values, valid in pool.map(work, range(0, count, GROUP)):
-        yield from zip(values, valid, strict=True)
+        for one, known in zip(values, valid, strict=True):
+            yield scale(one), known
 
 
 class PackedSigma:
@@ -172,15 +174,13 @@ def _pack(part: np.ndarray) -> bytes:
     return bytes(packed)
 
 
-def least_bytes(cube: Cube) -> int:
-    """Return what the files of a cube will take at the very least, so that a full disk is foreseen.
+def least_bytes(samples: int, quantity: str, *, noisy: bool) -> int:
+    """Return what the files of so many samples will take at the very least, so that a full disk is foreseen.
 
     Noise cannot be compressed: of reflectance of 16 significant bits a good byte of four remains, of
-    its sigma another; whole codes, which photographs are, get far smaller.
+    its sigma, where it is `noisy`, another; whole codes, which photographs are, get far smaller.
     """
-    noisy = cube.quantity == "reflectance"
-    each = (1 if noisy else 0) + (1 if noisy and cube.sigma is not None else 0)
-    return cube.values.size * each
+    return samples * (1 + noisy) if quantity == "reflectance" else 0
 
 
 def write_native(
