@@ -3,9 +3,18 @@ import { signal } from "@preact/signals-core";
 import OpenSeadragon from "openseadragon";
 import { Curtain } from "./curtain";
 import { Flicker } from "./flicker";
-import type { Aim, Layer, Pane } from "./pane";
+import type { Aim, Layer, Pane, Point } from "./pane";
 
-export type Mode = "single" | "side" | "curtain" | "flicker" | "difference" | "checker" | "redcyan";
+export type Mode =
+  | "single"
+  | "side"
+  | "grid"
+  | "curtain"
+  | "opacity"
+  | "flicker"
+  | "difference"
+  | "checker"
+  | "redcyan";
 
 const PAN_STEP = 0.15; // of the height of the view
 const SQUARES = 12; // of the checker, along the longer side
@@ -20,14 +29,23 @@ export interface Wanted {
   subject: string;
   left: Layer[];
   right?: Layer[];
+  /** Of panes beyond these two. */
+  others?: Layer[][];
 }
 
 /** The left pane holds one picture or both, the right one is there side by side. */
 export abstract class Stage<P extends Pane> {
   readonly mode = signal<Mode>("side");
-  readonly flicker = new Flicker((shown) => this.upper?.setOpacity(Number(shown === "b")));
+  /** Which picture the flicker shows now. */
+  readonly seen = signal<"a" | "b">("a");
+  readonly flicker = new Flicker((shown) => {
+    this.seen.value = shown;
+    this.showOne(shown);
+  });
   readonly curtain: Curtain;
   protected tone = { brightness: 1, contrast: 1, amplify: 3 };
+  /** By how many degrees clockwise the pictures are turned, a multiple of 90. */
+  protected turned = 0;
   /** The pane that a person moved last: the other one goes after it. */
   protected leader: P;
   /** Where the view turns to once a mode that was asked for is there. */
@@ -46,16 +64,39 @@ export abstract class Stage<P extends Pane> {
   ) {
     this.leader = left;
     this.curtain = new Curtain(left.host, () => this.clip());
-    for (const pane of [left, right]) {
-      pane.onView = () => {
-        if (pane === left) this.clip();
-        if (pane === this.leader) this.link();
-        this.onView();
-      };
-      pane.onGesture = () => {
-        [this.leader, this.arrival] = [pane, null];
-      };
-    }
+    for (const pane of [left, right]) this.lead(pane);
+  }
+
+  /** Let others go after a pane that a person moves. */
+  protected lead(pane: P): void {
+    pane.onView = () => {
+      if (pane === this.left) this.clip();
+      if (pane === this.leader) this.link();
+      this.onView();
+    };
+    pane.onGesture = () => {
+      [this.leader, this.arrival] = [pane, null];
+    };
+  }
+
+  /** The panes that show something now, the left one first. */
+  protected get panes(): P[] {
+    return this.mode.value === "side" ? [this.left, this.right] : [this.left];
+  }
+
+  /** Make room for what a mode shows. */
+  protected arrange(mode: Mode): void {
+    this.right.host.hidden = mode !== "side";
+  }
+
+  /** Panes beyond these two. */
+  protected get others(): P[] {
+    return [];
+  }
+
+  /** Show A or B, as the flicker turns. */
+  protected showOne(shown: "a" | "b"): void {
+    this.upper?.setOpacity(Number(shown === "b"));
   }
 
   /** Return what the mode needs, or null where nothing is known yet. */
@@ -67,7 +108,7 @@ export abstract class Stage<P extends Pane> {
 
   /** Whether one picture lies over the other, be it while a key is held. */
   protected get isOverlay(): boolean {
-    return !["single", "side"].includes(this.mode.value) || this.flicker.running;
+    return !["single", "side", "grid"].includes(this.mode.value) || this.flicker.running;
   }
 
   /** The upper layer of the overlay. */
@@ -77,16 +118,20 @@ export abstract class Stage<P extends Pane> {
 
   /** Whether all that is in view has been drawn, in the mode that was asked for. */
   get settled(): boolean {
-    const beside = this.mode.value === "side";
-    return this.arrival === null && this.left.settled && (!beside || this.right.settled);
+    return this.arrival === null && this.panes.every((pane) => pane.settled);
   }
 
   setMode(mode: Mode): void {
+    if (mode === "flicker" && mode === this.mode.value && this.flicker.byHand) {
+      this.flicker.step();
+      return;
+    }
     this.arrival ??= !this.left.layers.length || this.left.isFitted ? "fit" : this.left.aim;
     const mine = ++this.changes;
     this.mode.value = mode;
     this.host.dataset["mode"] = mode;
-    this.right.host.hidden = mode !== "side";
+    this.leader = this.left;
+    this.arrange(mode);
     this.curtain.shown = mode === "curtain";
     this.flicker.stop();
     void this.load().finally(() => requestAnimationFrame(() => this.arrive(mine)));
@@ -94,7 +139,8 @@ export abstract class Stage<P extends Pane> {
 
   /** Flicker for as long as a key is held, whatever the mode. */
   hold(on: boolean): void {
-    if (on) this.flicker.start();
+    if (on && this.mode.value === "flicker" && this.flicker.byHand) this.flicker.step();
+    else if (on) this.flicker.start();
     else if (this.mode.value !== "flicker") this.flicker.stop();
     void this.load();
   }
@@ -109,13 +155,15 @@ export abstract class Stage<P extends Pane> {
   async load(): Promise<void> {
     const wanted = this.wanted();
     if (!wanted) return;
-    const { subject, left, right } = wanted;
-    const keys = JSON.stringify([left, right].map((layers) => layers?.map(({ key }) => key)));
+    const { subject, left, right, others = [] } = wanted;
+    const all = [left, right, ...others];
+    const keys = JSON.stringify(all.map((layers) => layers?.map(({ key }) => key)));
     if (this.shown !== keys || this.subject !== subject) {
       const fresh = this.subject !== subject;
       [this.shown, this.subject] = [keys, subject];
       const loading = [this.left.show(left, !fresh)];
       if (right) loading.push(this.right.show(right, !fresh));
+      others.forEach((layers, i) => loading.push(this.others[i]!.show(layers, !fresh)));
       if (fresh && this.arrival) this.arrival = "fit";
       if (fresh) this.fitBoth();
       await Promise.all(loading);
@@ -126,14 +174,14 @@ export abstract class Stage<P extends Pane> {
   /** Take the view over once the panes know their new sizes, some frames later; but the last mode only. */
   private arrive(change: number, frames = 60): void {
     if (change !== this.changes) return;
-    const panes = this.mode.value === "side" ? [this.left, this.right] : [this.left];
+    const { panes } = this;
     for (const pane of panes) pane.viewer.forceResize();
     if (frames > 0 && !panes.every((pane) => pane.isSized)) {
       requestAnimationFrame(() => this.arrive(change, frames - 1));
       return;
     }
-    if (this.arrival === "fit") this.left.fit();
-    else if (this.arrival) this.left.look(...this.arrival);
+    if (this.arrival === "fit") this.left.fit(true, this.turned);
+    else if (this.arrival) this.left.look(...this.arrival, this.turned);
     this.arrival = null;
     this.link(this.left);
     this.onView();
@@ -147,7 +195,7 @@ export abstract class Stage<P extends Pane> {
   /** Move the view, also while another mode is on its way. */
   look(x: number, y: number, scale: number, immediately = true): void {
     this.leader = this.left;
-    this.left.look(x, y, scale, 0, immediately);
+    this.left.look(x, y, scale, this.turned, immediately);
     if (this.arrival) this.arrival = [x, y, scale];
     this.link();
   }
@@ -156,7 +204,10 @@ export abstract class Stage<P extends Pane> {
   pan(dx: number, dy: number): void {
     const [x, y, scale] = this.heading;
     const by = (PAN_STEP * this.left.host.clientHeight) / scale;
-    this.look(x + by * dx, y + by * dy, scale, !this.glides);
+    const turn = (-this.turned * Math.PI) / 180;
+    const [cosine, sine] = [Math.round(Math.cos(turn)), Math.round(Math.sin(turn))];
+    const [right, down] = [cosine * dx - sine * dy, sine * dx + cosine * dy];
+    this.look(x + by * right, y + by * down, scale, !this.glides);
   }
 
   zoom(factor: number): void {
@@ -168,20 +219,33 @@ export abstract class Stage<P extends Pane> {
 
   fit(): void {
     this.leader = this.left;
-    this.left.fit(!this.glides);
+    this.left.fit(!this.glides, this.turned);
     if (this.arrival) this.arrival = "fit";
+  }
+
+  /** Turn the pictures; what is in the middle stays there. */
+  turnTo(degrees: number): void {
+    if (degrees === this.turned) return;
+    const fitted = this.left.isFitted;
+    const [x, y, scale] = this.heading;
+    this.turned = degrees;
+    if (fitted) this.left.fit(true, degrees);
+    else this.left.look(x, y, scale, degrees);
+    this.link(this.left);
+    this.clip();
+    this.onView();
   }
 
   private fitBoth(): void {
     this.right.fit();
-    this.left.fit();
+    this.left.fit(true, this.turned);
     this.link(this.left);
   }
 
   /** Let the other pane show the same place. */
   protected link(leader: P = this.leader): void {
-    if (this.mode.value !== "side" || this.following) return;
-    if (!this.left.isSized || !this.right.isSized) return;
+    const { panes } = this;
+    if (panes.length < 2 || this.following || !panes.every((pane) => pane.isSized)) return;
     this.following = true;
     this.follow(leader);
     this.following = false;
@@ -207,7 +271,7 @@ export abstract class Stage<P extends Pane> {
     this.left.viewer.forceRedraw();
   }
 
-  private clip(): void {
+  protected clip(): void {
     const upper = this.upper;
     if (!upper) return;
     if (this.mode.value !== "curtain" || this.flicker.running) {
@@ -216,11 +280,28 @@ export abstract class Stage<P extends Pane> {
     }
     const { x: width, y: height } = upper.getContentSize();
     const box = this.left.host.getBoundingClientRect();
-    const [x] = this.left.pixelAt(box.left + this.curtain.fraction * box.width, box.top);
-    const from = Math.min(Math.max(x + 0.5, 0), width - 1e-3);
-    if (Math.abs((upper.getClip()?.x ?? -1) - from) < 1e-3) return;
-    upper.setClip(new OpenSeadragon.Rect(from, 0, width - from, height));
+    const line = box.left + this.curtain.fraction * box.width;
+    const [x, y] = this.left.pixelAt(line, box.top);
+    const part = beyond([x + 0.5, y + 0.5], this.turned, [width, height]);
+    const clip = upper.getClip();
+    const now = clip ? [clip.x, clip.y, clip.width, clip.height] : [];
+    if (clip && part.every((value, i) => Math.abs(value - now[i]!) < 1e-3)) return;
+    upper.setClip(new OpenSeadragon.Rect(...part));
   }
+}
+
+/** The part of a picture right of an upright line on screen through a place: left, top, width and height. */
+export function beyond(
+  [x, y]: Point,
+  turned: number,
+  [width, height]: Point,
+): [number, number, number, number] {
+  const across = Math.min(Math.max(x, 0), width - 1e-3);
+  const down = Math.min(Math.max(y, 0), height - 1e-3);
+  if (turned === 90) return [0, 0, width, down];
+  if (turned === 180) return [0, 0, across, height];
+  if (turned === 270) return [0, down, width, height - down];
+  return [across, 0, width - across, height];
 }
 
 /** Every other square of a picture, as polygons. */
