@@ -283,3 +283,18 @@ def test_a_campaign_of_charts_alone_is_built(campaign, tmp_path, kind):
     page = (tmp_path / "database" / "cameras" / "vis" / "report.html").read_text()
     assert "macbeth/vis" in page  # measured, or named where this OpenCV does not find it
     assert validate(tmp_path / "database").ok
+
+
+def test_a_target_may_be_chart_and_object_at_once(tmp_path):
+    (tmp_path / "macbeth").mkdir()
+    Image.fromarray(photograph()).save(tmp_path / "macbeth" / "photo.png")
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\ntitle = "Charts"\nreference = { camera = "photo", band = "G" }\n'
+        '[cameras.photo]\nkind = "image"\nfiles = "{target}/photo.png"\n'
+        '[targets]\ncharts = { macbeth = "macbeth" }\nobjects = ["macbeth"]\n'
+    )
+    assert summarise(build(tmp_path)).ok
+    corners = np.array(CORNERS.split(","), float).reshape(4, 2)
+    layer = measure_charts(tmp_path / "database", objects=["macbeth"], corners=corners)
+    assert [m.name for m in layer.measures] == ["macbeth/photo"] and layer.ok
+    assert layer.measures[0].colours.difference.mean() < 1  # decoded, as the photograph itself

@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from levkas.core.digests import hash_tree
-from levkas.publish.iiif import LOCAL, cut_tiles, never_html
+from levkas.publish.iiif import cut_tiles, never_html
+from levkas.publish.publication import LOCAL
 
 from .iiif_rules import check_iiif, tile_names
 

@@ -33,6 +33,7 @@ export class MeasurePanel {
     "Save measures as CSV",
   );
   private readonly grid = make("input", { type: "checkbox" });
+  private readonly marks = make("input", { type: "checkbox" });
   private readonly tools = new Map<Measure["kind"], HTMLButtonElement>();
 
   constructor(
@@ -45,9 +46,15 @@ export class MeasurePanel {
     for (const kind of ["line", "polygon", "rectangle", "circle"] as const)
       this.tools.set(kind, this.tool(kind));
     const grid = make("label", { class: "keep" }, this.grid, " Show a grid");
+    const marks = make("label", { class: "keep" }, this.marks, " Show marks on the painting");
     const line = (...parts: HTMLElement[]): HTMLElement =>
       make("div", { class: "pin-tools" }, ...parts);
-    host.append(line(...this.tools.values(), grid), this.list, this.message, line(this.save));
+    host.append(
+      line(...this.tools.values(), grid, marks),
+      this.list,
+      this.message,
+      line(this.save),
+    );
     if (!record.grid.px_per_mm)
       this.message.textContent = "The sampling of this object is not known: lengths are in pixels.";
     this.save.addEventListener("click", () => this.saveAll());
@@ -64,8 +71,10 @@ export class MeasurePanel {
       }));
       drawing.show("measures", outlines);
     });
+    this.marks.addEventListener("change", () => (state.marks.value = this.marks.checked));
     effect(() => {
       this.grid.checked = state.grid.value;
+      this.marks.checked = state.marks.value;
     });
     this.register(address);
   }
@@ -105,7 +114,7 @@ export class MeasurePanel {
   }
 
   private register(address: Address): void {
-    const { measures, grid } = this.state;
+    const { measures, grid, marks } = this.state;
     address.add({
       signals: [measures],
       write: (facts) => {
@@ -119,12 +128,16 @@ export class MeasurePanel {
       },
     });
     address.add({
-      signals: [grid],
+      signals: [grid, marks],
       carried: true,
       write: (facts) => {
         if (grid.value) facts.set("grid", "1");
+        if (!marks.value) facts.set("marks", "0");
       },
-      read: (facts) => (grid.value = facts.get("grid") === "1"),
+      read: (facts) => {
+        grid.value = facts.get("grid") === "1";
+        marks.value = facts.get("marks") !== "0";
+      },
     });
   }
 

@@ -1,6 +1,7 @@
 // What the page of one object shows: pictures in A to D, their levels, pins, regions and measures.
 import { signal } from "@preact/signals-core";
 import type { Point } from "../shared/pane";
+import type { Note } from "./annotations";
 import { plainLevels, whiteOf, type Levels } from "./levels";
 import type { Layer, Picture } from "./record";
 import type { Region, Shape } from "./shapes";
@@ -46,6 +47,10 @@ export class State {
   readonly regions = signal<Region[]>([]);
   /** Lengths and areas that are measured. */
   readonly measures = signal<Measure[]>([]);
+  /** Notes that the reader wrote. */
+  readonly notes = signal<Note[]>([]);
+  /** Whether pins, shapes and notes are marked on the painting. */
+  readonly marks = signal(true);
   /** Whether a grid lies over the painting. */
   readonly grid = signal(false);
 

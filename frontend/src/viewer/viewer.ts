@@ -25,6 +25,7 @@ import { LevelFilters } from "./levelfilters";
 import { LevelPanel } from "./levelpanel";
 import { startCopying } from "./linking";
 import { MeasurePanel } from "./measures";
+import { NotePanel } from "./notes";
 import { PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
@@ -64,6 +65,11 @@ const inView = (): [Point, Point] => {
   return [within(low), within(high)];
 };
 new RegionPanel(find("regions"), record, spectra, state, drawing, inView, address);
+const notes = new NotePanel(find("notes"), record, state, {
+  drawing,
+  go,
+  here: () => state.pin.value ?? within(stage.left.centre),
+});
 const measures = new MeasurePanel(find("measures"), record, state, drawing, address);
 const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
@@ -110,6 +116,7 @@ stage.onPick = (pixel) => {
   state.pin.value = apart * stage.left.scale < NEAR_PX ? null : pixel;
 };
 
+effect(() => void find("stage").classList.toggle("bare", !state.marks.value));
 effect(() => {
   const pin = state.pin.value;
   stage.mark(pin, state.pins.value);
@@ -216,6 +223,15 @@ const keys: Key[] = [
   ),
   key("M", ["m"], "Measure a length", () => void measures.start("line")),
   key("G", ["g"], "Grid on and off", () => (state.grid.value = !state.grid.value)),
+  key("N", ["n"], "Write a note on the pinned place, or the middle of the view", () =>
+    notes.writeHere(),
+  ),
+  key(
+    "H",
+    ["h"],
+    "Marks on the painting on and off",
+    () => (state.marks.value = !state.marks.value),
+  ),
   key("Enter", ["Enter"], "End the line or polygon that is drawn", () => drawing.close()),
   key("Esc", ["Escape"], "Give up what is drawn, or let go of the pin", () => {
     if (drawing.active) drawing.cancel();

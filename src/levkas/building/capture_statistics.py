@@ -262,13 +262,12 @@ class DefaultLayer:
         return self.values.read(start, stop), self.flags.read(start, stop)
 
 
-def ranges_of(
-    values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None, bands: Sequence[Band]
-) -> list[dict[str, Any]]:
+def ranges_of(cube: Cube) -> list[dict[str, Any]]:
     """Return range, noise and signal-to-noise of every band of a layer."""
     from levkas.quality.image_quality.dynamic_range import scene_ranges
 
-    found = scene_ranges(values, flags, sigma, [band.label for band in bands])
+    counts = cube.quantity == "counts"
+    found = scene_ranges(cube.values, cube.flags, cube.sigma, cube.labels, counts=counts)
     return [{name: as_number(value) for name, value in one._asdict().items()} for one in found]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from glob import escape
 from math import prod
 from pathlib import Path
@@ -26,15 +27,23 @@ NOTE = "one cube: the noise is the spread in each patch, its texture included"
 class Subject(NamedTuple):
     """Where a chart may be.
 
-    A name for people, the chart, cubes sensor by sensor, whether it must be there, and the greatest
-    code where a cube holds the codes of a finished photograph.
+    A name for people, the chart, cubes sensor by sensor, whether it must be there, the quantity of the
+    cubes, and the greatest code where they hold those of a finished photograph.
     """
 
     name: str
     chart: Chart
     files: dict[str, Path]
     certain: bool
+    quantity: str = "reflectance"
     top: float | None = None
+
+    def read(self, path: Path) -> CubeFile:
+        """Read one of its cubes."""
+        cube, notes, top = read_cube_file(path)
+        if self.quantity != "reflectance":
+            cube = replace(cube, quantity=self.quantity)
+        return CubeFile(cube, notes, self.top or top)
 
 
 def is_database(path: Path) -> bool:
@@ -90,10 +99,25 @@ def subjects_of(
         file = database / f"{entry.layer.path}.tif"
         check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
         name = f"{entry.object}/{entry.layer.name}"
-        yield Subject(name, chart_of(kind), {"": file}, bool(objects))
+        chart, top = chart_of(kind), _code_of_layer(database, entry, file)
+        yield Subject(name, chart, {"": file}, bool(objects), entry.quantity, top)
         native = _native_files(database, entry) if objects and not corners else {}
         if native:
-            yield Subject(f"{name}, native pixels", chart_of(kind), native, True)
+            name = f"{name}, native pixels"
+            yield Subject(name, chart, native, True, entry.quantity, top)
+
+
+def _code_of_layer(database: Path, entry: Entry, file: Path) -> float | None:
+    """Return the greatest code of a layer that is a photograph in counts, 8 or 16 bits by its values."""
+    from levkas.core.text import read_json
+
+    described = database / "cameras" / entry.camera / "camera.json"
+    if entry.quantity != "counts":
+        return None
+    if described.is_file() and dict(read_json(described)).get("kind") != "image":
+        return None  # frames without a white
+    check_inside(database, file)
+    return 255.0 if float(np.nanmax(read_cube_file(file).cube.values)) <= 255 else 65535.0
 
 
 def _native_files(database: Path, entry: Entry) -> dict[str, Path]:
@@ -143,7 +167,7 @@ def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
                     chart_of(str(told["chart"])),
                     files,
                     True,
-                    top if isinstance(top, (int, float)) and top > 0 else None,
+                    top=top if isinstance(top, (int, float)) and top > 0 else None,
                 ),
             )
 

@@ -14,7 +14,6 @@ from levkas.building.chart_files import (
     Subject,
     greatest_code,
     is_database,
-    read_cube_file,
     subjects_of,
 )
 from levkas.core.cube import Cube
@@ -120,8 +119,7 @@ def _measure_cubes(
         notes: tuple[str, ...] = ()
         try:
             for sensor, path in subject.files.items():
-                cube, notes, top = read_cube_file(path)
-                top = subject.top or top
+                cube, notes, top = subject.read(path)
                 near = seen[0].located.corners if seen else None
                 found = locate_in_cube(cube, subject.chart, spectra, corners=corners, near=near)
                 sighting = Sighting(sensor, found, cube)

@@ -5,6 +5,7 @@ Made without reading a pixel.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -263,7 +264,8 @@ class Step:
 
     `done` of `total` stages are behind us, this one counted where it has ended, and `place` is the stage's
     in the graph. The last step of a build has the database's folder as its `output`. `where` says of a
-    cluster how many workers it has, and how many tasks wait for memory.
+    cluster how many workers it has, and how many tasks wait for memory. `unlisted` counts stages that ended as
+    before, by their states, and have no step of their own, and `compared` says how that is known.
     """
 
     key: Key
@@ -276,6 +278,8 @@ class Step:
     output: Path | None = None
     place: int = 0
     where: str = ""
+    unlisted: tuple[tuple[str, int], ...] = ()
+    compared: str = ""
 
     @property
     def finished(self) -> bool:
@@ -309,6 +313,18 @@ class BuildReport:
     warnings: tuple[str, ...] = ()
     graph: str = ""
     """Of `status`: the campaign's graph as a Mermaid flow chart."""
+    layers: tuple[dict[str, Any], ...] = ()
+    """Of `build --json`: verdict, errors and reasons of every layer."""
+
+    @property
+    def unlisted(self) -> dict[str, int]:
+        """Number of stages without a step of their own, by their states."""
+        return {state: number for step in self.stages for state, number in step.unlisted}
+
+    @property
+    def compared(self) -> str:
+        """How the states are known, where not every stage was compared with its record."""
+        return next((step.compared for step in self.stages if step.compared), "")
 
     @property
     def ok(self) -> bool:
@@ -318,8 +334,9 @@ class BuildReport:
     @property
     def text(self) -> str:
         """What a person wants to know at the end."""
-        states = [step.state for step in self.stages]
-        told = [f"{states.count(s)} {s}" for s in FINISHED if s in states]
+        states = Counter(step.state for step in self.stages)
+        states.update(self.unlisted)
+        told = [f"{states[s]} {s}" for s in FINISHED if states[s]]
         lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
         # What was refused is among the problems, where it is said once.
         lines += [
@@ -327,14 +344,17 @@ class BuildReport:
         ]
         where = f": {self.output}" if self.output else ""
         lines.append(f"{', '.join(told) or 'nothing to do'}{where}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *([self.compared] if self.compared else [])])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of `build --json` and `status --json`."""
+        told = {"unlisted": self.unlisted, "compared": self.compared} if self.compared else {}
         return {
             "output": str(self.output) if self.output else None,
             "stages": [step.to_dict() for step in self.stages],
             "warnings": list(self.warnings),
+            **({"layers": list(self.layers)} if self.layers else {}),
+            **told,
         }
 
 

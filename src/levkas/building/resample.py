@@ -146,7 +146,7 @@ def write_resampled(
         encoded=target.encoded,
         before=before,
     )
-    ranges = ranges_of(cube.values, cube.flags, cube.sigma, cube.bands)
+    ranges = ranges_of(cube)
     grey = grey_of(cube.values, cube.flags)
     notes = _notes(entry, similarity(frame, target.capture, grey), count_flags(cube.flags))
     return Written(files, {**notes, "glare": glare, "ranges": ranges})

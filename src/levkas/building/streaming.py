@@ -162,13 +162,13 @@ class Passing:
         return np.concatenate(self.mean), np.concatenate(self.seen)
 
     def ranges(self, bands: Sequence[Band]) -> list[dict[str, Any]]:
-        """As `measuring.ranges_of` gives it, of every sixteenth pixel a side."""
+        """As `ranges_of` gives it, of every sixteenth pixel a side."""
         values, flags = (
             np.concatenate([getattr(c, n) for c in self.thin]) for n in ("values", "flags")
         )
         sigmas = [cube.sigma for cube in self.thin if cube.sigma is not None]
         sigma = np.concatenate(sigmas) if len(sigmas) == len(self.thin) else None
-        return ranges_of(values, flags, sigma, bands)
+        return ranges_of(Cube(values, flags, sigma, tuple(bands), self.thin[0].quantity))
 
 
 def _thinned(cube: Cube, first: int) -> Cube:

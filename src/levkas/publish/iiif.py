@@ -18,16 +18,16 @@ from levkas.colour.srgb import srgb_profile
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.core.text import parse_json
+from levkas.publish.annotations import annotations_of
 from levkas.publish.citation import cite
 from levkas.publish.publication import PublishRefused, describe_dataset
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
+    from levkas.publish.annotations import Annotations
     from levkas.publish.publication import Publication
 
 FOLDER = "iiif"
-LOCAL = "http://localhost:8000/"
-"""Where ``python -m http.server`` in the publication's folder gives it."""
 LANGUAGE = "en"
 CONTEXT = "http://iiif.io/api/presentation/3/context.json"
 
@@ -42,7 +42,8 @@ def write_iiif(publication: Publication) -> Iterator[str]:
     """
     if not publication.iiif:
         return
-    base = publication.url or LOCAL
+    base = publication.base
+    notes = annotations_of(publication)
     manifests = []
     for name in dict.fromkeys(entry.object for entry in publication.entries()):
         layers = _layers(publication, name)
@@ -55,7 +56,7 @@ def write_iiif(publication: Publication) -> Iterator[str]:
             for file, data in cut_tiles(picture, service):
                 publication.write_bytes(f"{FOLDER}/{name}/{layer}/{file}", data)
             shown.append(_image(entry, service, picture.shape[:2], rendering))
-        manifest = describe_object(publication, base, name, layers, shown)
+        manifest = describe_object(publication, name, layers, shown, notes)
         publication.write_text(f"{FOLDER}/{name}/manifest.json", to_json(manifest))
         manifests.append(manifest)
     yield "collection"
@@ -65,15 +66,15 @@ def write_iiif(publication: Publication) -> Iterator[str]:
 
 def describe_object(
     publication: Publication,
-    base: str,
     name: str,
     layers: list[Entry],
     shown: list[dict[str, Any]],
+    notes: Annotations,
 ) -> dict[str, Any]:
     """Return the manifest of an object, as `iiif_prezi3` spells it."""
     from iiif_prezi3 import Manifest
 
-    facts = publication.facts.objects.get(name, {})
+    facts, base = publication.facts.objects.get(name, {}), publication.base
     here, title = address(base, FOLDER, name), facts.get("title") or name
     width, height = layers[0].width, layers[0].height
     body = shown[0] if len(shown) == 1 else {"type": "Choice", "items": shown}
@@ -99,6 +100,9 @@ def describe_object(
             }
         ],
     }
+    if items := notes.of(name):
+        page = {"id": f"{here}/canvas/notes", "type": "AnnotationPage", "items": items}
+        canvas["annotations"] = [page]
     record = {
         "id": f"{here}/manifest.json",
         "type": "Manifest",

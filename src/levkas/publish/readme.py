@@ -23,6 +23,7 @@ PARTS = {
     "database.toml": "title, creators, licence, cameras and lightings",
     "splits.csv": "which objects to learn from, to choose with and to test on",
     "objects/": "one folder an object: spectral TIFFs with flags and sigma, previews, registration, report",
+    "objects/OBJECT/analysis/": "pictures computed from layers, as float TIFFs; the JSON beside each says how",
     "zarr/": "the same layers as Zarr v3, one store an object",
     "cameras/": "sensors, sensitivities, report of each camera",
     "setups/": "spectra of the light",
@@ -154,6 +155,8 @@ def _by_hand(root: Path, entry: Entry) -> str:
 def _files(publication: Publication, root: Path) -> str:
     crate = {"ro-crate-metadata.json", "ro-crate-preview.html"}
     later = {"manifest-sha256.txt"} | (crate if root == publication.folder else set())
+    if any(root.glob("objects/*/analysis")):
+        later.add("objects/OBJECT/analysis/")
     here = [n for n in PARTS if (root / n).exists() or n in later]
     named = {name: f"`{name}`" if name.endswith("/") else f"[{name}]({name})" for name in here}
     return "\n".join(f"- {named[name]}: {PARTS[name]}" for name in here)

@@ -23,7 +23,7 @@ from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
 from levkas.pages.page import DECISIONS
 from levkas.publish.viewer.pages import address, worst
-from levkas.publish.viewer.pictures import Source, pictures_of
+from levkas.publish.viewer.pictures import Source, analyses_of, pictures_of
 from levkas.publish.viewer.pyramid import encode_thumbnail, fit_within, write_pyramid
 from levkas.publish.viewer.spectra import write_lattices, write_spectra
 
@@ -348,10 +348,12 @@ def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:
 
 def _downloads(item: Item, tiff: Path) -> list[dict[str, Any]]:
     files = [(tiff.with_name(tiff.stem + suffix), words) for suffix, words in KINDS.items()]
+    for record in analyses_of(tiff):
+        files += [(record.with_suffix(".tif"), "computed"), (record, "how it was computed")]
     return [
         {
             "label": f"{path.name}, {words}",
-            "href": address(*UP, "objects", item.name, path.name),
+            "href": address(*UP, "objects", item.name, *path.relative_to(tiff.parent).parts),
             "bytes": path.stat().st_size,
         }
         for path, words in files
