@@ -306,7 +306,7 @@ export class LevelPanel {
     for (const handle of HANDLES) {
       const element = this.handles.get(handle)!;
       const place = 100 * this.place(handle);
-      element.style.left = `${place}%`;
+      element.style.left = `calc(${place / 100} * (100% - 18px))`;
       element.setAttribute("aria-valuenow", place.toFixed(0));
       const text = handle === "middle" ? levels.gamma.toFixed(2) : say(values[handle]);
       element.setAttribute("aria-valuetext", text);

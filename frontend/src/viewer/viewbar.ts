@@ -40,8 +40,8 @@ export class ViewBar {
       this.toggleOverview(),
     );
     const touch = quiet(
-      "Move by touch",
-      "One finger moves the picture, and no longer the page",
+      "Drag",
+      "Drag with one finger: it moves the picture, and no longer the page",
       () => {
         this.byTouch.value = !this.byTouch.value;
       },
