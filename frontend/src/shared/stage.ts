@@ -1,9 +1,9 @@
 // Two pictures: side by side and linked, or laid over one another.
 import { signal } from "@preact/signals-core";
 import OpenSeadragon from "openseadragon";
-import { Curtain } from "./curtain";
+import { beyond, Curtain } from "./curtain";
 import { Flicker } from "./flicker";
-import type { Aim, Layer, Pane, Point } from "./pane";
+import type { Aim, Layer, Pane } from "./pane";
 
 export type Mode =
   | "single"
@@ -288,20 +288,6 @@ export abstract class Stage<P extends Pane> {
     if (clip && part.every((value, i) => Math.abs(value - now[i]!) < 1e-3)) return;
     upper.setClip(new OpenSeadragon.Rect(...part));
   }
-}
-
-/** The part of a picture right of an upright line on screen through a place: left, top, width and height. */
-export function beyond(
-  [x, y]: Point,
-  turned: number,
-  [width, height]: Point,
-): [number, number, number, number] {
-  const across = Math.min(Math.max(x, 0), width - 1e-3);
-  const down = Math.min(Math.max(y, 0), height - 1e-3);
-  if (turned === 90) return [0, 0, width, down];
-  if (turned === 180) return [0, 0, across, height];
-  if (turned === 270) return [0, down, width, height - down];
-  return [across, 0, width - across, height];
 }
 
 /** Every other square of a picture, as polygons. */

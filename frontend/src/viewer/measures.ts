@@ -174,7 +174,7 @@ export class MeasurePanel {
     const round =
       measure.kind === "line"
         ? ""
-        : `, ${describeLength(lengthOf(measure), this.record.grid.px_per_mm)} round`;
+        : `, outline ${describeLength(lengthOf(measure), this.record.grid.px_per_mm)}`;
     const words = make("span", { class: "region-words soft" }, `${this.describe(measure)}${round}`);
     return make("li", { class: "region-row" }, badge, name, remove, words);
   }

@@ -83,7 +83,7 @@ export class NotePanel {
       make("div", { class: "pin-tools" }, ...parts);
     const author = make("label", { class: "compared" }, "Your name, on new notes ", this.author);
     host.append(line(...this.tools), this.kept, this.list, this.message, line(this.back));
-    host.append(author, line(this.export, load, this.file), ...this.listPublished());
+    host.append(line(author), line(this.export, load, this.file), ...this.listPublished());
     this.restore();
     effect(() => this.show(state.notes.value));
     addEventListener("beforeunload", (event) => {

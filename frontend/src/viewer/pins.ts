@@ -2,6 +2,7 @@
 import { effect } from "@preact/signals-core";
 import { make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { saveChart } from "../shared/svgfile";
 import { numbersOf, type Address } from "./address";
 import { drawChart, samplesOf, type Curve } from "./chart";
 import { freeName, LONGEST_NAME } from "./names";
@@ -13,6 +14,7 @@ import type { Pin, State } from "./state";
 
 const MOST_PINS = 24;
 const CURVES = 8; // colours of the style sheet, --curve-1 and on
+const GREY = "var(--soft)";
 const LARGEST_FILE = 2_000_000; // bytes
 
 /** The colour of the pin of a number, from 0. */
@@ -42,6 +44,11 @@ export class PinList {
   );
   private readonly message = make("p", { class: "note-line soft", role: "status" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save places as CSV");
+  private readonly saveDrawing = make(
+    "button",
+    { type: "button", class: "small" },
+    "Save spectra as SVG",
+  );
   private reference: Reference | null = null;
   private turn = 0;
 
@@ -63,7 +70,15 @@ export class PinList {
     const keep = make("button", { type: "button", class: "small" }, "Keep this place");
     const load = make("button", { type: "button", class: "small" }, "Load a reference (CSV)…");
     const compared = make("label", { class: "compared" }, "Spectra of ", this.choice);
-    const tools = make("div", { class: "pin-tools" }, this.save, load, this.forget, this.file);
+    const tools = make(
+      "div",
+      { class: "pin-tools" },
+      this.save,
+      this.saveDrawing,
+      load,
+      this.forget,
+      this.file,
+    );
     host.append(
       make("div", { class: "pin-tools" }, keep, compared),
       this.list,
@@ -77,6 +92,7 @@ export class PinList {
     this.forget.addEventListener("click", () => this.use(null));
     this.choice.addEventListener("change", () => void this.refresh());
     this.save.addEventListener("click", () => void this.saveAll());
+    this.saveDrawing.addEventListener("click", () => this.saveChart());
     effect(() => {
       keep.disabled = !state.pin.value || state.pins.value.length >= MOST_PINS;
     });
@@ -164,6 +180,7 @@ export class PinList {
     const quantity = reflectance ? "Reflectance" : "Counts";
     const chart = known.length ? drawChart(known, { quantity, marks: flags, range: null }) : null;
     this.drawing.replaceChildren(...(chart ? [chart] : []));
+    this.saveDrawing.disabled = !chart;
     this.forget.hidden = !this.reference;
     this.message.textContent = message || this.explain();
   }
@@ -214,6 +231,17 @@ export class PinList {
     pins.value = pins.value.flatMap((old, i) => (i !== number ? [old] : pin ? [pin] : []));
   }
 
+  private saveChart(): void {
+    const chart = this.drawing.querySelector<SVGElement>("svg");
+    if (!chart) return;
+    const { object, credits } = this.record;
+    const curves = this.state.pins.value.map(({ name }, i) => ({ colour: pinColour(i), name }));
+    if (this.reference) curves.push({ colour: GREY, name: this.reference.name });
+    const title = `${object.title}, spectra of ${this.choice.value}`;
+    const lines = [title, ...(this.reference ? [this.explain()] : []), ...credits];
+    saveChart(`${object.name}_places.svg`, chart, { title, curves, lines });
+  }
+
   private async saveAll(): Promise<void> {
     const lines = await Promise.all(
       this.state.pins.value.map(async (pin) => {
@@ -254,7 +282,7 @@ function curveOf({ nm, values }: Reference): Curve {
   }));
   return {
     layer: { bands },
-    colour: "var(--soft)",
+    colour: GREY,
     spectrum: { values: Float32Array.from(values), sigma: null, flags: null },
   };
 }

@@ -1,6 +1,7 @@
 // The pixel under the cursor: every camera's spectrum with sigma, and where each camera recorded it.
 import { make, saveFile, swatch } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { saveChart } from "../shared/svgfile";
 import { numbersOf, type Address } from "./address";
 import { describeDoubts, drawChart, type Range } from "./chart";
 import { Lattice } from "./lattice";
@@ -27,6 +28,7 @@ export class Readout {
   private readonly key = make("ul", { class: "key" });
   private readonly table = make("table", { class: "numbers" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save as CSV");
+  private readonly saveDrawing = make("button", { type: "button", class: "small" }, "Save as SVG");
   private readonly hidden = new Set<Layer>();
   private turn = 0;
   private pixel: Point | null = null;
@@ -56,7 +58,16 @@ export class Readout {
       make("div", scroll, this.table),
     );
     const keep = make("label", { class: "keep" }, this.keep, " Keep this range of values");
-    host.append(this.place, this.drawing, keep, this.key, numbers, this.save);
+    host.append(
+      this.place,
+      this.drawing,
+      keep,
+      this.key,
+      numbers,
+      this.save,
+      " ",
+      this.saveDrawing,
+    );
     this.keep.addEventListener("change", () => {
       this.render(this.pixel, this.readings);
       address.remember();
@@ -74,6 +85,7 @@ export class Readout {
       },
     });
     this.save.addEventListener("click", () => this.saveTable());
+    this.saveDrawing.addEventListener("click", () => this.saveChart());
     this.clear();
   }
 
@@ -117,6 +129,7 @@ export class Readout {
     this.key.replaceChildren(...readings.map((reading) => this.keyOf(reading)));
     this.table.replaceChildren(...numbersTable(readings, this.record.flags));
     this.save.disabled = !pixel;
+    this.saveDrawing.disabled = !chart;
   }
 
   private keyOf({ layer, colour, native, spectrum, failure }: Reading): HTMLElement {
@@ -159,6 +172,18 @@ export class Readout {
     return scale
       ? ` · ${((x + 0.5) / scale).toFixed(1)}, ${((y + 0.5) / scale).toFixed(1)} mm`
       : "";
+  }
+
+  private saveChart(): void {
+    const chart = this.drawing.querySelector<SVGElement>("svg");
+    if (!chart || !this.pixel) return;
+    const { object, credits } = this.record;
+    const curves = this.readings
+      .filter(({ layer, spectrum }) => spectrum && !this.hidden.has(layer))
+      .map(({ layer, colour }) => ({ colour, name: layer.name }));
+    const place = `${object.title}, pixel ${this.pixel.join(", ")}${this.millimetres(this.pixel)}`;
+    const caption = { title: place, curves, lines: [place, ...credits] };
+    saveChart(`${object.name}_${this.pixel.join("_")}.svg`, chart, caption);
   }
 
   private saveTable(): void {

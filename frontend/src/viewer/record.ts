@@ -96,6 +96,8 @@ export interface PageRecord {
   /** What tells this database from others whose notes the browser keeps. */
   database: string;
   canvas: CanvasFacts;
+  /** How to cite the database, and its licence. */
+  credits: string[];
   /** Notes that were published, as Web Annotations. */
   notes: unknown[];
   object: { name: string; title: string };

@@ -2,6 +2,7 @@
 import { effect } from "@preact/signals-core";
 import { draw, make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { saveChart } from "../shared/svgfile";
 import {
   across,
   clipped,
@@ -40,8 +41,10 @@ export class RegionPanel {
   private readonly bars = make("div", { class: "drawing histogram" });
   private readonly message = make("p", { class: "note-line soft", role: "status" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save regions as CSV");
+  private readonly files: HTMLButtonElement[] = [];
   private readonly tools: HTMLButtonElement[];
   private readonly measured = new Map<string, Promise<Statistics>>();
+  private shown: (Histogram & { name: string })[] = [];
   private turn = 0;
 
   constructor(
@@ -62,15 +65,27 @@ export class RegionPanel {
       make("div", { class: "pin-tools" }, ...parts);
     const compared = make("label", { class: "compared" }, "Measured in ", this.choice);
     const shown = make("label", { class: "compared" }, "Histogram of ", this.band);
+    this.files.push(
+      this.fileButton("Save spectra of regions as SVG", () => this.saveSpectra()),
+      this.fileButton("Save histogram as SVG", () => this.saveHistogram()),
+      this.fileButton("Save histogram as CSV", () => this.saveCounts()),
+    );
     const parts = [line(...this.tools, whole), line(compared, shown)];
-    host.append(...parts, this.list, this.plots, this.bars, this.message, line(this.save));
+    host.append(
+      ...parts,
+      this.list,
+      this.plots,
+      this.bars,
+      this.message,
+      line(this.save, ...this.files),
+    );
     this.choice.addEventListener("change", () => this.chooseLayer());
     this.band.addEventListener("change", () => void this.refresh());
     this.save.addEventListener("click", () => void this.saveAll());
     this.offerBands();
     effect(() => {
       const regions = state.regions.value;
-      this.save.disabled = !regions.length;
+      for (const button of [this.save, ...this.files]) button.disabled = !regions.length;
       for (const button of [...this.tools, whole]) button.disabled = regions.length >= MOST_REGIONS;
       const outlines = regions.map((shape, i) => ({
         shape,
@@ -175,6 +190,7 @@ export class RegionPanel {
       );
       if (turn !== this.turn) return;
       this.fill(regions, found, facts.band);
+      this.shown = bars.flatMap((one, i) => (one ? [{ ...one, name: regions[i]!.name }] : []));
       this.plot(layer, found, bars);
       this.message.textContent = regions.length
         ? "Lines are means; the band about them is one standard deviation of the pixels, not of the mean."
@@ -239,6 +255,46 @@ export class RegionPanel {
     regions.value = regions.value.flatMap((old, i) =>
       i !== number ? [old] : region ? [region] : [],
     );
+  }
+
+  private fileButton(words: string, save: () => void): HTMLButtonElement {
+    const button = make("button", { type: "button", class: "small" }, words);
+    button.addEventListener("click", save);
+    return button;
+  }
+
+  private saveSpectra(): void {
+    this.saveDrawing(this.plots, `spectra of ${this.choice.value}`, "regions");
+  }
+
+  private saveHistogram(): void {
+    this.saveDrawing(this.bars, this.bandName, "histogram");
+  }
+
+  /** The layer and the band of the histogram. */
+  private get bandName(): string {
+    return `${this.choice.value}, ${this.band.selectedOptions[0]?.label ?? ""}`;
+  }
+
+  private saveDrawing(host: HTMLElement, what: string, name: string): void {
+    const chart = host.querySelector<SVGElement>("svg");
+    if (!chart) return;
+    const { object, credits } = this.record;
+    const curves = this.state.regions.value.map(({ name }, i) => ({ colour: pinColour(i), name }));
+    const title = `${object.title}, ${what}`;
+    saveChart(`${object.name}_${name}.svg`, chart, { title, curves, lines: [title, ...credits] });
+  }
+
+  /** Save the bars of the histogram: the values between which each lies, and its pixels. */
+  private saveCounts(): void {
+    const rows = this.shown.flatMap(({ name, counts, low, high }) => {
+      const width = (high - low) / counts.length;
+      const edge = (i: number): string => shortest(Math.fround(low + i * width));
+      const first = [name, this.choice.value, this.band.selectedOptions[0]?.label ?? ""];
+      return counts.map((n, i) => [...first.map(quoted), edge(i), edge(i + 1), n].join());
+    });
+    const text = ["region,layer,band,from,to,pixels", ...rows, ""].join("\n");
+    saveFile(`${this.record.object.name}_histogram.csv`, text, "text/csv");
   }
 
   private async saveAll(): Promise<void> {

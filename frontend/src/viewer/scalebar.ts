@@ -13,6 +13,11 @@ export class ScaleBar {
 
   constructor(private readonly pxPerMm: number | null) {}
 
+  /** How long the bar is, px of the screen, and what it stands for, as it is shown. */
+  get shown(): { width: number; words: string } {
+    return { width: parseFloat(this.bar.style.width) || 0, words: this.text.textContent };
+  }
+
   /** Say something beneath the length. */
   note(words: string): void {
     this.beside.textContent = words;

@@ -1,6 +1,6 @@
 // The row of ways to compare pictures, and the settings of each.
 import { effect } from "@preact/signals-core";
-import { radioGroup, slider, type Option, type Range } from "../shared/controls";
+import { GAIN, radioGroup, slider, type Option, type Range } from "../shared/controls";
 import { make } from "../shared/element";
 import { RATES } from "../shared/flicker";
 import type { Mode } from "../shared/stage";
@@ -18,7 +18,6 @@ export const MODES: Option<Mode>[] = [
   { value: "grid", label: "Four", title: "A, B, C and D, linked (Q)" },
   { value: "difference", label: "Difference", title: "Where A and B differ is bright (D)" },
 ];
-const GAIN: Range = { min: 1, max: 16, step: 1, value: 4 };
 const OPACITY: Range = { min: 0, max: 1, step: 0.01, value: 0.5 };
 
 /** What the toolbar works on. */
@@ -48,7 +47,7 @@ export function fillToolbar(
   other.addEventListener("click", () => flicker.step());
   const level = pill("Level line", "A above the line, B below it (Shift C)");
   level.addEventListener("click", () => curtain.turn(!curtain.level.value));
-  const same = pill("Same levels", "One value is shown alike in all pictures (Shift L)");
+  const same = pill("Same levels", "One value is shown alike in all pictures (Shift E)");
   same.addEventListener("click", () => levels.toggleLock());
   address.addSlider("rate", rate, RATES);
   address.addSlider("amplify", amplify, GAIN);

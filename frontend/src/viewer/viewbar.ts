@@ -36,7 +36,7 @@ export class ViewBar {
     const closer = quiet("+", "Zoom in", () => stage.zoom(ZOOM_STEP));
     const fit = quiet("Fit", "Fit the picture (F)", () => stage.fit());
     const turn = quiet("⟳", "Turn by 90° (T)", () => this.turn(1));
-    const overview = quiet("Overview", "Small picture of the whole (W)", () =>
+    const overview = quiet("Overview", "Small picture of the whole (Z)", () =>
       this.toggleOverview(),
     );
     const touch = quiet(

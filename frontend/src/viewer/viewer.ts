@@ -26,6 +26,7 @@ import { LevelPanel } from "./levelpanel";
 import { startCopying } from "./linking";
 import { MeasurePanel } from "./measures";
 import { NotePanel } from "./notes";
+import { savePicture } from "./picture";
 import { PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
@@ -39,6 +40,10 @@ import { sayWhatIsShown, ViewBar } from "./viewbar";
 
 const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
+// Of what addresses carry: what the words above them say, and what changes no picture.
+const NO_SETTINGS = "a b c d mode curtain rate grid marks measured histogram spectra range".split(
+  " ",
+);
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
@@ -189,8 +194,8 @@ const keys: Key[] = [
   modeKey("S", "side", "Side by side"),
   modeKey("Q", "grid", "Four pictures"),
   modeKey("D", "difference", "Difference"),
-  shiftKey("L", "The same levels for all pictures, or each its own", () => levels.toggleLock()),
-  key("L", ["l"], "Levels: black, gamma, white", () => levels.open()),
+  shiftKey("E", "The same levels for all pictures, or each its own", () => levels.toggleLock()),
+  key("E", ["e"], "Levels: black, gamma, white", () => levels.open()),
   key("X", ["x"], "Swap A and B", () => state.swap()),
   key("[", ["["], "Previous object", follow("previous")),
   key("]", ["]"], "Next object", follow("next")),
@@ -198,7 +203,7 @@ const keys: Key[] = [
   key("0", ["0"], "One pixel of the picture as one of the screen", () => bar.showPixels()),
   shiftKey("T", "Turn by 90°, anticlockwise", () => bar.turn(-1)),
   key("T", ["t"], "Turn by 90°, clockwise", () => bar.turn(1)),
-  key("W", ["w"], "Small picture of the whole, on and off", () => bar.toggleOverview()),
+  key("Z", ["z"], "Small picture of the whole, on and off", () => bar.toggleOverview()),
   key("+ −", ["+", "=", "-", "_"], "Zoom", (event) =>
     stage.zoom("+=".includes(event.key) ? ZOOM_STEP : 1 / ZOOM_STEP),
   ),
@@ -291,6 +296,21 @@ address.add({
 });
 const say = (sentence: string): void => void (find("said").textContent = sentence);
 startCopying(find<HTMLButtonElement>("copy-link"), address, say);
+find("save-picture").addEventListener("click", () => {
+  const choices = [state.a, state.b].flatMap(({ value }) => value ?? []);
+  const shown = stage.mode.value === "single" ? choices.slice(0, 1) : choices;
+  const notes = shown.map(({ layer, picture }) => picture.note && `${layer.name}: ${picture.note}`);
+  const settings = address.settings(NO_SETTINGS);
+  const lines = [
+    find("caption").textContent,
+    `${MODES.find(({ value }) => value === stage.mode.value)?.label ?? ""}${settings && `; ${settings}`}.`,
+    ...new Set(notes),
+    ...record.credits,
+  ];
+  const legend = { title: record.object.title, bar: scaleBar.shown, lines: lines.filter(Boolean) };
+  const name = `${record.object.name}_${stage.mode.value}.png`;
+  void savePicture(find("stage"), name, legend).then(say);
+});
 if (layers.layers.length) {
   address.start();
   stage.onMove = () => {

@@ -223,7 +223,7 @@ class Cluster:
 
     def send(self, job: Job, need: float, attempt: int) -> Future:
         """Send a task; its result is a few words."""
-        name = "-".join(part for part in (*job.key, job.build, str(attempt)) if part)
+        name = "-".join(part for part in (*job.name, job.build, str(attempt)) if part)
         return self.client.submit(
             _do,
             job,
@@ -259,7 +259,7 @@ class Greeting(WorkerPlugin):  # type: ignore[misc]
 def _do(job: Job) -> dict[str, Any]:
     """Do a task on a worker, and say there that it has begun."""
     worker = get_worker()
-    topic, name = f"levkas-{job.build}", list(job.key)
+    topic, name = f"levkas-{job.build}", list(job.name)
 
     def say(peak: int) -> None:
         worker.log_event(topic, {"begun": name, "on": worker.address, "peak": peak})

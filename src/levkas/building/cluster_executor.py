@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,22 +22,26 @@ from distributed.scheduler import KilledWorker
 
 from levkas.building import sources
 from levkas.building.cluster import Cluster
-from levkas.building.endings import Due, Endings
+from levkas.building.endings import OF_THE_MACHINES, Due, Endings
 from levkas.building.fingerprints import digest
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
 from levkas.building.scans import is_streamed
 from levkas.building.worker import (
     ASKED,
+    PARTS,
     RECEIPT,
     Job,
     NotShared,
     code_digest,
     digest_of,
     is_refused,
+    part_key,
     read_receipt,
+    receipt_path,
     written_of,
 )
+from levkas.core.disk import DISK_CODES
 from levkas.core.files import make_folder, remove, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.core.sweeping import sweep
@@ -51,6 +56,8 @@ NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
 BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan that is passed through."""
+MENDED_ELSEWHERE = DISK_CODES | {*OF_THE_MACHINES}
+"""Codes of refusals that leave the parts of a task to the next build."""
 LOOK_S, STUCK_S = 1.0, 15.0
 """How long to wait for news before the workers are counted, and for a worker that is idle to begin."""
 
@@ -70,18 +77,32 @@ def memory_needed(task: Task, campaign: Campaign) -> float:
 
 @dataclass
 class Flight:
-    """A task that was sent, and its attempts: worker, peak of private memory, why it was not the last."""
+    """A task that was sent, and its attempts: worker, peak of private memory, why it was not the last.
+
+    Parameters
+    ----------
+    due : Due
+    need : float
+        Bytes of memory.
+    part : (start, stop)
+        Rows of the task that are done; () for all.
+    """
 
     due: Due
     need: float
+    part: tuple[int, ...] = ()
     future: Future | None = None
     on: str = ""
     peak: int = 0
-    sent: int = 0
     since: float = 0.0
     attempts: list[dict[str, Any]] = field(default_factory=list)
     failed: int = 0
     lost: int = 0
+
+    @property
+    def key(self) -> Key:
+        """Of the task, or of the part."""
+        return part_key(self.due.task.key, self.part)
 
     def ended(self, why: str) -> None:
         """Log an attempt."""
@@ -103,7 +124,10 @@ class ClusterExecutor:
         self._behind: dict[Key, list[Key]] = {}
         self._ready: list[int] = []
         self._flying: dict[Key, Flight] = {}
+        self._sent = count(1)
         self._redone: Counter[Key] = Counter()
+        self._cuts: dict[Key, tuple[int, ...]] = {}
+        self._tried: dict[Key, list[dict[str, Any]]] = {}
         self._there: list[str] = []
         self._untidy = False
         self._counted = 0.0
@@ -197,7 +221,7 @@ class ClusterExecutor:
         """Send a task, or refuse it where no worker has the memory."""
         task = due.task
         need = memory_needed(task, self._endings.campaign)
-        flight = Flight(due, need)
+        flight = Flight(due, need, attempts=self._tried.pop(task.key, []))
         self._endings.begin(task)
         if refused := self._too_large(flight):
             yield from self._end(task, self._endings.refuse(task, refused))
@@ -263,11 +287,13 @@ class ClusterExecutor:
             reads=tuple(((k.object, k.camera, k.setup, k.stage), records.check(k)) for k in reads),
             code=code_digest(),
             verify=self._verify,
+            divides=not flight.part and key not in self._cuts and len(self._there) > 1,
+            part=flight.part,
+            cuts=() if flight.part else self._cuts.get(key, ()),
         )
-        flight.sent, flight.since = flight.sent + 1, time.monotonic()
-        number = sum(self._redone.values()) * 100 + flight.sent
-        flight.future = self._cluster.send(job, flight.need, number)
-        flight.future.add_done_callback(lambda _: self._cluster.events.put({"done": key}))
+        flight.since = time.monotonic()
+        flight.future = self._cluster.send(job, flight.need, next(self._sent))
+        flight.future.add_done_callback(lambda _: self._cluster.events.put({"done": flight.key}))
 
     # --- hearing --------------------------------------------------------------------------------
 
@@ -290,6 +316,8 @@ class ClusterExecutor:
             self._there = self._cluster.workers()
             self._counted = now
         for key, flight in list(self._flying.items()):
+            if key not in self._flying:  # a part of what was refused meanwhile
+                continue
             refused = None if flight.on else self._too_large(flight)
             if refused:
                 if flight.future is not None:
@@ -300,7 +328,7 @@ class ClusterExecutor:
             elif flight.future is None:
                 self._resend(flight)
             elif flight.future.status != "pending":
-                yield from self._landed(key, flight)
+                yield from self._landed(flight)
             elif self._is_stuck(flight):
                 if flight.on:
                     flight.ended("its worker was lost")
@@ -316,7 +344,7 @@ class ClusterExecutor:
                     flight.since = time.monotonic()
                 flight.on, flight.peak = told["on"], max(flight.peak, told["peak"])
 
-    def _landed(self, key: Key, flight: Flight) -> Iterator[Step]:
+    def _landed(self, flight: Flight) -> Iterator[Step]:
         """Take the result of a task, or send it again."""
         assert flight.future is not None
         future, task = flight.future, flight.due.task
@@ -327,6 +355,8 @@ class ClusterExecutor:
         future.release()
         if "damaged" in told:
             yield from self._mend(flight, tuple(told["damaged"]), told["name"])
+        elif told.get("cuts"):
+            self._divide(flight, tuple(told["cuts"]))
         elif status == "finished":
             flight.on, flight.peak = told["on"], told["peak"]
             yield from self._commit(flight)
@@ -334,6 +364,18 @@ class ClusterExecutor:
             yield from self._end(task, self._endings.refuse(task, refused))
         else:
             self._resend(flight)
+
+    def _divide(self, flight: Flight, cuts: tuple[int, ...]) -> None:
+        """Send the parts of a task; it is sent again when all of them have been done, and joins them."""
+        key = flight.key
+        del self._flying[key]
+        self._cuts[key] = cuts
+        for rows in pairwise(cuts):
+            part = Flight(flight.due, flight.need, rows)
+            self._flying[part.key] = part
+            self._ahead[key].add(part.key)
+            self._behind[part.key] = [key]
+            self._resend(part)
 
     def _give_up(self, flight: Flight, error: BaseException | None) -> Refused | None:
         """Log an attempt that failed; return a refusal where it was the last, raise what is a fault of ours."""
@@ -365,7 +407,6 @@ class ClusterExecutor:
 
     def _mend(self, flight: Flight, damaged: tuple[str, ...], name: str) -> Iterator[Step]:
         """Do a task again whose products are damaged, and then the one that would read them."""
-        del self._flying[flight.due.task.key]
         key = next(k for k in self._graph if (k.object, k.camera, k.setup, k.stage) == damaged)
         task = flight.due.task
         self._redone[key] += 1
@@ -375,6 +416,9 @@ class ClusterExecutor:
             return
         self._ahead[task.key].add(key)
         self._behind.setdefault(key, []).append(task.key)
+        del self._flying[flight.key]
+        if flight.part:  # what it lacks is made when all are joined
+            self._release(flight.key)
         if key not in self._flying:
             due = self._endings.due(self._graph[key])
             yield from self._begin(due._replace(why=f"{name} was damaged"))
@@ -382,8 +426,7 @@ class ClusterExecutor:
     def _commit(self, flight: Flight) -> Iterator[Step]:
         """Record what a task made, as its receipt says."""
         task, records = flight.due.task, self._records
-        path = records.path_of(task.key, RECEIPT)
-        receipt = read_receipt(path)
+        receipt = read_receipt(receipt_path(records, task.key, flight.part))
         if receipt.get("made of") != digest(flight.due.prints):
             if again := self._give_up(flight, NotShared("the receipt is not seen here")):
                 yield from self._end(task, self._endings.refuse(task, again))
@@ -391,6 +434,11 @@ class ClusterExecutor:
                 self._resend(flight)
             return
         flight.ended("done")
+        if flight.part and not is_refused(receipt):
+            self._tried.setdefault(task.key, []).extend(flight.attempts)
+            del self._flying[flight.key]
+            self._release(flight.key)
+            return
         try:
             if is_refused(receipt):
                 problems = (Problem(**problem) for problem in receipt["refused"])
@@ -402,6 +450,7 @@ class ClusterExecutor:
                 ):
                     for name, entry in receipt[part].items():
                         records.hashes.take(folder / name, entry)
+                self._drop_parts(task.key)
                 step = self._endings.keep(
                     flight.due,
                     written_of(receipt, self._places),
@@ -416,8 +465,20 @@ class ClusterExecutor:
 
     def _end(self, task: Task, step: Step) -> Iterator[Step]:
         yield self._endings.end(task, step)
-        self._flying.pop(task.key, None)
+        self._cuts.pop(task.key, None)
+        mine = [flight for flight in self._flying.values() if flight.due.task.key == task.key]
+        for flight in mine:  # parts too, where one of them was refused
+            del self._flying[flight.key]
+            if flight.future is not None and flight.future.status == "pending":
+                self._cluster.client.cancel([flight.future])
+        if step.state == "refused" and not {p.code for p in step.problems} & MENDED_ELSEWHERE:
+            self._drop_parts(task.key)
         self._release(task.key)
+
+    def _drop_parts(self, key: Key) -> None:
+        folder = self._records.path_of(key, PARTS)
+        if folder.is_dir():
+            remove(folder)
 
     def _release(self, key: Key) -> None:
         """Let go what waited for a task."""

@@ -21,7 +21,7 @@ from levkas.database.pixel_frames import Frame
 from levkas.database.registrations import describe_pairs, read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
-from levkas.pages.page import DECISIONS
+from levkas.pages.page import DECISIONS, describe_decision
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, analyses_of, pictures_of
 from levkas.publish.viewer.pyramid import encode_thumbnail, fit_within, write_pyramid
@@ -368,7 +368,7 @@ def _known(value: float) -> float | None:
 def _say(item: Item, camera: str, setup: str, decision: str) -> str:
     if camera == item.reference and not setup and decision == "accept":
         return "reference"
-    return DECISIONS.get(decision, decision)
+    return describe_decision(decision)
 
 
 def _say_facts(item: Item, width: int, height: int, sampling: float | None) -> list[list[str]]:

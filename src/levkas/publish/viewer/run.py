@@ -134,6 +134,8 @@ def write_viewer(
         size = record["grid"]["width"], record["grid"]["height"]
         # Browsers keep notes by this name, whatever else changes from version to version.
         record["database"] = ", ".join(filter(None, (about.title, about.creator)))
+        licence = f"Licence: {about.licence}" if about.licence else ""
+        record["credits"] = [text for text in (about.citation, licence) if text]
         page = render_object(about, {**record, **notes.describe(item.name, size)})
         write(f"viewer/objects/{item.name}/index.html", page.encode("utf-8"))
         cards.append(card_of(item, layers, write_thumbnail(write, item)))
