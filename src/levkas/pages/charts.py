@@ -137,7 +137,7 @@ def _over_signal(measure: ChartMeasure) -> Figure | None:
     order = np.argsort(middle)[:: max(1, len(greys) // 6)]
     marks = [(float(middle[i]), f"{luminance[i]:.0f}") for i in order if middle[i] > 0]
     svg = plot(
-        lines, x="signal of the channel", y="SNR, dB (10·log10)", log=True,
+        lines, x="signal of the channel", y="SNR, dB (10·log10)", log="x",
         top_axis=("luminance Y, %", marks),
     )  # fmt: skip
     caption = (

@@ -49,7 +49,7 @@ def render_comparison(comparison: Comparison) -> str:
             "failures": comparison.problems,
             "keys": [(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],
             "layers": [_layer(comparison, name) for name in comparison.layers],
-            "errors": _chart(comparison, "error_mean", "mean error, px", log=True),
+            "errors": _chart(comparison, "error_mean", "mean error, px", log="y"),
             "chart": _chart(comparison, "ssim", "SSIM"),
         },
     )
@@ -91,7 +91,7 @@ def _layer(comparison: Comparison, layer: str) -> dict[str, Any]:
     return {"name": layer, "cells": cells}
 
 
-def _chart(comparison: Comparison, fact: str, y: str, *, log: bool = False) -> str:
+def _chart(comparison: Comparison, fact: str, y: str, *, log: str = "") -> str:
     lines = []
     for place, method in enumerate(comparison.methods):
         scores = [
@@ -110,7 +110,7 @@ def _chart(comparison: Comparison, fact: str, y: str, *, log: bool = False) -> s
             )
     if not lines:
         return ""
-    return plot(lines, x="", y=y, log_y=log, names=comparison.layers)
+    return plot(lines, x="", y=y, log=log, legend=False, names=comparison.layers)
 
 
 def number(value: float | None, digits: int) -> str:

@@ -150,10 +150,10 @@ def plot(
     *,
     x: str,
     y: str,
-    log: bool = False,
-    log_y: bool = False,
+    log: str = "",
     top_axis: tuple[str, Sequence[tuple[float, str]]] | None = None,
     from_zero: bool = False,
+    legend: bool = True,
     names: Sequence[str] = (),
 ) -> str:
     """Return lines as SVG, "" where there is nothing to draw.
@@ -163,16 +163,16 @@ def plot(
     lines : sequence of Line
     x, y : str
         Titles of the axes.
-    log, log_y : bool
-        Logarithmic x, y; points at or below 0 are left out.
+    log : {"", "x", "y"}
+        The logarithmic axis; points at or below 0 on it are left out.
     top_axis : (title, [(x, label), …]), optional
         A second axis above.
     from_zero : bool
         y starts at 0.
     names : sequence of str
-        Of x = 1, 2, …, where it counts things and measures nothing. Such a page names the lines itself.
+        Of x = 1, 2, …, where it counts things and measures nothing.
     """
-    drawn = [(line, *_sound(line, log, log_y)) for line in lines]
+    drawn = [(line, *_sound(line, log)) for line in lines]
     if not any(len(xs) for _, xs, _ in drawn):
         return ""
     figure = new_figure(max(WIDTH, 46 * len(names)))
@@ -181,9 +181,12 @@ def plot(
     if names:
         axes.set_xticks(range(1, len(names) + 1), names, rotation=30, ha="right")
     axes.set(
-        xlabel=x, ylabel=y, xscale="log" if log else "linear", yscale="log" if log_y else "linear"
+        xlabel=x,
+        ylabel=y,
+        xscale="log" if log == "x" else "linear",
+        yscale="log" if log == "y" else "linear",
     )
-    for axis, logarithmic in ((axes.xaxis, log), (axes.yaxis, log_y)):
+    for axis, logarithmic in ((axes.xaxis, log == "x"), (axes.yaxis, log == "y")):
         if logarithmic:
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter("")
@@ -195,7 +198,7 @@ def plot(
         above.set_xticks([at for at, _ in marks], [text for _, text in marks], minor=False)
         above.set_xticks([], minor=True)
         above.set_xlabel(title)
-    if not names and len(lines) > 1:
+    if legend and len(lines) > 1:
         draw_legend(axes)
     return to_svg(figure, f"{y} over {x}" if x else y)
 
@@ -227,13 +230,13 @@ def draw_legend(axes: Axes) -> None:
     figure.legend([handles[i] for i in chosen], [names[i] for i in chosen], **place)
 
 
-def _sound(line: Line, log: bool, log_y: bool) -> tuple[np.ndarray, np.ndarray]:
+def _sound(line: Line, log: str) -> tuple[np.ndarray, np.ndarray]:
     x, y = (
         np.array([np.nan if v is None else v for v in values], float) for values in (line.x, line.y)
     )
     good = np.isfinite(x) & np.isfinite(y)
-    good &= (x > 0) | (not log)
-    good &= (y > 0) | (not log_y)
+    good &= (x > 0) | (log != "x")
+    good &= (y > 0) | (log != "y")
     return x[good], y[good]
 
 
