@@ -19,7 +19,7 @@ export class LevelFilters {
       const attributes = { id: `levels-${slot}`, "color-interpolation-filters": "sRGB" };
       return draw("filter", { ...attributes, x: 0, y: 0, width: 1, height: 1 }, transfer);
     });
-    document.body.append(draw("svg", { class: "unseen", "aria-hidden": "true" }, ...filters));
+    document.body.append(draw("svg", { class: "filters", "aria-hidden": "true" }, ...filters));
     for (const { slot, pane } of stage.cells)
       effect(() => {
         const canvas = pane.viewer.drawer.canvas as HTMLElement;

@@ -487,7 +487,7 @@ def test_kept_places_stand_in_the_address_and_on_the_painting(browser, address):
     again = open_object(browser, page.url)
     names = [again.get_by_label(f"Name of place {n}").input_value() for n in (1, 2)]
     assert names == ["Place 1", '=azurite, "dark"']
-    assert again.locator(".stage .pane:not([hidden]) .kept-pin").count() >= 2
+    assert again.locator(".stage .cell-a .kept-pin").count() >= 2
     again.wait_for_selector("#pins svg .line")
     assert again.locator("#pins svg .line").count() == 2
     assert "holds nothing" not in again.locator("#spectrum").inner_text()
@@ -656,7 +656,7 @@ def test_lengths_and_areas_are_in_millimetres_and_in_the_address(browser, addres
     marks = page.locator(".cell-a .region-number").all_text_contents()
     assert marks == [f"M1 {words[0]}", f"M2 {words[1].split(',')[0]}"]
     page.keyboard.press("g")
-    assert page.locator(".pane:not([hidden]) .grid-line").count() > 4
+    assert page.locator(".cell-a .grid-line").count() > 4
     assert "grid 1 cm" in page.locator(".scalebar").inner_text()
     page.wait_for_function("() => location.hash.includes('grid=1')")
     again = open_object(browser, page.url)
@@ -669,7 +669,7 @@ def test_lengths_and_areas_are_in_millimetres_and_in_the_address(browser, addres
     assert float(rows[0]["length_mm"]) == pytest.approx(length, rel=1e-6)
     assert rows[0]["area_mm2"] == "" and float(rows[1]["area_mm2"]) > 0
     # Lines of the grid are 10 mm apart, the first one at the edge.
-    x = again.locator(".pane:not([hidden]) .grid-line").evaluate_all(
+    x = again.locator(".cell-a .grid-line").evaluate_all(
         "all => all.filter(l => l.x1.baseVal.value === l.x2.baseVal.value).map(l => l.x1.baseVal.value)"
     )
     scale = again.evaluate("levkasViewer.stage.left.scale")
