@@ -66,6 +66,7 @@ export function anglePicture(layer: Layer, key: string): Picture | undefined {
     key,
     label: `Spectral angle to ${x}, ${y}: not an identification`,
     kind: "angle",
+    white: null,
     note:
       `Angle between the spectrum of each pixel and that at ${x}, ${y}: 0° has the same shape, however bright. ` +
       "Not an identification: paints that differ may have one shape, and one paint may have several. " +

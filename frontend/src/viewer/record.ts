@@ -17,6 +17,8 @@ export interface Picture {
   /** Of a picture of spectral angles: what it is computed from. */
   angle?: AngleFacts;
   note: string;
+  /** Of a single band: the value that is shown as white; 0 is black. */
+  white: number | null;
   legend: Legend | null;
   folder: string;
   width: number;
