@@ -45,6 +45,8 @@ export interface SpectraFacts {
   bands: number;
   sigma: boolean;
   flags: boolean;
+  /** Whether the sums of whole tiles stand beside them. */
+  sums?: boolean;
   folder: string;
 }
 
