@@ -237,6 +237,12 @@ CELL = [10.0, 20.0, 40.0, 30.0]
         ({"checked": 0.7}, "warn", 0.3),
         ({"off": [CELL], "off_share": 0.05}, "warn", 0.02),
         ({"rival": 0.9}, "warn", 0.02),
+        ({"held_out_px": 0.3, "window_sigma_px": 0.1}, "warn", 0.02),
+        (
+            {"held_out_px": 0.3, "window_sigma_px": 0.4},
+            "accept",
+            0.02,
+        ),  # noise of the windows explains it
         ({"strange": 0.5, "light": "other"}, "warn", 0.02),
         ({"strange": 0.5, "light": "unknown"}, "accept", 0.02),
         ({"off": [CELL], "off_share": 0.3}, "refuse", 0.02),
@@ -246,7 +252,7 @@ CELL = [10.0, 20.0, 40.0, 30.0]
 def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
     change, decision, unchecked
 ):
-    numbers = {**SOUND, **{k: v for k, v in change.items() if k in ("checked", "light")}}
+    numbers = {**SOUND, **{k: v for k, v in change.items() if k not in CONFIRMED or k == "checked"}}
     verdict = judge_windows({"sensor": {**numbers, "borne_out": {**CONFIRMED, **change}}})
     assert verdict.decision == decision
     assert verdict.unchecked == pytest.approx(unchecked, abs=0.01)

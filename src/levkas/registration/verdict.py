@@ -67,6 +67,9 @@ class VerdictSettings:
     good_steps, bad_px, bad_steps : float
         Held-out error: px of the compared grid that are a warning; reference px, and px of the grid,
         that are refused. Where the target is coarse, single windows scatter more than the map is off.
+    scatter : float
+        Held-out error over the sigma of single windows up to which their own noise explains it: 0.6 to 1.05
+        of right maps of infrared pictures, 0.8 to 11 of maps that are wrong somewhere.
     least_cover, least_checked : float
         Share of the reference below which it is said how little could be compared; share of what both show
         below which a map only reaches over too much, and is doubtful.
@@ -97,6 +100,7 @@ class VerdictSettings:
     good_steps: float = 0.25
     bad_px: float = 1.0
     bad_steps: float = 0.3
+    scatter: float = 1.0
     least_cover: float = 0.5
     least_checked: float = 0.75
     most_sigmas: float = 3.0
@@ -280,9 +284,12 @@ def better_than_chance(n: Numbers) -> Objection | None:
 
 
 def predicts_windows(n: Numbers) -> Objection | None:
-    """Refuse or warn where blocks of windows that were not fitted are off."""
+    """Refuse or warn where blocks of windows that were not fitted are off by more than their own noise."""
     error, step = n["held_out_px"], n["step"]
     if error is None or error < SETTINGS.good_steps * step:
+        return None
+    scatter = n.get("window_sigma_px") or 0.0
+    if error < SETTINGS.bad_px and error < SETTINGS.scatter * scatter:
         return None
     bad = not error < max(SETTINGS.bad_px, SETTINGS.bad_steps * step)
     return Objection(
