@@ -261,6 +261,21 @@ def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
         assert ("othing" in verdict.reasons[-1]) == open_ones  # named where it is much
 
 
+def test_what_stands_in_another_plane_is_named(pictures):
+    """A picture whose middle stands nearer to the camera, and so lies 6 px elsewhere."""
+    reference, (values, valid) = pictures
+    nearer = values.copy()
+    nearer[60:170, 90:210] = values[60:170, 96:216]
+    seen = search_windows(reference, (nearer, valid), STILL)
+    checks = CheckWindows(seen.centres, seen.shift, seen.found, 1.0, 40.0)
+    case = evidence([reference, (nearer, valid)])
+    cells = measure_support(case.overlap, checks, np.empty((0, 2)))
+    assert len(cells["off"]) >= 2 and np.allclose(np.abs(cells["off_shift"]), [6, 0], atol=0.5)
+    verdict = judge_windows({"sensor": {**SOUND, "borne_out": {**CONFIRMED, **cells}}})
+    assert verdict.decision == "warn"
+    assert "px alike: there is more than one plane" in verdict.reasons[0]
+
+
 def test_the_default_method_never_advises_keys_of_the_papers(pictures):
     right = measure(evidence(pictures))
     right |= {"share_above_chance": 1.0, "held_out_px": 0.1, "step": 1.0, "cover": 1.0}

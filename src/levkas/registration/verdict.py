@@ -78,6 +78,8 @@ class VerdictSettings:
     strange : Limits
         Share of detail that only one of two pictures has. Views of one painting in light of the same
         wavelengths: 0.01 to 0.17; copies by one pattern: 0.30 to 0.55 (`benchmarks/replicas.py`).
+    alike : float
+        Cells in one plane differ in how far they are off by at most this share of it.
     most_found_of_a_copy : float
         Share of windows that are found. Of copies by one pattern 0.6 to 0.91 are.
     """
@@ -105,6 +107,7 @@ class VerdictSettings:
     least_checked: float = 0.75
     most_sigmas: float = 3.0
     strange: Limits = STRANGE
+    alike: float = 0.5
     most_found_of_a_copy: float = 0.95
 
 
@@ -460,7 +463,7 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
     if n["off"]:
         return Objection(
             "warn",
-            f"The map is off in {percent(n['off_share'])} of what both pictures show {_places(n['off'])}.",
+            f"The map is off in {percent(n['off_share'])} of what both pictures show {_places(n['off'])}{_plane(n)}.",
             REGION,
         )
     if n["coverage"] >= SETTINGS.coverage.warn:
@@ -471,6 +474,19 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
         f"{_places(n['unsupported'])}.",
         REGION,
     )
+
+
+def _plane(n: Numbers) -> str:
+    """Say that cells which are off lie off alike, as what stands in another plane does; empty where they do not."""
+    shifts = np.array(n.get("off_shift") or np.empty((0, 2)), float)
+    if len(shifts) < 2:
+        return ""
+    middle = np.median(shifts, 0)
+    length = float(np.hypot(*middle))
+    apart = np.hypot(*(shifts - middle).T)
+    if not (apart <= max(n["tolerance"], SETTINGS.alike * length)).all():
+        return ""
+    return f", by {length:.1f} px alike: there is more than one plane, or a part has moved, and the map follows the larger one"
 
 
 def is_checked(n: Numbers) -> Objection | None:
