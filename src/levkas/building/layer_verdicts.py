@@ -5,12 +5,14 @@ from __future__ import annotations
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from levkas.core.problems import Refused
 from levkas.database.layout import Places, layer_name
-from levkas.database.registrations import mm_per_px, read_registration
-from levkas.geometry import from_dict
+from levkas.database.registrations import (
+    mm_per_px,
+    read_registration,
+    unchecked_mm2,
+    unchecked_share,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -80,22 +82,9 @@ def _errors(record: Mapping[str, Any]) -> dict[str, Any]:
         "held_out_px": worst,
         "held_out_mm": None if worst is None or scale is None else worst * scale,
         "checked_share": min(shares, default=None),
-        "unchecked_share": record.get("verdict", {}).get("unchecked"),
+        "unchecked_share": unchecked_share(record),
         "unchecked_mm2": unchecked_mm2(record),
     }
-
-
-def unchecked_mm2(record: Mapping[str, Any]) -> float | None:
-    """Return the area of the object, mm², that a layer does not show or where nothing confirms its map.
-
-    None where the sampling is not known, or an older record does not tell.
-    """
-    share, scale = record.get("verdict", {}).get("unchecked"), mm_per_px(record)
-    if not _is_number(share) or scale is None:
-        return None
-    width, height = record["grid"]["size"]
-    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
-    return float(share * width * height * abs(np.linalg.det(step)) * scale**2)
 
 
 def _is_number(value: Any) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -20,10 +21,11 @@ from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.layout import Places
+from levkas.database.registrations import unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
-from levkas.workbench.history import HistoryFile
+from levkas.workbench.history import History, HistoryFile
 from levkas.workbench.pictures import ShownPicture, read_picture
 from levkas.workbench.session import CorrectionSession, RecordedPairs
 
@@ -57,6 +59,8 @@ class Library:
     _frames: dict[str, RegistrationView] = field(default_factory=dict)
     _pictures: dict[tuple[str, str], ShownPicture] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
+    _writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
+    """Keeps histories beside the answers: nobody waits for that."""
 
     @cached_property
     def campaign(self) -> Campaign:
@@ -95,6 +99,14 @@ class Library:
         """What keeps undo over the end of the server."""
         return HistoryFile(self.campaign.root)
 
+    def remember(self, name: str, frame: str, history: History) -> None:
+        """Keep the history of a camera, soon."""
+        self._writer.submit(self.history.write, name, frame, history.to_dict())
+
+    def settle(self) -> None:
+        """Wait until all histories are kept."""
+        self._writer.submit(int).result()
+
     def turn_of(self, frame: RegistrationView) -> int:
         """Return by how many degrees clockwise the pictures of a camera are turned: as a person did, else upright."""
         turn = self.history.turn(frame.capture.object)
@@ -117,8 +129,9 @@ class Library:
         listed = []
         for key, view in self.views.items():
             capture = view.capture
-            decision = self._record(capture).get("verdict", {}).get("decision", "not built")
-            reasons = self._record(capture).get("verdict", {}).get("reasons", [])
+            record = self._record(capture)
+            decision = record.get("verdict", {}).get("decision", "not built")
+            reasons = record.get("verdict", {}).get("reasons", [])
             is_reference = self._is_reference(view)
             facts = self.campaign.objects.get(capture.object)
             listed.append(
@@ -132,7 +145,9 @@ class Library:
                     "bands": _name_bands(view.labels),
                     "reference": is_reference,
                     "decision": decision,
-                    "verdict": describe_decision("reference" if is_reference else decision),
+                    "verdict": describe_decision(
+                        "reference" if is_reference else decision, unchecked_share(record)
+                    ),
                     "reason": next(iter(reasons), ""),
                     "corrections": self._edits(view).describe(),
                 }
@@ -226,7 +241,7 @@ class Library:
             self._edits(view),
             partial(self._save, view),
             self.history.read(*place),
-            partial(self.history.write, *place),
+            partial(self.remember, *place),
         )
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return RegistrationView(
