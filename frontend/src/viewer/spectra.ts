@@ -10,12 +10,9 @@ export interface Spectrum {
   flags: Uint8Array | null;
 }
 
-/** Spectra of a tile, and where its first pixel lies on the grid. */
-export interface PlacedTile extends Spectrum {
+export interface Tile extends Spectrum {
   columns: number;
   rows: number;
-  left: number;
-  top: number;
 }
 
 /** Sound values of one band of a tile: how many, their mean, and the sum of squared differences from it. */
@@ -30,7 +27,7 @@ const AHEAD = 12; // of KEPT, while a region is read
 
 /** The spectra of one layer; tiles are loaded when asked for, and the last ones kept. */
 export class Spectra {
-  private readonly tiles = new Map<string, Promise<PlacedTile>>();
+  private readonly tiles = new Map<string, Promise<Tile>>();
   private summed: Promise<Float64Array> | null = null;
 
   constructor(
@@ -80,18 +77,13 @@ export class Spectra {
   }
 
   /** Read tiles one after the other; some are on their way while one is looked at. */
-  async *readTiles(places: Point[]): AsyncGenerator<PlacedTile> {
+  async *readTiles(places: Point[]): AsyncGenerator<Tile> {
     const coming = places.slice(0, AHEAD).map((place) => this.tile(...place));
     for (let i = 0; i < places.length; i++) {
       const next = places[i + AHEAD];
       if (next) coming.push(this.tile(...next));
       yield await coming.shift()!;
     }
-  }
-
-  /** Read the tiles that have pixels of a part of the grid. */
-  tilesWithin(bounds: Bounds): AsyncGenerator<PlacedTile> {
-    return this.readTiles(this.placesWithin(bounds));
   }
 
   /** What was published of whole tiles; null where nothing was. */
@@ -108,7 +100,7 @@ export class Spectra {
     };
   }
 
-  private tile(column: number, row: number): Promise<PlacedTile> {
+  private tile(column: number, row: number): Promise<Tile> {
     const name = `${column}_${row}`;
     let tile = this.tiles.get(name);
     if (!tile) {
@@ -121,9 +113,9 @@ export class Spectra {
     return tile;
   }
 
-  private async load(column: number, row: number): Promise<PlacedTile> {
+  private async load(column: number, row: number): Promise<Tile> {
     const { bands, folder, sigma, flags } = this.facts;
-    const [left, top, columns, rows] = this.shapeOf([column, row]);
+    const [, , columns, rows] = this.shapeOf([column, row]);
     const text = await loadScript(
       `${folder}/${column}_${row}.js`,
       `${this.layer.id}/spectra/${column}_${row}`,
@@ -134,7 +126,8 @@ export class Spectra {
       restore(data, { start, columns, rows, bands, octets });
     let spread: Float32Array | null = null;
     return {
-      ...{ columns, rows, left, top },
+      columns,
+      rows,
       values: new Float32Array(restored(0, 4).buffer),
       // Regions do not need it.
       get sigma(): Float32Array | null {
