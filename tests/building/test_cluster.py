@@ -252,6 +252,7 @@ def test_the_command_refuses_as_every_command_does(plates, tmp_path, monkeypatch
     assert run("--cluster", "tcp://127.0.0.1:9", "--workers", "2") == (1, "E_VALUE")
     with dask.config.set({"distributed.comm.timeouts.connect": "200ms"}):
         assert run("--cluster", "tcp://127.0.0.1:9") == (1, "E_CLUSTER")
+    assert run("--cluster", "tls://127.0.0.1:9") == (1, "E_CLUSTER")  # without certificates
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", "tcp://10.0.0.7:8786")
     assert run() == (1, "E_INSECURE")
 

@@ -44,6 +44,11 @@ LIMITS = (
     "OPENCV_FOR_THREADS_NUM",
 )  # fmt: skip
 
+CERTIFICATES = [
+    f"DASK_DISTRIBUTED__COMM__TLS__{part}" for part in ("CA_FILE", "CLIENT__CERT", "CLIENT__KEY")
+]
+"""Variables by which dask's own configuration is told the files of a client."""
+
 
 class ClusterRefused(Refused):
     """A cluster that cannot be used."""
@@ -178,6 +183,17 @@ class Cluster:
         if self._client is None or self._client.status in ("closed", "closing"):
             try:
                 self._client = Client(self.address, security=self.security, set_as_default=False)
+            except TypeError as error:
+                raise ClusterRefused(
+                    Problem(
+                        "E_CLUSTER",
+                        "a scheduler behind TLS is reached with certificates, and none are set",
+                        field="--cluster",
+                        found=self.address,
+                        expected=" ".join(CERTIFICATES),
+                        fix="Set these variables to the files; see docs/howto/cluster.md.",
+                    )
+                ) from error
             except (OSError, TimeoutError, ValueError, RuntimeError) as error:
                 raise ClusterRefused(
                     Problem(

@@ -143,11 +143,12 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
     address = cluster or (os.environ.get(SCHEDULER, "") if workers is None else "")
     if not address and not workers:
         return None
-    if find_spec("distributed") is None:
+    needed = {"distributed": "dask.distributed", "cryptography": "cryptography"}
+    if missing := [name for module, name in needed.items() if find_spec(module) is None]:
         raise Refused(
             Problem(
                 "E_MISSING",
-                "the library dask.distributed is not installed",
+                f"the library {missing[0]} is not installed",
                 field="--cluster" if address else "--workers",
                 fix='Install it: pip install "levkas[cluster]".',
             )
