@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
-import { across, upwards } from "../src/shared/plot";
-import { describeDoubts, levels, niceTop, runs, ticks, valueRange } from "../src/viewer/chart";
+import { across, levels, niceTop, ticks, upwards } from "../src/shared/plot";
+import { describeDoubts, runs, valueRange } from "../src/viewer/chart";
 import { thinOut } from "../src/workbench/curve";
 
 const BOX = { width: 360, height: 220, left: 40, right: 20, top: 10, bottom: 30 };
@@ -43,7 +43,7 @@ test("values below zero are within the range, and zero is a level", () => {
   ]);
   expect([low, top]).toEqual([expect.closeTo(-0.03, 12), expect.closeTo(0.6, 12)]);
   expect(levels(-0.03, 0.6)).toContain(0);
-  expect(levels(0, 1)).toEqual([0, 0.2, 0.4, 0.6000000000000001, 0.8, 1]);
+  expect(levels(0, 1)).toEqual([0, 0.2, 0.4, 0.6, 0.8, 1]);
   for (const top of [0.016, 0.6, 1.2, 3, 800]) {
     const count = levels(0, top).length;
     expect(count).toBeGreaterThan(2);

@@ -7,14 +7,17 @@ import tomllib
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 from typer.testing import CliRunner
 
 import levkas
 from levkas.building import build, status, summarise
 from levkas.building.charts import measure_charts
 from levkas.cli import app
+from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, observer_under_d65
 from levkas.core.digests import hash_file
 from levkas.core.problems import Refused
+from levkas.database.validation import validate
 from levkas.quality.targets.charts import CHARTS, reference_of
 
 CLASSIC = CHARTS["ColorChecker24"]
@@ -221,3 +224,77 @@ def test_black_patches_of_eight_bits_have_no_more_signal_to_noise_than_rounding_
         measure.table.snr[dark] < 1.6 * most[dark]
     ).all()  # a code is up to half a count from it
     assert np.median(measure.table.snr[dark] / most[dark]) < 1.1
+
+
+def photograph(*, encoded=True):
+    """A photograph of the chart, 8 bits, its colours as sRGB has them."""
+    grid, weights = observer_under_d65()
+    reference = reference_of(CLASSIC)
+    colours = reference.at(np.clip(grid, 380, 730)) @ weights @ np.linalg.inv(SRGB_TO_XYZ).T
+    picture = np.full((250, 350, 3), 0.15)
+    for i, (c, r) in enumerate(CLASSIC.centres.astype(int)):
+        y, x = 45 + 40 * r, 55 + 40 * c
+        picture[y + 3 : y + 37, x + 3 : x + 37] = colours[i]
+    noisy = np.clip(
+        picture + 0.0005 * np.random.default_rng(2).standard_normal(picture.shape), 0, 1
+    )
+    return encode_srgb(noisy) if encoded else np.rint(255 * noisy).astype(np.uint8)
+
+
+@pytest.mark.parametrize("encoded", [True, False])
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_a_chart_is_measured_in_a_finished_photograph(tmp_path, encoded, suffix):
+    path = tmp_path / f"chart.{suffix}"
+    Image.fromarray(photograph(encoded=encoded)).save(path)
+    result = CliRunner().invoke(app, ["chart", str(path), "--corners", CORNERS, "--json"])
+    (chart,) = json.loads(result.stdout)["charts"]
+    assert result.exit_code == 0
+    assert any(("encoded as sRGB" if encoded else "linear") in note for note in chart["notes"])
+    assert chart["indicators"][0]["value"] < (
+        1.0 if encoded else 2.5
+    )  # mean ΔE2000; dark codes are few
+    # The black patch of a linear photograph of 8 bits: a step of 1/255 hides its noise of 0.0005.
+    assert chart["patches"][23]["limited_by_quantisation"] == [not encoded] * 3
+
+
+def test_nothing_is_printed_on_the_output_where_nothing_was_measured(tmp_path):
+    Image.fromarray(np.full((200, 300, 3), 90, np.uint8)).save(tmp_path / "blank.png")
+    result = CliRunner().invoke(app, ["chart", str(tmp_path / "blank.png")])
+    assert result.exit_code == 1 and result.stdout == "" and "E_CHART_MISSING" in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["image", "bands"])
+def test_a_campaign_of_charts_alone_is_built(campaign, tmp_path, kind):
+    if kind == "image":
+        (tmp_path / "raw" / "macbeth").mkdir(parents=True)
+        Image.fromarray(photograph()).save(tmp_path / "raw" / "macbeth" / "1.png")
+        (tmp_path / "campaign.toml").write_text(
+            '[campaign]\ntitle = "Charts"\nreference = { camera = "vis", band = "G" }\n'
+            '[cameras.vis]\nkind = "image"\nfiles = "raw/{target}/{shot}.png"\n'
+            '[targets]\ncharts = { macbeth = "Colour Checker" }\n'
+        )
+    else:
+        for name in ("dark", "white", "macbeth"):
+            shutil.copytree(campaign / "raw" / name, tmp_path / "raw" / name)
+        keys = KEYS.replace('objects = ["panel"]\n', "").replace("ColorChecker24", "Farbkarte")
+        (tmp_path / "campaign.toml").write_text(keys)
+    made = summarise(build(tmp_path))
+    assert made.ok and not made.problems
+    page = (tmp_path / "database" / "cameras" / "vis" / "report.html").read_text()
+    assert "macbeth/vis" in page  # measured, or named where this OpenCV does not find it
+    assert validate(tmp_path / "database").ok
+
+
+def test_a_target_may_be_chart_and_object_at_once(tmp_path):
+    (tmp_path / "macbeth").mkdir()
+    Image.fromarray(photograph()).save(tmp_path / "macbeth" / "photo.png")
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\ntitle = "Charts"\nreference = { camera = "photo", band = "G" }\n'
+        '[cameras.photo]\nkind = "image"\nfiles = "{target}/photo.png"\n'
+        '[targets]\ncharts = { macbeth = "macbeth" }\nobjects = ["macbeth"]\n'
+    )
+    assert summarise(build(tmp_path)).ok
+    corners = np.array(CORNERS.split(","), float).reshape(4, 2)
+    layer = measure_charts(tmp_path / "database", objects=["macbeth"], corners=corners)
+    assert [m.name for m in layer.measures] == ["macbeth/photo"] and layer.ok
+    assert layer.measures[0].colours.difference.mean() < 1  # decoded, as the photograph itself

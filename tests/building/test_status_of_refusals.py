@@ -1,12 +1,15 @@
 """What status says after a build in which layers were refused: what a build would do, and no more."""
 
+import json
 import shutil
 
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from levkas.building import build, status, summarise
+from levkas.cli import app
 
 THIRD = """
 [cameras.uv]
@@ -55,6 +58,19 @@ def test_status_after_a_build_says_the_refusals_and_nothing_is_stale(refused):
     report = status(folder)
     assert states(report) == dict.fromkeys(lost, "refused")
     assert set(report.problems) == set(built.problems)
+
+
+def test_the_report_of_a_build_has_verdict_errors_and_reasons_of_every_layer(refused):
+    folder, _ = refused
+    result = CliRunner().invoke(app, ["build", str(folder), "--json"])
+    rows = {(row["object"], row["camera"]): row for row in json.loads(result.stdout)["layers"]}
+    right = rows["two", "infrared"]
+    assert right["verdict"] in ("accept", "warn") and right["reasons"]
+    assert right["held_out_px"] < 0.5 and 0 < right["checked_share"] <= 1
+    impostor, broken = rows["one", "infrared"], rows["three", "infrared"]
+    assert (impostor["verdict"], impostor["stage"]) == ("refuse", "register")
+    assert "levkas inspect" in impostor["next_step"] and impostor["reasons"] and impostor["codes"]
+    assert (broken["verdict"], broken["stage"]) == ("refuse", "calibrate")
 
 
 def test_a_second_build_does_what_status_says(refused, tmp_path):

@@ -19,6 +19,7 @@ from levkas.core.problems import Problem
 from levkas.core.text import parse_json
 
 NAME = "ro-crate-metadata.json"
+PREVIEW = "ro-crate-preview.html"
 PROFILE = "https://w3id.org/ro/crate/"
 DATE = re.compile(r"\d{4}(-\d\d(-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?)?)?)?")
 NO_URI = re.compile(r"""[\s<>"{}|\\^`]""")
@@ -53,6 +54,7 @@ def check_crate(folder: str | Path) -> list[Problem]:
         *_check_root(path, entities),
         *_check_references(path, entities),
         *_check_files(path, entities),
+        *_check_preview(path, document, entities),
     ]
 
 
@@ -61,6 +63,21 @@ def _check_context(path: Path, document: dict[str, Any]) -> Iterator[Problem]:
     parts = context if isinstance(context, list) else [context]
     if not any(isinstance(p, str) and p.startswith(PROFILE) for p in parts):
         yield _wrong(path, "@context", "it does not name RO-Crate's context")
+
+
+def _check_preview(
+    path: Path, document: dict[str, Any], entities: dict[str, Entity]
+) -> Iterator[Problem]:
+    """The page, where there is one, is described and holds a copy of the document in its head."""
+    page = path.with_name(PREVIEW)
+    if not page.is_file():
+        return
+    if entities.get(PREVIEW, {}).get("about") != {"@id": "./"}:
+        yield _wrong(path, PREVIEW, "the page is not described as being about ./")
+    head, _, _ = page.read_text(encoding="utf-8").partition("</head>")
+    copies = re.findall(r'<script type="application/ld\+json">(.*?)</script>', head, re.S)
+    if [parse_json(copy) for copy in copies] != [document]:
+        yield _wrong(path, PREVIEW, "the head of the page holds no copy of the document")
 
 
 def _check_entities(path: Path, graph: list[Entity]) -> Iterator[Problem]:
@@ -142,7 +159,7 @@ def _check_files(path: Path, entities: dict[str, Entity]) -> Iterator[Problem]:
     """Files and folders that are described stand there; those that stand there are described."""
     from levkas.database.manifest import list_files
 
-    root, folders, files = path.parent, [], {NAME, "manifest-sha256.txt"}
+    root, folders, files = path.parent, [], {NAME, PREVIEW, "manifest-sha256.txt"}
     for identifier, entity in entities.items():
         if not _is_data(identifier, entity) or identifier == "./":
             continue

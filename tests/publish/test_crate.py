@@ -1,13 +1,15 @@
 import json
+import re
 import shutil
 import warnings
+from urllib.parse import unquote
 
 import pytest
 
 from levkas.core.json_safe import to_json
 from levkas.publish.crate import NAME
 
-from .crate_rules import ask_validator, check_crate
+from .crate_rules import PREVIEW, ask_validator, check_crate
 
 STEPS = {
     "object": "icon1",
@@ -114,6 +116,8 @@ BREAKS = {
     "is no URI": lambda g: g.update({"#a b": {"@id": "#a b", "@type": "Thing"}}),
     "web site": lambda g: g.update({"#w": {"@id": "#w", "@type": "WebSite"}}),
     "no @type": lambda g: g["catalogue.csv"].pop("@type"),
+    "preview": lambda g: g[PREVIEW].pop("about"),
+    "copy": lambda g: g["./"].update(name="Another name"),
 }
 
 
@@ -126,6 +130,18 @@ def test_each_broken_rule_is_found(folder, name):
     (folder / NAME).write_text(to_json(document))
     problems = check_crate(folder)
     assert problems and all(p.code == "E_CRATE" and p.field for p in problems)
+
+
+def test_the_page_of_the_crate_leads_to_every_file_and_tells_every_step(folder):
+    page = (folder / PREVIEW).read_text(encoding="utf-8")
+    assert "http-equiv" in page and "default-src 'none'" in page
+    links = {unquote(link) for link in re.findall(r'href="([^"#]+)"', page) if ":" not in link}
+    assert {link for link in links if not (folder / link).is_file()} == set()
+    files = {unquote(i) for i, e in graph_of(folder).items() if e["@type"] == "File"}
+    assert files <= links and len(files) > 20
+    body = page.partition("</head>")[2]
+    row = body.partition("Calibrated on native pixels")[2].partition("</tr>")[0]
+    assert "Levkas 0.0.9" in row and "icon1_vis.tif" in row
 
 
 def test_two_entities_of_one_id_are_found(folder):

@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from levkas.core.digests import hash_tree
-from levkas.publish.iiif import LOCAL, cut_tiles, never_html
+from levkas.publish.iiif import cut_tiles, never_html
+from levkas.publish.publication import LOCAL
 
 from .iiif_rules import check_iiif, tile_names
 
@@ -55,6 +56,8 @@ def test_the_library_reads_manifest_and_collection_again(folder):
     manifest = iiif_prezi3.Manifest(**json.loads((folder / "iiif/icon1/manifest.json").read_text()))
     (canvas,) = manifest.items
     assert (canvas.width, canvas.height) == (120, 90)
+    record = json.loads(manifest.json())
+    assert record["items"][0]["label"] == record["label"] == {"none": ["The icon1"]}
     body = json.loads(manifest.json())["items"][0]["items"][0]["items"][0]["body"]
     assert body["type"] == "Choice"
     labels = [item["label"]["en"][0].split(":")[0] for item in body["items"]]
@@ -69,6 +72,15 @@ def test_all_addresses_are_below_the_one_that_was_given_and_lead_to_files(folder
     text = (folder / "iiif/icon1/manifest.json").read_text()
     assert "https://example.org/icons/iiif/icon1/vis/full/max/0/default.jpg" in text
     assert '"rights": "http://creativecommons.org/licenses/by/4.0/"' in text
+    for name in ("icon1/manifest.json", "collection.json"):
+        record = json.loads((folder / "iiif" / name).read_text())
+        told = record["requiredStatement"]["value"]["none"]
+        assert told[0].startswith("Painter, Ada (2019). Icons of Levkas.")
+        assert told[1].startswith("Licence: Creative Commons Attribution 4.0 International <https")
+        leads = [one["id"] for one in [*record["homepage"], *record["seeAlso"]]]
+        base = "https://example.org/icons/"
+        assert all((folder / lead.removeprefix(base)).is_file() for lead in leads)
+        assert base + "catalogue.csv" in leads
 
 
 def broken(path, change):

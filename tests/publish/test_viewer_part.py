@@ -33,16 +33,36 @@ def test_every_page_leads_to_what_stands_beside_it_and_the_medium_edition_has_pa
     folder = publish(database, editions="both", iiif=True)
     assert validate(folder).ok and validate(folder / "medium").ok
     pages = [folder / "index.html", *sorted(folder.glob("viewer/objects/*/index.html"))]
+    pages.append(folder / "README.html")
     pages += [folder / "medium" / page.relative_to(folder) for page in pages]
     for page in pages:
         links = re.findall(r'href="([^"#]+)"', page.read_text(encoding="utf-8"))
-        inside = [unquote(link) for link in links if "://" not in link]
+        inside = [unquote(link) for link in links if ":" not in link]
         missing = [link for link in inside if not (page.parent / link).is_file()]
         assert inside and missing == []
     text = pages[1].read_text(encoding="utf-8")
-    for name in ("iiif/icon1/manifest.json", "ro-crate-metadata.json", "medium/index.html"):
+    for name in ("iiif/icon1/manifest.json", "ro-crate-preview.html", "medium/index.html"):
         assert f"../../../{name}" in text
     assert "medium edition" in (folder / "medium/index.html").read_text(encoding="utf-8")
+
+
+def test_a_report_leads_to_the_viewer_once_there_is_one(database, publish):
+    try:
+        read_built("sheet.js")
+    except ScreenMissing:
+        pytest.skip("the pages are not built: run `make frontend`")
+    from levkas.database.manifest import write_manifest
+    from levkas.pages.page import ObjectReport, render_page
+
+    address = "../../viewer/objects/icon1/index.html"
+    page = render_page("report.html", page=ObjectReport("Icon", (), "vis", (), viewer=address))
+    (database / "objects/icon1/report.html").write_text(page, encoding="utf-8")
+    write_manifest(database)
+    assert f'<a hidden href="{address}">' in page
+    folder = publish(database, editions="full", iiif=False)
+    made = (folder / "objects/icon1/report.html").read_text(encoding="utf-8")
+    assert f'<a href="{address}">' in made and (folder / "objects/icon1" / address).is_file()
+    assert made.replace("<a href", "<a hidden href") == page.replace("<a href", "<a hidden href")
 
 
 def test_without_built_pages_the_viewer_is_left_out_and_that_is_said(database, monkeypatch):

@@ -1,11 +1,14 @@
 // The line between A, left of it, and B, right of it: dragged, or moved with the arrow keys.
+import { signal } from "@preact/signals-core";
 import { make } from "./element";
+import type { Point } from "./pane";
 
 const STEP = 0.02;
 
-/** A line over a pane; `fraction` is where it stands, 0 left to 1 right. */
+/** A line over a pane. */
 export class Curtain {
-  fraction = 0.5;
+  /** Where the line stands, 0 left to 1 right. */
+  readonly place = signal(0.5);
   readonly line = make(
     "div",
     {
@@ -51,8 +54,13 @@ export class Curtain {
     this.line.hidden = !on;
   }
 
+  /** Where the line stands, 0 left to 1 right. */
+  get fraction(): number {
+    return this.place.peek();
+  }
+
   move(fraction: number): void {
-    this.fraction = Math.min(1, Math.max(0, fraction));
+    this.place.value = Math.min(1, Math.max(0, fraction));
     this.line.style.left = `${100 * this.fraction}%`;
     this.line.setAttribute("aria-valuenow", String(Math.round(100 * this.fraction)));
     this.onMove();
@@ -66,3 +74,17 @@ const MOVES: Record<string, number> = {
   PageUp: 5 * STEP,
 };
 const ENDS: Record<string, number> = { Home: 0, End: 1 };
+
+/** The part of a picture right of an upright line on screen through a place: left, top, width and height. */
+export function beyond(
+  [x, y]: Point,
+  turned: number,
+  [width, height]: Point,
+): [number, number, number, number] {
+  const across = Math.min(Math.max(x, 0), width - 1e-3);
+  const down = Math.min(Math.max(y, 0), height - 1e-3);
+  if (turned === 90) return [0, 0, width, down];
+  if (turned === 180) return [0, 0, across, height];
+  if (turned === 270) return [0, down, width, height - down];
+  return [across, 0, width - across, height];
+}

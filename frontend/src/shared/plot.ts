@@ -1,4 +1,5 @@
-// Charts in SVG: they take their colours from the style sheet, print sharply, and their text is text.
+// Charts in SVG, one module for all pages: axes, titles, ticks and clipping. They take their colours from the
+// style sheet, print sharply, and their text is text.
 // uPlot would be 51 kB, an eighth of each page, and leave error bars, gaps and marks to be drawn here.
 import { draw } from "./element";
 import type { Point } from "./pane";
@@ -44,6 +45,71 @@ export function level(
     draw("line", { x1: left, x2: width - right, y1: y, y2: y, class: kind }),
     draw("text", { x: left - 6, y: y + 3.5, "text-anchor": "end" }, text),
   );
+}
+
+/** Draw the title of the horizontal axis at the lower right, that of the vertical one upright on the left. */
+export function titles(box: Box, across: string, upwards: string): SVGElement[] {
+  const { width, height, right, top, bottom } = box;
+  const corner = { x: width - right, y: height - 2, "text-anchor": "end" };
+  const middle = (top + height - bottom) / 2;
+  const turned = { "text-anchor": "middle", transform: `translate(11 ${middle}) rotate(-90)` };
+  return [
+    draw("text", { ...corner, class: "unit" }, across),
+    draw("text", { ...turned, class: "unit" }, upwards),
+  ];
+}
+
+/** Write numbers under the horizontal axis, at `x` of each. */
+export function footers(
+  box: Box,
+  x: (value: number) => number,
+  values: readonly number[],
+  words: (value: number) => string = String,
+): SVGElement[] {
+  const place = { y: box.height - 14, "text-anchor": "middle" };
+  return values.map((value) => draw("text", { x: x(value), ...place }, words(value)));
+}
+
+/** A group of what is drawn within the frame: what lies outside is cut there, a mark's breadth further. */
+export function clipped(box: Box, ...inside: SVGElement[]): SVGElement {
+  const { left, right, top, bottom, width, height } = box;
+  const id = `frame-${++frames}`;
+  const size = { width: width - left - right + 12, height: height - top - bottom + 8 };
+  const area = draw("rect", { x: left - 6, y: top - 4, ...size });
+  const group = draw("g", { "clip-path": `url(#${id})` }, ...inside);
+  return draw("g", {}, draw("defs", {}, draw("clipPath", { id }, area)), group);
+}
+
+let frames = 0;
+
+const LEVEL_STEPS = [1, 2, 2.5, 5, 10];
+const TICK_STEPS = [1, 2, 5, 10];
+const TOPS = [1, 1.2, 1.6, 2, 3, 4, 6, 8, 10];
+
+/** Round values from `low` to `top`, about five; 0 is among them where it lies between. */
+export function levels(low: number, top: number): number[] {
+  const power = 10 ** Math.floor(Math.log10((top - low) / 4));
+  const step = power * LEVEL_STEPS.find((n) => n * power * 5 >= top - low)!;
+  return multiples(step, low, top);
+}
+
+/** Round values from `from` to `to`, seven at most. */
+export function ticks(from: number, to: number): number[] {
+  const power = 10 ** Math.floor(Math.log10((to - from) / 6.5));
+  const step = power * TICK_STEPS.find((n) => (to - from) / (n * power) <= 6.5)!;
+  return multiples(step, from, to);
+}
+
+function multiples(step: number, low: number, top: number): number[] {
+  const first = Math.ceil(low / step - 1e-9);
+  const count = Math.floor(top / step + 1e-9) - first + 1;
+  return Array.from({ length: count }, (_, i) => Number(((first + i) * step).toPrecision(12)) || 0);
+}
+
+/** The least round number that is not below a value. */
+export function niceTop(value: number): number {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return (TOPS.find((n) => n * power >= value) ?? 10) * power;
 }
 
 /** Places as SVG writes them. */

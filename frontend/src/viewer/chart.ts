@@ -2,7 +2,19 @@
 // A value that is not to be trusted is a hollow, struck mark, and no line leads through it.
 import { draw } from "../shared/element";
 import type { Point } from "../shared/pane";
-import { across, joined, level, startChart, upwards } from "../shared/plot";
+import {
+  across,
+  clipped,
+  footers,
+  joined,
+  level,
+  levels,
+  niceTop,
+  startChart,
+  ticks,
+  titles,
+  upwards,
+} from "../shared/plot";
 import { marksOf } from "./numbers";
 import type { Layer, Mark } from "./record";
 import type { Spectrum } from "./spectra";
@@ -30,9 +42,6 @@ export type Range = [low: number, top: number];
 const BOX = { width: 360, height: 220, left: 52, right: 16, top: 10, bottom: 30 };
 const GAP_NM = 80; // a line is not drawn over a wider gap
 const OUTSIDE = 1; // the flag of a pixel that a camera did not see
-const STEPS_NM = [10, 20, 50, 100, 200, 500];
-const TOPS = [1, 1.2, 1.6, 2, 3, 4, 6, 8, 10];
-const LEVEL_STEPS = [1, 2, 2.5, 5, 10];
 
 /** Draw curves of one quantity; null where there is nothing to draw over wavelength. */
 export function drawChart(
@@ -57,45 +66,20 @@ export function drawChart(
     const text = String(Number(value.toPrecision(3)));
     chart.append(level(BOX, y(value), text, value ? "grid" : "axis"));
   }
-  chart.append(...drawAxes(from, to, x, quantity), frame());
-  const inside = draw("g", { "clip-path": "url(#chart-frame)" });
+  chart.append(...footers(BOX, x, ticks(from, to)), ...titles(BOX, "Wavelength, nm", quantity));
+  const inside: SVGElement[] = [];
   for (const { colour, samples } of series) {
     const narrow = runs(samples.filter(({ broad }) => !broad));
     const lines = narrow.flatMap((run) => drawLine(run, place));
     const points = samples.filter(({ broad }) => broad).flatMap((one) => drawPoint(one, x, place));
     const doubtful = samples.filter(({ doubts }) => doubts.length);
-    inside.append(
+    inside.push(
       draw("g", { stroke: colour, fill: colour }, ...lines, ...points),
       ...doubtful.map((one) => drawDoubt(one, colour, place)),
     );
   }
-  chart.append(inside);
+  chart.append(clipped(BOX, ...inside));
   return chart;
-}
-
-function drawAxes(
-  from: number,
-  to: number,
-  x: (nm: number) => number,
-  quantity: string,
-): SVGElement[] {
-  const foot = { y: BOX.height - 14, "text-anchor": "middle" };
-  const corner = { x: BOX.width - BOX.right, y: BOX.height - 2, "text-anchor": "end" };
-  const middle = (BOX.top + BOX.height - BOX.bottom) / 2;
-  const beside = { "text-anchor": "middle", transform: `translate(11 ${middle}) rotate(-90)` };
-  return [
-    ...ticks(from, to).map((nm) => draw("text", { x: x(nm), ...foot }, String(nm))),
-    draw("text", { ...corner, class: "unit" }, "Wavelength, nm"),
-    draw("text", { ...beside, class: "unit" }, quantity),
-  ];
-}
-
-/** What lies outside a range that is kept is cut at the frame. */
-function frame(): SVGElement {
-  const { left, right, top, bottom, width, height } = BOX;
-  const size = { width: width - left - right + 12, height: height - top - bottom + 8 };
-  const area = draw("rect", { x: left - 6, y: top - 4, ...size });
-  return draw("defs", {}, draw("clipPath", { id: "chart-frame" }, area));
 }
 
 function drawLine(run: Sample[], place: (nm: number, value: number) => Point): SVGElement[] {
@@ -197,15 +181,6 @@ export function valueRange(samples: Pick<Sample, "value" | "sigma">[]): Range {
   return [least < 0 ? -niceTop(-least) : 0, niceTop(Math.max(...upper, 1e-6))];
 }
 
-/** Round values from `low` to `top`, about five; 0 is among them where it lies between. */
-export function levels(low: number, top: number): number[] {
-  const power = 10 ** Math.floor(Math.log10((top - low) / 4));
-  const step = power * LEVEL_STEPS.find((n) => n * power * 5 >= top - low)!;
-  const first = Math.ceil(low / step - 1e-9);
-  const count = Math.floor(top / step + 1e-9) - first + 1;
-  return Array.from({ length: count }, (_, i) => (first + i) * step || 0);
-}
-
 /** Cut samples where the gap to the one before is too wide for a line, and at values not to be trusted. */
 export function runs<T extends { nm: number; doubts: unknown[] }>(samples: T[]): T[][] {
   const result: T[][] = [];
@@ -224,17 +199,4 @@ export function runs<T extends { nm: number; doubts: unknown[] }>(samples: T[]):
 function rangeOf(values: number[]): [number, number] {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   return low === high ? [low - 50, high + 50] : [low, high];
-}
-
-/** Round wavelengths from `from` to `to`, seven at most. */
-export function ticks(from: number, to: number): number[] {
-  const step = STEPS_NM.find((s) => (to - from) / s <= 6.5) ?? 1000;
-  const first = Math.ceil(from / step) * step;
-  return Array.from({ length: Math.floor((to - first) / step) + 1 }, (_, i) => first + i * step);
-}
-
-/** The least round number that is not below a value. */
-export function niceTop(value: number): number {
-  const power = 10 ** Math.floor(Math.log10(value));
-  return (TOPS.find((n) => n * power >= value) ?? 10) * power;
 }

@@ -2,6 +2,7 @@
 import { proposeThree } from "../shared/falsecolour";
 import type { Layer as Tiles } from "../shared/pane";
 import type { Layer, Picture } from "./record";
+import { loadPicture } from "./tiles";
 
 const INKS = ["#f00", "#0f0", "#00f"];
 const MIX = /^mix-(\d+)-(\d+)-(\d+)$/;
@@ -61,46 +62,36 @@ export function pictureOf(layer: Layer, key: string): Picture | undefined {
   };
 }
 
-/** The address of one tile of a picture. */
-export function addressOf(
-  { folder, format }: Picture,
-  level: number,
-  x: number,
-  y: number,
-): string {
-  return `${folder.split("/").map(encodeURIComponent).join("/")}/${level}/${x}_${y}.${format}`;
-}
-
-interface Job {
-  src: string;
-  finish(data: CanvasRenderingContext2D, request: null, type: string): void;
-  fail(message: string, request: null): void;
-}
-
-/** What OpenSeadragon needs to show a mixture: a tile is asked for by the addresses of its three parts. */
-export function mixedSource(parts: Picture[]): Tiles["source"] {
+/** What OpenSeadragon needs to show a picture, or a mixture: its tiles stand in script files. */
+export function sourceOf(picture: Picture): Tiles["source"] {
+  const parts = picture.mixed ?? [picture];
   return {
-    getTileUrl: (level, x, y) => parts.map((part) => addressOf(part, level, x, y)).join("|"),
+    tileSize: picture.tile,
+    tileOverlap: picture.overlap,
+    minLevel: picture.least,
+    maxLevel: picture.most,
+    getTileUrl: (level, x, y) =>
+      parts.map(({ folder }) => `${folder}/${level}/${x}_${y}`).join("|"),
     downloadTileStart: (job: Job) => {
-      Promise.all(job.src.split("|").map(loadImage)).then(
-        (images) => job.finish(blend(images), null, "context2d"),
-        () => job.fail("a band cannot be read", null),
+      Promise.all(job.src.split("|").map((key) => loadPicture(key, picture.format))).then(
+        (images) =>
+          picture.mixed
+            ? job.finish(blend(images), null, "context2d")
+            : job.finish(images[0]!, null, "image"),
+        () => job.fail("a tile cannot be read", null),
       );
     },
     downloadTileAbort: () => {},
   } as Tiles["source"];
 }
 
-function loadImage(address: string): Promise<HTMLImageElement> {
-  return new Promise((resolve, reject) => {
-    const image = new Image();
-    image.onload = () => resolve(image);
-    image.onerror = () => reject(new Error(`${address} cannot be read`));
-    image.src = address;
-  });
+interface Job {
+  src: string;
+  finish(data: CanvasRenderingContext2D | HTMLImageElement, request: null, type: string): void;
+  fail(message: string, request: null): void;
 }
 
-/** Ink each grey picture in its colour, and add them up. Nothing is read back: a page from file:// may not. */
+/** Ink each grey picture in its colour, and add them up. */
 function blend(images: HTMLImageElement[]): CanvasRenderingContext2D {
   const { naturalWidth, naturalHeight } = images[0]!;
   const [sum, one] = [sheet(naturalWidth, naturalHeight), sheet(naturalWidth, naturalHeight)];

@@ -10,6 +10,7 @@ const GROUPS: [Picture["kind"], string][] = [
   ["colour", "As seen"],
   ["light", "Under another light"],
   ["map", "How far to trust it"],
+  ["analysis", "Computed from its bands"],
   ["band", "Single bands"],
 ];
 

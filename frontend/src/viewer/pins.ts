@@ -2,16 +2,19 @@
 import { effect } from "@preact/signals-core";
 import { make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { saveChart } from "../shared/svgfile";
+import { numbersOf, type Address } from "./address";
 import { drawChart, samplesOf, type Curve } from "./chart";
+import { freeName, LONGEST_NAME } from "./names";
 import { csvRows, CSV_HEAD, quoted } from "./numbers";
 import type { Layer, PageRecord } from "./record";
 import { parseReference, spectralAngle, type Reference } from "./reference";
 import type { LayerSpectra, Spectra, Spectrum } from "./spectra";
 import type { Pin, State } from "./state";
 
-export const MOST_PINS = 24;
-export const LONGEST_NAME = 60;
+const MOST_PINS = 24;
 const CURVES = 8; // colours of the style sheet, --curve-1 and on
+const GREY = "var(--soft)";
 const LARGEST_FILE = 2_000_000; // bytes
 
 /** The colour of the pin of a number, from 0. */
@@ -41,6 +44,11 @@ export class PinList {
   );
   private readonly message = make("p", { class: "note-line soft", role: "status" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save places as CSV");
+  private readonly saveDrawing = make(
+    "button",
+    { type: "button", class: "small" },
+    "Save spectra as SVG",
+  );
   private reference: Reference | null = null;
   private turn = 0;
 
@@ -50,6 +58,7 @@ export class PinList {
     spectra: LayerSpectra,
     private readonly state: State,
     private readonly go: (place: Point) => void,
+    address: Address,
   ) {
     this.sources = [...spectra]
       .filter(([{ bands }]) => bands.length)
@@ -61,7 +70,15 @@ export class PinList {
     const keep = make("button", { type: "button", class: "small" }, "Keep this place");
     const load = make("button", { type: "button", class: "small" }, "Load a reference (CSV)…");
     const compared = make("label", { class: "compared" }, "Spectra of ", this.choice);
-    const tools = make("div", { class: "pin-tools" }, this.save, load, this.forget, this.file);
+    const tools = make(
+      "div",
+      { class: "pin-tools" },
+      this.save,
+      this.saveDrawing,
+      load,
+      this.forget,
+      this.file,
+    );
     host.append(
       make("div", { class: "pin-tools" }, keep, compared),
       this.list,
@@ -75,6 +92,7 @@ export class PinList {
     this.forget.addEventListener("click", () => this.use(null));
     this.choice.addEventListener("change", () => void this.refresh());
     this.save.addEventListener("click", () => void this.saveAll());
+    this.saveDrawing.addEventListener("click", () => this.saveChart());
     effect(() => {
       keep.disabled = !state.pin.value || state.pins.value.length >= MOST_PINS;
     });
@@ -82,16 +100,46 @@ export class PinList {
       this.save.disabled = !state.pins.value.length;
       void this.refresh();
     });
+    this.register(address, most?.layer.name ?? "");
+  }
+
+  private register(address: Address, fresh: string): void {
+    const { pin, pins } = this.state;
+    const { width, height } = this.record.grid;
+    address.add({
+      signals: [pin],
+      write: (facts) => {
+        if (pin.value) facts.set("pin", pin.value.map((at) => at.toFixed(2)).join());
+      },
+      read: (facts) => {
+        const place = numbersOf(facts, "pin", 2);
+        pin.value = place && [place[0]!, place[1]!];
+      },
+    });
+    address.addChoice("spectra", this.choice, () => fresh);
+    const readPin = (text: string): Pin[] => {
+      const [x, y, ...rest] = text.split(",");
+      const at: Point = [Number(x), Number(y)];
+      const inside = at[0] >= 0 && at[1] >= 0 && at[0] <= width - 1 && at[1] <= height - 1;
+      return inside ? [{ name: rest.join().slice(0, LONGEST_NAME), at }] : [];
+    };
+    address.add({
+      signals: [pins],
+      write: (facts) => {
+        for (const { name, at } of pins.value)
+          facts.append("kept", [...at.map((value) => value.toFixed(2)), name].join());
+      },
+      read: (facts) => {
+        pins.value = facts.getAll("kept").slice(0, MOST_PINS).flatMap(readPin);
+      },
+    });
   }
 
   /** Keep the place that is pinned. */
   keep(): void {
     const { pin, pins } = this.state;
     if (!pin.value || pins.value.length >= MOST_PINS) return;
-    const taken = new Set(pins.value.map(({ name }) => name));
-    let number = pins.value.length + 1;
-    while (taken.has(`Place ${number}`)) number++;
-    pins.value = [...pins.value, { name: `Place ${number}`, at: pin.value }];
+    pins.value = [...pins.value, { name: freeName(pins.value, "Place"), at: pin.value }];
   }
 
   private async load(): Promise<void> {
@@ -132,6 +180,7 @@ export class PinList {
     const quantity = reflectance ? "Reflectance" : "Counts";
     const chart = known.length ? drawChart(known, { quantity, marks: flags, range: null }) : null;
     this.drawing.replaceChildren(...(chart ? [chart] : []));
+    this.saveDrawing.disabled = !chart;
     this.forget.hidden = !this.reference;
     this.message.textContent = message || this.explain();
   }
@@ -182,6 +231,17 @@ export class PinList {
     pins.value = pins.value.flatMap((old, i) => (i !== number ? [old] : pin ? [pin] : []));
   }
 
+  private saveChart(): void {
+    const chart = this.drawing.querySelector<SVGElement>("svg");
+    if (!chart) return;
+    const { object, credits } = this.record;
+    const curves = this.state.pins.value.map(({ name }, i) => ({ colour: pinColour(i), name }));
+    if (this.reference) curves.push({ colour: GREY, name: this.reference.name });
+    const title = `${object.title}, spectra of ${this.choice.value}`;
+    const lines = [title, ...(this.reference ? [this.explain()] : []), ...credits];
+    saveChart(`${object.name}_places.svg`, chart, { title, curves, lines });
+  }
+
   private async saveAll(): Promise<void> {
     const lines = await Promise.all(
       this.state.pins.value.map(async (pin) => {
@@ -222,7 +282,7 @@ function curveOf({ nm, values }: Reference): Curve {
   }));
   return {
     layer: { bands },
-    colour: "var(--soft)",
+    colour: GREY,
     spectrum: { values: Float32Array.from(values), sigma: null, flags: null },
   };
 }

@@ -1,6 +1,8 @@
 // The pixel under the cursor: every camera's spectrum with sigma, and where each camera recorded it.
 import { make, saveFile, swatch } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { saveChart } from "../shared/svgfile";
+import { numbersOf, type Address } from "./address";
 import { describeDoubts, drawChart, type Range } from "./chart";
 import { Lattice } from "./lattice";
 import { describeChannels, numbersTable, toCsv, type Reading } from "./numbers";
@@ -26,6 +28,7 @@ export class Readout {
   private readonly key = make("ul", { class: "key" });
   private readonly table = make("table", { class: "numbers" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save as CSV");
+  private readonly saveDrawing = make("button", { type: "button", class: "small" }, "Save as SVG");
   private readonly hidden = new Set<Layer>();
   private turn = 0;
   private pixel: Point | null = null;
@@ -36,6 +39,7 @@ export class Readout {
     private readonly record: PageRecord,
     spectra: LayerSpectra,
     private readonly hint: string,
+    address: Address,
   ) {
     this.sources = record.layers
       .filter((layer) => layer.bands.length)
@@ -54,9 +58,34 @@ export class Readout {
       make("div", scroll, this.table),
     );
     const keep = make("label", { class: "keep" }, this.keep, " Keep this range of values");
-    host.append(this.place, this.drawing, keep, this.key, numbers, this.save);
-    this.keep.addEventListener("change", () => this.render(this.pixel, this.readings));
+    host.append(
+      this.place,
+      this.drawing,
+      keep,
+      this.key,
+      numbers,
+      this.save,
+      " ",
+      this.saveDrawing,
+    );
+    this.keep.addEventListener("change", () => {
+      this.render(this.pixel, this.readings);
+      address.remember();
+    });
+    address.add({
+      carried: true,
+      write: (facts) => {
+        if (this.keep.checked && this.range) facts.set("range", this.range.join());
+      },
+      read: (facts) => {
+        const [low, top] = numbersOf(facts, "range", 2) ?? [0, 0];
+        this.keep.checked = top! > low!;
+        if (this.keep.checked) this.range = [low!, top!];
+        this.render(this.pixel, this.readings);
+      },
+    });
     this.save.addEventListener("click", () => this.saveTable());
+    this.saveDrawing.addEventListener("click", () => this.saveChart());
     this.clear();
   }
 
@@ -100,6 +129,7 @@ export class Readout {
     this.key.replaceChildren(...readings.map((reading) => this.keyOf(reading)));
     this.table.replaceChildren(...numbersTable(readings, this.record.flags));
     this.save.disabled = !pixel;
+    this.saveDrawing.disabled = !chart;
   }
 
   private keyOf({ layer, colour, native, spectrum, failure }: Reading): HTMLElement {
@@ -142,6 +172,18 @@ export class Readout {
     return scale
       ? ` · ${((x + 0.5) / scale).toFixed(1)}, ${((y + 0.5) / scale).toFixed(1)} mm`
       : "";
+  }
+
+  private saveChart(): void {
+    const chart = this.drawing.querySelector<SVGElement>("svg");
+    if (!chart || !this.pixel) return;
+    const { object, credits } = this.record;
+    const curves = this.readings
+      .filter(({ layer, spectrum }) => spectrum && !this.hidden.has(layer))
+      .map(({ layer, colour }) => ({ colour, name: layer.name }));
+    const place = `${object.title}, pixel ${this.pixel.join(", ")}${this.millimetres(this.pixel)}`;
+    const caption = { title: place, curves, lines: [place, ...credits] };
+    saveChart(`${object.name}_${this.pixel.join("_")}.svg`, chart, caption);
   }
 
   private saveTable(): void {

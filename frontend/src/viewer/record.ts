@@ -9,7 +9,7 @@ export interface Legend {
 export interface Picture {
   key: string;
   label: string;
-  kind: "colour" | "light" | "band" | "map" | "mix";
+  kind: "colour" | "light" | "band" | "map" | "mix" | "analysis";
   /** Of a mixture: its red, green and blue part. */
   mixed?: Picture[];
   note: string;
@@ -82,7 +82,22 @@ export interface Mark {
   trusted: boolean;
 }
 
+/** The IIIF canvas of the object: what notes name as their target. */
+export interface CanvasFacts {
+  id: string;
+  manifest: string;
+  width: number;
+  height: number;
+}
+
 export interface PageRecord {
+  /** What tells this database from others whose notes the browser keeps. */
+  database: string;
+  canvas: CanvasFacts;
+  /** How to cite the database, and its licence. */
+  credits: string[];
+  /** Notes that were published, as Web Annotations. */
+  notes: unknown[];
   object: { name: string; title: string };
   grid: { width: number; height: number; px_per_mm: number | null };
   reference: string;

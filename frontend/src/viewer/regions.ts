@@ -2,31 +2,49 @@
 import { effect } from "@preact/signals-core";
 import { draw, make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
-import { across, joined, level, startChart, upwards, type Box } from "../shared/plot";
-import { drawChart, niceTop, type Curve } from "./chart";
-import type { RegionLayer } from "./drawing";
+import { saveChart } from "../shared/svgfile";
+import {
+  across,
+  clipped,
+  footers,
+  joined,
+  level,
+  niceTop,
+  startChart,
+  ticks,
+  titles,
+  upwards,
+  type Box,
+} from "../shared/plot";
+import { drawChart, type Curve } from "./chart";
+import type { Address } from "./address";
+import type { Drawing } from "./drawing";
+import { describeArea } from "./measures";
+import { freeName, LONGEST_NAME } from "./names";
 import { quoted, shortest } from "./numbers";
-import { LONGEST_NAME, pinColour } from "./pins";
+import { pinColour } from "./pins";
 import type { Layer, PageRecord } from "./record";
-import { KINDS, type Kind, type Region } from "./shapes";
+import { areaOf, fromText, KINDS, toText, type Kind, type Region } from "./shapes";
 import type { LayerSpectra } from "./spectra";
 import type { State } from "./state";
 import { histogram, measure, type Histogram, type Statistics } from "./statistics";
 
-export const MOST_REGIONS = 12;
+const MOST_REGIONS = 12;
 const BINS = 40;
-const BOX: Box = { width: 360, height: 130, left: 52, right: 16, top: 8, bottom: 26 };
+const BOX: Box = { width: 360, height: 136, left: 52, right: 16, top: 8, bottom: 32 };
 
 export class RegionPanel {
   private readonly choice = make("select", { "aria-label": "Layer that regions are measured in" });
   private readonly band = make("select", { "aria-label": "Band of the histogram" });
   private readonly list = make("ol", { class: "pins" });
-  private readonly drawing = make("div", { class: "drawing" });
+  private readonly plots = make("div", { class: "drawing" });
   private readonly bars = make("div", { class: "drawing histogram" });
   private readonly message = make("p", { class: "note-line soft", role: "status" });
   private readonly save = make("button", { type: "button", class: "small" }, "Save regions as CSV");
+  private readonly files: HTMLButtonElement[] = [];
   private readonly tools: HTMLButtonElement[];
   private readonly measured = new Map<string, Promise<Statistics>>();
+  private shown: (Histogram & { name: string })[] = [];
   private turn = 0;
 
   constructor(
@@ -34,8 +52,9 @@ export class RegionPanel {
     private readonly record: PageRecord,
     private readonly spectra: LayerSpectra,
     private readonly state: State,
-    private readonly sheets: RegionLayer[],
+    private readonly drawing: Drawing,
     view: () => [Point, Point],
+    address: Address,
   ) {
     for (const { name } of spectra.keys())
       this.choice.append(make("option", { value: name }, name));
@@ -46,56 +65,87 @@ export class RegionPanel {
       make("div", { class: "pin-tools" }, ...parts);
     const compared = make("label", { class: "compared" }, "Measured in ", this.choice);
     const shown = make("label", { class: "compared" }, "Histogram of ", this.band);
+    this.files.push(
+      this.fileButton("Save spectra of regions as SVG", () => this.saveSpectra()),
+      this.fileButton("Save histogram as SVG", () => this.saveHistogram()),
+      this.fileButton("Save histogram as CSV", () => this.saveCounts()),
+    );
     const parts = [line(...this.tools, whole), line(compared, shown)];
-    host.append(...parts, this.list, this.drawing, this.bars, this.message, line(this.save));
-    for (const sheet of sheets) {
-      sheet.onDrawn = (kind, points) => this.add(kind, points);
-      sheet.onEnd = () => this.end();
-    }
+    host.append(
+      ...parts,
+      this.list,
+      this.plots,
+      this.bars,
+      this.message,
+      line(this.save, ...this.files),
+    );
     this.choice.addEventListener("change", () => this.chooseLayer());
     this.band.addEventListener("change", () => void this.refresh());
     this.save.addEventListener("click", () => void this.saveAll());
     this.offerBands();
     effect(() => {
       const regions = state.regions.value;
-      this.save.disabled = !regions.length;
+      for (const button of [this.save, ...this.files]) button.disabled = !regions.length;
       for (const button of [...this.tools, whole]) button.disabled = regions.length >= MOST_REGIONS;
-      const shapes = regions.map((region, i) => ({ region, colour: pinColour(i) }));
-      for (const sheet of sheets) sheet.show(shapes);
+      const outlines = regions.map((shape, i) => ({
+        shape,
+        colour: pinColour(i),
+        label: String(i + 1),
+      }));
+      drawing.show("regions", outlines);
       void this.refresh();
     });
+    this.register(address);
   }
 
   private tool(kind: Kind): HTMLButtonElement {
     const attributes = { type: "button", class: "small", "aria-pressed": "false" };
     const button = make("button", attributes, kind[0]!.toUpperCase() + kind.slice(1));
     button.addEventListener("click", () => {
-      const chosen = button.getAttribute("aria-pressed") === "true";
-      for (const sheet of this.sheets) sheet.cancel();
-      if (chosen) return;
-      button.setAttribute("aria-pressed", "true");
-      for (const sheet of this.sheets) sheet.start(kind);
-      this.message.textContent =
-        kind === "polygon"
-          ? "Click the corners; a double click or Enter closes the polygon, Esc gives it up."
-          : `Drag over the painting${kind === "circle" ? ", from the middle outwards" : ""}; Esc gives it up.`;
+      if (button.getAttribute("aria-pressed") === "true") this.drawing.cancel();
+      else void this.sketch(kind, button);
     });
     return button;
   }
 
-  private end(): void {
-    for (const button of this.tools) button.setAttribute("aria-pressed", "false");
-    for (const sheet of this.sheets) if (sheet.drawing) sheet.cancel();
+  /** Let a person draw a region. */
+  private async sketch(kind: Kind, button: HTMLElement): Promise<void> {
+    const done = this.drawing.begin(kind);
+    button.setAttribute("aria-pressed", "true");
+    this.message.textContent =
+      kind === "polygon"
+        ? "Click the corners; a double click or Enter closes the polygon, Esc gives it up."
+        : `Drag over the painting${kind === "circle" ? ", from the middle outwards" : ""}; Esc gives it up.`;
+    const points = await done;
+    button.setAttribute("aria-pressed", "false");
     this.message.textContent = "";
+    if (points) this.add(kind, points);
   }
 
   private add(kind: Kind, points: Point[]): void {
     const { regions } = this.state;
     if (regions.value.length >= MOST_REGIONS) return;
-    const taken = new Set(regions.value.map(({ name }) => name));
-    let number = regions.value.length + 1;
-    while (taken.has(`Region ${number}`)) number++;
-    regions.value = [...regions.value, { name: `Region ${number}`, kind, points }];
+    const name = freeName(regions.value, "Region");
+    regions.value = [...regions.value, { name, kind, points }];
+  }
+
+  private register(address: Address): void {
+    const { regions } = this.state;
+    const [first] = this.spectra.keys();
+    address.addChoice("measured", this.choice, () => first?.name ?? "");
+    address.addChoice("histogram", this.band, () => String(this.layer?.reference_band ?? 0));
+    address.add({
+      signals: [regions],
+      write: (facts) => {
+        for (const region of regions.value) facts.append("region", toText(region));
+      },
+      read: (facts) => {
+        regions.value = facts
+          .getAll("region")
+          .slice(0, MOST_REGIONS)
+          .flatMap((text) => fromText(text, KINDS, LONGEST_NAME) ?? []);
+      },
+    });
   }
 
   private get layer(): Layer | undefined {
@@ -140,6 +190,7 @@ export class RegionPanel {
       );
       if (turn !== this.turn) return;
       this.fill(regions, found, facts.band);
+      this.shown = bars.flatMap((one, i) => (one ? [{ ...one, name: regions[i]!.name }] : []));
       this.plot(layer, found, bars);
       this.message.textContent = regions.length
         ? "Lines are means; the band about them is one standard deviation of the pixels, not of the mean."
@@ -162,8 +213,8 @@ export class RegionPanel {
     const quantity = layer.quantity === "reflectance" ? "Reflectance" : "Counts";
     const options = { quantity, marks: this.record.flags, range: null };
     const chart = curves.length ? drawChart(curves, options) : null;
-    this.drawing.replaceChildren(...(chart ? [chart] : []));
-    const drawn = drawHistograms(bars, `Pixels over ${quantity.toLowerCase()}`);
+    this.plots.replaceChildren(...(chart ? [chart] : []));
+    const drawn = drawHistograms(bars, quantity);
     this.bars.replaceChildren(...(drawn ? [drawn] : []));
   }
 
@@ -193,7 +244,7 @@ export class RegionPanel {
     const { means, spreads, counts, pixels } = found;
     const digits = (value: number | undefined): string =>
       value !== undefined && Number.isFinite(value) ? value.toPrecision(4) : "–";
-    const numbers = `${digits(means[band])} ± ${digits(spreads[band])} · ${counts[band] ?? 0} of ${pixels} px sound`;
+    const numbers = `${digits(means[band])} ± ${digits(spreads[band])} · ${counts[band] ?? 0} of ${pixels} px sound · ${describeArea(areaOf(region), this.record.grid.px_per_mm)}`;
     const words = make("span", { class: "region-words soft" }, numbers);
     Object.assign(words.dataset, { mean: means[band], spread: spreads[band], n: counts[band] });
     return make("li", { class: "region-row" }, badge, name, remove, words);
@@ -204,6 +255,46 @@ export class RegionPanel {
     regions.value = regions.value.flatMap((old, i) =>
       i !== number ? [old] : region ? [region] : [],
     );
+  }
+
+  private fileButton(words: string, save: () => void): HTMLButtonElement {
+    const button = make("button", { type: "button", class: "small" }, words);
+    button.addEventListener("click", save);
+    return button;
+  }
+
+  private saveSpectra(): void {
+    this.saveDrawing(this.plots, `spectra of ${this.choice.value}`, "regions");
+  }
+
+  private saveHistogram(): void {
+    this.saveDrawing(this.bars, this.bandName, "histogram");
+  }
+
+  /** The layer and the band of the histogram. */
+  private get bandName(): string {
+    return `${this.choice.value}, ${this.band.selectedOptions[0]?.label ?? ""}`;
+  }
+
+  private saveDrawing(host: HTMLElement, what: string, name: string): void {
+    const chart = host.querySelector<SVGElement>("svg");
+    if (!chart) return;
+    const { object, credits } = this.record;
+    const curves = this.state.regions.value.map(({ name }, i) => ({ colour: pinColour(i), name }));
+    const title = `${object.title}, ${what}`;
+    saveChart(`${object.name}_${name}.svg`, chart, { title, curves, lines: [title, ...credits] });
+  }
+
+  /** Save the bars of the histogram: the values between which each lies, and its pixels. */
+  private saveCounts(): void {
+    const rows = this.shown.flatMap(({ name, counts, low, high }) => {
+      const width = (high - low) / counts.length;
+      const edge = (i: number): string => shortest(Math.fround(low + i * width));
+      const first = [name, this.choice.value, this.band.selectedOptions[0]?.label ?? ""];
+      return counts.map((n, i) => [...first.map(quoted), edge(i), edge(i + 1), n].join());
+    });
+    const text = ["region,layer,band,from,to,pixels", ...rows, ""].join("\n");
+    saveFile(`${this.record.object.name}_histogram.csv`, text, "text/csv");
   }
 
   private async saveAll(): Promise<void> {
@@ -225,7 +316,7 @@ export class RegionPanel {
 }
 
 /** Histograms of one band over each other, as steps; null where there is nothing to draw. */
-function drawHistograms(bars: (Histogram | null)[], label: string): SVGElement | null {
+function drawHistograms(bars: (Histogram | null)[], quantity: string): SVGElement | null {
   const known = bars.flatMap((one, i) => (one ? [{ ...one, colour: pinColour(i) }] : []));
   if (!known.length) return null;
   const low = Math.min(...known.map((one) => one.low));
@@ -233,24 +324,20 @@ function drawHistograms(bars: (Histogram | null)[], label: string): SVGElement |
   const top = niceTop(Math.max(...known.flatMap(({ counts }) => counts)));
   const [from, to] = low === high ? [low - 0.5, high + 0.5] : [low, high];
   const [x, y] = [across(BOX, from, to), upwards(BOX, 0, top)];
-  const chart = startChart(BOX, label);
+  const chart = startChart(BOX, `Pixels over ${quantity.toLowerCase()}`);
   for (const value of [0, top / 2, top])
     chart.append(level(BOX, y(value), String(value), value ? "grid" : "axis"));
-  for (const [value, anchor] of [
-    [from, "start"],
-    [to, "end"],
-  ] as const) {
-    const place = { x: x(value), y: BOX.height - 10, "text-anchor": anchor };
-    chart.append(draw("text", place, value.toPrecision(3)));
-  }
-  for (const { low: first, high: last, counts, colour } of known) {
+  const words = (value: number): string => String(Number(value.toPrecision(3)));
+  chart.append(...footers(BOX, x, ticks(from, to), words), ...titles(BOX, quantity, "Pixels"));
+  const steps = known.map(({ low: first, high: last, counts, colour }) => {
     const width = (last - first) / counts.length || (to - from) / counts.length;
     const points = counts.flatMap<Point>((n, i) => [
       [x(first + i * width), y(n)],
       [x(first + (i + 1) * width), y(n)],
     ]);
-    const steps = draw("polyline", { points: joined(points), class: "line" });
-    chart.append(draw("g", { stroke: colour, fill: colour }, steps));
-  }
+    const line = draw("polyline", { points: joined(points), class: "line" });
+    return draw("g", { stroke: colour, fill: colour }, line);
+  });
+  chart.append(clipped(BOX, ...steps));
   return chart;
 }

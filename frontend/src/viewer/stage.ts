@@ -3,7 +3,7 @@ import OpenSeadragon from "openseadragon";
 import { make } from "../shared/element";
 import { Pane, type Layer, type PaneOptions, type Point } from "../shared/pane";
 import { Stage, type Wanted } from "../shared/stage";
-import { addressOf, mixedSource } from "./mixing";
+import { sourceOf } from "./mixing";
 import { pinColour } from "./pins";
 import type { Picture } from "./record";
 import type { Pin, Slot, State } from "./state";
@@ -84,14 +84,7 @@ function layerOf(slot: Slot, picture: Picture): Layer {
   return {
     key: `${slot} ${picture.folder} ${picture.key}`,
     size: [picture.width, picture.height],
-    source: {
-      tileSize: picture.tile,
-      tileOverlap: picture.overlap,
-      minLevel: picture.least,
-      maxLevel: picture.most,
-      getTileUrl: (level, x, y) => addressOf(picture, level, x, y),
-      ...(picture.mixed ? mixedSource(picture.mixed) : {}),
-    },
+    source: sourceOf(picture),
   };
 }
 

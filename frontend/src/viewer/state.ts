@@ -1,8 +1,9 @@
 // What the page of one object shows: a picture in A, one in B, how they are compared, and the pin.
 import { signal } from "@preact/signals-core";
 import type { Point } from "../shared/pane";
+import type { Note } from "./annotations";
 import type { Layer, Picture } from "./record";
-import type { Region } from "./shapes";
+import type { Region, Shape } from "./shapes";
 
 export type Slot = "a" | "b";
 
@@ -17,6 +18,12 @@ export interface Pin {
   at: Point;
 }
 
+/** A length or an area that is measured. */
+export interface Measure extends Shape {
+  name: string;
+  kind: Exclude<Shape["kind"], "place">;
+}
+
 export class State {
   readonly a = signal<Choice | null>(null);
   readonly b = signal<Choice | null>(null);
@@ -26,6 +33,14 @@ export class State {
   readonly pins = signal<Pin[]>([]);
   /** Regions that are measured. */
   readonly regions = signal<Region[]>([]);
+  /** Lengths and areas that are measured. */
+  readonly measures = signal<Measure[]>([]);
+  /** Notes that the reader wrote. */
+  readonly notes = signal<Note[]>([]);
+  /** Whether pins, shapes and notes are marked on the painting. */
+  readonly marks = signal(true);
+  /** Whether a grid lies over the painting. */
+  readonly grid = signal(false);
 
   swap(): void {
     const { a, b } = this;

@@ -1,6 +1,7 @@
 // Data that stands in script files, as a page from file:// may not fetch anything.
 
 const waiting = new Map<string, (payload: unknown) => void>();
+const loading = new Map<string, Promise<unknown>>();
 
 declare global {
   var levkasTile: (key: string, payload: unknown) => void;
@@ -10,19 +11,41 @@ globalThis.levkasTile = (key, payload) => waiting.get(key)?.(payload);
 
 /** Load a script file and return what it holds under `key`; rejects where it is not there. */
 export function loadScript(address: string, key: string): Promise<unknown> {
+  const same = loading.get(key);
+  if (same) return same;
+  const found = insert(address, key).finally(() => {
+    waiting.delete(key);
+    loading.delete(key);
+  });
+  loading.set(key, found);
+  return found;
+}
+
+function insert(address: string, key: string): Promise<unknown> {
   return new Promise((resolve, reject) => {
     const script = document.createElement("script");
     waiting.set(key, resolve);
     script.async = true;
     script.src = address.split("/").map(encodeURIComponent).join("/");
-    script.addEventListener("error", () => reject(new Error(`${address} cannot be read`)));
+    script.addEventListener("error", () => {
+      script.remove();
+      reject(new Error(`${address} cannot be read`));
+    });
     script.addEventListener("load", () => {
       script.remove();
-      waiting.delete(key);
       reject(new Error(`${address} holds nothing under ${key}`)); // no effect where it does
     });
     document.head.append(script);
   });
+}
+
+/** Load a picture that a script file holds in base64; a page from file:// may read and save it, unlike a picture file. */
+export async function loadPicture(key: string, format: string): Promise<HTMLImageElement> {
+  const text = await loadScript(`${key}.js`, key);
+  const image = new Image();
+  image.src = `data:image/${format === "jpg" ? "jpeg" : format};base64,${String(text)}`;
+  await image.decode();
+  return image;
 }
 
 /** Base64 to bytes. */

@@ -18,36 +18,45 @@ import type { Point } from "../shared/pane";
 import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
-import { RegionLayer } from "./drawing";
+import { Address, numbersOf } from "./address";
+import { Drawing } from "./drawing";
 import { LayerList } from "./layers";
-import { LONGEST_NAME, MOST_PINS, PinList } from "./pins";
+import { startCopying } from "./linking";
+import { MeasurePanel } from "./measures";
+import { NotePanel } from "./notes";
+import { savePicture } from "./picture";
+import { PinList } from "./pins";
 import { Readout } from "./readout";
 import { readRecord } from "./record";
-import { MOST_REGIONS, RegionPanel } from "./regions";
+import { RegionPanel } from "./regions";
 import { ScaleBar } from "./scalebar";
 import { openSpectra } from "./spectra";
-import { fromText, toText } from "./shapes";
 import { PaintingStage } from "./stage";
-import { State, type Pin, type Slot } from "./state";
+import { State, type Slot } from "./state";
 import { fillToolbar, MODES } from "./toolbar";
 
 const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
-const SAVE_AFTER_MS = 300;
+// Of what addresses carry: what the words above them say, and what changes no picture.
+const NO_SETTINGS = "a b c d mode curtain rate grid marks measured histogram spectra range".split(
+  " ",
+);
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
 const { width, height } = record.grid;
 const state = new State();
+const address = new Address();
 const stage = new PaintingStage(find("stage"), [record.grid.width, record.grid.height], state);
 const layers = new LayerList(find("layers"), record, state);
 const spectra = openSpectra(record.layers);
-const readout = new Readout(find("spectrum"), record, spectra, HINT);
-const pins = new PinList(find("pins"), record, spectra, state, (place) => {
+const readout = new Readout(find("spectrum"), record, spectra, HINT, address);
+const go = (place: Point): void => {
   state.pin.value = place;
   stage.look(...place, stage.heading[2], false);
-});
-const sheets = [new RegionLayer(stage.left), new RegionLayer(stage.right)];
+};
+const pins = new PinList(find("pins"), record, spectra, state, go, address);
+const drawing = new Drawing([stage.left, stage.right]);
 const inView = (): [Point, Point] => {
   const box = stage.left.host.getBoundingClientRect();
   const [low, high] = [
@@ -56,12 +65,18 @@ const inView = (): [Point, Point] => {
   ];
   return [within(low), within(high)];
 };
-new RegionPanel(find("regions"), record, spectra, state, sheets, inView);
+new RegionPanel(find("regions"), record, spectra, state, drawing, inView, address);
+const notes = new NotePanel(find("notes"), record, state, {
+  drawing,
+  go,
+  here: () => state.pin.value ?? within(stage.left.centre),
+});
+const measures = new MeasurePanel(find("measures"), record, state, drawing, address);
 const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
 startTheme(find<HTMLButtonElement>("theme"));
 find("stage").append(scaleBar.element);
-fillToolbar(find("modes"), find("settings"), stage);
+fillToolbar({ modes: find("modes"), settings: find("settings") }, stage, address);
 stage.setMode("single");
 layers.onCompare = () => {
   if (stage.mode.value === "single") stage.setMode("curtain");
@@ -77,6 +92,10 @@ effect(() => {
   document.body.dataset["mode"] = stage.mode.value;
 });
 watch([state.a, state.b], () => void stage.load());
+watch([state.grid], () => {
+  measures.scaleGrid(stage.left.scale, scaleBar);
+  drawing.render();
+});
 
 // --- the pixel under the cursor -------------------------------------------------------------------
 
@@ -97,6 +116,7 @@ stage.onPick = (pixel) => {
   state.pin.value = apart * stage.left.scale < NEAR_PX ? null : pixel;
 };
 
+effect(() => void find("stage").classList.toggle("bare", !state.marks.value));
 effect(() => {
   const pin = state.pin.value;
   stage.mark(pin, state.pins.value);
@@ -166,12 +186,29 @@ const keys: Key[] = [
   arrowKey("Shift ← ↑ → ↓", "Move the pin by a pixel", true, (event) =>
     movePin(...direction(event)),
   ),
-  key("P", ["p"], "Keep the pinned place", () => pins.keep()),
-  key("Enter", ["Enter"], "Close the polygon that is drawn", () => {
-    for (const sheet of sheets) sheet.close();
-  }),
+  key(
+    "P",
+    ["p"],
+    "Keep the pinned place; while one draws: take it, or the middle, as a corner",
+    () => {
+      if (drawing.active) drawing.add(state.pin.value ?? stage.left.centre);
+      else pins.keep();
+    },
+  ),
+  key("M", ["m"], "Measure a length", () => void measures.start("line")),
+  key("G", ["g"], "Grid on and off", () => (state.grid.value = !state.grid.value)),
+  key("N", ["n"], "Write a note on the pinned place, or the middle of the view", () =>
+    notes.writeHere(),
+  ),
+  key(
+    "H",
+    ["h"],
+    "Marks on the painting on and off",
+    () => (state.marks.value = !state.marks.value),
+  ),
+  key("Enter", ["Enter"], "End the line or polygon that is drawn", () => drawing.close()),
   key("Esc", ["Escape"], "Give up what is drawn, or let go of the pin", () => {
-    if (sheets.some(({ drawing }) => drawing)) for (const sheet of sheets) sheet.cancel();
+    if (drawing.active) drawing.cancel();
     else state.pin.value = null;
   }),
   key("?", ["?"], "This page", () => help.showModal()),
@@ -186,77 +223,66 @@ find("help-button").addEventListener("click", () => help.showModal());
 
 // --- the address remembers what is shown ----------------------------------------------------------
 
-let saving = 0;
-
-function remember(): void {
-  clearTimeout(saving);
-  saving = window.setTimeout(() => {
-    const [x, y, scale] = stage.heading;
-    const facts = new URLSearchParams({ mode: stage.mode.value });
-    facts.set("at", [x, y].map((at) => at.toFixed(1)).join());
-    facts.set("scale", scale.toPrecision(5));
-    for (const slot of ["a", "b"] as const) {
+for (const [i, slot] of (["a", "b"] as const).entries())
+  address.add({
+    signals: [state[slot]],
+    carried: true,
+    write: (facts) => {
       const choice = state[slot].value;
       if (choice) facts.set(slot, `${choice.layer.name}/${choice.picture.key}`);
-    }
-    // Other objects keep how they are looked at, not where.
-    for (const id of ["previous", "next"]) {
-      const link = document.getElementById(id);
-      const shown = ["mode", "a", "b"].map((name) => [name, facts.get(name) ?? ""]);
-      if (link instanceof HTMLAnchorElement)
-        link.hash = new URLSearchParams(shown.filter(([, value]) => value)).toString();
-    }
-    if (state.pin.value) facts.set("pin", state.pin.value.map((at) => at.toFixed(2)).join());
-    for (const { name, at } of state.pins.value)
-      facts.append("kept", [...at.map((value) => value.toFixed(2)), name].join());
-    for (const region of state.regions.value) facts.append("region", toText(region));
-    history.replaceState(null, "", `#${facts.toString()}`);
-  }, SAVE_AFTER_MS);
-}
-
-function recall(): void {
-  const facts = new URLSearchParams(location.hash.slice(1));
-  for (const [i, slot] of (["a", "b"] as const).entries()) {
-    const name = facts.get(slot) ?? "";
-    const cut = name.lastIndexOf("/");
-    const layer = layers.layers.find((one) => one.name === name.slice(0, cut));
-    const fallback = layers.layers[i] ?? layers.layers[0];
-    layers.choose(slot, layer ?? fallback, layer && name.slice(cut + 1));
-  }
-  const mode = MODES.find(({ value }) => value === facts.get("mode"));
-  if (mode) stage.setMode(mode.value);
-  const numbers = (name: string): number[] | null => {
-    const values = facts.get(name)?.split(",").map(Number);
-    return values?.every(Number.isFinite) ? values : null;
-  };
-  const [at, scale, pin] = [numbers("at"), numbers("scale"), numbers("pin")];
-  if (at?.length === 2 && scale && scale[0]! > 0) stage.look(at[0]!, at[1]!, scale[0]!);
-  state.pin.value = pin?.length === 2 ? [pin[0]!, pin[1]!] : null;
-  state.regions.value = facts
-    .getAll("region")
-    .slice(0, MOST_REGIONS)
-    .flatMap((text) => fromText(text, LONGEST_NAME) ?? []);
-  state.pins.value = facts.getAll("kept").slice(0, MOST_PINS).flatMap(readPin);
-}
-
-/** Read a kept place from an address, "x,y,name"; none where it is not on the painting. */
-function readPin(text: string): Pin[] {
-  const [x, y, ...rest] = text.split(",");
-  const at: Point = [Number(x), Number(y)];
-  const inside = at[0] >= 0 && at[1] >= 0 && at[0] <= width - 1 && at[1] <= height - 1;
-  return inside ? [{ name: rest.join().slice(0, LONGEST_NAME), at }] : [];
-}
-
-if (layers.layers.length) {
-  recall();
-  addEventListener("hashchange", () => {
-    if (location.hash.includes("=")) recall(); // a link was pasted over this one
+    },
+    read: (facts) => {
+      const name = facts.get(slot) ?? "";
+      const cut = name.lastIndexOf("/");
+      const layer = layers.layers.find((one) => one.name === name.slice(0, cut));
+      const fallback = layers.layers[i] ?? layers.layers[0];
+      layers.choose(slot, layer ?? fallback, layer && name.slice(cut + 1));
+    },
   });
-  watch([state.a, state.b, state.pin, state.pins, state.regions, stage.mode], remember);
+address.add({
+  signals: [stage.mode],
+  carried: true,
+  write: (facts) => facts.set("mode", stage.mode.value),
+  read: (facts) => {
+    const mode = MODES.find(({ value }) => value === facts.get("mode"))?.value ?? "single";
+    if (mode !== stage.mode.value) stage.setMode(mode);
+  },
+});
+address.add({
+  write: (facts) => {
+    const [x, y, scale] = stage.heading;
+    facts.set("at", [x, y].map((at) => at.toFixed(1)).join());
+    facts.set("scale", scale.toPrecision(5));
+  },
+  read: (facts) => {
+    const [at, scale] = [numbersOf(facts, "at", 2), numbersOf(facts, "scale", 1)];
+    if (at && scale && scale[0]! > 0) stage.look(at[0]!, at[1]!, scale[0]!);
+  },
+});
+const say = (sentence: string): void => void (find("said").textContent = sentence);
+startCopying(find<HTMLButtonElement>("copy-link"), address, say);
+find("save-picture").addEventListener("click", () => {
+  const choices = [state.a, state.b].flatMap(({ value }) => value ?? []);
+  const shown = stage.mode.value === "single" ? choices.slice(0, 1) : choices;
+  const notes = shown.map(({ layer, picture }) => picture.note && `${layer.name}: ${picture.note}`);
+  const settings = address.settings(NO_SETTINGS);
+  const lines = [
+    find("caption").textContent,
+    `${MODES.find(({ value }) => value === stage.mode.value)?.label ?? ""}${settings && `; ${settings}`}.`,
+    ...new Set(notes),
+    ...record.credits,
+  ];
+  const legend = { title: record.object.title, bar: scaleBar.shown, lines: lines.filter(Boolean) };
+  const name = `${record.object.name}_${stage.mode.value}.png`;
+  void savePicture(find("stage"), name, legend).then(say);
+});
+if (layers.layers.length) {
+  address.start();
   stage.onMove = () => {
     scaleBar.update(stage.left.scale);
-    for (const sheet of sheets) sheet.show();
-    remember();
+    measures.scaleGrid(stage.left.scale, scaleBar);
+    drawing.render();
+    address.remember();
   };
 }
 

@@ -1,10 +1,20 @@
 // The largest error of each round of the removal, logarithmically; a click leads to a round.
 import { draw, make } from "../shared/element";
 import type { Point } from "../shared/pane";
-import { across, joined, level, startChart, upwards } from "../shared/plot";
+import {
+  across,
+  clipped,
+  footers,
+  joined,
+  level,
+  startChart,
+  ticks,
+  titles,
+  upwards,
+} from "../shared/plot";
 import type { SessionState } from "./record";
 
-const BOX = { width: 320, height: 84, left: 34, right: 6, top: 4, bottom: 16 };
+const BOX = { width: 320, height: 128, left: 48, right: 10, top: 6, bottom: 30 };
 const LEAST_PX = 1e-3;
 const LABEL =
   "Largest error by round, px, logarithmic; the words below say that of the round shown";
@@ -39,15 +49,18 @@ export class Curve {
       chart.append(level(BOX, y(10 ** power), String(10 ** power)));
     const [left, right] = [BOX.left, BOX.width - BOX.right];
     const stop = y(session.stop);
-    const foot = BOX.height - 3;
     const points = thinOut(values, 2 * BOX.width).map(([i, value]): Point => [x(i), y(value)]);
     const at = { cx: x(round + 1), cy: y(values[round + 1] ?? values[0]!) };
+    const rounds = ticks(0, Math.max(values.length - 1, 1)).filter(Number.isInteger);
     chart.append(
-      draw("text", { x: left, y: foot }, "largest error, px"),
-      draw("text", { x: right, y: foot, "text-anchor": "end" }, "round"),
-      draw("line", { x1: left, x2: right, y1: stop, y2: stop, class: "stop" }),
-      draw("polyline", { points: joined(points), class: "line" }),
-      draw("circle", { ...at, r: 4, class: "shown" }),
+      ...footers(BOX, x, rounds),
+      ...titles(BOX, "Round", "Largest error, px"),
+      clipped(
+        BOX,
+        draw("line", { x1: left, x2: right, y1: stop, y2: stop, class: "stop" }),
+        draw("polyline", { points: joined(points), class: "line" }),
+        draw("circle", { ...at, r: 4, class: "shown" }),
+      ),
     );
     this.root.replaceChildren(chart);
   }

@@ -31,9 +31,9 @@ from levkas.building.native_cubes import (
     require_memory,
     write_native,
 )
+from levkas.building.scan_parts import PARTS, pictures_of, write_scan
 from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
 from levkas.building.spectra import broad_centroids, white_reflectance
-from levkas.building.streaming import write_scan
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
@@ -50,7 +50,7 @@ from levkas.calibration.templates import CalibrationRefused, Template, describe_
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
-from levkas.core.files import together
+from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
@@ -86,18 +86,27 @@ def write_calibrated(
     capture: Capture,
     campaign: Campaign,
     places: Places,
+    cuts: Sequence[int],
     before: Callable[[], object],
 ) -> Written:
-    """Write a calibrated capture in native pixels; `before` as of `core.files.together`."""
+    """Write a calibrated capture in native pixels; `before` as of `core.files.together`, `cuts` of `write_scan`."""
     credits = credits_of(campaign, capture.object, made.captured or "")
     centroids = broad_centroids(campaign, capture.camera, capture.bands)
+    pictures = pictures_of(places, capture)
     with together(before):
         if isinstance(made, Native):
             for cube in made.cubes.values():
-                require_space(places.output, least_bytes(cube))
+                noisy = cube.sigma is not None
+                least = least_bytes(cube.values.size, cube.quantity, noisy=noisy)
+                require_space(places.output, least)
             files = write_native(made, capture, places, credits, centroids)
         else:
-            files = write_scan(made, capture, places, credits, centroids)
+            files = write_scan(made, capture, places, credits, centroids, cuts)
+            if cuts:
+                made.keep_pictures(pictures)
+        for left in (pictures, pictures.with_name(PARTS)):
+            if left.exists() and not cuts:  # of a build by several workers
+                remove(left)
     notes = {
         "quantity": made.quantity,
         "warnings": list(made.warnings),
@@ -105,7 +114,8 @@ def write_calibrated(
         "learnt": dict(made.learnt),
         "focus": focus_of(made) if isinstance(made, Native) else made.summary.focus,
     }
-    return Written(files, notes, warnings=made.warnings)
+    aside = (pictures,) if cuts else ()
+    return Written(files, notes, aside=aside, warnings=made.warnings)
 
 
 def load_calibrated(
@@ -117,7 +127,10 @@ def load_calibrated(
 ) -> Native | Scan:
     """Read back what `write_calibrated` wrote, without sigma; `notes` as it returned them."""
     if is_streamed(capture, campaign):
-        return open_scan(capture, campaign, templates)
+        pictures = pictures_of(places, capture)
+        scan = open_scan(capture, campaign, templates)
+        scan.pictures = pictures if pictures.is_file() else None
+        return scan
     warnings = tuple(notes.get("warnings", ()))
     return read_native(capture, places, notes.get("quantity", "counts"), warnings)
 

@@ -12,7 +12,7 @@ from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key, Written, key_of
 from levkas.building.capture_statistics import FEW_BANDS, SENSELS, levels_of
 from levkas.building.fingerprints import digest, written
-from levkas.building.graph import calibrated_cameras, page_key
+from levkas.building.graph import cameras_with_pages, page_key
 from levkas.building.sources import code_version
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
@@ -49,13 +49,18 @@ class CameraPage:
     charts: Sequence[Capture]
     refused: tuple[Problem, ...]
 
+    @property
+    def first(self) -> Capture:
+        """A capture that tells bands and sensors."""
+        return [*self.captures, *self.charts][0]
+
 
 def camera_pages(
     campaign: Campaign, captures: Sequence[Capture], index: FileIndex
 ) -> dict[Key, CameraPage]:
-    """Return the pages of a campaign's cameras; plain images, where nothing is calibrated, have none."""
-    cameras = calibrated_cameras(campaign, captures)
+    """Return the pages of a campaign's cameras; plain images without a chart have none."""
     charts, refusals = find_charts(campaign, index) if campaign.targets.charts else ([], {})
+    cameras = cameras_with_pages(campaign, captures, charts)
     return {
         page_key(camera): CameraPage(
             camera,
@@ -82,8 +87,8 @@ def write_camera_page(
     measures, problems, made = _measured(page, campaign, places, templates, learnt)
     write_text(path, _page(page.camera, campaign, learnt, measures, problems))
     described = path.parent / "camera.json"
-    write_json(described, describe_camera(campaign, page.captures[0], learnt))
-    made += [path, described, *write_sensitivity(path.parent, campaign, page.captures[0])]
+    write_json(described, describe_camera(campaign, page.first, learnt))
+    made += [path, described, *write_sensitivity(path.parent, campaign, page.first)]
     # A chart that cannot be measured is no fault of the objects: said, not refused.
     warnings = tuple(written(campaign, problem) for problem in problems)
     return Written(made, {"warnings": list(warnings)}, warnings=warnings)
@@ -91,7 +96,7 @@ def write_camera_page(
 
 def prints_of_page(page: CameraPage, campaign: Campaign, records: BuildRecords) -> dict[str, Any]:
     """Return the fingerprint of a camera's page."""
-    keys, described, first = campaign.cameras[page.camera], campaign.campaign, page.captures[0]
+    keys, described, first = campaign.cameras[page.camera], campaign.campaign, page.first
     prints: dict[str, Any] = {
         "code": code_version("camera"),
         "campaign.title": described.title,

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from glob import escape
-from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.core.cube import Band, Cube
+from levkas.building.chart_files import (
+    Subject,
+    greatest_code,
+    is_database,
+    subjects_of,
+)
+from levkas.core.cube import Cube
 from levkas.core.problems import Problem, Refused
-from levkas.database.containment import check_inside
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
@@ -23,7 +26,8 @@ from levkas.quality.targets.charts import (
     reference_of,
 )
 from levkas.quality.targets.locating import locate_in_cube
-from levkas.quality.targets.measuring import ChartMeasure, Sighting, measure
+from levkas.quality.targets.measuring import ChartMeasure, Sighting, decode_sighting, measure
+from levkas.readers.frames import read_facts
 
 if TYPE_CHECKING:
     from levkas.building.native_cubes import Native
@@ -78,7 +82,8 @@ def measure_charts(
         files = [Subject(path.name, chart_of(kind), {"": path}, True)]
         return _measure_cubes(files, report, corners, reference)
     if is_database(path):
-        layers = subjects_of(path, kind, cameras=cameras, objects=objects)
+        known = corners is not None
+        layers = subjects_of(path, kind, cameras=cameras, objects=objects, corners=known)
         found = _measure_cubes(layers, report, corners, reference)
         if not found.measures and not found.problems:
             found.problems.append(
@@ -114,10 +119,11 @@ def _measure_cubes(
         notes: tuple[str, ...] = ()
         try:
             for sensor, path in subject.files.items():
-                cube, notes = read_cube_file(path)
+                cube, notes, top = subject.read(path)
                 near = seen[0].located.corners if seen else None
                 found = locate_in_cube(cube, subject.chart, spectra, corners=corners, near=near)
-                seen.append(Sighting(sensor, found, cube))
+                sighting = Sighting(sensor, found, cube)
+                seen.append(decode_sighting(sighting, subject.chart, top) if top else sighting)
             made = measure(subject.name, subject.chart, seen, spectra, notes=notes)
             report.measures.append(made)
         except Refused as refused:
@@ -203,25 +209,35 @@ class Developed:
 
     cubes: dict[str, Cube]
     shots: dict[str, tuple[np.ndarray, np.ndarray]]
-    mosaics: frozenset[str]
+    patterns: dict[str, np.ndarray]
+    """Band of each sensel, of sensors with a mosaic."""
     captured: str = ""
     steps: dict[str, tuple[float, ...]] = field(default_factory=dict)
     """What a step from code to code is of the values of each band."""
     count: int = 1
     """Shots that the values are the mean of, in the band of fewest."""
+    top: float | None = None
+    """Greatest code of a finished photograph, which is not calibrated; else None."""
 
 
 def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
     """Calibrate a chart's frames in two halves where every band has two shots, else as one."""
     from levkas.building.calibrate import develop
+    from levkas.calibration.patterns import channel_table
 
-    mosaics = frozenset(s.name for s in capture.sensors if s.pattern is not None)
-    parts = None if campaign.cameras[capture.camera].kind == "cube" else _halves(capture)
+    patterns = {
+        s.name: channel_table(s.pattern, [band.label for band in s.bands])
+        for s in capture.sensors
+        if s.pattern is not None
+    }
+    kind = campaign.cameras[capture.camera].kind
+    top = greatest_code(read_facts(capture.sensors[0].object[0].path)) if kind == "image" else None
+    parts = None if kind == "cube" else _halves(capture)
     if parts is None:
         whole = develop(capture, campaign, templates)
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
-        return Developed(dict(whole.cubes), {}, mosaics, whole.captured or "", steps, most)
+        return Developed(dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, top)
     first, second = (develop(part, campaign, templates) for part in parts)
     cubes, shots = {}, {}
     for name, a in first.cubes.items():
@@ -230,7 +246,7 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         cubes[name] = Cube((a.values + b.values) / 2, a.flags | b.flags, sigma, a.bands, a.quantity)
         shots[name] = (a.values, b.values)
     count = 2 * min(_shots_of(parts[0]))
-    return Developed(cubes, shots, mosaics, first.captured or "", _steps_of(first), count)
+    return Developed(cubes, shots, patterns, first.captured or "", _steps_of(first), count, top)
 
 
 def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
@@ -285,8 +301,10 @@ def measure_capture(
         near = seen[0].located.corners if seen else None
         found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
         shots, steps = made.shots.get(sensor), made.steps.get(sensor)
-        seen.append(Sighting(sensor, found, cube, shots, steps, made.count))
-    return measure(name, chart, seen, reference, mosaics=made.mosaics, uniformity=uniformity)
+        pattern = made.patterns.get(sensor)
+        sighting = Sighting(sensor, found, cube, shots, steps, made.count, pattern)
+        seen.append(decode_sighting(sighting, chart, made.top) if made.top else sighting)
+    return measure(name, chart, seen, reference, uniformity=uniformity)
 
 
 @dataclass(frozen=True)
@@ -354,154 +372,6 @@ def _span(values: np.ndarray) -> str:
     return f"{good.min():.1f} to {good.max():.1f}" if good.size else "not known"
 
 
-NOTE = "one cube: the noise is the spread in each patch, its texture included"
-
-
-class Subject(NamedTuple):
-    """Where a chart may be: a name for people, the chart, cubes sensor by sensor, whether it must be there."""
-
-    name: str
-    chart: Chart
-    files: dict[str, Path]
-    certain: bool
-
-
-def is_database(path: Path) -> bool:
-    """Whether a folder is a published database, not a campaign."""
-    return (path / "catalogue.csv").is_file() and not (path / "campaign.toml").is_file()
-
-
-def subjects_of(
-    database: Path, kind: str, *, cameras: Sequence[str] = (), objects: Sequence[str] = ()
-) -> Iterator[Subject]:
-    """Yield the charts that a database keeps in charts/, and the layers of objects that are asked for.
-
-    Parameters
-    ----------
-    database : path
-    kind : str
-        Chart that is looked for in layers; charts/ says its own.
-    cameras : sequence of str
-        Only these.
-    objects : sequence of str
-        Their layers are looked at; where charts/ is empty and none is named, those of all.
-
-    Raises
-    ------
-    ChartRefused
-        E_VALUE where there is no such camera or object.
-    DatabaseRefused
-        Where the catalogue cannot be read.
-    """
-    from levkas.database.catalogue import read_catalogue
-
-    entries = read_catalogue(database)
-    kept = list(_kept(database))
-    known = {e.camera for e in entries} | {camera for camera, _ in kept}
-    _check(database, "--camera", cameras, known)
-    _check(database, "--object", objects, {e.object for e in entries})
-    for camera, subject in kept:
-        if not objects and (not cameras or camera in cameras):
-            yield subject
-    if kept and not objects:
-        return
-    for entry in entries:
-        if (objects and entry.object not in objects) or (cameras and entry.camera not in cameras):
-            continue
-        file = database / f"{entry.layer.path}.tif"
-        check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
-        name = f"{entry.object}/{entry.layer.name}"
-        yield Subject(name, chart_of(kind), {"": file}, bool(objects))
-
-
-def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
-    """Yield (camera, subject) of every chart in charts/, by the records that stand there."""
-    from levkas.core.text import read_json
-
-    for record in sorted(database.glob("charts/*/*.json")):
-        check_inside(database, *record.parent.glob(f"{escape(record.stem)}*"))
-        told = read_json(record)
-        files = {
-            path.stem[len(record.stem) :].lstrip("_"): path
-            for path in sorted(record.parent.glob(f"{record.stem}*.tif"))
-            if "." not in path.stem
-        }
-        if isinstance(told, dict) and "chart" in told and files:
-            camera = record.stem[len(record.parent.name) + 1 :]
-            name = f"{record.parent.name}/{camera}"
-            yield camera, Subject(name, chart_of(str(told["chart"])), files, True)
-
-
-def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) -> None:
-    if unknown := [name for name in wanted if name not in known]:
-        raise ChartRefused(
-            Problem(
-                "E_VALUE",
-                "the database has no such camera"
-                if "camera" in option
-                else "there is no such object",
-                str(database),
-                option,
-                ", ".join(unknown),
-                ", ".join(sorted(known)),
-            )
-        )
-
-
-def read_cube_file(path: Path) -> tuple[Cube, tuple[str, ...]]:
-    """Read a calibrated cube from a TIFF of this package, or an ENVI file; flags where they stand beside it."""
-    if path.suffix.lower() in (".tif", ".tiff"):
-        values, bands = _read_tiff(path)
-    else:
-        from levkas.readers.frames import read_facts, read_frame
-
-        values, bands = read_frame(path), _named(read_facts(path).wavelengths)
-    values = np.ascontiguousarray(values if values.ndim == 3 else values[..., None], np.float32)
-    if len(bands) != values.shape[2]:
-        bands = _named([np.nan] * values.shape[2])
-    beside = path.with_name(path.stem + ".flags.tif")
-    flags = np.zeros(values.shape, np.uint8)
-    if beside.is_file():
-        from levkas.database.spectral_tiff import open_pages
-
-        pages = open_pages(beside)
-        if pages.shape != values.shape:
-            raise ChartRefused(
-                Problem(
-                    "E_SIZE",
-                    "the flags are not of the cube's size",
-                    str(beside),
-                    found=" x ".join(map(str, pages.shape)),
-                    expected=" x ".join(map(str, values.shape)),
-                    fix="Put the flags there that belong to the cube, or take them away.",
-                )
-            )
-        flags = pages.read()
-    return Cube(values, flags, None, bands, "reflectance"), (NOTE,)
-
-
-def _read_tiff(path: Path) -> tuple[np.ndarray, tuple[Band, ...]]:
-    from levkas.database.reader import describe_pages
-    from levkas.database.spectral_tiff import open_pages
-    from levkas.readers.facts import check_expansion, check_memory
-
-    pages = open_pages(path)
-    samples, itemsize = prod(pages.shape), pages.dtype.itemsize
-    check_expansion(path, samples, itemsize, path.stat().st_size)
-    check_memory(path, samples, itemsize)
-    bands = describe_pages(pages).bands
-    if any(not b.wavelength >= 200 for b in bands) and all(b.label.endswith(" nm") for b in bands):
-        bands = _named([np.nan] * len(bands))  # 0, 1, 2 …: numbers of channels
-    return pages.read(), bands
-
-
-def _named(wavelengths: Any) -> tuple[Band, ...]:
-    known = [float(w) for w in (wavelengths if wavelengths is not None else [])]
-    return tuple(
-        Band(f"{w:g} nm" if np.isfinite(w) else f"channel {i + 1}", w) for i, w in enumerate(known)
-    )
-
-
 def write_chart(
     places: Places, campaign: Campaign, capture: Capture, made: Developed, measure: ChartMeasure
 ) -> list[Path]:
@@ -526,7 +396,8 @@ def write_chart(
         stem = "_".join(part for part in (layer.stem, sensor) if part)
         written += write_tiffs(folder / stem, layer, cube)
     record = folder / f"{layer.stem}.json"
-    write_json(record, {"chart": measure.chart.name, **measure.to_dict()})
+    codes = {"greatest_code": made.top} if made.top else {}
+    write_json(record, {"chart": measure.chart.name, **codes, **measure.to_dict()})
     return [*written, record]
 
 

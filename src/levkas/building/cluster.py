@@ -264,7 +264,7 @@ class Cluster:
 
     def send(self, job: Job, need: float, attempt: int, worker: str) -> Future:
         """Send a task to a worker, or another where that one is lost; its result is a few words."""
-        name = "-".join(part for part in (*job.key, job.build, str(attempt)) if part)
+        name = "-".join(part for part in (*job.name, job.build, str(attempt)) if part)
         return self.client.submit(
             _do,
             job,
@@ -306,7 +306,7 @@ def _do(job: Job) -> dict[str, Any]:
     from levkas.building.worker import work
 
     worker = get_worker()
-    topic, name = f"levkas-{job.build}", list(job.key)
+    topic, name = f"levkas-{job.build}", list(job.name)
 
     def say(peak: int, frames: int) -> None:
         told = {"begun": name, "on": worker.address, "peak": peak, "frames": frames}

@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,22 +25,27 @@ from distributed.scheduler import KilledWorker
 
 from levkas.building import sources
 from levkas.building.cluster import Cluster
-from levkas.building.endings import Due, Endings
+from levkas.building.endings import OF_THE_MACHINES, Due, Endings
 from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
 from levkas.building.scans import is_streamed
+from levkas.building.task_queue import TaskQueue, hash_key
 from levkas.building.worker import (
     ASKED,
+    PARTS,
     RECEIPT,
     Job,
     NotShared,
     code_digest,
     digest_of,
     is_refused,
+    part_key,
     read_receipt,
+    receipt_path,
     written_of,
 )
+from levkas.core.disk import DISK_CODES
 from levkas.core.files import make_folder, remove, write_text
 from levkas.core.problems import Problem, Refused
 from levkas.core.progress import FRAMES
@@ -49,14 +55,14 @@ if TYPE_CHECKING:
     from levkas.building.build_records import Key
     from levkas.campaign.campaign import Campaign
 
-    Layer = tuple[str, str]
-
 RETRIES, LOSSES = 3, 20
 """Times that a task is sent again where it failed or ran out of memory, and where its worker vanished."""
 NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
 BASE, STREAMED = 200e6, 1.5e9
 """Bytes that a process takes before it reads a frame, and those of a scan that is passed through."""
+MENDED_ELSEWHERE = DISK_CODES | {*OF_THE_MACHINES}
+"""Codes of refusals that leave the parts of a task to the next build."""
 LOOK_S, STUCK_S = 1.0, 15.0
 """How long to wait for news before the workers are counted, and for a worker that is idle to begin."""
 
@@ -76,10 +82,20 @@ def memory_needed(task: Task, campaign: Campaign) -> float:
 
 @dataclass
 class Flight:
-    """A task that is sent, or waits for memory, and its attempts: worker, peak of private memory, reason."""
+    """A task that is sent, or waits for memory, and its attempts: worker, peak of private memory, reason.
+
+    Parameters
+    ----------
+    due : Due
+    need : float
+        Bytes of memory.
+    part : (start, stop)
+        Rows of the task that are done; () for all.
+    """
 
     due: Due
     need: float
+    part: tuple[int, ...] = ()
     future: Future | None = None
     to: str = ""
     """The worker that it was sent to; dask may have taken another one."""
@@ -93,6 +109,11 @@ class Flight:
     failed: int = 0
     lost: int = 0
 
+    @property
+    def key(self) -> Key:
+        """Of the task, or of the part."""
+        return part_key(self.due.task.key, self.part)
+
     def ended(self, why: str) -> None:
         """Log an attempt."""
         self.attempts.append({"worker": self.on, "peak": self.peak, "why": why})
@@ -100,7 +121,7 @@ class Flight:
 
     def is_of(self, name: Iterable[str]) -> bool:
         """Tell whether it is the task of which a worker speaks."""
-        key = self.due.task.key
+        key = self.key
         return [key.object, key.camera, key.setup, key.stage] == [*name]
 
 
@@ -111,16 +132,12 @@ class ClusterExecutor:
         self._endings, self._records, self._cluster = endings, endings.records, cluster
         self._graph, self._places = endings.graph, endings.places
         self._path, self._verify = path, verify
-        self._ahead: dict[Key, set[Key]] = {}
-        self._behind: dict[Key, list[Key]] = {}
-        self._ready: dict[str, set[Key]] = {}
-        """Tasks of captures that wait for no other, by object."""
-        self._open: set[Key] = set()
-        self._places_in_graph = {key: place for place, key in enumerate(self._graph)}
+        self._queue = TaskQueue(self._graph)
         self._flying: dict[Key, Flight] = {}
-        self._last: dict[str, Layer] = {}
-        """The capture that each worker has worked on last, and may hold."""
+        self._sent = count(1)
         self._redone: Counter[Key] = Counter()
+        self._cuts: dict[Key, tuple[int, ...]] = {}
+        self._tried: dict[Key, list[dict[str, Any]]] = {}
         self._there: list[str] = []
         self._untidy = False
         self._counted = 0.0
@@ -142,7 +159,7 @@ class ClusterExecutor:
                 self._lay(tasks)
                 self._cluster.greet(self._places.kept)
                 said = ""
-                while self._open:
+                while self._queue.open:
                     for step in (*self._send_ready(), *self._heard()):
                         said = self.where
                         of_capture = step.key.object and step.key.camera
@@ -174,9 +191,15 @@ class ClusterExecutor:
         """How many workers there are, and which task waits for memory while one of them is idle."""
         count = len(self._there)
         told = f"{count} worker{'' if count == 1 else 's'}"
-        if not self._idle():
+        idle = self._idle()
+        if not idle:
             return told
-        names = [f"{key.object}/{key.layer}" for key, f in self._flying.items() if f.future is None]
+        room = max(self._cluster.sizes[worker] for worker in idle)
+        names = [
+            f"{f.key.object}/{f.key.layer}"
+            for f in self._flying.values()
+            if f.future is None and f.need > room
+        ]
         more = f" and {len(names) - 1} more wait" if len(names) > 1 else " waits"
         return f"{told}, {names[0]}{more} for memory" if names else told
 
@@ -186,39 +209,14 @@ class ClusterExecutor:
         return [worker for worker in self._there if worker not in busy]
 
     def _lay(self, tasks: Sequence[Task]) -> None:
-        """Note what each task waits for: what it reads, and what comes before it of its object's reference.
-
-        Where the reference is lost nothing else of its object is begun, as in one process. A calibration
-        waits until its frames are hashed.
-        """
-        self._open = {task.key for task in tasks}
-        places = self._places_in_graph
-        of_layer: dict[Layer, list[Key]] = {}
+        """Queue the tasks; a calibration waits until its frames are hashed."""
+        for key in self._queue.lay(tasks):
+            self._let_go(key)
         for task in tasks:
-            of_layer.setdefault((task.key.object, task.key.layer), []).append(task.key)
-        for task in tasks:
-            first = (
-                []
-                if task.capture is None
-                else [k for c in captures_of(task) for k in of_layer.get((c.object, c.layer), ())]
-            )
-            ahead = {k for k in first if places[k] < places[task.key]}
-            ahead |= {k for k in (*task.needs, *task.uses) if k in self._open}
             if task.key.stage == "calibrate":
-                hashed = replace(task.key, stage="hash")
-                ahead.add(hashed)
-                job = self._hasher.submit(
-                    of_calibration,
-                    self._endings.campaign,
-                    captures_of(task)[0],
-                    self._records.hashes,
-                )
-                job.add_done_callback(partial(self._report, {"hashed": hashed}))
-            self._ahead[task.key] = ahead
-            for key in ahead:
-                self._behind.setdefault(key, []).append(task.key)
-            if not ahead:
-                self._let_go(task.key)
+                capture, hashes = captures_of(task)[0], self._records.hashes
+                job = self._hasher.submit(of_calibration, self._endings.campaign, capture, hashes)
+                job.add_done_callback(partial(self._report, {"hashed": hash_key(task.key)}))
 
     def _report(self, event: dict[str, Any], ended: Running[Any]) -> None:
         """Wake the thread that runs the graph."""
@@ -231,14 +229,11 @@ class ClusterExecutor:
         for flight in self._flying.values():
             if flight.future is None:
                 self._resend(flight)
-        while self._ready and len(self._flying) <= 2 * len(self._there):
+        while self._queue.is_ready and self._held() <= 2 * len(self._there):
             idle = self._idle()
             if not idle and self._flying:
                 return
-            worker, key = self._choose(idle)
-            self._ready[key.object].discard(key)
-            if not self._ready[key.object]:
-                del self._ready[key.object]
+            worker, key = self._queue.take(idle, self._there)
             task = self._graph[key]
             if (key.object, key.layer) in self._endings.lost:
                 self._release(key)
@@ -253,35 +248,16 @@ class ClusterExecutor:
             else:
                 yield from self._end(task, self._endings.fresh(key))
 
-    def _choose(self, idle: Sequence[str]) -> tuple[str, Key]:
-        """Return the idle worker that holds most of what some task reads, and that task.
-
-        A worker goes on with the capture whose cubes it holds, then with the object whose reference it
-        holds, then with an object that no worker holds; after that it helps the others.
-        """
-        places = self._places_in_graph.__getitem__
-        held = {self._last[worker][0] for worker in self._there if worker in self._last}
-        free = next((name for name in self._ready if name not in held), None)
-        found = []
-        for worker in idle or [""]:
-            name, layer = self._last.get(worker, ("", ""))
-            mine = self._ready.get(name, set())
-            if same := [key for key in mine if key.layer == layer]:
-                found.append((0, worker, min(same, key=places)))
-            elif mine:
-                found.append((1, worker, min(mine, key=places)))
-            elif free is not None:
-                found.append((2, worker, min(self._ready[free], key=places)))
-            else:
-                helped = next(iter(self._ready.values()))
-                found.append((3, worker, min(helped, key=places)))
-        _, worker, key = min(found, key=lambda one: one[:2])
-        return worker, key
+    def _held(self) -> int:
+        """Count the tasks, without parts of one, that wait for a worker with the memory."""
+        return sum(f.future is None and not f.part for f in self._flying.values())
 
     def _begin(self, due: Due, worker: str) -> Iterator[Step]:
         """Send a task, or refuse it where no worker has the memory."""
         task = due.task
-        flight = Flight(due, memory_needed(task, self._endings.campaign), to=worker)
+        attempts = self._tried.pop(task.key, [])
+        need = memory_needed(task, self._endings.campaign)
+        flight = Flight(due, need, to=worker, attempts=attempts)
         self._endings.begin(task)
         if refused := self._too_large(flight):
             yield from self._end(task, self._endings.refuse(task, refused))
@@ -350,19 +326,21 @@ class ClusterExecutor:
             reads=tuple(((k.object, k.camera, k.setup, k.stage), records.check(k)) for k in reads),
             code=code_digest(),
             verify=self._verify,
+            divides=not flight.part and key not in self._cuts and len(self._there) > 1,
+            part=flight.part,
+            cuts=() if flight.part else self._cuts.get(key, ()),
         )
         flight.sent, flight.since = flight.sent + 1, time.monotonic()
-        self._last[flight.to] = (key.object, key.layer)
-        number = sum(self._redone.values()) * 100 + flight.sent
-        flight.future = self._cluster.send(job, flight.need, number, flight.to)
-        flight.future.add_done_callback(lambda _: self._cluster.events.put({"done": key}))
+        self._queue.note(flight.to, key)
+        flight.future = self._cluster.send(job, flight.need, next(self._sent), flight.to)
+        flight.future.add_done_callback(lambda _: self._cluster.events.put({"done": flight.key}))
 
     # --- hearing --------------------------------------------------------------------------------
 
     def _heard(self) -> Iterator[Step]:
         """Take what workers say and what has ended; wait a second at most for the first of it."""
         try:
-            told = [self._cluster.events.get(timeout=LOOK_S if self._open else 0)]
+            told = [self._cluster.events.get(timeout=LOOK_S)]
         except queue.Empty:
             told = []
         while not self._cluster.events.empty():
@@ -383,6 +361,8 @@ class ClusterExecutor:
             self._there = self._cluster.workers()
             self._counted = now
         for key, flight in list(self._flying.items()):
+            if key not in self._flying:  # a part of what was refused meanwhile
+                continue
             refused = None if flight.on else self._too_large(flight)
             if refused:
                 if flight.future is not None:
@@ -393,7 +373,7 @@ class ClusterExecutor:
             elif flight.future is None:
                 self._resend(flight)
             elif flight.future.status != "pending":
-                yield from self._landed(key, flight)
+                yield from self._landed(flight)
             elif self._is_stuck(flight):
                 if flight.on:
                     flight.ended("its worker was lost")
@@ -408,7 +388,7 @@ class ClusterExecutor:
                 if flight.on != told["on"]:
                     flight.since = time.monotonic()
                 flight.on, flight.peak = told["on"], max(flight.peak, told["peak"])
-                self._last[flight.on] = (key.object, key.layer)
+                self._queue.note(flight.on, key)
                 self._count_frames(flight, told["frames"])
 
     def _count_frames(self, flight: Flight, frames: int) -> None:
@@ -416,7 +396,7 @@ class ClusterExecutor:
         FRAMES.add(max(0, frames - flight.frames))
         flight.frames = max(frames, flight.frames)
 
-    def _landed(self, key: Key, flight: Flight) -> Iterator[Step]:
+    def _landed(self, flight: Flight) -> Iterator[Step]:
         """Take the result of a task, or send it again."""
         assert flight.future is not None
         future, task = flight.future, flight.due.task
@@ -427,6 +407,8 @@ class ClusterExecutor:
         future.release()
         if "damaged" in told:
             yield from self._mend(flight, tuple(told["damaged"]), told["name"])
+        elif told.get("cuts"):
+            self._divide(flight, tuple(told["cuts"]))
         elif status == "finished":
             flight.on, flight.peak = told["on"], told["peak"]
             self._count_frames(flight, told["frames"])
@@ -435,6 +417,17 @@ class ClusterExecutor:
             yield from self._end(task, self._endings.refuse(task, refused))
         else:
             self._resend(flight)
+
+    def _divide(self, flight: Flight, cuts: tuple[int, ...]) -> None:
+        """Send the parts of a task; it is sent again when all of them have been done, and joins them."""
+        key = flight.key
+        del self._flying[key]
+        self._cuts[key] = cuts
+        for rows in pairwise(cuts):
+            part = Flight(flight.due, flight.need, rows)
+            self._flying[part.key] = part
+            self._queue.wait(key, part.key)
+            self._resend(part)
 
     def _give_up(self, flight: Flight, error: BaseException | None) -> Refused | None:
         """Log an attempt that failed; return a refusal where it was the last, raise what is a fault of ours."""
@@ -466,7 +459,6 @@ class ClusterExecutor:
 
     def _mend(self, flight: Flight, damaged: tuple[str, ...], name: str) -> Iterator[Step]:
         """Do a task again whose products are damaged, and then the one that would read them."""
-        del self._flying[flight.due.task.key]
         key = next(k for k in self._graph if (k.object, k.camera, k.setup, k.stage) == damaged)
         task = flight.due.task
         self._redone[key] += 1
@@ -474,8 +466,10 @@ class ClusterExecutor:
             problem = Problem("E_DAMAGED", "a file is damaged whenever it is written", found=name)
             yield from self._end(task, self._endings.refuse(task, Refused(problem)))
             return
-        self._ahead[task.key].add(key)
-        self._behind.setdefault(key, []).append(task.key)
+        self._queue.wait(task.key, key)
+        del self._flying[flight.key]
+        if flight.part:  # what it lacks is made when all are joined
+            self._release(flight.key)
         if key not in self._flying:
             due = self._endings.due(self._graph[key])
             yield from self._begin(due._replace(why=f"{name} was damaged"), "")
@@ -483,8 +477,7 @@ class ClusterExecutor:
     def _commit(self, flight: Flight) -> Iterator[Step]:
         """Record what a task made, as its receipt says."""
         task, records = flight.due.task, self._records
-        path = records.path_of(task.key, RECEIPT)
-        receipt = read_receipt(path)
+        receipt = read_receipt(receipt_path(records, task.key, flight.part))
         if receipt.get("made of") != digest(flight.due.prints):
             if again := self._give_up(flight, NotShared("the receipt is not seen here")):
                 yield from self._end(task, self._endings.refuse(task, again))
@@ -492,6 +485,11 @@ class ClusterExecutor:
                 self._resend(flight)
             return
         flight.ended("done")
+        if flight.part and not is_refused(receipt):
+            self._tried.setdefault(task.key, []).extend(flight.attempts)
+            del self._flying[flight.key]
+            self._release(flight.key)
+            return
         try:
             if is_refused(receipt):
                 problems = (Problem(**problem) for problem in receipt["refused"])
@@ -503,6 +501,7 @@ class ClusterExecutor:
                 ):
                     for name, entry in receipt[part].items():
                         records.hashes.take(folder / name, entry)
+                self._drop_parts(task.key)
                 step = self._endings.keep(
                     flight.due,
                     written_of(receipt, self._places),
@@ -517,22 +516,31 @@ class ClusterExecutor:
 
     def _end(self, task: Task, step: Step) -> Iterator[Step]:
         yield self._endings.note(self._endings.end(task, step))
-        self._flying.pop(task.key, None)
+        self._cuts.pop(task.key, None)
+        mine = [flight for flight in self._flying.values() if flight.due.task.key == task.key]
+        for flight in mine:  # parts too, where one of them was refused
+            del self._flying[flight.key]
+            if flight.future is not None and flight.future.status == "pending":
+                self._cluster.client.cancel([flight.future])
+        if step.state == "refused" and not {p.code for p in step.problems} & MENDED_ELSEWHERE:
+            self._drop_parts(task.key)
         self._release(task.key)
+
+    def _drop_parts(self, key: Key) -> None:
+        folder = self._records.path_of(key, PARTS)
+        if folder.is_dir():
+            remove(folder)
 
     def _release(self, key: Key) -> None:
         """Let go what waited for a task."""
-        self._open.discard(key)
-        for other in self._behind.pop(key, ()):
-            self._ahead[other].discard(key)
-            if not self._ahead[other]:
-                self._let_go(other)
+        for other in self._queue.release(key):
+            self._let_go(other)
 
     def _let_go(self, key: Key) -> None:
         """Have a task done when there is a worker; a page is written at once."""
         task = self._graph[key]
         if task.capture is not None:
-            self._ready.setdefault(key.object, set()).add(key)
+            self._queue.put(key)
             return
         page = self._pages.submit(lambda: list(self._write_page(task)))
         page.add_done_callback(partial(self._report, {"page": key}))

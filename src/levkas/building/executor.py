@@ -40,6 +40,10 @@ class Executor:
         )
         self._held = self._stages.held
         self._checked: set[Key] = set()
+        self._calibrations: dict[str, list[Task]] = {}
+        for key, task in endings.graph.items():
+            if key.stage == "calibrate":
+                self._calibrations.setdefault(key.object, []).append(task)
         self._hashing: set[str] = set()
         self._waiting: list[tuple[Task, Future[Step]]] = []
 
@@ -169,12 +173,7 @@ class Executor:
         """Hash the frames of an object beside the work; what fails is met again when it is due."""
         if name not in self._hashing:
             self._hashing.add(name)
-            for key, task in self._graph.items():
-                if key.object == name and key.stage == "calibrate":
-                    hashes = self._records.hashes
-                    self._hasher.submit(
-                        fingerprints.of_calibration,
-                        self._endings.campaign,
-                        captures_of(task)[0],
-                        hashes,
-                    )
+            campaign, hashes = self._endings.campaign, self._records.hashes
+            for task in self._calibrations.get(name, ()):
+                capture = captures_of(task)[0]
+                self._hasher.submit(fingerprints.of_calibration, campaign, capture, hashes)

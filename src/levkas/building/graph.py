@@ -5,6 +5,7 @@ Made without reading a pixel.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -58,7 +59,9 @@ Graph = Mapping[Key, Task]
 """Tasks by their keys, each behind what it reads."""
 
 
-def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
+def graph_of(
+    campaign: Campaign, captures: Sequence[Capture], charts: Sequence[Capture] = ()
+) -> Graph:
     """Return the tasks of a campaign in the order in which a build does them.
 
     Parameters
@@ -66,6 +69,8 @@ def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
     campaign : Campaign
     captures : sequence of Capture
         Of all objects, each object's reference first; those without a reference are left out.
+    charts : sequence of Capture
+        Of charts: they are measured for the page of their camera.
     """
     tasks: dict[Key, Task] = {}
     for mine in by_object(captures).values():
@@ -80,7 +85,7 @@ def graph_of(campaign: Campaign, captures: Sequence[Capture]) -> Graph:
         report = Key(mine[0].object, stage="report")
         layers = tuple(task.key for task in here if task.key.stage == "resample")
         tasks[report] = Task(report, uses=layers)
-    for camera in calibrated_cameras(campaign, captures):
+    for camera in cameras_with_pages(campaign, captures, charts):
         learnt = [keys_of(campaign, c)["calibrate"] for c in captures if c.camera == camera]
         key = page_key(camera)
         tasks[key] = Task(key, uses=tuple(k for k in learnt if k in tasks))
@@ -145,9 +150,15 @@ def is_reference(campaign: Campaign, capture: Capture) -> bool:
     return capture.camera == campaign.reference.camera and not capture.setup
 
 
-def calibrated_cameras(campaign: Campaign, captures: Sequence[Capture]) -> list[str]:
-    """Return the cameras that have a page; plain images, where nothing is calibrated, have none."""
+def cameras_with_pages(
+    campaign: Campaign, captures: Sequence[Capture], charts: Sequence[Capture]
+) -> list[str]:
+    """Return the cameras that have a page: those that are calibrated, or saw a chart.
+
+    Of plain images, where nothing is calibrated, nothing but a chart tells.
+    """
     seen = {c.camera for c in captures if campaign.cameras[c.camera].kind != "image"}
+    seen |= {c.camera for c in charts}
     return [name for name in campaign.cameras if name in seen]
 
 
@@ -253,7 +264,8 @@ class Step:
 
     `done` of `total` stages are behind us, this one counted where it has ended, and `place` is the stage's
     in the graph. The last step of a build has the database's folder as its `output`. `where` says of a
-    cluster how many workers it has, and how many tasks wait for memory.
+    cluster how many workers it has, and how many tasks wait for memory. `unlisted` counts stages that ended as
+    before, by their states, and have no step of their own, and `compared` says how that is known.
     """
 
     key: Key
@@ -266,6 +278,8 @@ class Step:
     output: Path | None = None
     place: int = 0
     where: str = ""
+    unlisted: tuple[tuple[str, int], ...] = ()
+    compared: str = ""
 
     @property
     def finished(self) -> bool:
@@ -299,6 +313,18 @@ class BuildReport:
     warnings: tuple[str, ...] = ()
     graph: str = ""
     """Of `status`: the campaign's graph as a Mermaid flow chart."""
+    layers: tuple[dict[str, Any], ...] = ()
+    """Of `build --json`: verdict, errors and reasons of every layer."""
+
+    @property
+    def unlisted(self) -> dict[str, int]:
+        """Number of stages without a step of their own, by their states."""
+        return {state: number for step in self.stages for state, number in step.unlisted}
+
+    @property
+    def compared(self) -> str:
+        """How the states are known, where not every stage was compared with its record."""
+        return next((step.compared for step in self.stages if step.compared), "")
 
     @property
     def ok(self) -> bool:
@@ -308,8 +334,9 @@ class BuildReport:
     @property
     def text(self) -> str:
         """What a person wants to know at the end."""
-        states = [step.state for step in self.stages]
-        told = [f"{states.count(s)} {s}" for s in FINISHED if s in states]
+        states = Counter(step.state for step in self.stages)
+        states.update(self.unlisted)
+        told = [f"{states[s]} {s}" for s in FINISHED if states[s]]
         lines = [f"warning: {warning}" for warning in _gathered(self.warnings)]
         # What was refused is among the problems, where it is said once.
         lines += [
@@ -317,14 +344,17 @@ class BuildReport:
         ]
         where = f": {self.output}" if self.output else ""
         lines.append(f"{', '.join(told) or 'nothing to do'}{where}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *([self.compared] if self.compared else [])])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of `build --json` and `status --json`."""
+        told = {"unlisted": self.unlisted, "compared": self.compared} if self.compared else {}
         return {
             "output": str(self.output) if self.output else None,
             "stages": [step.to_dict() for step in self.stages],
             "warnings": list(self.warnings),
+            **({"layers": list(self.layers)} if self.layers else {}),
+            **told,
         }
 
 

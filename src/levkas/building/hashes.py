@@ -120,7 +120,7 @@ class Hashes:
 
     def _hashed(self, name: str, stamp: list[int], *, own: bool = False) -> Entry:
         """Hash a file that had a stamp just before."""
-        settled = own or _is_settled(stamp, time.time_ns())
+        settled = own or is_settled(stamp, time.time_ns())
         entry = [*stamp, hash_file(name)]
         with self._lock:
             self._unsettled.pop(name, None)
@@ -160,10 +160,10 @@ def _write(path: Path, rows: Sequence[tuple[Any, ...]]) -> None:
         index.executemany("INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?, ?, ?)", rows)
 
 
-def _is_settled(stamp: Sequence[int], now: int) -> bool:
+def is_settled(stamp: Sequence[int], now: int) -> bool:
     """Tell whether a file read from `now` on cannot be changed any more without another stamp.
 
-    >>> _is_settled((1, 10**18 + 1, 10**18 + 1, 1), 10**18 + TICK_NS)
+    >>> is_settled((1, 10**18 + 1, 10**18 + 1, 1), 10**18 + TICK_NS)
     False
     """
     times = stamp[1:3]

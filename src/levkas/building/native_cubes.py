@@ -172,15 +172,13 @@ def _pack(part: np.ndarray) -> bytes:
     return bytes(packed)
 
 
-def least_bytes(cube: Cube) -> int:
-    """Return what the files of a cube will take at the very least, so that a full disk is foreseen.
+def least_bytes(samples: int, quantity: str, *, noisy: bool) -> int:
+    """Return what the files of so many samples will take at the very least, so that a full disk is foreseen.
 
     Noise cannot be compressed: of reflectance of 16 significant bits a good byte of four remains, of
-    its sigma another; whole codes, which photographs are, get far smaller.
+    its sigma, where it is `noisy`, another; whole codes, which photographs are, get far smaller.
     """
-    noisy = cube.quantity == "reflectance"
-    each = (1 if noisy else 0) + (1 if noisy and cube.sigma is not None else 0)
-    return cube.values.size * each
+    return samples * (1 + noisy) if quantity == "reflectance" else 0
 
 
 def write_native(

@@ -28,6 +28,8 @@ class Plan:
     refusals : dict of (object, camera, setup) to Refused
         Captures that cannot be begun.
     pages : dict of Key to CameraPage
+    listed : tuple of str
+        Folders that frames were looked for in.
     """
 
     campaign: Campaign
@@ -35,6 +37,7 @@ class Plan:
     refusals: Refusals
     graph: Graph
     pages: dict[Key, CameraPage]
+    listed: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -76,14 +79,20 @@ class Plan:
 
 def read_plan(path: str | Path) -> Plan:
     """Read a campaign, find its captures and lay out its tasks."""
-    campaign = load_campaign(path)
+    return plan_of(load_campaign(path))
+
+
+def plan_of(campaign: Campaign) -> Plan:
+    """Find the captures of a campaign and lay out its tasks."""
     check_detectors(campaign)
     index = scan_folders(campaign)
     captures, refusals = find_captures(campaign, index)
     check_names(campaign, index, refusals)
     _check_edits(campaign, captures, refusals)
     pages = camera_pages(campaign, captures, index)
-    return Plan(campaign, captures, refusals, graph_of(campaign, captures), pages)
+    charts = [chart for page in pages.values() for chart in page.charts]
+    graph = graph_of(campaign, captures, charts)
+    return Plan(campaign, captures, refusals, graph, pages, index.folders.listed)
 
 
 def check_detectors(campaign: Campaign) -> None:

@@ -20,7 +20,7 @@ from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
-from levkas.database.registrations import describe_pairs, read_registration, shares_light
+from levkas.database.registrations import describe_pairs, mm_per_px, read_registration, shares_light
 from levkas.pages.maps import draw_maps
 from levkas.pages.page import (
     CloseUpRow,
@@ -126,7 +126,8 @@ def report_of(
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=rows,
             short=summarise_layers(layers, rows, float(sampling) if sampling else None, lost),
-            links=_links_of_object(places, name),
+            links=(("museum facts", "object.toml"), ("provenance", PROVENANCE)),
+            viewer=f"../../viewer/objects/{name}/index.html",
             setups=close_ups(places, captures),
         ),
     )
@@ -152,7 +153,7 @@ def _layer(
     if not shares_light(record, [band.wavelength for band in capture.bands]):
         ssim, ssim_map = None, ""
     error, checked = _error(record)
-    mm_per_px = _mm_per_px(record)
+    scale = mm_per_px(record)
     drawn = [Figure(svg, caption) for svg, caption in registered.get("figures", [])]
     removal = record.get("trace", {}).get("kind") == "removal"
     quantity = str(calibrated.get("quantity", ""))
@@ -170,7 +171,7 @@ def _layer(
         next_step=verdict["next_step"],
         warnings=calibrated.get("warnings", []),
         by_hand=describe_pairs(record),
-        error=_describe_error(error, checked, mm_per_px),
+        error=_describe_error(error, checked, scale),
         error_px=error,
         checked=checked,
         checks=_checks(errors),
@@ -204,9 +205,9 @@ def _error(record: dict[str, Any]) -> tuple[float | None, float | None]:
     return (max(numbers), min(checked, default=None)) if numbers else (None, None)
 
 
-def _describe_error(error: float | None, checked: float | None, mm_per_px: float | None) -> str:
+def _describe_error(error: float | None, checked: float | None, scale: float | None) -> str:
     over = "" if checked is None else f" over {percent(checked)}"
-    return "–" if error is None else f"{describe_length(error, mm_per_px)}{over}"
+    return "–" if error is None else f"{describe_length(error, scale)}{over}"
 
 
 def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> list[tuple[str, str]]:
@@ -223,14 +224,6 @@ def _links_of_layer(campaign: Campaign, places: Places, capture: Capture) -> lis
     if campaign.cameras[capture.camera].kind != "image":  # nothing is calibrated: it has no page
         links.append(("report of the camera", f"../../cameras/{capture.camera}/report.html"))
     return links
-
-
-def _links_of_object(places: Places, name: str) -> list[tuple[str, str]]:
-    return [
-        ("viewer, once published", f"../../viewer/objects/{name}/index.html"),
-        ("museum facts", "object.toml"),
-        ("provenance", PROVENANCE),
-    ]
 
 
 def _checks(errors: dict[str, Any]) -> str:
@@ -271,21 +264,8 @@ def _band_rows(record: dict[str, Any]) -> list[list[str]]:
 
 def _sampling(places: Places, captures: list[Capture]) -> str:
     path = places.registration(captures[0].object, captures[0].layer)
-    millimetres = _mm_per_px(read_registration(path)) if path.is_file() else None
+    millimetres = mm_per_px(read_registration(path)) if path.is_file() else None
     return "" if millimetres is None else f"{millimetres:.3f}"
-
-
-def _mm_per_px(record: dict[str, Any]) -> float | None:
-    """Return mm a pixel of the reference, None where the sampling is not known."""
-    px_per_mm = record["grid"].get("px_per_mm")
-    if not px_per_mm:
-        return None
-    import numpy as np
-
-    from levkas.geometry import from_dict
-
-    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
-    return float(1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5))
 
 
 def radiometry_rows(records: BuildRecords, captures: Sequence[Capture]) -> list[RadiometryRow]:

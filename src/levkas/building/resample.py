@@ -137,7 +137,8 @@ def write_resampled(
     before: Callable[[], object],
 ) -> Written:
     """Write a layer; `before` as of `core.files.together`."""
-    require_space(frame.places.output, 2 * least_bytes(cube))  # as TIFF and as Zarr
+    least = least_bytes(cube.values.size, cube.quantity, noisy=cube.sigma is not None)
+    require_space(frame.places.output, 2 * least)  # as TIFF and as Zarr
     entry, files = write_layer(
         frame.places.output,
         target.layer,
@@ -146,7 +147,7 @@ def write_resampled(
         encoded=target.encoded,
         before=before,
     )
-    ranges = ranges_of(cube.values, cube.flags, cube.sigma, cube.bands)
+    ranges = ranges_of(cube)
     grey = grey_of(cube.values, cube.flags)
     notes = _notes(entry, similarity(frame, target.capture, grey), count_flags(cube.flags))
     return Written(files, {**notes, "glare": glare, "ranges": ranges})

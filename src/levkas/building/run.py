@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import chain, groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from levkas.building import fingerprints, sources
+from levkas.building.build_index import (
+    LARGE,
+    InputFolders,
+    StageCounts,
+    drop_index,
+    open_index,
+    read_inputs,
+    write_index,
+)
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.camera_pages import prints_of_page, write_camera_page
 from levkas.building.catalogue import (
@@ -27,7 +37,7 @@ from levkas.building.endings import Endings, fresh_step
 from levkas.building.executor import Executor
 from levkas.building.fingerprints import Inputs
 from levkas.building.graph import BuildReport, Graph, Step, Task, draw, summarise
-from levkas.building.plan import Plan, read_plan
+from levkas.building.plan import Plan, plan_of
 from levkas.building.removal import (
     REMOVED,
     describe,
@@ -39,6 +49,7 @@ from levkas.building.removal import (
     removal,
 )
 from levkas.building.template_cache import TemplateCache
+from levkas.campaign.campaign import Campaign, load_campaign
 from levkas.core.problems import Problem, Refused
 from levkas.database.layout import Places
 
@@ -55,7 +66,7 @@ def build(
     output: str | Path | None = None,
     objects: list[str] | None = None,
     keep_removed: bool = False,
-    verify: bool = False,
+    verify: bool | Literal["full"] = False,
     cluster: str | None = None,
     workers: int | None = None,
     insecure: bool = False,
@@ -73,8 +84,9 @@ def build(
     keep_removed : bool
         Leave layers, objects, cameras and charts in the database that the campaign no longer has. They
         are moved to the folder OUTPUT.removed otherwise.
-    verify : bool
-        Read every file anew, whatever its size, times and inode say.
+    verify : bool or "full"
+        Read every file anew, whatever its size, times and inode say; ``"full"``: compare every stage with its
+        record by these, also where the index of a large campaign says that nothing has changed.
     cluster : str, optional
         Address of a dask scheduler, ``tcp://HOST:PORT``, whose workers do the tasks; else that in
         $DASK_SCHEDULER_ADDRESS. They see all files under the same paths.
@@ -98,26 +110,55 @@ def build(
 
     where = _chosen(cluster, workers, insecure)
 
-    whole = read_plan(path)
+    started_ns = time.time_ns()
+    campaign = load_campaign(path)
+    places = Places(Path(output).resolve() if output else campaign.output)
+    if not (verify or objects) and (known := _nothing_to_do(campaign, places)):
+        yield from known
+        return
+    whole = plan_of(campaign)
     plan = whole.of(objects) if objects else whole
-    spectra_of(plan.campaign, setups_of(plan.campaign))  # refused before any work
-    places = Places(Path(output).resolve() if output else plan.campaign.output)
-    claim(plan.campaign, places, whole.captures, whole.names)
+    spectra_of(campaign, setups_of(campaign))  # refused before any work
+    before = _inputs(whole, places, started_ns) if not objects else None
+    claim(campaign, places, whole.captures, whole.names)
+    drop_index(places)
     for folder in (places.output, places.kept):
         sweep(folder)
     sources.remember(places.kept / sources.CODE)
-    records = BuildRecords(places.kept, places.output, keep_removed=keep_removed, verify=verify)
-    gone = no_longer_there(
-        plan.campaign, records, plan.captures, plan.refusals, plan.pages, objects
+    records = BuildRecords(
+        places.kept, places.output, keep_removed=keep_removed, verify=verify is True
     )
+    gone = no_longer_there(campaign, records, plan.captures, plan.refusals, plan.pages, objects)
     total = _count(plan) + bool(describe(gone, records))
     templates = TemplateCache(places.kept / "templates", records.hashes, shared=len(plan.names) > 1)
-    endings = Endings(plan.campaign, places, records, plan.graph)
-    with _executor(where, endings, templates, verify=verify) as executor:
+    endings = Endings(campaign, places, records, plan.graph)
+    counts = _counts_of(plan)
+    with _executor(where, endings, templates, verify=verify is True) as executor:
         steps = _steps(plan, endings, executor, templates, gone, whole=not objects)
-        yield from _numbered(steps, plan.graph, total)
+        for step in _numbered(steps, plan.graph, total):
+            yield counts.add(step, records)
     records.hashes.save()
     sources.keep(places.kept / sources.CODE)
+    write_index(plan, places, before, counts, writes=True)
+
+
+def _nothing_to_do(campaign: Campaign, places: Places) -> list[Step]:
+    """Return the steps of a build of a large campaign where nothing has changed since the last; else none."""
+    index = open_index(campaign, places)
+    if index is None or index.tries_again or not index.is_current():
+        return []
+    steps = index.steps(building=True) or []
+    total = index.total
+    return [replace(step, done=total, total=total) for step in steps]
+
+
+def _inputs(plan: Plan, places: Places, started_ns: int) -> InputFolders | None:
+    """Look at the inputs of a campaign that is large enough for an index."""
+    return read_inputs(plan, places, started_ns) if _count(plan) >= LARGE else None
+
+
+def _counts_of(plan: Plan) -> StageCounts:
+    return StageCounts(frozenset(step.key for steps in plan.lost().values() for step in steps))
 
 
 class Where(NamedTuple):
@@ -242,20 +283,30 @@ def _numbered(steps: Iterator[Step], graph: Graph, total: int) -> Iterator[Step]
 
 
 def status(
-    path: str | Path, *, output: str | Path | None = None, verify: bool = False
+    path: str | Path,
+    *,
+    output: str | Path | None = None,
+    verify: bool | Literal["full"] = False,
 ) -> BuildReport:
     """Say of every stage whether it is fresh or stale, and why; no pixel is read.
 
-    Parameters are those of `build`, and it raises as `build`.
+    Parameters are those of `build`, and it raises as `build`. Of a large campaign that has an index, and
+    without `verify`, the states are those of the last build, with what of its inputs has changed
+    since; `compared` says so.
     """
-    plan = read_plan(path)
-    campaign = plan.campaign
+    started_ns = time.time_ns()
+    campaign = load_campaign(path)
     places = Places(Path(output).resolve() if output else campaign.output)
+    index = None if verify else open_index(campaign, places)
+    if index is not None and (known := index.steps()) is not None:
+        return summarise(known, places.output)
+    plan = plan_of(campaign)
     check_apart(campaign, places.output, plan.captures)
+    before = _inputs(plan, places, started_ns)
     sources.remember(places.kept / sources.CODE)
-    records = BuildRecords(places.kept, places.output, verify=verify)
+    records = BuildRecords(places.kept, places.output, verify=verify is True)
     lost = plan.lost()
-    inputs = Inputs(campaign, records, unread=not verify)
+    inputs = Inputs(campaign, records, unread=verify is not True)
     ended: dict[Key, Step] = {}
     by_object: dict[str, list[Step]] = {name: [*steps] for name, steps in lost.items()}
     refused: dict[tuple[str, str], Step] = {}
@@ -280,6 +331,11 @@ def status(
     if why := describe(gone, records):
         steps.append(Step(REMOVED, "stale", why))
     steps.append(_state_of_catalogue(plan, places, records, steps))
+    if before is not None and places.kept.is_dir():
+        counts = _counts_of(plan)
+        for step in steps:
+            counts.add(step, records)
+        write_index(plan, places, before, counts, writes=False)
     report = summarise(steps, places.output)
     chart = draw(plan.graph, {step.key: step.state for step in steps})
     warnings = (*campaign.without_effect, *report.warnings)

@@ -45,13 +45,15 @@ from levkas.calibration.templates import (
 )
 from levkas.calibration.whites import WhiteBoard
 from levkas.core.cube import UNRELIABLE, Band, Cube
+from levkas.core.files import replacing
 from levkas.core.problems import Problem
 from levkas.core.rounding import round_root
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
 
     from levkas.building.template_cache import TemplateCache
     from levkas.calibration.pushbroom import Seam
@@ -64,6 +66,8 @@ records end in the same bytes either way but for the last bits of resampled valu
 page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
 LOOKED_AT_PX = 1_000_000
 """Most pixels of a band as registration sees it."""
+Lines = tuple[int, int]
+"""First line, and the one behind the last."""
 
 
 def is_streamed(capture: Capture, campaign: Campaign) -> bool:
@@ -192,6 +196,8 @@ class Scan:
         Object and layer, for warnings.
     aligns, captured
         As of `Native`.
+    pictures : Path, optional
+        What `keep_pictures` has written of the scan.
     """
 
     context: SensorContext
@@ -199,6 +205,7 @@ class Scan:
     where: str = ""
     captured: str | None = None
     aligns: Mapping[str, object] = field(default_factory=dict)
+    pictures: Path | None = None
     _summary: ScanSummary | None = field(default=None, init=False)
 
     @property
@@ -290,13 +297,19 @@ class Scan:
 
         Raises CalibrationRefused where a band has no finite value at all.
         """
-        calibration, pictures = ScanPass(self), Pictures(self)
-        middle = Middle(self.shape, self.bands)
-        for cube in calibration.blocks():
-            pictures.add(cube)
-            middle.add(cube)
-            yield cube
-        self._summary = ScanSummary(calibration.notes(), pictures.images(), middle.focus())
+        seen = LinesSeen(self)
+        yield from seen.blocks()
+        self._summary = seen.summary()
+
+    def joined(self, parts: Iterable[tuple[Lines, Mapping[str, np.ndarray]]]) -> None:
+        """Take what parts have seen, their lines and `LinesSeen.arrays` of each, in place of a pass.
+
+        Raises CalibrationRefused where a band has no finite value at all.
+        """
+        seen = LinesSeen(self)
+        for lines, arrays in parts:
+            seen.join(lines, arrays)
+        self._summary = seen.summary()
 
     @property
     def summary(self) -> ScanSummary:
@@ -309,7 +322,25 @@ class Scan:
 
     def images(self) -> list[BandImage]:
         """Return every band as registration sees it: means of blocks of `factor` x `factor` px."""
+        if self._summary is None and self.pictures is not None:
+            return self._kept
         return self.summary.pictures
+
+    def keep_pictures(self, path: Path) -> None:
+        """Write `images` to a file, so that they need no pass; raises WriteRefused."""
+        values = np.stack([image.values for image in self.images()])
+        valid = np.packbits(np.stack([image.valid for image in self.images()]))
+        with replacing(path) as handle:
+            np.savez(handle, values=values, valid=valid)
+
+    @cached_property
+    def _kept(self) -> list[BandImage]:
+        assert self.pictures is not None
+        with np.load(self.pictures) as found:
+            values = found["values"]
+            valid = np.unpackbits(found["valid"], count=values.size).astype(bool)
+        pairs = zip(self.bands, values, valid.reshape(values.shape), strict=True)
+        return [BandImage(band.label, band.wavelength, *planes) for band, *planes in pairs]
 
     def _flat_blocks(self, start: int, stop: int) -> Iterator[FlatLines]:
         step = block_lines(self.shape)
@@ -327,22 +358,25 @@ class Scan:
 
 
 class ScanPass:
-    """One pass over all lines of a scan, which counts what frames lost and what denoising takes away."""
+    """One pass over lines of a scan, which counts what frames lost and what denoising takes away.
+
+    `lost` are the values of each band, (bands,), that are no finite numbers.
+    """
 
     def __init__(self, scan: Scan) -> None:
         self._scan = scan
-        self._lost = np.zeros(scan.shape[2], np.int64)
+        self.lost = np.zeros(scan.shape[2], np.int64)
         self._projecting = Projecting(scan.subspace) if scan.subspace else None
 
-    def blocks(self) -> Iterator[Cube]:
-        """Yield all lines, calibrated, some at a time."""
-        for block in self._scan._flat_blocks(0, self._scan.shape[0]):
-            self._lost += block.lost
+    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[Cube]:
+        """Yield lines `start` to `stop`, default all, calibrated, some at a time."""
+        for block in self._scan._flat_blocks(start, stop or self._scan.shape[0]):
+            self.lost += block.lost
             yield self._scan._finished(block.flat, self._projecting)
 
     def notes(self) -> tuple[str, ...]:
         """Say what was lost and taken away; raises CalibrationRefused where a band has no finite value."""
-        notes = describe_loss(self._scan.context, self._lost, self._scan.shape)
+        notes = describe_loss(self._scan.context, self.lost, self._scan.shape)
         if (made := self._projecting) is not None:
             notes.append(describe_removed(made.subspace, made.removed, made.most))
         return tuple(notes)
@@ -363,16 +397,57 @@ def describe_loss(
     return [describe_lost(count, every * shape[2], context.camera.name)] if count else []
 
 
-class Pictures:
-    """Every band of a scan as registration sees it, gathered while its lines pass by."""
+class LinesSeen:
+    """What lines of a scan show while they pass by: values that were lost, pictures, the middle.
 
-    def __init__(self, scan: Scan) -> None:
+    Parameters
+    ----------
+    scan : Scan
+    lines : (start, stop), optional
+        Those that pass, `start` a multiple of ``scan.factor``; default all.
+    """
+
+    def __init__(self, scan: Scan, lines: Lines | None = None) -> None:
+        self._lines = lines or (0, scan.shape[0])
+        self._pass, self._pictures = ScanPass(scan), Pictures(scan, self._lines)
+        self._middle = Middle(scan.shape, scan.bands, self._lines[0])
+
+    def blocks(self) -> Iterator[Cube]:
+        """Yield the lines, calibrated, some at a time."""
+        for cube in self._pass.blocks(*self._lines):
+            self._pictures.add(cube)
+            self._middle.add(cube)
+            yield cube
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return what the lines have shown, for `join`."""
+        middle = self._middle.arrays(*self._lines)
+        return {"lost": self._pass.lost, **self._pictures.arrays(), **middle}
+
+    def join(self, lines: Lines, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take lines that passed elsewhere, as `arrays` gave them there; not of a scan that is denoised."""
+        self._pass.lost += arrays["lost"]
+        self._pictures.join(lines, arrays)
+        self._middle.join(arrays, *lines)
+
+    def summary(self) -> ScanSummary:
+        """Return what all lines have shown; raises CalibrationRefused where a band has no finite value."""
+        return ScanSummary(self._pass.notes(), self._pictures.images(), self._middle.focus())
+
+
+class Pictures:
+    """Every band of a scan as registration sees it, gathered while its lines, all or some, pass by."""
+
+    def __init__(self, scan: Scan, lines: Lines) -> None:
         self._bands, self._factor = scan.bands, scan.factor
-        lines, samples, bands = scan.shape
-        height, width = lines // self._factor, samples // self._factor
-        self._sums = np.zeros((bands, height, width), np.float32)
-        self._counts = np.zeros((bands, height, width), np.uint16)
+        _, samples, bands = scan.shape
+        rows, width = self._rows(lines), samples // self._factor
+        self._sums = np.zeros((bands, rows.stop - rows.start, width), np.float32)
+        self._counts: np.ndarray = np.zeros(self._sums.shape, np.uint16)
         self._line = 0
+
+    def _rows(self, lines: Lines) -> slice:
+        return slice(lines[0] // self._factor, lines[1] // self._factor)
 
     def add(self, cube: Cube) -> None:
         """Take the next lines."""
@@ -389,6 +464,15 @@ class Pictures:
             for k in range(factor):
                 self._sums[:, row] += seen[:, k].T
             self._counts[:, row] += good.reshape(shape).sum(1, dtype=np.uint16).T
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the sums of values that can be relied on, and their counts, (bands, rows, columns)."""
+        return {"sums": self._sums, "counts": self._counts}
+
+    def join(self, lines: Lines, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take the sums and counts of some lines."""
+        rows = self._rows(lines)
+        self._sums[:, rows], self._counts[:, rows] = arrays["sums"], arrays["counts"]
 
     def images(self) -> list[BandImage]:
         """Return the pictures."""

@@ -43,8 +43,8 @@ RIM = frozenset(
     "levkas.building." + name
     for name in (
         *("run", "plan", "executor", "stages", "endings", "worker", "graph"),
-        *("cluster", "cluster_executor", "build_records", "fingerprints", "sources"),
-        *("removal", "claiming"),
+        *("cluster", "cluster_executor", "task_queue", "build_records", "fingerprints", "sources"),
+        *("removal", "claiming", "build_index"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}
 """Decide what is done, with what, and where; what comes of it is in the fingerprints themselves."""
@@ -224,7 +224,7 @@ def remember(kept: Path) -> None:
     """Take hashes from what an earlier run kept, where no file of the package was touched since."""
     try:
         record = read_json(kept)
-        if record["package"] == _stamp():
+        if record["package"] == package_stamp():
             _versions.update({stage: record["stages"][stage] for stage in ENTRIES})
     except (Refused, OSError, ValueError, KeyError, TypeError):
         return
@@ -236,7 +236,7 @@ def keep(kept: Path) -> None:
     from levkas.core.json_safe import to_json
 
     stages = {stage: code_version(stage) for stage in ENTRIES}
-    write_changed(kept, to_json({"package": _stamp(), "stages": stages}).encode())
+    write_changed(kept, to_json({"package": package_stamp(), "stages": stages}).encode())
 
 
 @cache
@@ -245,7 +245,7 @@ def _sources() -> Sources:
 
 
 @cache
-def _stamp() -> str:
+def package_stamp() -> str:
     """Hash names, sizes, times and inodes of the package's files, and the libraries' versions."""
     digest = hashlib.sha256(repr([_version(module) for module in LIBRARIES]).encode())
     for place, folders, names in os.walk(HERE):

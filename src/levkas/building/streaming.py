@@ -12,26 +12,21 @@ import numpy as np
 from levkas.building.capture_statistics import add_counts, count_flags, flag_and_count, ranges_of
 from levkas.colour.srgb import counts_white, find_rendering
 from levkas.core.cube import Band, Cube, Flag
-from levkas.core.files import make_folder, spooling
+from levkas.core.files import spooling
 from levkas.core.machine import tile_rows
 from levkas.core.problems import Problem, Refused
 from levkas.core.rounding import round_root, round_values
 from levkas.database.grey import grey_of
-from levkas.database.layers import Layer
-from levkas.database.streaming_writer import SpooledTiffs
 from levkas.geometry.pixel_maps import PixelMap, lay
 from levkas.geometry.resample import Warped, source_rows, warp
 from levkas.geometry.transforms import Affine, Composed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from levkas.building.capture_statistics import DefaultLayer
     from levkas.building.scans import Scan
-    from levkas.campaign.discovery.captures import Capture
-    from levkas.database.credits import Credits
-    from levkas.database.layout import Places
     from levkas.geometry.transforms import Transform
 
 HELD_BYTES = 300_000_000
@@ -45,26 +40,6 @@ MOST_ROWS, LEAST_ROWS, TURNED_ROWS = 256, 8, 32
 
 class ScanRefused(Refused):
     """A scan that lies so that it cannot be streamed."""
-
-
-def write_scan(
-    scan: Scan,
-    capture: Capture,
-    places: Places,
-    credits: Credits,
-    centroids: Mapping[str, float],
-) -> list[Path]:
-    """Write the calibrated lines of a scan as `native_cubes.write_native` would."""
-    sensor = capture.sensors[0].name
-    base = places.native(capture.object, capture.camera, capture.setup, sensor, kind="")
-    make_folder(base.parent)
-    layer = Layer(
-        capture.object, capture.camera, capture.setup, credits=credits, centroids=centroids
-    )
-    with SpooledTiffs(base, scan.shape, sigma=scan.has_sigma) as tiffs:
-        for cube in scan.passed():
-            tiffs.write_rows(cube)
-        return tiffs.finish(layer, scan.bands, scan.quantity)
 
 
 class HeldLines:
@@ -162,13 +137,13 @@ class Passing:
         return np.concatenate(self.mean), np.concatenate(self.seen)
 
     def ranges(self, bands: Sequence[Band]) -> list[dict[str, Any]]:
-        """As `measuring.ranges_of` gives it, of every sixteenth pixel a side."""
+        """As `ranges_of` gives it, of every sixteenth pixel a side."""
         values, flags = (
             np.concatenate([getattr(c, n) for c in self.thin]) for n in ("values", "flags")
         )
         sigmas = [cube.sigma for cube in self.thin if cube.sigma is not None]
         sigma = np.concatenate(sigmas) if len(sigmas) == len(self.thin) else None
-        return ranges_of(values, flags, sigma, bands)
+        return ranges_of(Cube(values, flags, sigma, tuple(bands), self.thin[0].quantity))
 
 
 def _thinned(cube: Cube, first: int) -> Cube:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +21,7 @@ from levkas.cli.output import (
 )
 
 VERIFY = "Read every file anew, whatever its size, times and inode say."
+FULL = "Compare every stage of a large campaign with its record, whatever the index of the last build says."
 
 
 @refusing("look")
@@ -60,6 +62,7 @@ def build(
         ),
     ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    full: Annotated[bool, typer.Option("--full", help=FULL)] = False,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -82,18 +85,21 @@ def build(
     """Build the database of a campaign from its raw frames."""
     from levkas.building import build as build_campaign
     from levkas.building import summarise
+    from levkas.building.layer_verdicts import layer_verdicts
 
     steps = build_campaign(
         campaign,
         output=output,
         objects=objects,
         keep_removed=keep_removed,
-        verify=verify,
+        verify=verify or ("full" if full else False),
         cluster=cluster,
         workers=workers,
         insecure=insecure,
     )
     report = summarise(draw_steps(steps, as_json))
+    if as_json:
+        report = replace(report, layers=tuple(layer_verdicts(report)))
     finish("build", report, as_json)
 
 
@@ -102,6 +108,7 @@ def status(
     campaign: CampaignPath,
     output: DatabasePath = None,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
+    full: Annotated[bool, typer.Option("--full", help=FULL)] = False,
     graph: Annotated[
         bool,
         typer.Option("--graph", help="Draw the stages and what each reads, as a Mermaid chart."),
@@ -111,7 +118,9 @@ def status(
     """Say what of a database is stale, and why."""
     from levkas.building import status as status_of
 
-    report = status_of(campaign, output=output, verify=verify)
+    report = status_of(
+        campaign, output=output, verify=verify or ("full" if full or graph else False)
+    )
     if graph and not as_json:
         typer.echo(report.graph, nl=False)
         return

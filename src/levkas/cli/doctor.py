@@ -49,6 +49,7 @@ PURPOSES = {
     "imagecodecs": "compressed TIFFs",
     "isal": "deflate of spectral TIFFs",
     "jinja2": "report pages",
+    "markdown-it-py": "publish: README as a page",
     "markupsafe": "pages of the viewer",
     "matplotlib": "plots of reports",
     "numba": "resampling and registration kernels",

@@ -93,7 +93,7 @@ def print_problems(problems: Iterable[Problem]) -> None:
 def finish(command: str, report: Report, as_json: bool) -> None:
     """Print a report and end with exit status 0, or 1 where something was refused or failed."""
     print_report(command, as_json, report.ok, report.problems, **report.to_dict())
-    if not as_json:
+    if not as_json and report.text:
         typer.echo(report.text)
     raise typer.Exit(0 if report.ok else 1)
 

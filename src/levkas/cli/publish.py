@@ -44,7 +44,22 @@ def publish(
         str | None,
         typer.Option("--to", help="Also send it to a store like S3: s3://BUCKET/PATH."),
     ] = None,
+    notes: Annotated[
+        Path | None,
+        typer.Option(
+            "--notes",
+            help="File of notes from the viewer, or a folder of them; default notes/ of the campaign.",
+        ),
+    ] = None,
     url: Annotated[str, typer.Option(help="Address under which the folder will be found.")] = "",
+    analyse: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--analyse",
+            help="Also pictures computed from the layers: all, or pca, mnf, infrared-visible, "
+            "ratio:700/1000, … separated by commas.",
+        ),
+    ] = None,
     no_iiif: Annotated[
         bool, typer.Option("--no-iiif", help="Leave tiles and IIIF manifests out.")
     ] = False,
@@ -54,13 +69,21 @@ def publish(
     from levkas.publish import run
 
     if check:
-        missing = run.check(subject)
+        missing = run.check(subject, notes, analyse=analyse or ())
         print_report("publish", as_json, missing.ok, list(missing.problems), **missing.to_dict())
         if not as_json:
             typer.echo(missing.text)
         raise typer.Exit(0 if missing.ok else 1)
+    wanted = run.find_subject(subject, notes=notes)
     made = run.publish(
-        subject, output=output, editions=edition, url=url, iiif=not no_iiif, bag=bag, to=to
+        wanted,
+        output=output,
+        editions=edition,
+        url=url,
+        iiif=not no_iiif,
+        analyse=analyse or (),
+        bag=bag,
+        to=to,
     )
     steps = draw_steps(made, as_json)
     report = run.summarise(steps)

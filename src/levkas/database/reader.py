@@ -25,6 +25,7 @@ from levkas.database.store import DIMENSIONS
 from levkas.database.tiff_pages import TiffPages, open_pages
 
 if TYPE_CHECKING:
+    from levkas.database.components import Components, Method
     from levkas.database.pixel_frames import FrameMap
 
 
@@ -237,6 +238,21 @@ class LayerArray(xarray.DataArray):
 
         region = make_region(polygon, rectangle, circle)
         return region_statistics(self, self.flags, region, bins=bins)
+
+    def components(self, method: Method = "pca") -> Components:
+        """Find the principal components (``"pca"``) or minimum-noise fractions (``"mnf"``) of these pixels.
+
+        Noise is taken from `sigma` where that is known, as `levkas.database.components.find_components` has it.
+
+        Raises
+        ------
+        ComponentsRefused
+            ``E_SIZE`` with too few bands or sound pixels; ``E_VALUE`` where the noise of a band is nil.
+        """
+        from levkas.database.components import find_components
+
+        sigma = self.sigma if method == "mnf" else None
+        return find_components(self, self.flags, sigma, method=method)
 
     def isel(self, *args: Any, **kwargs: Any) -> LayerArray:
         """Select by position, as xarray does."""

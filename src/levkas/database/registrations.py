@@ -105,6 +105,15 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
     return f"aligned with {count} pair{'' if count == 1 else 's'} by hand"
 
 
+def mm_per_px(record: Mapping[str, Any]) -> float | None:
+    """Return mm on the object a pixel of the reference, None where the sampling is not known."""
+    px_per_mm = record["grid"].get("px_per_mm")
+    if not px_per_mm:
+        return None
+    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
+    return float(1 / (px_per_mm * abs(np.linalg.det(step)) ** 0.5))
+
+
 def unconfirmed_cells(record: Mapping[str, Any]) -> list[list[float]]:
     """Return the cells, (x, y, width, height) in reference px, where nothing confirms a layer's map, or it is off."""
     numbers = record.get("verdict", {}).get("numbers") or {}

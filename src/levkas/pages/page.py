@@ -13,10 +13,21 @@ if TYPE_CHECKING:
 
 DECISIONS = {
     "accept": "accepted",
-    "warn": "accepted with a warning",
+    "warn": "accepted, please check",
     "refuse": "refused",
     "reference": "reference",
+    "not built": "not built yet",
 }
+"""Verdicts in the words of every page, of the viewer and of the workbench; records hold the keys."""
+
+
+def describe_decision(decision: str) -> str:
+    """Return a decision of a record in words.
+
+    >>> describe_decision("warn")
+    'accepted, please check'
+    """
+    return DECISIONS.get(decision, decision)
 
 
 @dataclass(frozen=True)
@@ -60,7 +71,7 @@ class LayerReport:
     @property
     def decision_text(self) -> str:
         """The decision in a user's word."""
-        return DECISIONS.get(self.decision, self.decision)
+        return describe_decision(self.decision)
 
     @property
     def anchor(self) -> str:
@@ -101,6 +112,8 @@ class ObjectReport:
     setups: Sequence[CloseUps] = ()
     short: Sequence[tuple[str, str]] = ()
     links: Sequence[tuple[str, str]] = ()
+    viewer: str = ""
+    """Address of the object in the viewer; the link is hidden until the database is published."""
 
 
 def render_page(template: str, **values: Any) -> str:

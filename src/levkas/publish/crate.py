@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 NAME = "ro-crate-metadata.json"
+PREVIEW = "ro-crate-preview.html"
 VERSION = "1.1"
 TERMS = {"sha256": "https://w3id.org/ro/terms/workflow-run#sha256"}
 """Words that RO-Crate 1.1 has not, and where they are explained."""
@@ -89,6 +90,13 @@ def _describe_root(publication: Publication, entities: dict[str, Entity]) -> Ent
     """Fill `entities` by their ids, and return the properties of the root."""
     facts = publication.facts
     files = _describe_files(publication, entities)
+    entities[PREVIEW] = {
+        "@id": PREVIEW,
+        "@type": "CreativeWork",
+        "name": "This record as a page",
+        "encodingFormat": "text/html",
+        "about": {"@id": "./"},
+    }
     _nest(entities, files)
     actions = describe_steps(publication, entities)
     describe_tools(entities)
@@ -273,8 +281,37 @@ def describe_steps(publication: Publication, entities: dict[str, Entity]) -> lis
         record = read_json(path)
         for step in record.get("steps", ()):
             actions.append(_step(record, step, entities))
+    for path in sorted(publication.folder.glob("**/objects/*/analysis/*.json")):
+        actions.append(_analysis(publication, path, entities))
     actions += _editions(entities)
     return actions
+
+
+def _analysis(publication: Publication, path: Path, entities: dict[str, Entity]) -> Entity:
+    """Add the action that made one analysis, from its record."""
+    record, folder = read_json(path), path.parent.relative_to(publication.folder)
+    edition = f", {folder.parts[0]} edition" if len(folder.parts) > 3 else ""
+    inputs = [quote((folder.parent / Path(name).name).as_posix()) for name in record["inputs"]]
+    results = [quote((folder / name).as_posix()) for name in (record["file"], path.name)]
+    name = f"{record['layer']}: {record['title'].lower()}"
+    for result, what in zip(results, (name, f"{name}: how it was made"), strict=True):
+        entities[result]["description"] = what
+    method = [{"@id": record["source"]}] if "source" in record else []
+    for one in method:
+        _add(entities, one["@id"], {"@type": "ScholarlyArticle", "name": one["@id"]})
+    entity: Entity = {
+        "@type": "CreateAction",
+        "name": f"{record['object']}, {name}{edition}",
+        "description": "Computed from the layers where no flag makes a pixel unusable",
+        "instrument": {"@id": _program(__version__)},
+        "object": [
+            *({"@id": one} for one in inputs),
+            _parameter(entities, "analysis", record["analysis"]),
+            *method,
+        ],
+        "result": [{"@id": one} for one in results],
+    }
+    return _add(entities, f"#{quote(path.relative_to(publication.folder).as_posix())}", entity)
 
 
 def describe_tools(entities: dict[str, Entity]) -> None:

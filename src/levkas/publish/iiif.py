@@ -18,15 +18,16 @@ from levkas.colour.srgb import srgb_profile
 from levkas.core.json_safe import to_json
 from levkas.core.problems import Problem
 from levkas.core.text import parse_json
+from levkas.publish.annotations import annotations_of
+from levkas.publish.citation import cite
 from levkas.publish.publication import PublishRefused, describe_dataset
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
+    from levkas.publish.annotations import Annotations
     from levkas.publish.publication import Publication
 
 FOLDER = "iiif"
-LOCAL = "http://localhost:8000/"
-"""Where ``python -m http.server`` in the publication's folder gives it."""
 LANGUAGE = "en"
 CONTEXT = "http://iiif.io/api/presentation/3/context.json"
 
@@ -41,7 +42,8 @@ def write_iiif(publication: Publication) -> Iterator[str]:
     """
     if not publication.iiif:
         return
-    base = publication.url or LOCAL
+    base = publication.base
+    notes = annotations_of(publication)
     manifests = []
     for name in dict.fromkeys(entry.object for entry in publication.entries()):
         layers = _layers(publication, name)
@@ -54,7 +56,7 @@ def write_iiif(publication: Publication) -> Iterator[str]:
             for file, data in cut_tiles(picture, service):
                 publication.write_bytes(f"{FOLDER}/{name}/{layer}/{file}", data)
             shown.append(_image(entry, service, picture.shape[:2], rendering))
-        manifest = describe_object(publication, base, name, layers, shown)
+        manifest = describe_object(publication, name, layers, shown, notes)
         publication.write_text(f"{FOLDER}/{name}/manifest.json", to_json(manifest))
         manifests.append(manifest)
     yield "collection"
@@ -64,22 +66,22 @@ def write_iiif(publication: Publication) -> Iterator[str]:
 
 def describe_object(
     publication: Publication,
-    base: str,
     name: str,
     layers: list[Entry],
     shown: list[dict[str, Any]],
+    notes: Annotations,
 ) -> dict[str, Any]:
     """Return the manifest of an object, as `iiif_prezi3` spells it."""
     from iiif_prezi3 import Manifest
 
-    facts = publication.facts.objects.get(name, {})
-    here = address(base, FOLDER, name)
+    facts, base = publication.facts.objects.get(name, {}), publication.base
+    here, title = address(base, FOLDER, name), facts.get("title") or name
     width, height = layers[0].width, layers[0].height
     body = shown[0] if len(shown) == 1 else {"type": "Choice", "items": shown}
     canvas = {
         "id": f"{here}/canvas",
         "type": "Canvas",
-        "label": {"none": [name]},
+        "label": {"none": [title]},
         "width": width,
         "height": height,
         "items": [
@@ -98,13 +100,18 @@ def describe_object(
             }
         ],
     }
+    if items := notes.of(name):
+        page = {"id": f"{here}/canvas/notes", "type": "AnnotationPage", "items": items}
+        canvas["annotations"] = [page]
     record = {
         "id": f"{here}/manifest.json",
         "type": "Manifest",
-        "label": {"none": [facts.get("title") or name]},
+        "label": {"none": [title]},
         "metadata": _metadata(facts, layers),
         "thumbnail": [_thumbnail(shown[0])],
         "items": [canvas],
+        **_page(address(base, "viewer", "objects", name, "index.html"), title),
+        "seeAlso": _records(base),
         **_rights(publication),
     }
     return _spelled(Manifest, record)
@@ -125,9 +132,41 @@ def describe_collection(
             {"id": m["id"], "type": "Manifest", "label": m["label"], "thumbnail": m["thumbnail"]}
             for m in manifests
         ],
+        **_page(address(base, "index.html"), publication.facts.title),
+        "seeAlso": _records(base),
         **_rights(publication),
     }
     return _spelled(Collection, record)
+
+
+def _page(place: str, words: str) -> dict[str, Any]:
+    """Return a page of the viewer as the homepage, where this installation carries its pages."""
+    from levkas.pages.screen import ScreenMissing, read_built
+
+    try:
+        read_built("viewer.js")
+    except ScreenMissing:
+        return {}
+    page = {"id": place, "type": "Text", "label": {"none": [words]}, "format": "text/html"}
+    return {"homepage": [page]}
+
+
+def _records(base: str) -> list[dict[str, Any]]:
+    """Return what programs read of the whole database."""
+    crate = {
+        "id": address(base, "ro-crate-metadata.json"),
+        "type": "Dataset",
+        "label": {LANGUAGE: ["RO-Crate: every file and how it came about"]},
+        "format": "application/ld+json",
+        "profile": "https://w3id.org/ro/crate/1.1",
+    }
+    catalogue = {
+        "id": address(base, "catalogue.csv"),
+        "type": "Dataset",
+        "label": {LANGUAGE: ["Catalogue of all layers"]},
+        "format": "text/csv",
+    }
+    return [catalogue, crate]
 
 
 def never_html(text: str) -> str:
@@ -219,14 +258,21 @@ def _metadata(facts: dict[str, Any], layers: list[Entry]) -> list[dict[str, Any]
 
 
 def _rights(publication: Publication) -> dict[str, Any]:
-    """The licence: Creative Commons' by its address, which IIIF has without its s."""
-    licence = publication.facts.licence
+    """What a viewer has to show: whom to name, under which licence; Creative Commons' by its address, without its s."""
+    facts = publication.facts
+    licence = facts.licence
     if licence is None:
         return {}
-    if licence.spdx:
-        return {"rights": licence.url.replace("https://", "http://")}
-    entry = {"label": {LANGUAGE: ["Licence"]}, "value": {"none": [never_html(licence.name)]}}
-    return {"requiredStatement": entry}
+    terms = f"{licence.name} <{licence.url}>" if licence.url else licence.name
+    lines = [never_html(line) for line in (cite(facts), f"Licence: {terms}")]
+    stated = {
+        "requiredStatement": {
+            "label": {LANGUAGE: ["Attribution and licence"]},
+            "value": {"none": lines},
+        }
+    }
+    rights = {"rights": licence.url.replace("https://", "http://")} if licence.spdx else {}
+    return {**rights, **stated}
 
 
 TILE = 512

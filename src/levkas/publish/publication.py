@@ -18,10 +18,14 @@ if TYPE_CHECKING:
     from levkas.core.files import Folder
     from levkas.database.catalogue import Entry
     from levkas.database.manifest import Manifest
+    from levkas.publish.analysis_names import Analysis
     from levkas.publish.metadata import PublicationFacts
 
 MEDIUM = "medium"
 """Folder of the medium edition where both are published."""
+
+LOCAL = "http://localhost:8000/"
+"""Where ``python -m http.server`` in the publication's folder gives it."""
 
 Editions = Literal["full", "medium", "both"]
 
@@ -50,8 +54,14 @@ class Publication:
         Address under which the folder will be found, with ``/`` at its end; empty where not known.
     iiif : bool
         Whether tiles are wanted.
+    notes : tuple of Path
+        Files of notes that it carries.
+    analyses : tuple of Analysis
+        That are wanted.
     hashes : dict
         SHA-256 of files that were hashed while they were written, by relative path.
+    left_out : list of str
+        Analyses that could not be made, and why.
     """
 
     source: Path
@@ -61,7 +71,10 @@ class Publication:
     editions: Editions = "both"
     url: str = ""
     iiif: bool = True
+    notes: tuple[Path, ...] = ()
+    analyses: tuple[Analysis, ...] = ()
     hashes: dict[str, str] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
     @property
     def folder(self) -> Path:
@@ -74,6 +87,11 @@ class Publication:
         if self.editions == "both":
             return {"full": self.folder, "medium": self.folder / MEDIUM}
         return {self.editions: self.folder}
+
+    @property
+    def base(self) -> str:
+        """Address of the folder; that of a server on this machine where none is known."""
+        return self.url or LOCAL
 
     @property
     def root(self) -> Path:

@@ -1,4 +1,4 @@
-"""README.md of a published database: what it is, how to cite it, how to read it."""
+"""README.md of a published database, and README.html: what it is, how to cite it, how to read it."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING
 from levkas.core.flags import MARKS
 from levkas.database.registrations import describe_pairs, read_registration
 from levkas.publish.citation import cite
-from levkas.publish.publication import describe_dataset
+from levkas.publish.publication import MEDIUM, describe_dataset
 
 if TYPE_CHECKING:
     from levkas.database.catalogue import Entry
     from levkas.publish.publication import Publication
 
 NAME = "README.md"
+PAGE = "README.html"
 PARTS = {
     "catalogue.csv": "one row a layer: object, camera, setup, bands, size, sampling, quantity, verdict",
     "database.toml": "title, creators, licence, cameras and lightings",
     "splits.csv": "which objects to learn from, to choose with and to test on",
     "objects/": "one folder an object: spectral TIFFs with flags and sigma, previews, registration, report",
+    "objects/OBJECT/analysis/": "pictures computed from layers, as float TIFFs; the JSON beside each says how",
     "zarr/": "the same layers as Zarr v3, one store an object",
     "cameras/": "sensors, sensitivities, report of each camera",
     "setups/": "spectra of the light",
@@ -29,8 +31,9 @@ PARTS = {
     "medium/": "the same database at no more than 640 x 480 pixels, and complete in itself",
     "colour/": "the CIELAB gamut of the database",
     "iiif/": "tiles and manifests for IIIF viewers",
-    "viewer/": "open `index.html` in a browser: no server is needed",
-    "ro-crate-metadata.json": "RO-Crate: every file and every step of its making",
+    "viewer/": "open [index.html](index.html) in a browser: no server is needed",
+    "ro-crate-preview.html": "every file and every step of its making, as a page",
+    "ro-crate-metadata.json": "the same for programs, RO-Crate",
     "datacite.json": "DataCite metadata",
     "CITATION.cff": "how to cite",
     "manifest-sha256.txt": "SHA-256 of every file",
@@ -38,11 +41,56 @@ PARTS = {
 
 
 def write_readme(publication: Publication) -> Iterator[str]:
-    """Write README.md; of both editions each has its own."""
+    """Write README.md and README.html; of both editions each has its own."""
     yield NAME
     for root in publication.roots.values():
         place = root.relative_to(publication.folder)
-        publication.write_text((place / NAME).as_posix(), format_readme(publication, root))
+        text = format_readme(publication, root)
+        publication.write_text((place / NAME).as_posix(), text)
+        publication.write_text((place / PAGE).as_posix(), render_readme(publication, root, text))
+
+
+def render_readme(publication: Publication, root: Path, text: str) -> str:
+    """Return README.md as a page that needs no other file and no other host."""
+    from markdown_it import MarkdownIt
+    from markupsafe import Markup
+
+    from levkas.pages.page import render_page
+
+    # HTML in the text stays text; links lead to the web, to mail and to files, never to scripts.
+    marked = MarkdownIt("js-default", {"html": False, "linkify": False})
+    marked.add_render_rule("table_open", _open_table)
+    marked.add_render_rule("table_close", lambda *_: "</tbody></table></div>\n")
+    marked.add_render_rule("tbody_close", lambda *_: "")
+    _, _, body = text.partition("\n\n")
+    creators = "; ".join(person.name for person in publication.facts.creators)
+    page = {
+        "title": " ".join(publication.facts.title.split()),
+        "subtitle": creators,
+        "links": pages_beside(root),
+        "body": Markup(marked.render(body)),
+    }
+    return render_page("readme.html", page=page)
+
+
+def _open_table(*_: object) -> str:
+    """A table that is wider than a phone is scrolled by itself, also with the keyboard."""
+    return '<div class="scroll" role="region" tabindex="0" aria-label="Table"><table>\n'
+
+
+def pages_beside(root: Path) -> list[tuple[str, str]]:
+    """Return (words, address) of the pages and tables at the top of an edition."""
+    known = {
+        "Viewer": "index.html",
+        "Read me": PAGE,
+        "Files and their making": "ro-crate-preview.html",
+        "Catalogue": "catalogue.csv",
+        "How to cite": "CITATION.cff",
+    }
+    crate = root.name != MEDIUM  # which has none of its own
+    there = {name for name in known.values() if (root / name).is_file()}
+    there |= {PAGE, *(["ro-crate-preview.html"] if crate else [])}
+    return [(words, name) for words, name in known.items() if name in there]
 
 
 def format_readme(publication: Publication, root: Path) -> str:
@@ -105,11 +153,13 @@ def _by_hand(root: Path, entry: Entry) -> str:
 
 
 def _files(publication: Publication, root: Path) -> str:
-    later = {"ro-crate-metadata.json", "manifest-sha256.txt"}
-    if root != publication.folder:
-        later.discard("ro-crate-metadata.json")
+    crate = {"ro-crate-metadata.json", "ro-crate-preview.html"}
+    later = {"manifest-sha256.txt"} | (crate if root == publication.folder else set())
+    if any(root.glob("objects/*/analysis")):
+        later.add("objects/OBJECT/analysis/")
     here = [n for n in PARTS if (root / n).exists() or n in later]
-    return "\n".join(f"- `{name}`: {PARTS[name]}" for name in here)
+    named = {name: f"`{name}`" if name.endswith("/") else f"[{name}]({name})" for name in here}
+    return "\n".join(f"- {named[name]}: {PARTS[name]}" for name in here)
 
 
 def _reading(entries: tuple[Entry, ...]) -> str:

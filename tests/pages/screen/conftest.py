@@ -8,6 +8,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from levkas.workbench.history import HISTORY_NAME
+
 from .database import write_database
 from .serving import Served, opened
 
@@ -148,6 +150,7 @@ def served(correctable, inspected, tmp_path_factory):
 def bench(served, browser):
     """The workbench without any correction, opened: (page, server)."""
     served.edits_path.unlink(missing_ok=True)
+    (served.folder / HISTORY_NAME).unlink(missing_ok=True)
     served.library._frames.clear()
     return opened(browser, served), served
 
@@ -163,7 +166,7 @@ def add_viewer():
     except ScreenMissing:
         pytest.skip("the pages are not built: run `make frontend`")
 
-    def add(folder, **about):
+    def add(folder, notes=None, **about):
         def write(name, data):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -176,7 +179,7 @@ def add_viewer():
             "licence_url": "https://creativecommons.org/licenses/by/4.0/",
             "citation": "Painter, Ada (2019). A small database.",
         }
-        list(write_viewer(folder, write, About(**{**facts, **about})))
+        list(write_viewer(folder, write, About(**{**facts, **about}), notes=notes))
         return folder
 
     return add
@@ -187,6 +190,24 @@ def viewer(add_viewer, tmp_path_factory):
     """Folder of a database of two objects with its viewer; the second has a refused camera."""
     folder = tmp_path_factory.mktemp("viewer") / "database"
     return add_viewer(write_database(folder, {"icon1": "First icon", "icon2": "Second icon"}))
+
+
+@pytest.fixture(scope="session")
+def publish_with():
+    """Return a function that publishes a database under a title and a creator, and gives the folder."""
+    import json
+
+    from levkas.database.manifest import write_manifest
+    from levkas.publish import run
+
+    def publish(database, title, creator, **options):
+        facts = {"title": title, "creator": creator, "date": "2019-06-30", "licence": "CC-BY-4.0"}
+        lines = [f"{key} = {json.dumps(value)}\n" for key, value in facts.items()]
+        (database / "database.toml").write_text("".join(lines), encoding="utf-8")
+        write_manifest(database)
+        return run.summarise(run.publish(database, editions="full", iiif=False, **options)).output
+
+    return publish
 
 
 @pytest.fixture

@@ -84,6 +84,33 @@ def test_a_spectrum_of_a_hostile_layer_is_read_and_saved_as_text(browser, folder
     assert '"\'=HYPERLINK(""http' in text
 
 
+def test_read_me_and_the_page_of_the_crate_show_hostile_titles_as_text(
+    browser, publish_with, tmp_path
+):
+    database = tmp_path / "database"
+    names = as_names(TITLES)
+    write_hostile_database(database, TITLES, names)
+    folder = publish_with(database, TITLES[1], TITLES[7])
+    told = {
+        "README.html": [" ".join(title.split()) for title in TITLES],
+        "ro-crate-preview.html": [f"{name}/" for name in names],
+    }
+    for page_name, texts in told.items():
+        page = browser.open((folder / page_name).as_uri())
+        state = page.evaluate(STATE)
+        assert state["evil"] is None and state["attributes"] == [], page_name
+        assert state["head"] == TITLES[1], page_name
+        data = int(page_name == "ro-crate-preview.html")
+        assert dict(map(tuple, state["tags"])).get("script", 0) == data, page_name
+        foreign = {"iframe", "object", "embed", "base", "svg", "img", "form", "template", "video"}
+        assert not foreign & {name for name, _ in state["tags"]}, page_name
+        find = "[...document.querySelectorAll('td, summary')].map(e => e.firstChild?.data?.trim())"
+        shown = {" ".join((text or "").split()) for text in page.evaluate(find)}
+        assert {" ".join(text.split()) for text in texts} <= shown, page_name
+        links = page.evaluate("[...document.querySelectorAll('a')].map(a => a.protocol)")
+        assert set(links) <= {"file:", "https:"}, page_name
+
+
 def test_a_policy_stops_a_script_that_got_into_a_page(browser, folder, tmp_path):
     page = folder / "viewer/objects/plain/index.html"
     broken = page.with_name("broken.html")

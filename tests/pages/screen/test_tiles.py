@@ -72,19 +72,33 @@ def test_tiles_of_every_level_join_to_the_picture(size):
     image = rng.integers(0, 4, size[::-1], np.uint8)
     palette = rng.integers(0, 255, (4, 3), np.uint8)
     files = {}
-    facts = write_pyramid(files.__setitem__, "p", image, palette=palette)
+    facts = write_pyramid(files.__setitem__, "p", image, key="layers/0/p", palette=palette)
     for level in range(facts["most"], facts["least"] - 1, -1):
         joined = np.full((*image.shape, 3), 7, np.uint8)
         for name, data in files.items():
             if not name.startswith(f"p/{level}/"):
                 continue
-            column, row = map(int, name.split("/")[-1].removesuffix(".png").split("_"))
-            tile = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+            column, row = map(int, name.split("/")[-1].removesuffix(".js").split("_"))
+            head, text = data.decode("ascii").removesuffix('");\n').split(',"')
+            assert head == f'levkasTile("layers/0/{name.removesuffix(".js")}"'
+            tile = np.asarray(Image.open(io.BytesIO(b64decode(text))).convert("RGB"))
             top, left = (max(0, n * TILE_PX - OVERLAP_PX) for n in (row, column))
             joined[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
         np.testing.assert_array_equal(joined, palette[image])
         image = halve(image, categories=True)
     assert max(size) / 2 ** (facts["most"] - facts["least"]) <= TILE_PX
+
+
+@pytest.mark.parametrize("shape", [(60, 70), (60, 70, 3)])
+def test_tiles_of_pictures_lose_nothing(shape):
+    image = np.random.default_rng(5).integers(0, 256, shape, np.uint8)
+    files = {}
+    facts = write_pyramid(files.__setitem__, "p", image, key="p")
+    assert facts["format"] == "webp"
+    (name,) = [one for one in files if one.startswith(f"p/{facts['most']}/")]
+    text = files[name].decode("ascii").removesuffix('");\n').split(',"')[1]
+    tile = np.asarray(Image.open(io.BytesIO(b64decode(text))))
+    np.testing.assert_array_equal(tile, image if image.ndim == 3 else image[..., None].repeat(3, 2))
 
 
 def test_neighbouring_tiles_overlap_by_a_pixel_on_each_side():

@@ -629,3 +629,99 @@ def test_a_region_can_be_given_up_and_made_without_a_mouse(browser, address):
     (one,) = page.evaluate("levkasViewer.state.regions.value")
     grid = page.evaluate("levkasViewer.record.grid")
     assert one["points"] == [[0, 0], [grid["width"] - 1, grid["height"] - 1]]
+
+
+def corners(page, *places):
+    for place in places:
+        page.mouse.click(*page.evaluate(f"levkasViewer.stage.left.pageOf({place[0]}, {place[1]})"))
+
+
+def test_lengths_and_areas_are_in_millimetres_and_in_the_address(browser, address):
+    page = open_object(browser, address("file"))
+    page.keyboard.press("m")
+    corners(page, (20, 20), (60, 50), (60, 100))
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Measure a circle").click()
+    drag(page, (90, 60), (100, 60))
+    page.wait_for_function("() => document.querySelectorAll('#measures li').length === 2")
+    line, circle = page.evaluate("levkasViewer.state.measures.value")
+    points = np.array(line["points"])
+    length = np.hypot(*np.diff(points, axis=0).T).sum() / 1.25
+    radius = np.hypot(*np.subtract(*circle["points"])) / 1.25
+    words = page.locator("#measures .region-words").all_inner_texts()
+    assert float(words[0].removesuffix(" mm")) == pytest.approx(length, rel=1e-3)
+    assert length == pytest.approx(80, rel=0.01)
+    assert float(words[1].split(" mm²")[0]) == pytest.approx(np.pi * radius**2, rel=1e-3)
+    marks = page.locator(".pane:not([hidden]) .region-number").all_text_contents()
+    assert marks == [f"M1 {words[0]}", f"M2 {words[1].split(',')[0]}"]
+    page.keyboard.press("g")
+    assert page.locator(".pane:not([hidden]) .grid-line").count() > 4
+    assert "grid 1 cm" in page.locator(".scalebar").inner_text()
+    page.wait_for_function("() => location.hash.includes('grid=1')")
+    again = open_object(browser, page.url)
+    assert again.locator("#measures .region-words").all_inner_texts() == words
+    assert again.get_by_label("Show a grid").is_checked()
+    with again.expect_download() as download:
+        again.get_by_role("button", name="Save measures as CSV").click()
+    with Path(download.value.path()).open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[0]["length_mm"]) == pytest.approx(length, rel=1e-6)
+    assert rows[0]["area_mm2"] == "" and float(rows[1]["area_mm2"]) > 0
+    # Lines of the grid are 10 mm apart, the first one at the edge.
+    x = again.locator(".pane:not([hidden]) .grid-line").evaluate_all(
+        "all => all.filter(l => l.x1.baseVal.value === l.x2.baseVal.value).map(l => l.x1.baseVal.value)"
+    )
+    scale = again.evaluate("levkasViewer.stage.left.scale")
+    np.testing.assert_allclose(np.diff(x), 12.5 * scale, rtol=1e-3)
+
+
+def test_a_length_is_measured_with_the_keyboard_alone(browser, address):
+    page = open_object(browser, address("file"))
+    page.evaluate("levkasViewer.state.pin.value = [30, 30]")
+    page.keyboard.press("m")
+    page.keyboard.press("p")
+    for _ in range(10):
+        page.keyboard.press("Shift+ArrowRight")
+    page.keyboard.press("p")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#measures li")
+    assert page.locator("#measures .region-words").inner_text() == "8 mm"
+    assert page.locator(".pins .pin-number.measure").inner_text() == "M1"
+
+
+def test_a_link_holds_tone_rate_curtain_choices_and_range(browser, address):
+    page = open_object(browser, address("file", fragment="#a=vis/colour&b=rgb/colour"))
+    page.keyboard.press("c")
+    page.evaluate("levkasViewer.stage.curtain.move(0.25)")
+    page.get_by_label("Layer that regions are measured in").select_option("nir")
+    page.get_by_label("Band of the histogram").select_option("1")
+    page.get_by_label("Layer whose spectra are compared").select_option("rgb")
+    page.evaluate("levkasViewer.stage.look(75, 60, 6)")
+    click_pixel(page, 80, 60)
+    page.get_by_label("Keep this range").check()
+    top = page.locator("#spectrum .chart").get_attribute("data-top")
+    for name, value in (("Rate", 4), ("Amplify", 8)):
+        page.locator("label.slider", has_text=name).locator("input").evaluate(
+            f"e => {{ e.value = {value}; e.dispatchEvent(new Event('input')); }}"
+        )
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.get_by_role("button", name="Copy link").click()
+    page.wait_for_selector("text=Link copied")
+    link = page.evaluate("navigator.clipboard.readText()")
+    assert link == page.url
+    again = open_object(browser, link)
+    again.wait_for_selector('.place[data-pixel="80,60"]')
+    state = """() => [levkasViewer.stage.mode.value, levkasViewer.stage.curtain.fraction,
+      levkasViewer.stage.flicker.rate, levkasViewer.stage.tone.amplify]"""
+    assert again.evaluate(state) == ["curtain", 0.25, 4, 8]
+    chosen = {"Layer that regions are measured in": "nir", "Band of the histogram": "1"}
+    chosen["Layer whose spectra are compared"] = "rgb"
+    for label, value in chosen.items():
+        assert again.get_by_label(label).input_value() == value
+    assert again.get_by_label("Keep this range").is_checked()
+    assert again.locator("#spectrum .chart").get_attribute("data-top") == top
+    # A link that says nothing of them, pasted over this one, shows what a fresh page shows.
+    again.evaluate("location.hash = '#a=vis/colour'")
+    again.wait_for_function("() => levkasViewer.stage.mode.value === 'single'")
+    assert again.evaluate(state)[2:] == [2, 4]
+    assert again.get_by_label("Band of the histogram").input_value() == "4"

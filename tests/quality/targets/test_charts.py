@@ -85,11 +85,36 @@ def test_without_a_detector_the_corners_are_asked_for(monkeypatch):
     assert found.agreement > 0.9
 
 
-def test_corners_in_another_order_are_refused_by_rank():
-    wrong = np.roll(true_corners(), 2, axis=0)
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("turn", [1, 2, 3])
+def test_corners_may_be_named_in_any_order(turn, mirrored):
+    named = np.roll(true_corners(), turn, axis=0)
+    named = named[::-1] if mirrored else named
+    found = locate_chart(scene(), WAVELENGTHS, CLASSIC, reference_of(CLASSIC), corners=named)
+    np.testing.assert_allclose(found.corners, true_corners())
+    assert ("mirrored" in found.turned) == mirrored and found.turned
+
+
+def test_corners_of_something_else_are_refused_in_every_order():
+    rng = np.random.default_rng(3)
+    other = np.kron(rng.uniform(0.1, 0.9, (12, 16, len(WAVELENGTHS))), np.ones((25, 25, 1)))
     with pytest.raises(ChartRefused) as refused:
-        locate_chart(scene(), WAVELENGTHS, CLASSIC, reference_of(CLASSIC), corners=wrong)
+        locate_chart(other, WAVELENGTHS, CLASSIC, reference_of(CLASSIC), corners=true_corners())
     assert refused.value.problems[0].code == "E_CHART_ORDER"
+
+
+def test_a_band_that_leaks_is_named_and_the_others_are_used():
+    leaking = scene()
+    leaking[..., 0] = 0.15 * leaking[..., 0] + 0.85 * leaking[..., -1]
+    reference = reference_of(CLASSIC)
+    found = locate_chart(leaking, WAVELENGTHS, CLASSIC, reference, corners=true_corners())
+    assert found.unfit.tolist() == [True] + [False] * (len(WAVELENGTHS) - 1)
+    assert found.bands[0] < 0.8 and found.agreement > 0.98 and not found.turned
+    seen = [Sighting("", found, cube(leaking))]
+    made = measure("leaking", CLASSIC, seen, reference)
+    (note,) = [n for n in made.notes if "420 nm" in n]
+    assert "near infrared" in note
+    assert made.colours.difference.mean() < 1 and "10 channels" in made.colours.how
 
 
 @pytest.mark.parametrize(
@@ -119,6 +144,34 @@ def test_signal_to_noise_of_patches_is_what_was_planted():
     assert np.mean(by_shots.noise / level) == pytest.approx(1, abs=0.02)
     assert np.mean(by_plane.noise / level) == pytest.approx(1, abs=0.02)
     assert by_shots.snr_db[18, 0] == pytest.approx(10 * np.log10(by_shots.snr[18, 0]))
+
+
+def test_noise_of_a_mosaic_is_that_of_its_measured_sensels():
+    rng = np.random.default_rng(4)
+    measured = 0.5 + 0.02 * rng.standard_normal((120, 120))
+    pattern = np.array([[0, 1], [1, 2]])
+    values = np.empty((120, 120, 3))
+    for band in range(3):
+        own = pattern[np.arange(120)[:, None] % 2, np.arange(120) % 2] == band
+        known = np.where(own, measured, 0)
+        weight = cv2.blur(own.astype(float), (3, 3))
+        values[..., band] = np.where(own, measured, cv2.blur(known, (3, 3)) / weight)
+    area = np.array([[[10, 10], [109, 10], [109, 109], [10, 109.0]]])
+    flags = np.zeros(values.shape, np.uint8)
+    every = measure_patches(values, flags, area)
+    sensels = measure_patches(values, flags, area, pattern=pattern)
+    assert sensels.noise[0] == pytest.approx([0.02] * 3, rel=0.05)
+    assert (every.noise[0] < 0.8 * sensels.noise[0]).all()  # what lies between has less
+
+
+def test_patches_of_coarse_codes_are_said_to_be_limited_by_quantisation():
+    rng = np.random.default_rng(5)
+    signal = np.array([2.0, 120.0]) + np.array([0.05, 4.0]) * rng.standard_normal((60, 60, 2))
+    codes = np.rint(signal)
+    area = np.array([[[5, 5], [54, 5], [54, 54], [5, 54.0]]])
+    table = measure_patches(codes, np.zeros(codes.shape, np.uint8), area, steps=[1.0, 1.0])
+    assert table.quantised.tolist() == [[True, False]]
+    assert table.snr[0] == pytest.approx([2 / np.sqrt(1 / 12), 30], rel=0.1)
 
 
 def test_a_saturated_patch_has_no_signal_to_noise():

@@ -107,6 +107,15 @@ def test_range_of_a_scene_is_what_was_planted_and_noise_is_its_floor():
     assert np.isnan(sensor_stops(100, 0.0))
 
 
+def test_range_of_codes_ends_at_the_noise_of_their_rounding():
+    rng = np.random.default_rng(8)
+    picture = np.clip(255 * rng.random((200, 200, 1)) ** 6, 1e-3, 255)  # as interpolation leaves it
+    flags = np.zeros(picture.shape, np.uint8)
+    (free,) = scene_ranges(picture, flags, None, ["G"])
+    (codes,) = scene_ranges(picture, flags, None, ["G"], counts=True)
+    assert free.stops > 15 and codes.stops == pytest.approx(np.log2(255 * 12**0.5), abs=0.1)
+
+
 @pytest.mark.parametrize("blur", [0.8, 1.5, 3.0])
 def test_blur_of_edges_is_what_was_planted_whatever_the_contrast(blur):
     from scipy.ndimage import gaussian_filter

@@ -65,6 +65,11 @@ class FolderListings:
         """Return the names of the folders in a folder, sorted; raises as `files`."""
         return self._listed(folder)[1]
 
+    @property
+    def listed(self) -> tuple[str, ...]:
+        """Every folder that was listed, or looked for, but for those not to look into."""
+        return tuple(folder for folder in self._known if folder not in self._never)
+
     def is_link(self, folder: Path, name: str) -> bool:
         """Whether an entry is a symbolic link, which may lead back to where one comes from."""
         return name in self._listed(folder)[2]

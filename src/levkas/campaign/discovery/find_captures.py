@@ -78,7 +78,7 @@ def find_captures(
     Raises
     ------
     CaptureRefused
-        Where there is no object at all.
+        Where there is neither an object nor a chart.
     """
     index = index or scan_folders(campaign)
     index.objects = _objects(index)
@@ -106,15 +106,13 @@ def find_charts(
 ) -> tuple[list[Capture], Refusals]:
     """Find every capture of a declared chart, by the cameras and setups that took it.
 
-    Takes and returns as `find_captures`; plain images, which are not calibrated, are left out.
+    Takes and returns as `find_captures`.
     """
     index = index or scan_folders(campaign)
     captures: list[Capture] = []
     refusals: Refusals = {}
     for name in campaign.targets.charts:
         for camera, setup in index.frames:
-            if campaign.cameras[camera].kind == "image":
-                continue
             if not index.of(name, camera, setup):
                 continue
             try:
@@ -134,9 +132,9 @@ def _objects(index: FileIndex) -> list[str]:
     if campaign.targets.objects:
         return list(campaign.targets.objects)
     others = set(declared_targets(campaign)) - set(campaign.objects)
-    found_targets = {f.target for found in index.frames.values() for f in found} - others
-    names = found_targets | set(campaign.objects)
-    if not names:
+    seen = {f.target for found in index.frames.values() for f in found}
+    names = (seen - others) | set(campaign.objects)
+    if not names and seen.isdisjoint(campaign.targets.charts):  # charts alone are measured
         raise _no_objects(index)
     return sorted(names, key=lambda n: (natural(n), n))
 

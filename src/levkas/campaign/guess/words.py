@@ -18,9 +18,14 @@ WHITE = _words(
     "white whites whiteref whiteboard flat flats flatfield ff spectralon weiss blanc blanche"
 )
 CHARTS = {
-    **dict.fromkeys(("colorchecker", "colourchecker", "macbeth", "passport"), "ColorChecker24"),
-    **dict.fromkeys(("ccsg", "digitalsg", "colorcheckersg"), "ColorCheckerSG"),
-    "chart": "ColorChecker24",
+    **dict.fromkeys(
+        _words("""
+            chart charts colorchecker colourchecker colorchart colourchart macbeth passport xrite calibrite farbkarte
+            farbtafel farbkontrollkarte charte mire nuancier cartacolori scalacolori cartadecolor kleurenkaart
+        """),
+        "ColorChecker24",
+    ),
+    **dict.fromkeys(_words("ccsg digitalsg colorcheckersg colourcheckersg"), "ColorCheckerSG"),
 }
 """Names of charts, and the reference that each most likely is."""
 IMAGES = _words("""

@@ -169,7 +169,10 @@ def _targets(document: Document) -> Iterator[Problem]:
     for role, names in roles.items():
         for name in names:
             other = roles_of.setdefault(name, role)
-            if other != role:
+            if other != role and {other, role} != {
+                "charts",
+                "objects",
+            }:  # it is measured, and registered
                 yield value_problem(
                     f"targets.{role}", f"{name!r} is declared twice", name, f"{other} or {role}"
                 )

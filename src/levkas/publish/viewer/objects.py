@@ -21,10 +21,10 @@ from levkas.database.pixel_frames import Frame
 from levkas.database.registrations import describe_pairs, read_registration
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
-from levkas.pages.page import DECISIONS
+from levkas.pages.page import DECISIONS, describe_decision
 from levkas.publish.viewer.pages import address, worst
-from levkas.publish.viewer.pictures import Source, pictures_of
-from levkas.publish.viewer.pyramid import encode_jpeg, fit_within, write_pyramid
+from levkas.publish.viewer.pictures import Source, analyses_of, pictures_of
+from levkas.publish.viewer.pyramid import encode_thumbnail, fit_within, write_pyramid
 from levkas.publish.viewer.spectra import write_lattices, write_spectra
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def write_thumbnail(write: Write, item: Item) -> tuple[str, int, int] | None:
     if image is None:
         return None
     small = fit_within(image, THUMBNAIL_PX["card"])
-    write(f"viewer/objects/{item.name}/thumbnail.jpg", encode_jpeg(small, quality=82))
+    write(f"viewer/objects/{item.name}/thumbnail.jpg", encode_thumbnail(small))
     height, width = small.shape[:2]
     return address("viewer", "objects", item.name, "thumbnail.jpg"), width, height
 
@@ -230,12 +230,14 @@ def _write_layer(
         if not thumbnail:
             thumbnail = f"layers/{number}/thumbnail.jpg"
             small = fit_within(picture.image, THUMBNAIL_PX["layer"])
-            write(f"{home}/{thumbnail}", encode_jpeg(small, quality=82))
-        pyramid = write_pyramid(write, f"{home}/{folder}", picture.image, palette=picture.palette)
+            write(f"{home}/{thumbnail}", encode_thumbnail(small))
+        pyramid = write_pyramid(
+            write, f"{home}/{folder}", picture.image, key=folder, palette=picture.palette
+        )
         pictures.append(
             {
                 **{"key": picture.key, "label": picture.label, "kind": picture.kind},
-                "note": picture.note,
+                **{"note": picture.note, "white": picture.white},
                 "legend": picture.legend.to_dict() if picture.legend else None,
                 **{"folder": folder, **pyramid},
             }
@@ -346,10 +348,12 @@ def _reference_band(record: dict[str, Any], bands: tuple[Band, ...]) -> int:
 
 def _downloads(item: Item, tiff: Path) -> list[dict[str, Any]]:
     files = [(tiff.with_name(tiff.stem + suffix), words) for suffix, words in KINDS.items()]
+    for record in analyses_of(tiff):
+        files += [(record.with_suffix(".tif"), "computed"), (record, "how it was computed")]
     return [
         {
             "label": f"{path.name}, {words}",
-            "href": address(*UP, "objects", item.name, path.name),
+            "href": address(*UP, "objects", item.name, *path.relative_to(tiff.parent).parts),
             "bytes": path.stat().st_size,
         }
         for path, words in files
@@ -364,7 +368,7 @@ def _known(value: float) -> float | None:
 def _say(item: Item, camera: str, setup: str, decision: str) -> str:
     if camera == item.reference and not setup and decision == "accept":
         return "reference"
-    return DECISIONS.get(decision, decision)
+    return describe_decision(decision)
 
 
 def _say_facts(item: Item, width: int, height: int, sampling: float | None) -> list[list[str]]:

@@ -1,4 +1,4 @@
-"""Pictures of one layer in the viewer: its render, other illuminants, single bands, maps."""
+"""Pictures of one layer in the viewer: its render, other illuminants, single bands, maps, analyses."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from levkas.colour.observer import read_table, tables_by_nm
 from levkas.colour.relighting import adaptation
 from levkas.colour.srgb import SRGB_TO_XYZ, encode_srgb, find_rendering
 from levkas.core.cube import Band
+from levkas.core.text import read_json
 from levkas.database.registrations import shares_light
 from levkas.database.tiff_pages import open_pages
 from levkas.pages.maps import (
@@ -53,10 +54,12 @@ class LayerPicture:
     label, note : str
         What it is called, and what its colours mean.
     kind : str
-        ``"colour"``, ``"light"``, ``"band"`` or ``"map"``.
+        ``"colour"``, ``"light"``, ``"band"``, ``"map"`` or ``"analysis"``.
     image : ndarray, (height, width) or (height, width, 3), uint8
     palette, legend : optional
         Of a map.
+    white : float, optional
+        Of a single band: the value that is shown white; 0 is black.
     """
 
     key: str
@@ -66,6 +69,7 @@ class LayerPicture:
     note: str = ""
     palette: np.ndarray | None = None
     legend: Legend | None = None
+    white: float | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,7 @@ class Source:
 
 
 def pictures_of(source: Source) -> Iterator[LayerPicture]:
-    """Yield every picture of a layer, one in memory at a time: render first, then lights, bands, maps."""
+    """Yield every picture of a layer, one in memory at a time: render first, then lights, bands, maps, analyses."""
     pages = open_pages(source.tiff)
     render = pages.read_render()
     if render is not None:
@@ -107,6 +111,7 @@ def pictures_of(source: Source) -> Iterator[LayerPicture]:
     yield from _lights(source, pages)
     yield from _bands(source, pages)
     yield from _maps(source, (pages.shape[1], pages.shape[0]))
+    yield from _analyses(source)
 
 
 def infrared_bands(bands: tuple[Band, ...]) -> list[int] | None:
@@ -171,7 +176,47 @@ def _bands(source: Source, pages: TiffPages) -> Iterator[LayerPicture]:
         image, white = shown_band(pages.read_page(number))
         label = source.bands[number].label
         note = f"black is 0, white is {source.quantity or 'value'} {white:g}"
-        yield LayerPicture(f"band-{number}", label, "band", image, note)
+        yield LayerPicture(f"band-{number}", label, "band", image, note, white=white)
+
+
+def analyses_of(tiff: Path) -> list[Path]:
+    """Return the records of a layer's analyses, components first."""
+    folder = tiff.with_name(ANALYSES)
+    found = [
+        path for path in sorted(folder.glob("*.json")) if path.name.startswith(f"{tiff.stem}.")
+    ]
+    order = ("pca", "mnf")
+    names = {path: path.name.removeprefix(f"{tiff.stem}.").removesuffix(".json") for path in found}
+    return sorted(found, key=lambda p: order.index(names[p]) if names[p] in order else len(order))
+
+
+def _analyses(source: Source) -> Iterator[LayerPicture]:
+    """Yield what was computed from the layer when the database was published, in grey."""
+    for path in analyses_of(source.tiff):
+        record, name = read_json(path), path.name[len(source.tiff.stem) + 1 : -len(".json")]
+        pages = open_pages(path.with_name(record["file"]))
+        for number, shown in enumerate(record["pictures"]):
+            black, white = shown["black"], shown["white"]
+            image = shown_grey(pages.read_page(number), black, white)
+            many = f"-{number + 1}" if len(pages) > 1 else ""
+            ends = (f"{end:g}".replace("-", "−") for end in (black, white))
+            legend = Legend(GREYS, *ends)
+            note = f"{shown['note']} Violet: a flag makes the pixel unusable."
+            key, label = f"{name}{many}", shown["label"]
+            yield LayerPicture(key, label, "analysis", image, note, legend=legend)
+
+
+def shown_grey(values: np.ndarray, black: float, white: float) -> np.ndarray:
+    """Return numbers as greys between two of them, uint8 (…, 3); NaN is violet.
+
+    >>> shown_grey(np.array([-1.0, 0.0, 1.0, np.nan]), -1, 1)[:, :].tolist()
+    [[0, 0, 0], [128, 128, 128], [255, 255, 255], [118, 84, 158]]
+    """
+    known = np.isfinite(values)
+    span = white - black if white > black else 1.0
+    place = np.clip(np.where(known, (values - black) / span, 0), 0, 1)
+    grey = np.round(255 * place).astype(np.uint8)[..., None]
+    return np.where(known[..., None], grey, np.array(UNUSABLE, np.uint8))
 
 
 def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
@@ -198,6 +243,11 @@ def _maps(source: Source, size: tuple[int, int]) -> Iterator[LayerPicture]:
         )
 
 
+ANALYSES = "analysis"
+"""Folder beside a layer, of what was computed from it."""
+GREYS = (("", (0, 0, 0)), ("", (255, 255, 255)))
+UNUSABLE = (118, 84, 158)
+"""No grey, so that nobody takes it for a value."""
 MOST_BYTES_SSIM = 2_000_000_000
 
 

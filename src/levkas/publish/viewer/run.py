@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from levkas.pages.screen import ScreenMissing, read_built
+from levkas.publish.annotations import Annotations, annotations_of
+from levkas.publish.publication import LOCAL
 from levkas.publish.viewer.objects import (
     UP,
     card_of,
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from levkas.publish.viewer.pyramid import Write
 
 
+HIDDEN_LINK = b'<a hidden href="../../viewer/'
+"""Begins the report's link to the viewer: before a database is published there is none."""
 SCRIPTS = ("sheet.js", "sheet.css", "viewer.js", "viewer.css")
 
 
@@ -43,7 +47,9 @@ def write_part(publication: Publication) -> Iterator[str]:
         publication.write_bytes(name, data)
 
     about, root = about_of(publication.facts), publication.root
-    yield from write_viewer(root, write, about, beside=_beside(publication))
+    notes = annotations_of(publication)
+    yield from write_viewer(root, write, about, beside=_beside(publication), notes=notes)
+    _link_reports(publication)
     medium = publication.roots.get("medium")
     if medium is not None and medium != root:
         place = medium.relative_to(root).as_posix()
@@ -53,7 +59,17 @@ def write_part(publication: Publication) -> Iterator[str]:
 
         above = [("Full edition", "../index.html")]
         about = replace(about, title=f"{about.title}, medium edition")
-        yield from write_viewer(medium, write_below, about, beside=above)
+        yield from write_viewer(medium, write_below, about, beside=above, notes=notes)
+
+
+def _link_reports(publication: Publication) -> None:
+    """Show the link to the viewer, which reports have in them, now that it leads somewhere."""
+    for path in sorted(publication.root.glob("objects/*/report.html")):
+        page = path.read_bytes()
+        if HIDDEN_LINK in page:
+            name = path.relative_to(publication.root).as_posix()
+            shown = HIDDEN_LINK.replace(b" hidden", b"")
+            publication.write_bytes(name, page.replace(HIDDEN_LINK, shown, 1))
 
 
 def _beside(publication: Publication) -> list[tuple[str, str]]:
@@ -63,8 +79,9 @@ def _beside(publication: Publication) -> list[tuple[str, str]]:
         found.append(("Medium edition", "medium/index.html"))
     return [
         *found,
-        ("Read me: what is in the folder", "README.md"),
-        ("RO-Crate: how every file came about", "ro-crate-metadata.json"),
+        ("Read me: what is in the folder", "README.html"),
+        ("How every file came about", "ro-crate-preview.html"),
+        ("RO-Crate", "ro-crate-metadata.json"),
         ("DataCite metadata", "datacite.json"),
         ("Catalogue", "catalogue.csv"),
         ("Hashes", "manifest-sha256.txt"),
@@ -72,7 +89,12 @@ def _beside(publication: Publication) -> list[tuple[str, str]]:
 
 
 def write_viewer(
-    database: Path, write: Write, about: About, *, beside: Sequence[tuple[str, str]] = ()
+    database: Path,
+    write: Write,
+    about: About,
+    *,
+    beside: Sequence[tuple[str, str]] = (),
+    notes: Annotations | None = None,
 ) -> Iterator[str]:
     """Write ``index.html`` and ``viewer/`` beside a database, saying what is done.
 
@@ -85,6 +107,8 @@ def write_viewer(
     about : About
     beside : sequence of (words, name), optional
         Files of the folder that pages lead to; ``{object}`` in a name is the object's.
+    notes : Annotations, optional
+        Notes that are published, and the canvases that they and those of readers lie on.
 
     Raises
     ------
@@ -93,6 +117,7 @@ def write_viewer(
     TiffRefused
         Where a layer cannot be read.
     """
+    notes = notes or Annotations(LOCAL)
     built = {name: read_built(name) for name in SCRIPTS}
     for name, data in built.items():
         write(f"viewer/{name}", data)
@@ -105,7 +130,13 @@ def write_viewer(
             yield f"{item.name}: {layer['name']}"
             layers.append(layer)
         links = {**_neighbours(items, place), "more": _links(beside, item)}
-        page = render_object(about, object_record(item, layers, links))
+        record = object_record(item, layers, links)
+        size = record["grid"]["width"], record["grid"]["height"]
+        # Browsers keep notes by this name, whatever else changes from version to version.
+        record["database"] = ", ".join(filter(None, (about.title, about.creator)))
+        licence = f"Licence: {about.licence}" if about.licence else ""
+        record["credits"] = [text for text in (about.citation, licence) if text]
+        page = render_object(about, {**record, **notes.describe(item.name, size)})
         write(f"viewer/objects/{item.name}/index.html", page.encode("utf-8"))
         cards.append(card_of(item, layers, write_thumbnail(write, item)))
     yield "contact sheet"

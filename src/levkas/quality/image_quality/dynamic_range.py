@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 DARKEST, BRIGHTEST = 0.1, 99.9
 """Percentiles that stand for the darkest and the brightest point: single pixels are noise."""
 LOOKED_AT = 100_000
+ROUNDING = 12**-0.5
+"""Counts: the noise of whole codes, however dark the scene."""
 LOST = int(Flag.OUTSIDE | Flag.DEFECT)
 
 
@@ -46,7 +48,12 @@ class BandRange(NamedTuple):
 
 
 def scene_ranges(
-    values: np.ndarray, flags: np.ndarray, sigma: np.ndarray | None, labels: Sequence[str]
+    values: np.ndarray,
+    flags: np.ndarray,
+    sigma: np.ndarray | None,
+    labels: Sequence[str],
+    *,
+    counts: bool = False,
 ) -> list[BandRange]:
     """Return range, noise and signal-to-noise of every band of a scene.
 
@@ -59,10 +66,13 @@ def scene_ranges(
     sigma : ndarray like `values`, or None
     labels : sequence of str
         Of the bands.
+    counts : bool
+        Whether the values are whole codes, or were interpolated between such.
 
     Notes
     -----
     The darkest is the 0.1 % point, and never below one sigma: less cannot be distinguished from no light.
+    Of counts it is never below the noise of their rounding, 1/√12: 8 bits span 9.8 stops at most.
 
     Examples
     --------
@@ -79,7 +89,8 @@ def scene_ranges(
         bits = codes[i]
         good = ((bits & LOST) == 0) & np.isfinite(planes[i])
         noise = None if noises is None else noises[i][good].astype(float)
-        found.append(_one(label, planes[i][good].astype(float), bits[good], noise))
+        least = ROUNDING if counts else 0.0
+        found.append(_one(label, planes[i][good].astype(float), bits[good], noise, least))
     return found
 
 
@@ -123,11 +134,14 @@ def sensel_noise(
     return found
 
 
-def _one(label: str, values: np.ndarray, bits: np.ndarray, noise: np.ndarray | None) -> BandRange:
+def _one(
+    label: str, values: np.ndarray, bits: np.ndarray, noise: np.ndarray | None, least: float
+) -> BandRange:
     nan = float("nan")
     if not values.size:
         return BandRange(label, nan, nan, nan, 0.0, nan, nan)
     low, high = np.percentile(values, [DARKEST, BRIGHTEST])
+    low = max(low, least)
     spread = ratio = nan
     if noise is not None and noise.any():
         dark = values <= np.percentile(values, 5)

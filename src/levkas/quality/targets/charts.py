@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from levkas.campaign.guess.words import CHARTS as WORDS
 from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Homography
 from levkas.readers.spectra import are_spectra, parse_spectra
@@ -20,9 +21,10 @@ HERE = Path(__file__)
 """Beside it stand tables of colour-science 0.4: BabelColor's average of 30 charts, and luminances of charts
 made after November 2014."""
 NAMES = {
-    "ColorChecker24": ("colorchecker24", "colorcheckerclassic", "classic", "macbeth", "cc24"),
-    "ColorCheckerSG": ("colorcheckersg", "sg", "ccsg", "sg140", "digitalsg"),
+    **dict.fromkeys(("colorchecker24", "colorcheckerclassic", "classic", "cc24"), "ColorChecker24"),
+    **dict.fromkeys(("colorcheckerdigitalsg", "sg", "sg140"), "ColorCheckerSG"),
 }
+"""Names of charts beside the words that files are named by."""
 SAMPLED = 0.5
 """Side of the sampled area over the pitch of the patches."""
 LEAST_SIDE = 6.0
@@ -83,7 +85,7 @@ CHARTS = {
 
 
 def chart_of(name: str) -> Chart:
-    """Return a chart by its name; spaces, hyphens and case do not matter.
+    """Return a chart by its name, or a word that `levkas look` knows; spaces, hyphens and case do not matter.
 
     Raises
     ------
@@ -92,12 +94,12 @@ def chart_of(name: str) -> Chart:
 
     Examples
     --------
-    >>> chart_of("ColorChecker Classic").patches[:2]
-    ('A1', 'B1')
+    >>> chart_of("ColorChecker Classic").patches[:2], chart_of("colour-checker SG").rows, chart_of("Farbkarte").rows
+    (('A1', 'B1'), 10, 4)
     """
     plain = "".join(c for c in name.lower() if c.isalnum())
-    for kind, others in NAMES.items():
-        if plain in others:
+    for word in (plain, plain.replace("colour", "color")):
+        if kind := NAMES.get(word) or WORDS.get(word):
             return CHARTS[kind]
     raise ChartRefused(
         Problem(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from levkas.colour.srgb import SRGB_TO_XYZ
 from levkas.core.problems import Problem
 from levkas.quality.targets.charts import (
     Chart,
@@ -20,13 +21,21 @@ if TYPE_CHECKING:
     from levkas.core.cube import Cube
 
 LEAST_AGREEMENT = 0.9
-"""Rank correlation of patch values with the published ones."""
+"""Rank correlation of a band's patches with the published ones; a band below it sees another light than it says."""
 LONG_SIDES = (900, 1400, 2000)
 """Sizes, px, at which the detector is tried: it wants patches 30 px apart or more."""
 STEPS = (0.1, 0.05, 0.02)
 """Of the refinement, in pitches."""
 NEAR = 0.5
 """How far, in pitches, one sensor of a camera may see a chart from where another does."""
+TIED = 0.02
+"""Corners stay as they were given where another order agrees no better than by this."""
+TURNS = (
+    "",
+    *(f"turned by {90 * k} degrees" for k in (1, 2, 3)),
+    *("mirrored" if k == 0 else f"mirrored and turned by {90 * k} degrees" for k in range(4)),
+)
+"""What `charts.turned_corners` does to four corners, in its order."""
 NEARLY_ALL = 0.75
 """Side of the areas that are made even, over the pitch: most of a patch, so that edges show."""
 
@@ -35,13 +44,27 @@ class Located(NamedTuple):
     """A chart in a picture.
 
     `corners` (4, 2) px: centres of the corner patches clockwise from the first; `areas` (n, 4, 2)
-    px; `agreement`: rank correlation with the published values; `means` (n, bands).
+    px; `agreement`: rank correlation with the published values, the mean of the bands that fit;
+    `means` (n, bands); `bands` (bands,): the rank correlation of each band, NaN where nothing is
+    published of it; `turned`: how the corners that were given had to be renamed, "" as they were.
     """
 
     corners: np.ndarray
     areas: np.ndarray
     agreement: float
     means: np.ndarray
+    bands: np.ndarray
+    turned: str = ""
+
+    @property
+    def fits(self) -> np.ndarray:
+        """(bands,) whether a band ranks the patches as its wavelength should."""
+        return np.nan_to_num(self.bands, nan=-1.0) >= LEAST_AGREEMENT
+
+    @property
+    def unfit(self) -> np.ndarray:
+        """(bands,) whether a band ranks them otherwise; False where nothing is published of it."""
+        return np.isfinite(self.bands) & ~self.fits
 
 
 def locate_chart(
@@ -52,7 +75,7 @@ def locate_chart(
     *,
     corners: np.ndarray | None = None,
 ) -> Located:
-    """Find a chart, or check the corners that are given.
+    """Find a chart, or check the corners that are given; they may be given in any order round the chart.
 
     Parameters
     ----------
@@ -70,29 +93,44 @@ def locate_chart(
     ------
     ChartRefused
         ``E_CHART_MISSING`` where none is found, ``E_CHART_ORDER`` where patches do not rank as
-        those of the chart (another chart, or corners in another order), ``E_CHART_FRAME``,
+        those of the chart in any band, however the corners are named, ``E_CHART_FRAME``,
         ``E_CHART_SIZE``; ``E_CHART_DETECTOR`` where this OpenCV has no detector.
     """
-    size = (values.shape[1], values.shape[0])
     known = corners is not None
     found = np.asarray(corners, float).reshape(4, 2) if known else find_corners(values, chart)
-    best: Located | None = None
-    # Grey pictures do not say which way up a chart lies; its patches do.
-    for way in [found] if known else turned_corners(found):
-        areas = place_patches(way, chart, size)
-        means = patch_means(values, areas)
-        agreement = rank_agreement(means, wavelengths, chart, reference)
-        if best is None or agreement > best.agreement:
-            best = Located(way, areas, agreement, means)
-    assert best is not None  # there is one way at least
-    if not known and best.agreement >= LEAST_AGREEMENT:
-        better = refine_corners(values, best.corners, chart)
-        areas = place_patches(better, chart, size)
-        means = patch_means(values, areas)
-        best = Located(better, areas, rank_agreement(means, wavelengths, chart, reference), means)
+    size = (values.shape[1], values.shape[0])
+    place_patches(found, chart, size)
+    # Grey pictures do not say which way up a chart lies, and corners are easily named in another
+    # order; the patches tell.
+    ways = []
+    for way, turned in zip(turned_corners(found), TURNS, strict=True):
+        try:
+            ways.append(_located(values, way, wavelengths, chart, reference, turned))
+        except ChartRefused:  # turned by a right angle, the patches are too narrow to be sampled
+            continue
+    best = max(ways, key=lambda way: (np.count_nonzero(way.fits), way.agreement))
+    if known and best.agreement < ways[0].agreement + TIED:
+        best = ways[0]
     if not best.agreement >= LEAST_AGREEMENT:
         raise ChartRefused(_disagrees(best.agreement, chart, known))
-    return best
+    if known:
+        return best
+    refined = refine_corners(values, best.corners, chart)
+    return _located(values, refined, wavelengths, chart, reference)
+
+
+def _located(
+    values: np.ndarray,
+    corners: np.ndarray,
+    wavelengths: np.ndarray,
+    chart: Chart,
+    reference: ChartReference | None,
+    turned: str = "",
+) -> Located:
+    areas = place_patches(corners, chart, (values.shape[1], values.shape[0]))
+    means = patch_means(values, areas)
+    agreement, bands = rank_agreement(means, wavelengths, chart, reference)
+    return Located(corners, areas, agreement, means, bands, turned)
 
 
 def locate_in_cube(
@@ -131,7 +169,8 @@ def locate_in_cube(
         if float(np.abs(way - near).max()) > NEAR * pitch:
             raise
         areas = place_patches(way, chart, (cube.values.shape[1], cube.values.shape[0]))
-        return Located(way, areas, 1.0, patch_means(cube.values, areas))
+        nothing = np.full(len(cube.bands), np.nan)
+        return Located(way, areas, 1.0, patch_means(cube.values, areas), nothing)
 
 
 def _disagrees(agreement: float, chart: Chart, known: bool) -> Problem:
@@ -139,11 +178,11 @@ def _disagrees(agreement: float, chart: Chart, known: bool) -> Problem:
         "E_CHART_ORDER",
         f"what was {'given' if known else 'found'} does not look like a {chart.name}",
         field="--corners" if known else None,
-        found=f"rank correlation {agreement:.2f} of its patches with the published ones",
-        expected=f"{LEAST_AGREEMENT} or more",
+        found=f"rank correlation {agreement:.2f} of its patches with the published ones, the best of bands",
+        expected=f"{LEAST_AGREEMENT} or more in a band, in any order of the corners",
         fix=(
-            "Give the centres of the corner patches clockwise from the first: dark skin, bluish "
-            "green, black, white of the Classic."
+            "Give the centres of the four corner patches: dark skin, bluish green, black, white "
+            "of the Classic."
             if known
             else "Give its four corners with --corners x,y,x,y,x,y,x,y, or capture the chart "
             "flat, whole and free of glare."
@@ -189,19 +228,47 @@ def patch_means(values: np.ndarray, areas: np.ndarray) -> np.ndarray:
 
 def rank_agreement(
     means: np.ndarray, wavelengths: np.ndarray, chart: Chart, reference: ChartReference | None
-) -> float:
-    """Return the rank correlation of patches with what is published, -1 … 1.
+) -> tuple[float, np.ndarray]:
+    """Return the rank correlation of patches with what is published, -1 … 1, and that of each band.
 
-    Band by band with the reference where wavelengths are known, the mean over bands; else of the
-    mean of the bands with the patches' luminance.
+    Bands whose wavelength is known are compared with the reference, each by itself: a filter that
+    leaks must not hide what the others see. The first number is the mean of the bands that fit
+    (`LEAST_AGREEMENT`), or the best of all where none does. Broad channels are compared with the
+    patches' luminance, the best of them and their mean.
+
+    Returns
+    -------
+    agreement : float
+    bands : ndarray, (bands,)
+        NaN where nothing is published of a band.
     """
+    bands = np.full(len(wavelengths), np.nan)
     wanted = None if reference is None else reference.at(wavelengths)
-    if wanted is not None and np.isfinite(wanted).all(0).any():
-        use = np.flatnonzero(np.isfinite(wanted).all(0))
-        return float(np.mean([_rank_correlation(means[:, i], wanted[:, i]) for i in use]))
+    if wanted is not None:
+        for i in np.flatnonzero(np.isfinite(wanted).all(0)):
+            bands[i] = _rank_correlation(means[:, i], wanted[:, i])
+    if np.isfinite(bands).any():
+        fit = bands >= LEAST_AGREEMENT
+        return float(np.mean(bands[fit]) if fit.any() else np.nanmax(bands)), bands
     # Infrared channels see other things than the eye does: the best of channels and mean.
     tried = [means.mean(1), *means.T]
-    return max(_rank_correlation(column, chart.luminances) for column in tried)
+    if means.shape[1] == 3:
+        tried.append(means @ SRGB_TO_XYZ[1])
+    return max(_rank_correlation(column, chart.luminances) for column in tried), bands
+
+
+def seen_instead(column: np.ndarray, reference: ChartReference) -> tuple[float, float]:
+    """Return the wavelength, nm, at which a chart reflects most as a band saw it, and that rank correlation.
+
+    Parameters
+    ----------
+    column : ndarray, (patches,)
+        Of a band that does not fit its own wavelength.
+    reference : ChartReference
+    """
+    found = [_rank_correlation(column, at) for at in reference.spectra.T]
+    best = int(np.argmax(found))
+    return float(reference.wavelengths[best]), found[best]
 
 
 def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:

@@ -5,38 +5,70 @@ standards require their own targets, densities and whole systems."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from levkas.colour.gamut import xyz_to_lab
-from levkas.colour.srgb import observer_under_d65, visible_coverage, xyz_weights
+from levkas.colour.srgb import SRGB_TO_XYZ, observer_under_d65, visible_coverage, xyz_weights
 from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
 )
+from levkas.quality.targets.locating import LEAST_AGREEMENT, Located, seen_instead
 from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patches, noise_planes
+from levkas.quality.targets.photographs import Curve, find_curve
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from levkas.quality.targets.charts import Chart, ChartReference
-    from levkas.quality.targets.locating import Located
     from levkas.quality.targets.patches import Preblur
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A chart in the cube of one sensor; `shots`, `steps` and `count` as in `patches.measure_patches`."""
+    """A chart in the cube of one sensor; `shots` and what follows as in `patches.measure_patches`."""
 
     sensor: str
     located: Located
     cube: Cube
     shots: tuple[np.ndarray, np.ndarray] | None = None
-    steps: tuple[float, ...] | None = None
+    steps: np.ndarray | tuple[float, ...] | None = None
     count: int = 1
+    pattern: np.ndarray | None = None
+    curve: Curve | None = None
+    """Of a finished photograph, whose values are light by it."""
+
+
+def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
+    """Return the sighting of a chart in a photograph as light, 0 … 1, with what its codes resolve.
+
+    Parameters
+    ----------
+    seen : Sighting
+        Its values are the codes of the photograph.
+    chart : Chart
+    top : float
+        The greatest code: 255 of 8 bits.
+    """
+    means = seen.located.means / top
+    curve = find_curve(means, chart)
+    light = curve.decode(seen.cube.values / top).astype(np.float32)
+    shots = None
+    if seen.shots is not None:
+        first, second = (curve.decode(shot / top) for shot in seen.shots)
+        shots = first, second
+    return replace(
+        seen,
+        located=seen.located._replace(means=curve.decode(means)),
+        cube=replace(seen.cube, values=light, sigma=None),
+        shots=shots,
+        steps=curve.steps(means, round(top)),
+        curve=curve,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +127,7 @@ class ChartMeasure:
                 "snr_db": _digits(snr_db[i]),
                 "snr_db_corrected": _digits(corrected[i]),
                 "saturated": _digits(self.table.saturated[i]),
+                "limited_by_quantisation": self.table.quantised[i].tolist(),
                 "delta_e_2000": None
                 if self.colours is None
                 else _digits(self.colours.difference[i]),
@@ -110,6 +143,9 @@ class ChartMeasure:
                     "sensor": s.sensor,
                     "corners": np.round(s.located.corners, 2).tolist(),
                     "agreement": float(s.located.agreement),
+                    "band_agreements": [
+                        _digits(a) if np.isfinite(a) else None for a in s.located.bands
+                    ],
                 }
                 for s in self.sightings
             ],
@@ -138,7 +174,6 @@ def measure(
     seen: Sequence[Sighting],
     reference: ChartReference | None,
     *,
-    mosaics: frozenset[str] = frozenset(),
     uniformity: float | None = None,
     notes: Sequence[str] = (),
 ) -> ChartMeasure:
@@ -150,31 +185,37 @@ def measure(
             shots=s.shots,
             steps=s.steps,
             count=s.count,
+            pattern=s.pattern,
         )
         for s in seen
     ]
-    mean, noise, saturated = (
+    mean, noise, saturated, quantised = (
         np.concatenate([getattr(t, part) for t in tables], 1)
-        for part in ("mean", "noise", "saturated")
+        for part in ("mean", "noise", "saturated", "quantised")
     )
     temporal = all(t.temporal for t in tables)
-    table = PatchTable(mean, noise, saturated, tables[0].pixels, temporal)
+    table = PatchTable(mean, noise, saturated, tables[0].pixels, temporal, quantised)
     bands = tuple(band for s in seen for band in s.cube.bands)
-    preblurs = [p for s in seen for p in _preblurs(s, s.sensor in mosaics)]
+    preblurs = [p for s in seen for p in _preblurs(s)]
     wavelengths = np.array([band.wavelength for band in bands], float)
-    remarks = [*notes, *_warnings(table, bands, seen)]
+    unfit = np.concatenate([s.located.unfit for s in seen])
+    remarks = [*notes, *_warnings(table, bands, seen), *_misfits(bands, seen, reference)]
     if reference is not None and reference.note:
         remarks.append(f"reference: {reference.note}")
     colours, rows = None, []
-    reflective = all(s.cube.quantity == "reflectance" for s in seen)
+    photograph = len(seen) == 1 and seen[0].curve is not None
+    remarks += [s.curve.note for s in seen if s.curve is not None]
+    reflective = photograph or all(s.cube.quantity == "reflectance" for s in seen)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
+    visible &= ~unfit
     clean = table.saturated.max() <= SATURATED
     if reference is None:
         remarks.append("no reference spectra: give --reference for colour differences")
     elif not reflective:
         remarks.append("the cube is in counts: colours need a white")
     elif visible.sum() >= 3 and clean:
-        colours = compare_colours(table.mean, wavelengths, reference)
+        means = table.mean[:, ~unfit]
+        colours = compare_colours(means, wavelengths[~unfit], reference, srgb=photograph)
         rows = rate(colours, chart, uniformity=uniformity)
     elif not clean:
         remarks.append("colours are not compared where patches saturate")
@@ -191,11 +232,40 @@ def measure(
     )
 
 
-def _preblurs(seen: Sighting, mosaic: bool) -> list[Preblur | None]:
+INFRARED = 690.0
+"""nm; the published spectra end at 730: a band that ranks patches as these do sees near infrared."""
+
+
+def _misfits(
+    bands: Sequence[Band], seen: Sequence[Sighting], reference: ChartReference | None
+) -> list[str]:
+    """Say which bands rank the patches otherwise than their wavelength should, and what they look like."""
+    said = [
+        f"the corners were {s.located.turned} to fit the chart" for s in seen if s.located.turned
+    ]
+    columns = np.concatenate([s.located.means for s in seen], 1)
+    fit = np.concatenate([s.located.bands for s in seen])
+    for i in map(int, np.flatnonzero(np.concatenate([s.located.unfit for s in seen]))):
+        assert reference is not None  # without it no band is compared
+        wavelength, agreement = seen_instead(columns[:, i], reference)
+        like = f"it looks like {wavelength:g} nm ({agreement:.2f})"
+        if agreement < LEAST_AGREEMENT:
+            like = (
+                f"it looks like no single wavelength, most like {wavelength:g} nm ({agreement:.2f})"
+            )
+        leak = "; near infrared leaks through its filter" if wavelength >= INFRARED else ""
+        said.append(
+            f"{bands[i].label} does not see what its wavelength says: rank correlation {fit[i]:.2f}; "
+            f"{like}{leak}. It is left out of the colours"
+        )
+    return said
+
+
+def _preblurs(seen: Sighting) -> list[Preblur | None]:
     """Find the blur of every band from its noise; None for demosaiced ones, whose neighbours are correlated."""
     from levkas.quality.targets.patches import find_preblur
 
-    if mosaic:
+    if seen.pattern is not None:
         return [None] * len(seen.cube.bands)
     found: list[Preblur | None] = []
     for planes in noise_planes(seen.cube.values, seen.located.areas, shots=seen.shots):
@@ -213,6 +283,14 @@ def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]
         where = [b.label for b, share in zip(bands, full, strict=True) if share > SATURATED]
         doubts.append(
             f"patches saturate in {', '.join(where[:6])}: no SNR there; capture the chart with less exposure"
+        )
+    coarse = table.quantised.sum(0)
+    if coarse.any():
+        where = [f"{b.label} ({n})" for b, n in zip(bands, coarse, strict=True) if n]
+        more = f" and {len(where) - 6} more" if len(where) > 6 else ""
+        doubts.append(
+            "the signal-to-noise is limited by quantisation, the rounding to codes, in patches of "
+            f"{', '.join(where[:6])}{more}: expose longer, or save more bits"
         )
     glared = np.concatenate([(s.cube.flags & Flag.GLARE).max((0, 1)) for s in seen]).max()
     if glared:
@@ -260,7 +338,7 @@ class Colours(NamedTuple):
 
 
 def compare_colours(
-    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference
+    means: np.ndarray, wavelengths: np.ndarray, reference: ChartReference, *, srgb: bool = False
 ) -> Colours:
     """Compare the patches' colours with those of the reference spectra.
 
@@ -271,6 +349,8 @@ def compare_colours(
     wavelengths : ndarray, (bands,), nm
         NaN for broad channels.
     reference : Reference
+    srgb : bool
+        Whether the three channels are red, green and blue of linear sRGB, as a photograph shows them.
 
     Notes
     -----
@@ -283,7 +363,10 @@ def compare_colours(
     wanted = spectra @ observer_under_d65()[1]
     narrow = np.isfinite(wavelengths)
     covered = narrow.sum() >= 8 and visible_coverage(wavelengths[narrow]) >= LEAST_COVERAGE
-    if covered:
+    if srgb:
+        measured = means @ SRGB_TO_XYZ.T
+        how = "as the photograph shows them, in sRGB"
+    elif covered:
         measured = means[:, narrow] @ xyz_weights(wavelengths[narrow])
         how = f"integrated over {int(narrow.sum())} bands"
     else:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 SATURATED = 0.01
 """Share of a patch's pixels that may saturate: single hot sensels do."""
+LEAST_PIXELS = 9
+"""Of a patch: fewer show no noise about a plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,8 @@ class PatchTable:
     temporal : bool
         Whether the noise is that of the difference of two shots; else what a fitted plane leaves,
         which holds the chart's own texture, too.
+    quantised : ndarray, (patches, bands), bool
+        Whether rounding to codes, step²/12, is over half of the variance of one shot.
     """
 
     mean: np.ndarray
@@ -43,6 +47,7 @@ class PatchTable:
     saturated: np.ndarray
     pixels: np.ndarray
     temporal: bool
+    quantised: np.ndarray
 
     @property
     def snr(self) -> np.ndarray:
@@ -68,8 +73,9 @@ def measure_patches(
     areas: np.ndarray,
     *,
     shots: tuple[np.ndarray, np.ndarray] | None = None,
-    steps: Sequence[float] | None = None,
+    steps: np.ndarray | Sequence[float] | None = None,
     count: int = 1,
+    pattern: np.ndarray | None = None,
 ) -> PatchTable:
     """Measure every patch in every band.
 
@@ -83,15 +89,19 @@ def measure_patches(
         From `charts.place_patches`.
     shots : two ndarrays like `values`, optional
         Independent halves whose mean is `values`: the noise is then that of half their difference.
-    steps : sequence of float, (bands,), optional
+    steps : (bands,) or (n, bands), optional
         What a step from code to code is of the values; 0 where that is not known.
     count : int
         Shots that `values` are the mean of.
+    pattern : ndarray, (rows, columns), int, optional
+        Band of each sensel of a mosaic. Noise is then that of the sensels which measured a band:
+        the mean of neighbours, which lies between them, has less.
 
     Notes
     -----
     A plane is fitted to each patch first: shading is no noise. Rounding that a patch of hardly any noise
-    does not show, being the same code all over, is added: `noise_fit.hidden_rounding`.
+    does not show, being the same code all over, is added: `noise_fit.hidden_rounding`. Two counts of 8 bits
+    without noise have the SNR 2/√(1/12) = 6.9.
 
     Examples
     --------
@@ -103,25 +113,30 @@ def measure_patches(
     (25, 14.0)
     """
     bands = values.shape[2]
-    mean, noise, saturated = (np.zeros((len(areas), bands)) for _ in range(3))
+    mean, noise, saturated = (np.full((len(areas), bands), np.nan) for _ in range(3))
+    quantised = np.zeros((len(areas), bands), bool)
     pixels = np.zeros(len(areas), int)
+    coarse = np.broadcast_to(0.0 if steps is None else np.asarray(steps, float), mean.shape)
     for i, area in enumerate(areas):
         rows, columns = pixels_of(area)
         pixels[i] = len(rows)
         part, bits = values[rows, columns].astype(float), flags[rows, columns]
-        half = None if shots is None else (shots[0] - shots[1])[rows, columns].astype(float) / 2
-        good = (bits & (Flag.DEFECT | Flag.OUTSIDE)) == 0
+        noisy = part if shots is None else (shots[0] - shots[1])[rows, columns].astype(float) / 2
+        good = ((bits & (Flag.DEFECT | Flag.OUTSIDE)) == 0) & np.isfinite(part)
         saturated[i] = ((bits & Flag.SATURATED) != 0).mean(0)
         for band in range(bands):
-            use = good[:, band] & np.isfinite(part[:, band])
-            if np.count_nonzero(use) < 9:
-                mean[i, band] = noise[i, band] = np.nan
+            use = good[:, band]
+            if np.count_nonzero(use) < LEAST_PIXELS:
                 continue
             mean[i, band] = part[use, band].mean()
-            noisy = part[:, band] if half is None else half[:, band]
-            step = 0.0 if steps is None else float(steps[band])
-            noise[i, band] = _rounded(_spread(noisy[use], rows[use], columns[use]), step, count)
-    return PatchTable(mean, noise, saturated, pixels, shots is not None)
+            if pattern is not None:
+                height, width = pattern.shape
+                use = use & (pattern[rows % height, columns % width] == band)
+            if np.count_nonzero(use) < LEAST_PIXELS:
+                continue
+            spread = _spread(noisy[use, band], rows[use], columns[use])
+            noise[i, band], quantised[i, band] = _rounded(spread, coarse[i, band], count)
+    return PatchTable(mean, noise, saturated, pixels, shots is not None, quantised)
 
 
 def _spread(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> float:
@@ -131,12 +146,13 @@ def _spread(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> float:
     return float(np.sqrt(left @ left / (len(values) - 3)))
 
 
-def _rounded(noise: float, step: float, count: int) -> float:
-    """Return the noise of a mean of shots with the rounding that all of them share."""
+def _rounded(noise: float, step: float, count: int) -> tuple[float, bool]:
+    """Return the noise of a mean of shots with the rounding that all of them share, and whether that is most of it."""
     from levkas.calibration.noise_fit import whole_variance
 
     shown = count * noise**2
-    return float(np.sqrt(noise**2 + whole_variance(shown, step) - shown))
+    whole = float(whole_variance(shown, step))
+    return float(np.sqrt(noise**2 + whole - shown)), step**2 / 12 > whole / 2
 
 
 def noise_planes(

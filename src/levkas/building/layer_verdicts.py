@@ -1,0 +1,83 @@
+"""What a build says of every layer: its verdict, its errors and the reasons, for `build --json`."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from levkas.core.problems import Refused
+from levkas.database.layout import Places, layer_name
+from levkas.database.registrations import mm_per_px, read_registration
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from levkas.building.graph import BuildReport, Step
+
+STAGES = ("calibrate", "register", "resample")
+
+
+def layer_verdicts(report: BuildReport) -> list[dict[str, Any]]:
+    """Return a row a layer: object, camera, setup, verdict, reasons, next step and errors.
+
+    A layer that was refused at any stage has ``"refuse"`` and that stage. Of the reference camera, to
+    which the others are registered, there are no errors.
+    """
+    if report.output is None:
+        return []
+    layers: dict[tuple[str, str, str], list[Step]] = {}
+    for step in report.stages:
+        if step.key.stage in STAGES:
+            layers.setdefault((step.key.object, step.key.camera, step.key.setup), []).append(step)
+    return [_row(report.output, *layer, steps) for layer, steps in sorted(layers.items())]
+
+
+def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]) -> dict[str, Any]:
+    row: dict[str, Any] = {"object": name, "camera": camera, "setup": setup}
+    lost = [step for step in steps if step.state in ("refused", "failed")]
+    if lost:
+        first = next((step for step in lost if step.problems), lost[0])
+        problems = first.problems
+        return row | {
+            "verdict": "refuse",
+            "stage": first.key.stage,
+            "codes": [p.code for p in problems],
+            "reasons": [p.message for p in problems] or [first.why],
+            "next_step": " ".join(dict.fromkeys(p.fix for p in problems if p.fix)),
+        }
+    path = Places(output).registration(name, layer_name(camera, setup))
+    try:
+        record = read_registration(path)
+    except Refused as refused:
+        reasons = [p.message for p in refused.problems]
+        return row | {"verdict": "", "reasons": reasons, "next_step": "Build again."}
+    verdict = record.get("verdict", {})
+    return row | {
+        "verdict": verdict.get("decision", ""),
+        "reasons": list(verdict.get("reasons", [])),
+        "next_step": verdict.get("next_step", ""),
+        "method": record.get("method", ""),
+        **_errors(record),
+    }
+
+
+def _errors(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the held-out error, px of the reference and mm on the object, and the share that was checked.
+
+    Of several sensors the largest error and the smallest share.
+    """
+    sensors = [s for s in record.get("errors", {}).get("sensors", {}).values() if s]
+    px = [float(s["held_out_px"]) for s in sensors if _is_number(s.get("held_out_px"))]
+    shares = [float(s["checked"]) for s in sensors if _is_number(s.get("checked"))]
+    worst = max(px, default=None)
+    scale = mm_per_px(record) if "grid" in record else None
+    return {
+        "held_out_px": worst,
+        "held_out_mm": None if worst is None or scale is None else worst * scale,
+        "checked_share": min(shares, default=None),
+    }
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)

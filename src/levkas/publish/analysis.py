@@ -1,0 +1,331 @@
+"""Analyses of layers, made while a database is published: components, band ratios, infrared minus visible.
+
+Each is computed from the values as they are published, row by row, and written beside them as
+``objects/OBJECT/analysis/OBJECT_CAMERA.NAME.tif``, a float32 page a picture, with a JSON record of what it is made
+of. A pixel that a flag makes unusable in a band that is needed has no value (NaN).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from levkas import __version__
+from levkas.core.digests import hash_file
+from levkas.core.files import spooling
+from levkas.core.json_safe import to_json
+from levkas.core.machine import count_threads
+from levkas.core.problems import Problem
+from levkas.database.catalogue import ESTIMATED, Entry, read_catalogue
+from levkas.database.components import Components, ComponentsRefused, find_components
+from levkas.database.reader import open_pixels, open_tiff
+from levkas.database.regions import TRUSTED
+from levkas.database.spectral_tiff import TiffHeader, write_encoded_pages
+from levkas.database.streaming_writer import PageSpool
+from levkas.database.tiff_pages import open_pages
+from levkas.publish.analysis_names import COMPONENTS, INFRARED, Analysis, find_band, near_bands
+from levkas.publish.publication import PublishRefused
+from levkas.publish.viewer.pictures import ANALYSES
+
+if TYPE_CHECKING:
+    from levkas.core.cube import Band
+    from levkas.publish.publication import Publication
+
+MOST_COMPONENTS = 6
+VISIBLE_NM, INFRARED_NM = (400.0, 700.0), (780.0, 1100.0)
+SHOWN_PERCENTILES = (0.5, 99.5)
+"""Of the values of a picture, shown as black and as white."""
+SAMPLE_PX = 1_000_000
+BLOCK_ROWS = 64
+STRONGEST = 3
+"""Loadings that the note of a component names."""
+SOURCES = {
+    "pca": "https://doi.org/10.1037/h0071325",
+    "mnf": "https://doi.org/10.1109/36.3001",
+}
+TITLES = {
+    "pca": "Principal components",
+    "mnf": "Minimum-noise fractions",
+    INFRARED: "Infrared minus visible",
+    "ratio": "Ratio of two bands",
+}
+
+
+@dataclass(frozen=True)
+class LayerBands:
+    """Bands of one layer that an analysis needs."""
+
+    root: Path
+    entry: Entry
+    numbers: tuple[int, ...]
+
+    @property
+    def tiff(self) -> Path:
+        """The layer's TIFF."""
+        return self.root / f"{self.entry.layer.path}.tif"
+
+    @cached_property
+    def bands(self) -> tuple[Band, ...]:
+        """The bands, in the order of `numbers`."""
+        every = open_tiff(self.tiff).bands
+        return tuple(every[i] for i in self.numbers)
+
+    def beside(self, kind: str) -> Path:
+        """Return the path of the layer's ``flags`` or ``sigma``."""
+        return self.tiff.with_name(f"{self.tiff.stem}.{kind}.tif")
+
+    def mean_rows(self, rows: slice) -> np.ndarray:
+        """Return the mean of the bands in some rows, float64; NaN where one of them is unusable."""
+        values = open_pages(self.tiff).read(rows.start, rows.stop, self.numbers).astype(np.float64)
+        if (flags := self.beside("flags")).is_file():
+            marks = open_pages(flags).read(rows.start, rows.stop, self.numbers)
+            values[(marks & ~TRUSTED) != 0] = np.nan
+        return np.asarray(values.mean(axis=2))
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a record says of it."""
+        return {
+            "layer": self.entry.layer.name,
+            "kind": self.entry.kind,
+            "file": f"../{self.tiff.name}",
+            "bands": [band.label for band in self.bands],
+            "wavelengths": [None if np.isnan(b.wavelength) else b.wavelength for b in self.bands],
+        }
+
+
+@dataclass(frozen=True)
+class LayerAnalysis:
+    """One analysis of one layer."""
+
+    analysis: Analysis
+    entry: Entry
+    sources: tuple[LayerBands, ...]
+
+    @property
+    def title(self) -> str:
+        """What it is called."""
+        if self.analysis.kind != "ratio":
+            return TITLES[self.analysis.kind]
+        return " / ".join(source.bands[0].label for source in self.sources)
+
+
+def check_analyses(database: Path, analyses: Iterable[Analysis]) -> None:
+    """Refuse an analysis that no layer of a database has the bands for; raises PublishRefused."""
+    wanted = [analysis for analysis in analyses if analysis.required]
+    if not wanted:
+        return
+    made = {work.analysis for work in find_work(database, wanted)}
+    bands = [
+        (band, entry.camera)
+        for entry in read_catalogue(database)
+        for band in open_tiff(database / f"{entry.layer.path}.tif").bands
+    ]
+    problems = [
+        Problem(
+            "E_VALUE",
+            f"no layer has the bands for the analysis {analysis.text!r}",
+            str(database),
+            "--analyse",
+            near_bands(analysis, bands),
+            analysis.needs,
+            "Leave it out, or give bands as they stand in a layer: `ratio:700/1000`, `ratio:R/IR`.",
+        )
+        for analysis in wanted
+        if analysis not in made
+    ]
+    if problems:
+        raise PublishRefused(*problems)
+
+
+def write_analyses(publication: Publication) -> Iterator[str]:
+    """Write the analyses that are wanted, in every edition from its own pixels."""
+    for root in publication.roots.values() if publication.analyses else ():
+        place = root.relative_to(publication.folder)
+        for work in find_work(root, publication.analyses):
+            yield f"{work.entry.object}/{work.entry.layer.name}: {work.title}"
+            try:
+                _write(publication, root, work)
+            except ComponentsRefused as refused:
+                (problem,) = refused.problems
+                why = f"{problem.message}: {problem.found}"
+                note = f"{work.entry.object}/{work.entry.layer.name}, {work.title.lower()}: {why}"
+                if place == Path():
+                    publication.left_out.append(note)
+
+
+def find_work(root: Path, analyses: Sequence[Analysis]) -> list[LayerAnalysis]:
+    """Find which layers of a database can be analysed how, by object and by layer."""
+    entries = read_catalogue(root)
+    every = {e: LayerBands(root, e, tuple(range(e.bands))) for e in entries}
+    found = []
+    for entry in entries:
+        for analysis in analyses:
+            if analysis.kind in COMPONENTS:
+                if entry.bands > 1:
+                    found.append(LayerAnalysis(analysis, entry, (every[entry],)))
+                continue
+            first = _chosen(every[entry], analysis, 0)
+            # The layer itself first, then what stands beside it under the same light.
+            beside = [e for e in entries if e != entry and _fits(e, entry)]
+            others = (_chosen(every[e], analysis, 1) for e in [entry, *beside])
+            second = next((other for other in others if other), None) if first else None
+            if first and second:
+                found.append(LayerAnalysis(analysis, entry, (first, second)))
+    return found
+
+
+def _fits(one: Entry, other: Entry) -> bool:
+    keys = ("object", "setup", "width", "height", "quantity", "kind")
+    return all(getattr(one, key) == getattr(other, key) for key in keys)
+
+
+def _chosen(source: LayerBands, analysis: Analysis, side: int) -> LayerBands | None:
+    """The bands of a layer for one side of a ratio or a difference; None where it has none."""
+    if analysis.kind == "ratio":
+        number = find_band(source.bands, analysis.bands[side])
+        return None if number is None else LayerBands(source.root, source.entry, (number,))
+    low, high = (INFRARED_NM, VISIBLE_NM)[side]
+    inside = tuple(i for i, b in enumerate(source.bands) if low <= b.wavelength <= high)
+    return LayerBands(source.root, source.entry, inside) if inside else None
+
+
+def _write(publication: Publication, root: Path, work: LayerAnalysis) -> None:
+    """Write the pictures of one analysis and its record; raises ComponentsRefused."""
+    entry, name = work.entry, work.analysis.name
+    base = root / "objects" / entry.object / ANALYSES / f"{entry.layer.stem}.{name}"
+    tiff, record = base.with_name(f"{base.name}.tif"), base.with_name(f"{base.name}.json")
+    facts, labels, rows = _components(work) if work.analysis.kind in COMPONENTS else _pairs(work)
+    _write_pages(tiff, (entry.height, entry.width, len(labels)), labels, rows, work)
+    inputs = dict.fromkeys(source.tiff for source in work.sources)
+    shown = [_shown(tiff, i, label, facts) for i, label in enumerate(labels)]
+    told = {
+        "levkas": __version__,
+        "analysis": work.analysis.text,
+        "title": work.title,
+        **{"object": entry.object, "layer": entry.layer.name, "file": tiff.name},
+        "sha256": hash_file(tiff),
+        "sources": [source.describe() for source in work.sources],
+        "inputs": {f"../{path.name}": hash_file(path) for path in inputs},
+        **facts,
+        "pictures": shown,
+    }
+    place = tiff.relative_to(publication.folder).as_posix()
+    publication.hashes[place] = told["sha256"]
+    publication.write_text(record.relative_to(publication.folder).as_posix(), to_json(told))
+
+
+def _components(work: LayerAnalysis) -> tuple[dict[str, Any], list[str], Iterator[np.ndarray]]:
+    (source,) = work.sources
+    if work.analysis.kind == "mnf" and work.entry.kind == ESTIMATED:
+        why = Problem("E_VALUE", "the errors of estimated values are no noise", found="estimated")
+        raise ComponentsRefused(why)
+    layer, flags = open_pixels(source.tiff), open_pixels(source.beside("flags"))
+    sigma = open_pixels(path) if (path := source.beside("sigma")).is_file() else None
+    found = find_components(
+        layer, flags, sigma, method="mnf" if work.analysis.kind == "mnf" else "pca"
+    )
+    count = min(MOST_COMPONENTS, len(found.bands))
+    word = "Minimum-noise fraction" if found.noise is not None else "Principal component"
+    facts: dict[str, Any] = {
+        "source": SOURCES[work.analysis.kind],
+        "pixels": found.pixels,
+        "mean": found.mean,
+        "loadings": found.loadings,
+        "variance": found.variance,
+        "explained": found.explained,
+        "notes": [_note(found, i) for i in range(count)],
+        "unit": "standard deviations of the noise" if found.snr is not None else "",
+    }
+    if found.noise is not None:
+        facts |= {"snr": found.snr, "noise": {"from": found.noise_from, "covariance": found.noise}}
+    labels = [f"{word} {i + 1}" for i in range(count)]
+    return facts, labels, found.rows(layer, flags, count=count)
+
+
+def _note(found: Components, number: int) -> str:
+    loadings = found.loadings[number]
+    order = np.argsort(-np.abs(loadings), kind="stable")[:STRONGEST]
+    weights = ", ".join(f"{found.bands[i]} {_number(loadings[i], '+')}" for i in order)
+    if found.snr is None:
+        told = f"Explains {_number(100 * found.explained[number])} % of the variance."
+    else:
+        noise = "sigma" if found.noise_from == "sigma" else "differences of neighbouring pixels"
+        told = f"Variance of the signal over that of the noise: {_number(found.snr[number])} (noise from {noise})."
+    return f"{told} Strongest bands: {weights}. 0 is the mean spectrum."
+
+
+def _number(value: float, sign: str = "") -> str:
+    """Return three digits, without an exponent where that is as short.
+
+    >>> _number(1628.19), _number(-0.0655), _number(0.41, "+")
+    ('1628', '−0.0655', '+0.41')
+    """
+    text = f"{value:{sign}.0f}" if 1000 <= abs(value) < 1e6 else f"{value:{sign}.3g}"
+    return text.replace("-", "−")
+
+
+def _pairs(work: LayerAnalysis) -> tuple[dict[str, Any], list[str], Iterator[np.ndarray]]:
+    """A ratio of two bands, or the difference of the means of two groups."""
+    first, second = work.sources
+    ratio = work.analysis.kind == "ratio"
+    named = [_group(source) for source in work.sources]
+    note = f"{named[0]}, {'over' if ratio else 'minus'} {named[1]}."
+    note = note[0].upper() + note[1:]
+
+    def rows() -> Iterator[np.ndarray]:
+        for start in range(0, work.entry.height, BLOCK_ROWS):
+            part = slice(start, min(start + BLOCK_ROWS, work.entry.height))
+            one, other = first.mean_rows(part), second.mean_rows(part)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                made = np.where(other > 0, one / other, np.nan) if ratio else one - other
+            yield made[..., None].astype(np.float32)
+
+    return {"notes": [note], "unit": ""}, [work.title], rows()
+
+
+def _group(source: LayerBands) -> str:
+    labels = [band.label for band in source.bands]
+    name = source.entry.layer.name
+    if len(labels) == 1:
+        return f"{labels[0]} of {name}"
+    return f"mean of {len(labels)} bands, {labels[0]} to {labels[-1]}, of {name}"
+
+
+def _write_pages(
+    path: Path,
+    shape: tuple[int, int, int],
+    labels: list[str],
+    rows: Iterable[np.ndarray],
+    work: LayerAnalysis,
+) -> None:
+    """Write one float page a picture; the same bytes for any number of threads."""
+    facts = {"bands": labels, "quantity": work.title, "object": work.entry.object}
+    header = TiffHeader(shape[:2], list(range(shape[2])), to_json(facts))
+    with (
+        ThreadPoolExecutor(count_threads(2)) as pool,
+        spooling(path.parent, f"{path.name}.spool") as handle,
+    ):
+        spool = PageSpool(handle, shape, np.float32, pool)
+        for block in rows:
+            spool.write_rows(block)
+        write_encoded_pages(path, spool.pages(), header)
+
+
+def _shown(path: Path, number: int, label: str, facts: dict[str, Any]) -> dict[str, Any]:
+    """Which values are shown as black and white, and what that means."""
+    plane = open_pages(path).read_page(number)
+    step = max(1, int((plane.size / SAMPLE_PX) ** 0.5))
+    sample = plane[::step, ::step]
+    finite = sample[np.isfinite(sample)]
+    low, high = np.percentile(finite, SHOWN_PERCENTILES) if finite.size else (0.0, 1.0)
+    black, white = (float(f"{value:.3g}") for value in (low, high))
+    unit = f" {facts['unit']}" if facts["unit"] else ""
+    ends = f"Black is {_number(black)}, white {_number(white)}{unit}."
+    note = f"{facts['notes'][number]} {ends}"
+    return {"label": label, "black": black, "white": white, "note": note}

@@ -1,0 +1,176 @@
+"""Names of analyses as a person writes them: ``pca``, ``mnf``, ``infrared-visible``, ``ratio:700/1000``, ``all``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from levkas.core.cube import Band
+from levkas.core.problems import Problem, Refused, closest_match
+
+COMPONENTS = ("pca", "mnf")
+INFRARED = "infrared-visible"
+RATIO = "ratio"
+ALL = "all"
+WAVELENGTH_NM = 5.0
+"""A band is that of a wavelength where its centre is no further away, or half its width."""
+MOST = 24
+"""Analyses of one publication."""
+LONGEST_LABEL = 60
+
+
+class AnalysisUnknown(Refused):
+    """A name is that of no analysis; every wrong one is listed."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """An analysis that is wanted.
+
+    Parameters
+    ----------
+    kind : "pca", "mnf", "infrared-visible" or "ratio"
+    bands : tuple of str
+        Of a ratio, as they were written.
+    required : bool
+        Whether it was named; what ``all`` stands for may be impossible.
+    """
+
+    kind: str
+    bands: tuple[str, ...] = ()
+    required: bool = True
+
+    @property
+    def text(self) -> str:
+        """As it is written.
+
+        >>> Analysis("ratio", ("700", "1000")).text
+        'ratio:700/1000'
+        """
+        return self.kind if not self.bands else f"{self.kind}:{'/'.join(self.bands)}"
+
+    @property
+    def name(self) -> str:
+        """Part of a file's name.
+
+        >>> Analysis("ratio", ("R 1", "1000 nm")).name
+        'ratio-R-1-1000-nm'
+        """
+        return re.sub(r"[^A-Za-z0-9.]+", "-", self.text).strip("-.")
+
+    @property
+    def needs(self) -> str:
+        """What a layer must have."""
+        if self.kind == RATIO:
+            return f"bands {' and '.join(self.bands)} of one object under one light"
+        if self.kind == INFRARED:
+            return "bands from 780 to 1100 nm, and from 400 to 700 nm under the same light"
+        return "two bands or more"
+
+
+def parse_analyses(texts: Iterable[str]) -> tuple[Analysis, ...]:
+    """Read names of analyses, separated by commas.
+
+    Raises
+    ------
+    AnalysisUnknown
+        ``E_VALUE`` with every name that is none, and the one that may be meant.
+
+    Examples
+    --------
+    >>> [analysis.text for analysis in parse_analyses(["pca,ratio:700/1000", "PCA"])]
+    ['pca', 'ratio:700/1000']
+    """
+    found: dict[str, Analysis] = {}
+    problems = []
+    for text in [part.strip() for one in texts for part in one.split(",")]:
+        kind, colon, rest = text.partition(":")
+        kind = kind.strip().lower()
+        bands = tuple(part.strip() for part in rest.split("/"))
+        if kind == ALL and not colon:
+            for name in (*COMPONENTS, INFRARED):
+                found.setdefault(name, Analysis(name, required=False))
+        elif kind in (*COMPONENTS, INFRARED) and not colon:
+            found[kind] = Analysis(kind)
+        elif kind == RATIO and len(bands) == 2 and all(0 < len(b) <= LONGEST_LABEL for b in bands):
+            ratio = Analysis(kind, bands)
+            found.setdefault(ratio.name, ratio)
+        else:
+            problems.append(_unknown(text, kind))
+    if len(found) > MOST:
+        problems.append(
+            Problem(
+                "E_VALUE", "too many analyses", None, "--analyse", len(found), f"at most {MOST}"
+            )
+        )
+    if problems:
+        raise AnalysisUnknown(*problems)
+    return tuple(found.values())
+
+
+def _unknown(text: str, kind: str) -> Problem:
+    names = [ALL, *COMPONENTS, INFRARED, f"{RATIO}:A/B"]
+    if kind == RATIO:
+        fix = "Write two bands with a slash between them: ratio:700/1000."
+    else:
+        fix = (
+            closest_match(kind, [*names[:-1], RATIO])
+            or "Write --analyse all for those that need no bands."
+        )
+    what = f"there is no analysis {text!r}" if text else "a name of an analysis is empty"
+    return Problem("E_VALUE", what, None, "--analyse", text or None, ", ".join(names), fix)
+
+
+def find_band(bands: Sequence[Band], text: str) -> int | None:
+    """Find a band by its label or its wavelength, nm; None where there is none.
+
+    Examples
+    --------
+    >>> bands = [Band("690 nm", 690.0, 10.0), Band("698 nm", 698.0, 10.0), Band("IR")]
+    >>> [find_band(bands, text) for text in ("700", "690nm", "ir", "750")]
+    [1, 0, 2, None]
+    """
+    wanted = _plain(text)
+    labels = [_plain(band.label) for band in bands]
+    if wanted in labels:
+        return labels.index(wanted)
+    centre = _wavelength(text)
+    apart = [abs(band.wavelength - centre) for band in bands]
+    if not bands or np.isnan(apart).all():
+        return None
+    best = int(np.nanargmin(apart))
+    width = bands[best].fwhm
+    reach = max(WAVELENGTH_NM, 0.0 if np.isnan(width) else width / 2)
+    return best if apart[best] <= reach else None
+
+
+def near_bands(analysis: Analysis, bands: Sequence[tuple[Band, str]]) -> str:
+    """Say which bands a database has that are nearest to those of a ratio; `bands` are with their cameras."""
+    told = []
+    for text in analysis.bands:
+        if find_band([band for band, _ in bands], text) is not None:
+            continue
+        centre = _wavelength(text)
+        known = [one for one in bands if not np.isnan(one[0].wavelength)]
+        near = min(known, key=lambda one: abs(one[0].wavelength - centre), default=None)
+        if near and not np.isnan(centre):
+            told.append(f"no band at {text}, the nearest is {near[0].label} of {near[1]}")
+        else:
+            labels = list(dict.fromkeys(band.label for band, _ in bands))
+            hint = closest_match(text, labels) or f"there are {', '.join(labels[:8])}"
+            told.append(f"no band {text!r}: {hint}")
+    return "; ".join(told) or "no such layer"
+
+
+def _plain(text: str) -> str:
+    return "".join(text.split()).lower().removesuffix("nm")
+
+
+def _wavelength(text: str) -> float:
+    try:
+        return float(_plain(text))
+    except ValueError:
+        return float("nan")
