@@ -148,7 +148,6 @@ def _start_here(workers: int) -> LocalCluster:
 
 def _load() -> None:
     """Load what a client of a cluster needs, and read the code of the stages."""
-    from levkas.building import cluster_executor  # noqa: F401 -- heavy
     from levkas.building.worker import code_digest, facts
 
     code_digest()

@@ -210,9 +210,10 @@ def _executor(
         yield Executor(endings, templates)
         return
     from levkas.building.cluster import connected
-    from levkas.building.cluster_executor import ClusterExecutor
 
     with connected(where.address, where.workers, insecure=where.insecure) as cluster:
+        from levkas.building.cluster_executor import ClusterExecutor  # loaded beside the workers
+
         yield ClusterExecutor(endings, cluster, endings.campaign.path, verify=verify)
 
 
