@@ -14,6 +14,7 @@ import sys
 import tempfile
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,6 +27,7 @@ from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.frame import RegistrationView, SensorView
+from levkas.workbench.history import HistoryFile
 from levkas.workbench.library import Library
 from levkas.workbench.pictures import ShownPicture, encode, warped_tile
 from levkas.workbench.session import CorrectionSession, RecordedPairs
@@ -127,7 +129,8 @@ class Planted(Library):
             np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8)
         )
         record = {"verdict": {"decision": "accept", "reasons": [], "next_step": ""}, "bands": {}}
-        session = CorrectionSession(found, FrameEdits(), self._keep)
+        remember = partial(HistoryFile(path).write, "icon", "nir")
+        session = CorrectionSession(found, FrameEdits(), self._keep, remember=remember)
         self._planted = RegistrationView(
             view, main, record, {}, session, "900 nm", "550 nm",
             lambda capture, band: picture, lambda capture, band: picture.pixels,
@@ -141,6 +144,9 @@ class Planted(Library):
 
     def open(self, key: str) -> RegistrationView:
         return self._planted
+
+    def registered_with(self, frame: RegistrationView) -> None:
+        return None
 
     def _keep(self, before: FrameEdits, after: FrameEdits) -> FrameEdits:
         write_edits(self.path / "edits.toml", Edits({("icon", "nir"): after}))

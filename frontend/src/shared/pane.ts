@@ -168,6 +168,13 @@ export class Pane {
     return [...this.toPixel(viewport.getCenter(false)), scale];
   }
 
+  /** A way on the screen as one in the picture, where that is turned. */
+  along([x, y]: Point): Point {
+    const turned = (this.viewer.viewport.getRotation(true) * Math.PI) / 180;
+    const [cos, sin] = [Math.cos(turned), Math.sin(turned)];
+    return [cos * x + sin * y, cos * y - sin * x];
+  }
+
   /** Show a place in the middle; a view that is there already stays still. */
   look(x: number, y: number, scale: number, degrees = 0, immediately = true): void {
     const { viewport } = this.viewer;

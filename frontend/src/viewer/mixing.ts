@@ -57,6 +57,7 @@ export function pictureOf(layer: Layer, key: string): Picture | undefined {
     key,
     label: `False colour, ${labels}`,
     kind: "mix",
+    white: null,
     note: `${labels} as red, green and blue, each from 0 to its own white`,
     mixed: parts,
   };
@@ -83,6 +84,15 @@ export function sourceOf(picture: Picture): Tiles["source"] {
     },
     downloadTileAbort: () => {},
   } as Tiles["source"];
+}
+
+/** Load a whole picture, or a mixture, at its smallest: in one tile. */
+export async function loadWhole(picture: Picture): Promise<HTMLImageElement | HTMLCanvasElement> {
+  const parts = picture.mixed ?? [picture];
+  const images = await Promise.all(
+    parts.map(({ folder, least, format }) => loadPicture(`${folder}/${least}/0_0`, format)),
+  );
+  return picture.mixed ? blend(images).canvas : images[0]!;
 }
 
 interface Job {

@@ -13,6 +13,8 @@ export interface Picture {
   /** Of a mixture: its red, green and blue part. */
   mixed?: Picture[];
   note: string;
+  /** Of a single band: the value that is shown as white; 0 is black. */
+  white: number | null;
   legend: Legend | null;
   folder: string;
   width: number;
@@ -56,6 +58,7 @@ export interface Layer {
   camera: string;
   setup: string;
   decision: string;
+  unchecked: number;
   verdict: string;
   reasons: string[];
   by_hand: string;

@@ -6,6 +6,7 @@ import { saveChart } from "../shared/svgfile";
 import {
   across,
   clipped,
+  dashOf,
   footers,
   joined,
   level,
@@ -204,6 +205,7 @@ export class RegionPanel {
     const curves = found.map(({ means, spreads }, i): Curve => ({
       layer,
       colour: pinColour(i),
+      mark: String(i + 1),
       spectrum: {
         values: Float32Array.from(means),
         sigma: Float32Array.from(spreads),
@@ -335,7 +337,11 @@ function drawHistograms(bars: (Histogram | null)[], quantity: string): SVGElemen
       [x(first + i * width), y(n)],
       [x(first + (i + 1) * width), y(n)],
     ]);
-    const line = draw("polyline", { points: joined(points), class: "line" });
+    const line = draw("polyline", {
+      points: joined(points),
+      class: "line",
+      "stroke-dasharray": dashOf(colour) || null,
+    });
     return draw("g", { stroke: colour, fill: colour }, line);
   });
   chart.append(clipped(BOX, ...steps));

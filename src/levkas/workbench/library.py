@@ -20,6 +20,7 @@ from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.layout import Places
+from levkas.database.registrations import unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
@@ -117,8 +118,9 @@ class Library:
         listed = []
         for key, view in self.views.items():
             capture = view.capture
-            decision = self._record(capture).get("verdict", {}).get("decision", "not built")
-            reasons = self._record(capture).get("verdict", {}).get("reasons", [])
+            record = self._record(capture)
+            decision = record.get("verdict", {}).get("decision", "not built")
+            reasons = record.get("verdict", {}).get("reasons", [])
             is_reference = self._is_reference(view)
             facts = self.campaign.objects.get(capture.object)
             listed.append(
@@ -132,7 +134,9 @@ class Library:
                     "bands": _name_bands(view.labels),
                     "reference": is_reference,
                     "decision": decision,
-                    "verdict": describe_decision("reference" if is_reference else decision),
+                    "verdict": describe_decision(
+                        "reference" if is_reference else decision, unchecked_share(record)
+                    ),
                     "reason": next(iter(reasons), ""),
                     "corrections": self._edits(view).describe(),
                 }

@@ -20,6 +20,7 @@ from starlette.routing import Route
 from levkas.campaign.edits import EditsConflict
 from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
+from levkas.database.registrations import unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.pages.screen import read_built
 from levkas.workbench.answer import describe, to_bytes
@@ -374,7 +375,7 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     model = frame.record.get("model", {})
     found = frame.session.found
     judged = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
-    judged["words"] = describe_decision(str(judged["decision"]))
+    judged["words"] = describe_decision(str(judged["decision"]), unchecked_share(frame.record))
     judged["reasons"] = reasons_of(frame, judged["reasons"] or [])
     sensors = [s for s in model.get("sensors", []) if isinstance(s, dict)]
     sensors = [s for s in sensors if s.get("sensor") == frame.view.sensor.name] or sensors
