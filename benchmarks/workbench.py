@@ -27,7 +27,6 @@ from levkas.registration.record import Matches
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.correlation import find_partner
 from levkas.workbench.frame import RegistrationView, SensorView
-from levkas.workbench.history import HistoryFile
 from levkas.workbench.library import Library
 from levkas.workbench.pictures import ShownPicture, encode, warped_tile
 from levkas.workbench.session import CorrectionSession, RecordedPairs
@@ -129,7 +128,7 @@ class Planted(Library):
             np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8)
         )
         record = {"verdict": {"decision": "accept", "reasons": [], "next_step": ""}, "bands": {}}
-        remember = partial(HistoryFile(path).write, "icon", "nir")
+        remember = partial(self.remember, "icon", "nir")
         session = CorrectionSession(found, FrameEdits(), self._keep, remember=remember)
         self._planted = RegistrationView(
             view, main, record, {}, session, "900 nm", "550 nm",
@@ -140,7 +139,9 @@ class Planted(Library):
     def list(self) -> list[dict]:
         words = ("setup", "sensor", "bands", "reason", "corrections")
         row = dict.fromkeys(words, "") | {"id": "planted", "reference": False, "object": "icon"}
-        return [{**row, "camera": "nir", "title": "icon", "decision": "accept", "verdict": "accepted"}]
+        return [
+            {**row, "camera": "nir", "title": "icon", "decision": "accept", "verdict": "accepted"}
+        ]
 
     def open(self, key: str) -> RegistrationView:
         return self._planted

@@ -24,6 +24,7 @@ export interface PaneOptions {
 const MARGIN = 0.03; // of the longer side, round a picture that is fitted
 const STILL_PX = 0.02;
 const SMOOTH_BELOW = 3; // screen pixels a pixel: beyond, single pixels are shown as squares
+const PATIENCE_COMPUTED_MS = 600_000; // for a tile that the page computes
 const PATIENCE_MS = 1500; // for new tiles, before the old ones go all the same
 
 export class Pane {
@@ -293,6 +294,7 @@ function openViewer(
     maxZoomPixelRatio: 40,
     defaultZoomLevel: 0,
     imageLoaderLimit: 6,
+    timeout: PATIENCE_COMPUTED_MS,
     gestureSettingsMouse: { clickToZoom: false, dblClickToZoom: zoomOnDoubleClick },
     gestureSettingsTouch: { clickToZoom: false, dblClickToZoom: true },
     gestureSettingsPen: { clickToZoom: false },

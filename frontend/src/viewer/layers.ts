@@ -19,15 +19,18 @@ export class LayerList {
   /** Called when a person put a layer into B, C or D. */
   onCompare: () => void = () => {};
 
+  private readonly pickers: Picker[];
+
   constructor(
     host: HTMLElement,
     record: PageRecord,
     private readonly state: State,
   ) {
+    this.pickers = SLOTS.map((slot) => new Picker(slot, state));
     this.layers = record.layers.filter((layer) => layer.pictures.length);
     host.append(
       make("ol", { class: "layers" }, ...record.layers.map((layer) => this.rowOf(layer))),
-      ...SLOTS.map((slot) => new Picker(slot, state).element),
+      ...this.pickers.map(({ element }) => element),
     );
   }
 
@@ -40,6 +43,11 @@ export class LayerList {
         (before && likePicture(layer, before)) ??
         layer.pictures[0]);
     if (picture) this.state[slot].value = { layer, picture };
+  }
+
+  /** Show the spectral angle to the pinned place in A. */
+  showAngle(): void {
+    this.pickers[0]!.showAngle();
   }
 
   /** Put something into C and D, where they are empty: the next layers, or further pictures of them. */
@@ -125,6 +133,7 @@ function likePicture(
   layer: Layer,
   { layer: other, picture }: Choice,
 ): Layer["pictures"][number] | undefined {
+  if (picture.angle) return pictureOf(layer, picture.key);
   if (mixNumbers(picture.key)) return pictureOf(layer, proposeMix(layer) ?? "");
   if (picture.kind !== "band") return pictureOf(layer, picture.key);
   const wanted = placeOf(other, bandNumber(picture));

@@ -31,7 +31,7 @@ export function whiteOf({ white }: Picture): number {
 
 /** Whether a picture has levels: a map has fixed colours, which its legend explains. */
 export function hasLevels({ kind }: Picture): boolean {
-  return kind !== "map";
+  return kind !== "map" && kind !== "angle";
 }
 
 /** The levels with which a picture was published. */

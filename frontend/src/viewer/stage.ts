@@ -46,7 +46,7 @@ export class PaintingStage extends Stage<Pane> {
 
   constructor(
     host: HTMLElement,
-    size: Point,
+    private readonly size: Point,
     private readonly state: State,
   ) {
     host.dataset["mode"] = "grid"; // room for all while they are made
@@ -175,13 +175,30 @@ export class PaintingStage extends Stage<Pane> {
     this.link();
   }
 
-  /** Cut B off where the curtain shows A. */
+  /** Cut B off where the curtain shows A; and both to whole pixels of the screen where they differ at the edge alone. */
   protected override clip(): void {
-    const { style } = this.right.viewer.drawer.canvas as HTMLElement;
+    const [below, { style }] = [this.left, this.right].map(
+      ({ viewer }) => viewer.drawer.canvas as HTMLElement,
+    ) as [HTMLElement, HTMLElement];
+    const turning = this.flicker.running;
+    const edge = this.mode.peek() === "difference" && !turning ? this.inside() : "";
+    below.style.clipPath = edge;
     const { fraction, level } = this.curtain;
     const part = `${100 * fraction}%`;
     const cut = level.peek() ? `inset(${part} 0 0 0)` : `inset(0 0 0 ${part})`;
-    style.clipPath = this.mode.peek() === "curtain" && !this.flicker.running ? cut : "";
+    style.clipPath = this.mode.peek() === "curtain" && !turning ? cut : edge;
+  }
+
+  /** The whole pixels of the screen that the picture fills. */
+  private inside(): string {
+    const { left, size } = this;
+    const [a, b] = [left.placeOf(-0.5, -0.5), left.placeOf(size[0] - 0.5, size[1] - 0.5)];
+    const { clientWidth, clientHeight } = left.host;
+    const first = (axis: 0 | 1): number => Math.max(0, Math.ceil(Math.min(a[axis], b[axis])));
+    const last = (axis: 0 | 1, all: number): number =>
+      Math.max(0, all - Math.floor(Math.max(a[axis], b[axis])));
+    const sides = [first(1), last(0, clientWidth), last(1, clientHeight), first(0)];
+    return `inset(${sides.map((side) => `${side}px`).join(" ")})`;
   }
 
   private listen(pane: Pane): void {

@@ -19,6 +19,7 @@ import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
 import { Address, numbersOf } from "./address";
+import { AngleMaps, provideAngles } from "./angle";
 import { Drawing } from "./drawing";
 import { LayerList } from "./layers";
 import { LevelFilters } from "./levelfilters";
@@ -54,6 +55,10 @@ const size: Point = [width, height];
 const stage = new PaintingStage(find("stage"), size, state);
 const layers = new LayerList(find("layers"), record, state);
 const spectra = openSpectra(record.layers);
+const angles = new AngleMaps(spectra, record.flags, () =>
+  SLOTS.map((slot) => state[slot].peek()?.picture.angle),
+);
+provideAngles(angles);
 const readout = new Readout(find("spectrum"), record, spectra, HINT, address);
 const go = (place: Point): void => {
   state.pin.value = place;
@@ -227,6 +232,7 @@ const keys: Key[] = [
     },
   ),
   key("M", ["m"], "Measure a length", () => void measures.start("line")),
+  key("A", ["a"], "Spectral angle of every pixel to the pinned place", () => layers.showAngle()),
   key("G", ["g"], "Grid on and off", () => (state.grid.value = !state.grid.value)),
   key("N", ["n"], "Write a note on the pinned place, or the middle of the view", () =>
     notes.writeHere(),
@@ -246,7 +252,7 @@ const keys: Key[] = [
 ];
 const help = helpDialog(
   keys,
-  "Drag to pan, turn the wheel to zoom, double-click to zoom in. Point at the painting to read every camera's spectrum there; click to pin a place, click it again to let go.",
+  "Drag to pan, turn the wheel to zoom, double-click to zoom in. On a phone two fingers move the picture, and one scrolls the page. Point at the painting to read every camera's spectrum there; click to pin a place, click it again to let go.",
   "Fast flicker can trouble people with photosensitive epilepsy: keep it at 2 Hz or below then.",
 );
 listenToKeys(keys);
@@ -324,4 +330,4 @@ if (layers.layers.length) {
 }
 
 // For tests and for the curious: the parts by name.
-Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, record } });
+Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, angles, record } });

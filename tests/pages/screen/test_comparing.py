@@ -150,6 +150,15 @@ def test_the_same_levels_take_mere_scaling_out_of_a_difference(browser, viewer, 
     assert page.evaluate("levkasViewer.state.locked.value") is None
 
 
+@pytest.mark.parametrize("turn", [0, 90])
+def test_a_difference_of_nothing_is_black_to_its_edge(browser, address, turn):
+    fragment = f"#a=vis/band-3&b=vis/band-3&mode=difference&amplify=16&turn={turn}"
+    page = open_object(browser, address("file", fragment=fragment))
+    settle(page)
+    image = Image.open(io.BytesIO(page.screenshot(clip=page.locator("#stage").bounding_box())))
+    assert np.asarray(image.convert("RGB"), int)[3:-3, 3:-3].max() <= 3
+
+
 def test_nonsense_levels_in_an_address_change_nothing(browser, address):
     fragment = "#a=vis/colour&levels=1,2,vis/colour&levels=0,-1,1,0,vis/colour&locked=a,b,c,d"
     page = open_object(browser, address("file", fragment=fragment))

@@ -617,7 +617,7 @@ def test_regions_have_the_numbers_of_the_database(browser, viewer, address):
     assert [int(r["n"]) for r in rows[: layer.sizes["band"]]] == expected[0]["n"].values.tolist()
 
 
-def test_a_region_can_be_given_up_and_made_without_a_mouse(browser, address):
+def test_a_region_can_be_given_up_and_made_without_a_mouse(browser, viewer, address):
     page = open_object(browser, address("file"))
     page.get_by_role("button", name="Polygon", exact=True).click()
     page.mouse.click(*page.evaluate("levkasViewer.stage.left.pageOf(20, 20)"))
@@ -630,6 +630,14 @@ def test_a_region_can_be_given_up_and_made_without_a_mouse(browser, address):
     (one,) = page.evaluate("levkasViewer.state.regions.value")
     grid = page.evaluate("levkasViewer.record.grid")
     assert one["points"] == [[0, 0], [grid["width"] - 1, grid["height"] - 1]]
+    # Most of it are whole tiles, whose sums were published.
+    (numbers,) = region_numbers(page)
+    layer = levkas.open(viewer)["icon1"]["vis"]
+    expected = layer.region(rectangle=[0, 0, grid["width"] - 1, grid["height"] - 1])
+    band = int(page.get_by_label("Band of the histogram").input_value())
+    assert int(numbers["n"]) == int(expected["n"][band])
+    assert float(numbers["mean"]) == pytest.approx(float(expected["mean"][band]), rel=1e-9)
+    assert float(numbers["spread"]) == pytest.approx(float(expected["std"][band]), rel=1e-9)
 
 
 def corners(page, *places):
