@@ -287,7 +287,9 @@ address.add({
   write: (facts) => facts.set("mode", stage.mode.value),
   read: (facts) => {
     const mode = MODES.find(({ value }) => value === facts.get("mode"))?.value ?? "single";
-    if (mode !== stage.mode.value) stage.setMode(mode);
+    if (mode === stage.mode.value) return;
+    stage.setMode(mode);
+    stage.flicker.wait(mode === "flicker"); // until a person starts it
   },
 });
 address.add({
