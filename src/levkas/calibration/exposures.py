@@ -94,7 +94,6 @@ def merge_exposures(
     saturation: float,
     black: float | None = None,
     noise: NoiseModel | None = None,
-    limit: float = RECIPROCAL,
     fit_offset: bool | None = None,
     period: tuple[int, int] = PERIOD,
     choose: bool = False,
@@ -111,9 +110,6 @@ def merge_exposures(
         Counts; beyond 98 % of it a value does not count.
     noise : NoiseModel, optional
         Of one shot. None: weights are those of shot noise alone, and no variance comes out.
-    limit : float
-        Most rms deviation from linearity at which merging is allowed; 1 % by default, as for any
-        scaling from one exposure to another.
     fit_offset : bool, optional
         Fit and subtract an offset common to all exposures. None: only where the darks were
         clipped at black over more than half of their pixels, and so say little about it.
@@ -158,10 +154,10 @@ def merge_exposures(
 
     scaling = scales(timed)
     kept = timed
-    if scaling.points and scaling.rms > limit:
+    if scaling.points and scaling.rms > RECIPROCAL:
         if not choose:
-            raise CalibrationRefused(_does_not_scale(scaling, limit))
-        kept, scaling = _choose(timed, scaling, scales, limit)
+            raise CalibrationRefused(_does_not_scale(scaling))
+        kept, scaling = _choose(timed, scaling, scales)
     left_out = tuple(s.exposure_s or 0.0 for s in timed if all(s is not k for k in kept))
     timed = kept
     unders = [dark_under(shot, darks, black=black) for shot in timed]
@@ -354,14 +350,13 @@ def _choose(
     timed: list[Template],
     scaling: Linearity,
     scales: Callable[[Sequence[Template]], Linearity],
-    limit: float,
 ) -> tuple[list[Template], Linearity]:
     """Leave out one exposure after the other, each time the one without which the rest scales best.
 
     Returns
     -------
     kept : list of Template
-        Two or more that scale to within `limit`, or the best one alone.
+        Two or more that scale to within 1 %, or the best one alone.
     scaling : Linearity
         Of those; of a single one that of the last pair.
     """
@@ -371,19 +366,19 @@ def _choose(
         found = [scales(rest) for rest in rests]
         best = min(range(len(rests)), key=lambda k: found[k].rms if found[k].points else np.inf)
         kept, scaling = rests[best], found[best]
-        if scaling.points and scaling.rms <= limit:
+        if scaling.points and scaling.rms <= RECIPROCAL:
             return kept, scaling
     return [best_exposure(timed)], scaling
 
 
-def _does_not_scale(scaling: Linearity, limit: float) -> Problem:
+def _does_not_scale(scaling: Linearity) -> Problem:
     return Problem(
         "E_EXPOSURES",
         "the exposures do not scale",
         field="exposures",
         found=f"rms deviation {scaling.rms:.1%}, worst {scaling.worst:+.1%} "
         f"at {scaling.worst_at_s:g} s and {scaling.worst_level:.0f} counts",
-        expected=f"at most {limit:.1%} rms",
+        expected=f"at most {RECIPROCAL:.1%} rms",
         fix='Check exposure times and black level, or set exposures = "best".',
     )
 
