@@ -1,28 +1,38 @@
-"""A campaign of many objects whose build is finished: status, a build with nothing to do, opening.
+"""A campaign of many objects whose build is finished: status, a build with nothing to do, opening, the index made again.
 
-    python benchmarks/large_database.py [OBJECTS]
+    python benchmarks/large_database.py [OBJECTS] [--full | --index] [--in FOLDER]
 
-No pixel is computed: small frames, made-up products, and records as a build keeps them. The hashes of
-the frames and products are real, so that all of it is fresh.
+No pixel is computed: small frames, empty products, and records as a build keeps them. The hashes of
+frames and products are real, so that all of it is fresh; the first `levkas build` writes the catalogue and the
+index. `--full` also compares every stage, with and without a frame that was changed. A finished FOLDER is measured again.
+
+`--index` is for 100,000 objects: real frames, a real catalogue, all folders of the database and of the records, but one empty file in
+each (2 million inodes instead of 8), and the index written from the plan. What reads the index alone sees no difference.
 """
 
+import argparse
+import math
+import os
 import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from levkas.building import sources
-from levkas.building.build_records import BuildRecords
-from levkas.building.catalogue import write_catalogue_of
+from levkas.building import build_records, fingerprints, sources
+from levkas.building.build_index import INDEX, StageCounts, read_inputs, write_index
+from levkas.building.build_records import BuildRecords, Key
 from levkas.building.claiming import claim
 from levkas.building.fingerprints import Inputs
 from levkas.building.plan import read_plan
+from levkas.core.json_safe import to_json
+from levkas.database.catalogue import Entry, write_catalogue
 from levkas.database.layout import Places
 
 CAMPAIGN = """
@@ -38,67 +48,145 @@ kind = "image"
 files = "xray/{target}.png"
 """
 FILES = 10
-"""Products of a stage; 63 of an object of two cameras."""
+"""Products of a stage; 61 of an object of two cameras, with its page, beside seven records and two frames."""
 
 
-def make(root: Path, count: int) -> None:
-    """Write frames, products and records of a finished build, but for the pages."""
+def make(root: Path) -> None:
+    """Write products and records of a build."""
+    plan = read_plan(root)
+    places = Places(plan.campaign.output)
+    claim(plan.campaign, places, plan.captures, plan.names)
+    sources.remember(places.kept / sources.CODE)
+    # Without a sync a record: 700,000 of them.
+    build_records.write_json = lambda path, record: path.write_text(to_json(record))
+    records = BuildRecords(places.kept, places.output)
+    save, records.hashes.save = records.hashes.save, lambda: None
+    inputs = Inputs(plan.campaign, records)
+    layers: dict[str, str] = {}
+    done = 0
+    for task in plan.graph.values():
+        key = task.key
+        if task.capture is not None:
+            _keep(places, records, key, inputs.of(task, {}), FILES)
+            layers[f"{key.layer} {key.stage}"] = inputs.digests[key]
+        elif key.stage == "report":
+            prints = fingerprints.of_report(plan.campaign, key.object, layers)
+            _keep(places, records, key, prints, 1)
+            layers, done = {}, done + 1
+            if done % 1000 == 0:
+                save()
+    save()
+    sources.keep(places.kept / sources.CODE)
+
+
+def _keep(
+    places: Places, records: BuildRecords, key: Key, prints: dict[str, object], count: int
+) -> None:
+    """Write the products of a stage and its record."""
+    folder = places.folder(key.object) / f"{key.layer}_{key.stage}".strip("_")
+    folder.mkdir(parents=True)
+    made = [folder / f"{number}.bin" for number in range(count)]
+    for path in made:
+        path.touch()
+    row = [key.object, key.camera, key.setup, 1, 8, 8, "", "counts", "accept", "0" * 64]
+    notes = {"entry": [str(cell) for cell in row]} if key.stage == "resample" else {}
+    records.keep(key, prints, made, **notes)
+
+
+def make_index(root: Path) -> None:
+    """Write frames, catalogue and folders, and the index that a build of them would end with."""
+    started = time.time_ns()
+    plan = read_plan(root)
+    places = Places(plan.campaign.output)
+    before = read_inputs(plan, places, started)
+    claim(plan.campaign, places, plan.captures, plan.names)
+    entries = []
+    for number, task in enumerate(plan.graph.values()):
+        key = task.key
+        folder = places.folder(key.object) / f"{key.layer}_{key.stage}".strip("_")
+        for path in (folder, (places.kept / key.object / key.layer)):
+            path.mkdir(parents=True, exist_ok=True)
+        for path in (folder / "0.bin", places.kept / key.object / key.layer / f"{key.stage}.json"):
+            os.close(os.open(path, os.O_CREAT | os.O_WRONLY))
+        if key.stage == "resample":
+            row = (1, 8, 8, math.nan, "counts", "accept", f"{number:064x}")
+            entries.append(Entry(key.object, key.camera, key.setup, *row))
+    write_catalogue(places.output, entries)
+    counts = StageCounts(frozenset(), states=Counter(fresh=len(plan.graph)))
+    write_index(plan, places, before, counts, writes=True)
+
+
+def write_frames(root: Path, count: int) -> None:
+    """Write campaign.toml and two small pictures an object."""
     picture = cv2.imencode(".png", np.full((8, 8), 100, np.uint8))[1].tobytes()
     (root / "campaign.toml").write_text(CAMPAIGN)
     for camera in ("photo", "xray"):
         (root / camera).mkdir()
         for number in range(count):
             (root / camera / f"o{number:06d}.png").write_bytes(picture)
-    time.sleep(0.2)  # until their stamps are settled
-    plan = read_plan(root)
-    places = Places(plan.campaign.output)
-    claim(plan.campaign, places, plan.captures, plan.names)
-    sources.remember(places.kept / sources.CODE)
-    records = BuildRecords(places.kept, places.output)
-    inputs = Inputs(plan.campaign, records)
-    for task in plan.graph.values():
-        if task.capture is None:
-            continue
-        key = task.key
-        folder = places.folder(key.object) / f"{key.layer}_{key.stage}"
-        folder.mkdir(parents=True)
-        made = [folder / f"{number}.bin" for number in range(FILES)]
-        for path in made:
-            path.write_bytes(b"x")
-        row = [key.object, key.camera, key.setup, 1, 8, 8, "", "counts", "accept", "0" * 64]
-        notes = {"entry": [str(cell) for cell in row]} if key.stage == "resample" else {}
-        records.keep(key, inputs.of(task, {}), made, **notes)
-    write_catalogue_of(plan.campaign, places, records, plan.captures, plan.names)
-    records.hashes.save()
-    sources.keep(places.kept / sources.CODE)
+    time.sleep(2.5)  # until their stamps are settled
 
 
-WORK = {
-    "plan": "from levkas.building.plan import read_plan; read_plan({root!r})",
-    "status": "from levkas.building import status; status({root!r})",
-    "open": "import levkas; levkas.open({root!r} + '/database')",
-}
+CLI = "from levkas.cli import app; app({arguments!r}, standalone_mode=False)"
+OPEN = "import levkas; db = levkas.open({root!r} + '/database'); list(db[next(iter(db))])"
+
+
+def measure(what: str, code: str) -> None:
+    """Print a row: seconds on the clock, of the processor, and the peak of resident memory, imports included."""
+    before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    code = f"try:\n  {code}\nexcept SystemExit: pass\n"
+    code += "print(open('/proc/self/status').read().split('VmHWM:')[1].split()[0])"
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    seconds = time.perf_counter() - started
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    lines = run.stdout.splitlines()
+    print(f"| {what} | {seconds:.1f} | {cpu:.1f} | {int(lines[-1]) / 1024:.0f} |", flush=True)
+    told = [line for line in lines[:-1] if " fresh" in line or " stale" in line]
+    print("\n".join(told[-3:]), file=sys.stderr, flush=True)
+
+
+def measure_all(root: Path, *, full: bool) -> None:
+    """Print the table."""
+
+    def command(*arguments: str) -> str:
+        return CLI.format(arguments=[*arguments, str(root)])
+
+    index = root / "database.kept" / INDEX
+    print("| what | s | CPU s | MB |\n|---|---:|---:|---:|")
+    if not index.is_file():
+        measure("`levkas build`, which writes catalogue and index", command("build"))
+    measure("`levkas status`", command("status"))
+    measure("`levkas build`, nothing to do", command("build"))
+    measure("`levkas.open`, the layers of one object", OPEN.format(root=str(root)))
+    frame = root / "photo" / "o000017.png"
+    data = frame.read_bytes()
+    frame.write_bytes(data)
+    measure("`levkas status`, one frame touched", command("status"))
+    if full:
+        measure("`levkas build`, one frame touched", command("build"))
+        measure("`levkas status --full`", command("status", "--full"))
+        index.unlink()
+        measure("`levkas status`, the index missing", command("status"))
 
 
 def main() -> None:
-    """Print the table."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 500
-    root = Path(tempfile.mkdtemp())
+    """Make, measure, and remove what was made."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("objects", type=int, nargs="?", default=500)
+    parser.add_argument("--full", action="store_true")
+    parser.add_argument("--index", action="store_true")
+    parser.add_argument("--in", dest="folder", type=Path)
+    told = parser.parse_args()
+    root = told.folder or Path(tempfile.mkdtemp())
     try:
-        make(root, count)
-        files = sum(p.is_file() for p in root.rglob("*"))
-        print(f"{count} objects, {files} files\n\n| what | s | CPU s | MB |\n|---|---:|---:|---:|")
-        for what, code in WORK.items():
-            before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-            code += "; print(open('/proc/self/status').read().split('VmHWM:')[1].split()[0])"
-            command = [sys.executable, "-c", code.format(root=str(root))]
-            run = subprocess.run(command, check=True, capture_output=True, text=True)
-            seconds = time.perf_counter() - started
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-            print(f"| {what} | {seconds:.1f} | {cpu:.1f} | {int(run.stdout) / 1024:.0f} |")
+        if not (root / "campaign.toml").is_file():
+            write_frames(root, told.objects)
+            make_index(root) if told.index else make(root)
+        measure_all(root, full=told.full)
     finally:
-        shutil.rmtree(root)
+        if told.folder is None:
+            shutil.rmtree(root)
 
 
 if __name__ == "__main__":

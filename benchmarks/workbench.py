@@ -137,7 +137,7 @@ class Planted(Library):
     def list(self) -> list[dict]:
         words = ("setup", "sensor", "bands", "reason", "corrections")
         row = dict.fromkeys(words, "") | {"id": "planted", "reference": False, "object": "icon"}
-        return [{**row, "camera": "nir", "title": "icon", "decision": "accept"}]
+        return [{**row, "camera": "nir", "title": "icon", "decision": "accept", "verdict": "accepted"}]
 
     def open(self, key: str) -> RegistrationView:
         return self._planted
@@ -198,7 +198,7 @@ def page(wrong: int) -> list[tuple[str, float]]:
             return [view.evaluate(script, next(rows)) / 1000 for _ in range(ON_SCREEN + 3)][3:]
 
         beside = taken(DELETE)
-        view.keyboard.press("2")
+        view.keyboard.press("c")
         view.wait_for_function("() => levkasWorkbench.stage.settled")
         over = taken(OVERLAY)
         chromium.close()

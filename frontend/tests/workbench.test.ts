@@ -1,8 +1,18 @@
 import { expect, test } from "vitest";
 import { isSafeAddress } from "../src/shared/element";
+import { beyond } from "../src/shared/curtain";
 import { restore } from "../src/viewer/spectra";
 import { confirms, enlargement, quantile } from "../src/workbench/basis";
-import type { Pair, SessionState, Windows } from "../src/workbench/record";
+import { placeTurned } from "../src/workbench/figure";
+import { placesOf, tilesAround } from "../src/workbench/loupe";
+import type { PlaneMap } from "../src/workbench/maps";
+import {
+  isMarked,
+  type Filter,
+  type Pair,
+  type SessionState,
+  type Windows,
+} from "../src/workbench/record";
 import { rowAt } from "../src/workbench/store";
 import { latestOnly } from "../src/workbench/threshold";
 import { rowsAt } from "../src/workbench/trace";
@@ -67,4 +77,65 @@ test("links lead to pages and mail, never into a script", () => {
     expect(isSafeAddress(address)).toBe(true);
   for (const address of ["javascript:alert(1)", " java\nscript:alert(1)", "data:text/html,x"])
     expect(isSafeAddress(address)).toBe(false);
+});
+
+test("loupes show the pair that is placed, and what is under the pointer where its other end is sought", () => {
+  const map: PlaneMap = (x, y) => [x + 5, y];
+  const pair: Pair = [10, 20, 30, 40];
+  const places = { pair, pointer: null, follows: false, begun: null, map } as const;
+  expect(placesOf(places)).toEqual([
+    [10, 20],
+    [30, 40],
+  ]);
+  const over = { half: 2 as const, at: [7, 8] as [number, number] };
+  expect(placesOf({ ...places, pointer: over })[1]).toEqual([30, 40]);
+  expect(placesOf({ ...places, pointer: over, begun: 0 })).toEqual([
+    [10, 20],
+    [7, 8],
+  ]);
+  expect(placesOf({ ...places, pair: null, pointer: over, follows: true })).toEqual([
+    [12, 8],
+    [7, 8],
+  ]);
+  const here = { half: 0 as const, at: [12, 8] as [number, number] };
+  const [, there] = placesOf({ ...places, pair: null, pointer: here, follows: true });
+  expect(there).toEqual([expect.closeTo(7, 6), expect.closeTo(8, 6)]);
+  expect(tilesAround([255.5, 0], 20, [600, 200])).toEqual([
+    [0, 0],
+    [1, 0],
+  ]);
+});
+
+test("the part beyond an upright line on screen turns with the picture", () => {
+  const parts = [0, 90, 180, 270].map((turn) => beyond([30, 40], turn, [100, 80]));
+  expect(parts).toEqual([
+    [30, 0, 70, 80],
+    [0, 0, 100, 40],
+    [0, 0, 30, 80],
+    [0, 40, 100, 40],
+  ]);
+});
+
+test("a frame that is turned by a quarter lies on its side in the middle", () => {
+  const { place, direction, scale } = placeTurned([200, 100], 90, [300, 300], 0);
+  expect(scale).toBe(1.5);
+  const round = ([x, y]: [number, number]): number[] => [Math.round(x), Math.round(y)];
+  expect([place(0, 0), place(200, 0), place(0, 100)].map(round)).toEqual([
+    [225, 0],
+    [225, 300],
+    [75, 0],
+  ]);
+  expect(round(direction(2, 0))).toEqual([0, 3]);
+});
+
+test("pictures show the pairs that the table lists, and all check points", () => {
+  const session = {
+    state: ["kept", "removed", "check", "removed"],
+    hand: ["", "", "checks", "deleted"],
+  } as unknown as SessionState;
+  const shown = (filter: Filter): number[] =>
+    [0, 1, 2, 3].filter((i) => isMarked(session, i, filter));
+  expect(shown("kept")).toEqual([0, 2]);
+  expect(shown("removed")).toEqual([1, 2, 3]);
+  expect(shown("hand")).toEqual([2, 3]);
 });

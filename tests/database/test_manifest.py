@@ -81,3 +81,22 @@ def test_any_flipped_bit_of_a_manifest_is_seen(folder):
         changed[bit // 8] ^= 1 << bit % 8
         (folder / NAME).write_bytes(changed)
         assert read_manifest(folder / NAME).problems, f"bit {bit}"
+
+
+def test_a_manifest_that_memory_does_not_hold_is_refused_with_what_it_would_take(
+    folder, monkeypatch
+):
+    write_manifest(folder)
+    size = (folder / NAME).stat().st_size
+    monkeypatch.setattr("levkas.database.manifest.memory_bound", lambda: 5 * size - 1)
+    manifest = read_manifest(folder / NAME)
+    assert manifest.files == {} and "GB of memory" in manifest.problems[0].message
+    monkeypatch.setattr("levkas.database.manifest.memory_bound", lambda: 5 * size)
+    assert read_manifest(folder / NAME).problems == ()
+
+
+def test_lines_without_an_end_are_read_in_parts_and_counted(tmp_path):
+    (tmp_path / NAME).write_bytes(b"x" * 300_000 + b"\n" + f"{'ab' * 32}  a\n".encode())
+    manifest = read_manifest(tmp_path / NAME)
+    assert list(manifest.files) == ["a"]
+    assert "5 lines cannot be read, the first is 1" in manifest.problems[0].message

@@ -16,6 +16,7 @@ from levkas.core.rounding import round_sigma
 from levkas.database.catalogue import (
     COLUMNS,
     DatabaseRefused,
+    Entry,
     read_catalogue,
     write_catalogue,
 )
@@ -281,3 +282,13 @@ def test_threads_read_one_array_together(opened):
     with ThreadPoolExecutor(8) as pool:
         rows = list(pool.map(lambda y: cube[y].values, range(60)))
     np.testing.assert_array_equal(np.stack(rows), VIS.values)
+
+
+def test_of_many_objects_the_first_are_named(tmp_path):
+    row = ("", 1, 8, 8, 2.0, "counts", "accept", "a" * 64)
+    write_catalogue(tmp_path, [Entry(f"o{n:04d}", "photo", *row) for n in range(1000)])
+    database = levkas.open(tmp_path)
+    assert len(database) == 1000 and list(database["o0777"]) == ["photo"]
+    with pytest.raises(KeyError, match=r"no object 'o9'; there are: o0000, .*, o0099 and 900 more"):
+        database["o9"]
+    assert repr(database).endswith("o0099 and 900 more>")

@@ -15,16 +15,16 @@ def marks(svg):
 
 
 def test_decades_are_equally_far_apart_on_a_logarithmic_y():
-    svg = plot([Line("a", [1, 2, 3], [0.01, 0.1, 1.0])], x="x", y="y", log_y=True)
+    svg = plot([Line("a", [1, 2, 3], [0.01, 0.1, 1.0])], x="x", y="y", log="y")
     low, middle, high = marks(svg)
     assert low > middle > high and abs((low - middle) - (middle - high)) < 0.2
     assert all(f">{tick}</text>" in svg for tick in ("0.01", "0.1", "1"))
 
 
 def test_what_has_no_logarithm_is_left_out():
-    svg = plot([Line("a", [1, 2, 3, 4], [0.0, 0.1, None, 1.0])], x="x", y="y", log_y=True)
+    svg = plot([Line("a", [1, 2, 3, 4], [0.0, 0.1, None, 1.0])], x="x", y="y", log="y")
     assert len(marks(svg)) == 2
-    assert plot([Line("a", [1, 2], [0.0, -1.0])], x="x", y="y", log_y=True) == ""
+    assert plot([Line("a", [1, 2], [0.0, -1.0])], x="x", y="y", log="y") == ""
 
 
 def test_a_plot_has_the_colours_of_its_page_a_name_for_readers_and_the_same_bytes():

@@ -63,3 +63,12 @@ def test_stretch_of_a_blank_picture_is_blank():
 def test_a_band_image_needs_a_mask_of_its_size():
     with pytest.raises(ValueError, match="valid"):
         BandImage("a", 550.0, np.ones((4, 4), np.float32), np.ones((4, 5), bool))
+
+
+@pytest.mark.parametrize("factor", [16, 257])
+def test_eight_and_sixteen_bits_of_a_picture_are_one(factor):
+    codes = np.random.default_rng(1).integers(0, 256, (40, 50)).astype(np.uint8)
+    eight, sixteen = (
+        BandImage.of("G", picture) for picture in (codes, (codes * np.uint16(factor)))
+    )
+    assert np.array_equal(eight.values, sixteen.values) and eight.values.max() == 1

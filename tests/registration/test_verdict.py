@@ -13,7 +13,7 @@ from levkas.registration.mirhashemi2019 import (
 )
 from levkas.registration.outliers import RemovalTerms
 from levkas.registration.record import Matches
-from levkas.registration.verdict import MATCHES, RULES, WINDOWS, objections_to
+from levkas.registration.verdict import MATCHES, RULES, WINDOWS, judge_windows, objections_to
 from levkas.registration.verification import measure_shape, measure_support
 from levkas.registration.window_matching import CheckWindows, search_windows
 
@@ -191,8 +191,68 @@ def test_cells_that_nothing_bears_out_are_named(pictures):
     cells = measure_support(case.overlap, checks, matches.reference)
     assert cells["coverage"] == 1  # with windows of the whole picture
     verdict = judge(case)
-    assert verdict.decision == "warn" and "not confirmed" in verdict.reasons[0]
+    # Nothing contradicts the map: it is accepted, and the part is named and counted.
+    assert verdict.decision == "accept" and "Nothing confirms the map in" in verdict.reasons[-1]
+    assert 0.1 < verdict.unchecked < 0.4 and verdict.to_dict()["unchecked"] == pytest.approx(
+        verdict.unchecked, abs=1e-4
+    )
     assert all(x < 150 and y < 115 for x, y, _, _ in verdict.numbers["unsupported"])
+
+
+def test_cells_that_lie_off_make_a_map_doubtful(pictures):
+    reference, (values, valid) = pictures
+    torn = values.copy()  # a quarter of the target has slipped by 12 px
+    torn[:115, :150] = values[:115, 12:162]
+    matches = scattered(300)
+    right = ~np.all(matches.reference < (155, 120), axis=1)
+    matches = Matches.of(matches.reference[right], matches.target[right])
+    verdict = judge(evidence([reference, (torn, valid)], matches=matches))
+    assert verdict.decision != "accept" and verdict.numbers["off"]
+
+
+SOUND = {
+    "held_out_px": 0.02, "windows": 264, "share_above_chance": 1.0, "cover": 0.84, "step": 1, "key_points_kept": 335,
+    "key_points": 716, "rounds": 2, "settled": True, "moved": 0.01, "checked": 0.98, "alike": True, "terms": 9,
+}  # fmt: skip
+CONFIRMED = {
+    "tolerance": 1.0, "overlap": 1.0, "folded": 0.0, "mirrored": False, "scale_min": 2.4, "scale_max": 2.5,
+    "area_ratio": 1.02, "anisotropy": 1.01, "windows": 117, "found": 117, "agreeing": 117, "window_median": 0.02,
+    "window_p90": 0.07, "rival": 0.2, "coverage": 1.0, "off_share": 0.0, "unsupported": [], "off": [], "outside": [],
+    "checked": 0.98, "unchecked": [[255.2, 19.0, 20.8, 18.6, 0.02]], "strange": 0.01,
+}  # fmt: skip
+CELL = [10.0, 20.0, 40.0, 30.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "decision", "unchecked"),
+    [
+        ({}, "accept", 0.02),
+        ({"overlap": 0.6}, "accept", 0.41),  # nothing contradicts the map where it can be looked at
+        ({"coverage": 0.85, "unsupported": [CELL]}, "accept", 0.15),
+        (
+            {"coverage": 0.7, "unsupported": [CELL]},
+            "warn",
+            0.3,
+        ),  # it reaches over more than a quarter
+        ({"checked": 0.7}, "warn", 0.3),
+        ({"off": [CELL], "off_share": 0.05}, "warn", 0.02),
+        ({"rival": 0.9}, "warn", 0.02),
+        ({"strange": 0.5, "light": "other"}, "warn", 0.02),
+        ({"strange": 0.5, "light": "unknown"}, "accept", 0.02),
+        ({"off": [CELL], "off_share": 0.3}, "refuse", 0.02),
+        ({"overlap": 0.05}, "refuse", 0.95),
+    ],
+)
+def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
+    change, decision, unchecked
+):
+    numbers = {**SOUND, **{k: v for k, v in change.items() if k in ("checked", "light")}}
+    verdict = judge_windows({"sensor": {**numbers, "borne_out": {**CONFIRMED, **change}}})
+    assert verdict.decision == decision
+    assert verdict.unchecked == pytest.approx(unchecked, abs=0.01)
+    if decision == "accept":
+        open_ones = unchecked > 0.1 or "strange" in change
+        assert ("othing" in verdict.reasons[-1]) == open_ones  # named where it is much
 
 
 def test_the_default_method_never_advises_keys_of_the_papers(pictures):

@@ -51,6 +51,9 @@ export interface Range {
   value: number;
 }
 
+/** By how much differences are brightened. */
+export const GAIN: Range = { min: 1, max: 16, step: 1, value: 4 };
+
 export interface Slider {
   element: HTMLElement;
   readonly value: number;

@@ -1,6 +1,7 @@
 // The line between A, left of it, and B, right of it: dragged, or moved with the arrow keys.
 import { signal } from "@preact/signals-core";
 import { make } from "./element";
+import type { Point } from "./pane";
 
 const STEP = 0.02;
 
@@ -73,3 +74,17 @@ const MOVES: Record<string, number> = {
   PageUp: 5 * STEP,
 };
 const ENDS: Record<string, number> = { Home: 0, End: 1 };
+
+/** The part of a picture right of an upright line on screen through a place: left, top, width and height. */
+export function beyond(
+  [x, y]: Point,
+  turned: number,
+  [width, height]: Point,
+): [number, number, number, number] {
+  const across = Math.min(Math.max(x, 0), width - 1e-3);
+  const down = Math.min(Math.max(y, 0), height - 1e-3);
+  if (turned === 90) return [0, 0, width, down];
+  if (turned === 180) return [0, 0, across, height];
+  if (turned === 270) return [0, down, width, height - down];
+  return [across, 0, width - across, height];
+}

@@ -174,7 +174,7 @@ export class Pane {
     const width = viewport.getContainerSize().x;
     const zoom = (scale * this.size[0]) / width;
     const place = this.toViewport(x, y);
-    if (Math.abs(viewport.getRotation(true) - degrees) > 0.01) viewport.setRotation(degrees, true);
+    this.turnTo(degrees);
     // Linked panes would answer one another for ever.
     if (Math.abs(viewport.getZoom(true) / zoom - 1) > 1e-5)
       viewport.zoomTo(zoom, undefined, immediately);
@@ -194,17 +194,40 @@ export class Pane {
     return new OpenSeadragon.Rect(-edge, -edge, width + 2 * edge, height + 2 * edge);
   }
 
-  /** Show the whole picture. */
-  fit(immediately = true): void {
-    this.viewer.viewport.fitBounds(this.whole, immediately);
+  private turnTo(degrees: number): void {
+    const { viewport } = this.viewer;
+    const wanted = ((degrees % 360) + 360) % 360;
+    const apart = Math.abs((((viewport.getRotation(true) % 360) + 360) % 360) - wanted);
+    if (Math.min(apart, 360 - apart) > 0.01) viewport.setRotation(wanted, true);
+  }
+
+  /** Whether the picture lies on its side. */
+  private get aside(): boolean {
+    return Math.round(this.viewer.viewport.getRotation(true) / 90) % 2 !== 0;
+  }
+
+  /** Show the whole picture, turned by quarters. */
+  fit(immediately = true, degrees = 0): void {
+    const { viewport } = this.viewer;
+    this.turnTo(degrees);
+    const whole = this.whole;
+    if (!this.aside) {
+      viewport.fitBounds(whole, immediately);
+      return;
+    }
+    viewport.panTo(whole.getCenter(), immediately);
+    viewport.zoomTo(this.fittedZoom(whole), undefined, immediately);
+  }
+
+  /** The zoom at which the whole picture is just in view. */
+  private fittedZoom({ width, height }: OpenSeadragon.Rect): number {
+    const [wide, tall] = this.aside ? [height, width] : [width, height];
+    return 1 / Math.max(wide, tall * this.viewer.viewport.getAspectRatio());
   }
 
   /** Whether the picture is as small in the view as `fit` shows it, or smaller. */
   get isFitted(): boolean {
-    const { viewport } = this.viewer;
-    const { width, height } = this.whole;
-    const zoom = 1 / Math.max(width, height * viewport.getAspectRatio());
-    return viewport.getZoom(true) <= 1.01 * zoom;
+    return this.viewer.viewport.getZoom(true) <= 1.01 * this.fittedZoom(this.whole);
   }
 
   zoom(factor: number): void {

@@ -1,7 +1,7 @@
 // Two pictures: side by side and linked, or laid over one another.
 import { signal } from "@preact/signals-core";
 import OpenSeadragon from "openseadragon";
-import { Curtain } from "./curtain";
+import { beyond, Curtain } from "./curtain";
 import { Flicker } from "./flicker";
 import type { Aim, Layer, Pane } from "./pane";
 
@@ -28,6 +28,8 @@ export abstract class Stage<P extends Pane> {
   readonly flicker = new Flicker((shown) => this.upper?.setOpacity(Number(shown === "b")));
   readonly curtain: Curtain;
   protected tone = { brightness: 1, contrast: 1, amplify: 3 };
+  /** By how many degrees clockwise the pictures are turned, a multiple of 90. */
+  protected turned = 0;
   /** The pane that a person moved last: the other one goes after it. */
   protected leader: P;
   /** Where the view turns to once a mode that was asked for is there. */
@@ -132,8 +134,8 @@ export abstract class Stage<P extends Pane> {
       requestAnimationFrame(() => this.arrive(change, frames - 1));
       return;
     }
-    if (this.arrival === "fit") this.left.fit();
-    else if (this.arrival) this.left.look(...this.arrival);
+    if (this.arrival === "fit") this.left.fit(true, this.turned);
+    else if (this.arrival) this.left.look(...this.arrival, this.turned);
     this.arrival = null;
     this.link(this.left);
     this.onView();
@@ -147,7 +149,7 @@ export abstract class Stage<P extends Pane> {
   /** Move the view, also while another mode is on its way. */
   look(x: number, y: number, scale: number, immediately = true): void {
     this.leader = this.left;
-    this.left.look(x, y, scale, 0, immediately);
+    this.left.look(x, y, scale, this.turned, immediately);
     if (this.arrival) this.arrival = [x, y, scale];
     this.link();
   }
@@ -156,7 +158,10 @@ export abstract class Stage<P extends Pane> {
   pan(dx: number, dy: number): void {
     const [x, y, scale] = this.heading;
     const by = (PAN_STEP * this.left.host.clientHeight) / scale;
-    this.look(x + by * dx, y + by * dy, scale, !this.glides);
+    const turn = (-this.turned * Math.PI) / 180;
+    const [cosine, sine] = [Math.round(Math.cos(turn)), Math.round(Math.sin(turn))];
+    const [right, down] = [cosine * dx - sine * dy, sine * dx + cosine * dy];
+    this.look(x + by * right, y + by * down, scale, !this.glides);
   }
 
   zoom(factor: number): void {
@@ -168,13 +173,26 @@ export abstract class Stage<P extends Pane> {
 
   fit(): void {
     this.leader = this.left;
-    this.left.fit(!this.glides);
+    this.left.fit(!this.glides, this.turned);
     if (this.arrival) this.arrival = "fit";
+  }
+
+  /** Turn the pictures; what is in the middle stays there. */
+  turnTo(degrees: number): void {
+    if (degrees === this.turned) return;
+    const fitted = this.left.isFitted;
+    const [x, y, scale] = this.heading;
+    this.turned = degrees;
+    if (fitted) this.left.fit(true, degrees);
+    else this.left.look(x, y, scale, degrees);
+    this.link(this.left);
+    this.clip();
+    this.onView();
   }
 
   private fitBoth(): void {
     this.right.fit();
-    this.left.fit();
+    this.left.fit(true, this.turned);
     this.link(this.left);
   }
 
@@ -216,10 +234,13 @@ export abstract class Stage<P extends Pane> {
     }
     const { x: width, y: height } = upper.getContentSize();
     const box = this.left.host.getBoundingClientRect();
-    const [x] = this.left.pixelAt(box.left + this.curtain.fraction * box.width, box.top);
-    const from = Math.min(Math.max(x + 0.5, 0), width - 1e-3);
-    if (Math.abs((upper.getClip()?.x ?? -1) - from) < 1e-3) return;
-    upper.setClip(new OpenSeadragon.Rect(from, 0, width - from, height));
+    const line = box.left + this.curtain.fraction * box.width;
+    const [x, y] = this.left.pixelAt(line, box.top);
+    const part = beyond([x + 0.5, y + 0.5], this.turned, [width, height]);
+    const clip = upper.getClip();
+    const now = clip ? [clip.x, clip.y, clip.width, clip.height] : [];
+    if (clip && part.every((value, i) => Math.abs(value - now[i]!) < 1e-3)) return;
+    upper.setClip(new OpenSeadragon.Rect(...part));
   }
 }
 

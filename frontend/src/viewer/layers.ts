@@ -8,6 +8,9 @@ import type { Layer, PageRecord } from "./record";
 import type { Choice, Slot, State } from "./state";
 
 /** The panel "Layers". Rows choose the layer of A, their small buttons that of B. */
+/** Share of the object that was not checked from which on the reasons are shown. */
+const WORTH_NAMING = 0.1;
+
 export class LayerList {
   /** Layers that have a picture. */
   readonly layers: Layer[];
@@ -82,7 +85,7 @@ export class LayerList {
     });
     const row = make("li", { class: "row" }, first, second);
     if (layer.by_hand) row.append(make("p", { class: "by-hand" }, `${layer.by_hand}.`));
-    if (layer.decision === "refuse" || layer.decision === "warn") {
+    if (layer.decision !== "accept" || layer.unchecked >= WORTH_NAMING) {
       const reasons = layer.reasons.join(" ");
       if (reasons) row.append(make("p", { class: "reasons" }, reasons));
     }

@@ -56,6 +56,7 @@ export interface Layer {
   camera: string;
   setup: string;
   decision: string;
+  unchecked: number;
   verdict: string;
   reasons: string[];
   by_hand: string;

@@ -1,6 +1,6 @@
 // The row of ways to compare two layers, and the settings of each.
 import { effect } from "@preact/signals-core";
-import { radioGroup, slider, type Option, type Range } from "../shared/controls";
+import { GAIN, radioGroup, slider, type Option, type Range } from "../shared/controls";
 import { make } from "../shared/element";
 import { RATES } from "../shared/flicker";
 import type { Mode } from "../shared/stage";
@@ -14,7 +14,6 @@ export const MODES: Option<Mode>[] = [
   { value: "side", label: "Side by side", title: "A and B, linked" },
   { value: "difference", label: "Difference", title: "Where A and B differ is bright" },
 ];
-const GAIN: Range = { min: 1, max: 16, step: 1, value: 4 };
 const BRIGHTNESS: Range = { min: 0.25, max: 4, step: 0.05, value: 1 };
 const CONTRAST: Range = { min: 0.5, max: 3, step: 0.05, value: 1 };
 

@@ -51,6 +51,13 @@ export class BandPicker {
     this.pick();
   }
 
+  /** Show a band by its place in the list, where there is one. */
+  show(number: number): void {
+    if (this.bands.length < 2 || number >= this.bands.length) return;
+    this.select.value = String(number);
+    this.pick();
+  }
+
   /** The bands as the server takes them. */
   get query(): string {
     return this.chosen.value.join();

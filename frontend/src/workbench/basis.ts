@@ -1,8 +1,9 @@
 // What the map of the default method rests on: windows with their shifts, and windows that were searched freely.
 import { effect } from "@preact/signals-core";
 import { make } from "../shared/element";
-import type { Point } from "../shared/pane";
 import { ink, onTheme } from "../shared/theme";
+import { placeTurned } from "./figure";
+import type { PlaneMap } from "./maps";
 import { px, type Basis, type FrameInfo, type Windows } from "./record";
 import type { Store } from "./store";
 
@@ -40,9 +41,11 @@ export class BasisView {
     const basis = frame?.basis;
     this.root.hidden = !basis;
     if (!frame || !basis) return;
-    const { place, scale } = placing(frame.size);
-    const times = enlargement(basis.windows, LINE / scale);
-    drawWindows(start(this.windows, frame, place), basis.windows, place, times * scale);
+    const turned = placeTurned(frame.size, frame.turn, [WIDTH, HEIGHT], MARGIN);
+    const place: PlaneMap = (x, y) => turned.place(x + 0.5, y + 0.5);
+    const times = enlargement(basis.windows, LINE / turned.scale);
+    const along: PlaneMap = (x, y) => turned.direction(times * x, times * y);
+    drawWindows(start(this.windows, frame, place), basis.windows, place, along);
     this.checks.hidden = !basis.checks;
     if (basis.checks) drawChecks(start(this.checks, frame, place), basis.checks, place);
     this.words.textContent = describe(basis, times);
@@ -54,20 +57,10 @@ function canvas(label: string): HTMLCanvasElement {
   return make("canvas", { width, height, role: "img", "aria-label": label });
 }
 
-/** Scale and shift that bring the reference's frame into the middle of a canvas. */
-function placing([width, height]: Point): {
-  place: (x: number, y: number) => Point;
-  scale: number;
-} {
-  const scale = (1 - 2 * MARGIN) * Math.min(WIDTH / width, HEIGHT / height);
-  const [left, top] = [(WIDTH - scale * width) / 2, (HEIGHT - scale * height) / 2];
-  return { place: (x, y) => [left + scale * (x + 0.5), top + scale * (y + 0.5)], scale };
-}
-
 function start(
   on: HTMLCanvasElement,
   { size }: FrameInfo,
-  place: (x: number, y: number) => Point,
+  place: PlaneMap,
 ): CanvasRenderingContext2D {
   const context = on.getContext("2d")!;
   context.setTransform(DENSITY, 0, 0, DENSITY, 0, 0);
@@ -75,19 +68,19 @@ function start(
   const [left, top] = place(-0.5, -0.5);
   const [right, bottom] = place(size[0] - 0.5, size[1] - 0.5);
   context.strokeStyle = ink("--ink");
-  context.strokeRect(left, top, right - left, bottom - top);
+  context.strokeRect(left, top, right - left, bottom - top); // of negative width where it is turned
   return context;
 }
 
 function drawWindows(
   context: CanvasRenderingContext2D,
   { x, y, shift_x, shift_y, weight }: Windows,
-  place: (x: number, y: number) => Point,
-  scale: number,
+  place: PlaneMap,
+  direction: PlaneMap,
 ): void {
   for (let i = 0; i < x.length; i++) {
     const [left, top] = place(x[i]!, y[i]!);
-    let [along, down] = [scale * shift_x[i]!, scale * shift_y[i]!];
+    let [along, down] = direction(shift_x[i]!, shift_y[i]!);
     const cut = Math.min(1, (2 * LINE) / Math.max(Math.hypot(along, down), 1e-9));
     [along, down] = [cut * along, cut * down];
     context.globalAlpha = weight[i]! < LIGHT ? 0.25 : 1;
@@ -105,7 +98,7 @@ function drawWindows(
 function drawChecks(
   context: CanvasRenderingContext2D,
   checks: NonNullable<Basis["checks"]>,
-  place: (x: number, y: number) => Point,
+  place: PlaneMap,
 ): void {
   checks.x.forEach((x, i) => {
     const [left, top] = place(x, checks.y[i]!);

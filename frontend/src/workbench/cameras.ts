@@ -1,7 +1,7 @@
 // The list of cameras, by object; a click opens one.
 import { effect } from "@preact/signals-core";
 import { make, refill } from "../shared/element";
-import { DECISIONS, type CameraRow } from "./record";
+import type { CameraRow } from "./record";
 import type { Store } from "./store";
 
 /** Make the list; `open` is called with the id of the camera that was chosen. */
@@ -26,9 +26,8 @@ export function cameraList(store: Store, open: (id: string) => void): HTMLElemen
 }
 
 function buttonOf(row: CameraRow, current: boolean): HTMLButtonElement {
-  const { id, camera, sensor, setup, bands, reference, decision, reason } = row;
+  const { id, camera, sensor, setup, bands, reference, decision, verdict, reason } = row;
   const about = [setup && `under ${setup}`, bands].filter(Boolean).join(", ");
-  const verdict = reference ? "Reference" : (DECISIONS[decision] ?? decision);
   return make(
     "button",
     { type: "button", id: `camera-${id}`, "aria-current": current && "true", title: reason },

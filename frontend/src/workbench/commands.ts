@@ -1,12 +1,24 @@
 // What each key does.
 import { ARROWS, direction, isCommand, key, type Key } from "../shared/keys";
 import type { PairCard } from "./pair";
+import type { Mode } from "../shared/stage";
+import { LOUPES } from "./loupe";
 import { MODES, type PairStage } from "./stage";
 import type { Store } from "./store";
 import type { PairTable } from "./table";
 
 const ZOOM_STEP = 1.5;
 const NUDGE_PX = 0.1;
+const ARROW_TIMES = 20;
+/** Of the ways to show two pictures; docs/screens.md has the keys of all screens. */
+const LETTERS: Partial<Record<Mode, string>> = {
+  side: "S",
+  curtain: "C",
+  flicker: "K",
+  difference: "D",
+  checker: "B",
+  redcyan: "Y",
+};
 
 export interface Parts {
   store: Store;
@@ -27,7 +39,8 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
   const nudge = (event: KeyboardEvent): void => {
     const [dx, dy] = direction(event);
     const by = event.shiftKey ? 1 : NUDGE_PX;
-    if (!pair.nudge(dx * by, dy * by)) stage.pan(dx, dy);
+    const [along, down] = stage.toTarget(dx * by, dy * by);
+    if (!pair.nudge(along, down)) stage.pan(dx, dy);
   };
   const goToWorst = (): void => {
     const row = table.worst();
@@ -35,17 +48,25 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
   };
   const keep = "add the proposed pair; keep a measured place as check point";
   const move = "move the pair by 0.1 px, with Shift by 1 px; the pictures where none is chosen";
-  const propose = "propose a pair in the middle of the reference; in an overlay, measure there";
   return [
     key("Enter", ["Enter"], keep, () => pair.accept()),
     key("Esc", ["Escape"], "let go", () => pair.cancel()),
     key("← → ↑ ↓", ARROWS, move, nudge),
-    key("N", ["n"], propose, () => stage.pointAtMiddle()),
-    key("Del", ["Delete", "Backspace"], "delete the pair", () => pair.act("delete")),
-    key("R", ["r"], "restore it", () => pair.act("restore")),
-    key("P", ["p"], "pin it: never to be removed", () => pair.act("pin")),
-    key("S", ["s"], "snap it to where its surroundings agree", () => pair.act("snap")),
-    key("C", ["c"], "make it a check point", () => pair.act("check")),
+    key("I", ["i"], "insert a pair: propose one in the middle of the reference", () =>
+      stage.proposeAtMiddle(),
+    ),
+    key("R", ["r"], "read how far off the pictures are in the middle", () =>
+      stage.measureAtMiddle(),
+    ),
+    key("Del", ["Delete", "Backspace"], "delete the pair; the next one is chosen", () =>
+      pair.act("delete"),
+    ),
+    key("U", ["u"], "use the pair again that was deleted or removed", () => pair.act("restore")),
+    key("P", ["p"], "keep the pair (pin it): never to be removed", () => pair.act("pin")),
+    key("J", ["j"], "let it jump (snap) to where its surroundings agree", () => pair.act("snap")),
+    key("V", ["v"], "make it a check point, which verifies and is not fitted", () =>
+      pair.act("check"),
+    ),
     key("W", ["w"], "go to the worst pair", goToWorst),
     {
       keys: ["Ctrl-Z"],
@@ -62,19 +83,42 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
   ];
 }
 
-function viewKeys({ stage, step, help }: Parts): Key[] {
-  const digits = MODES.map((_, i) => String(i + 1));
-  const modes = MODES.map(({ label }) => label.toLowerCase()).join(", ");
+function viewKeys({ store, stage, step, help }: Parts): Key[] {
   const bands = "band before, after in the picture to register; with Shift in the reference";
+  const digit = (event: KeyboardEvent): number =>
+    isCommand(event) || event.altKey ? 0 : Number(/^Digit([1-9])$/.exec(event.code)?.[1] ?? 0);
+  const digitKey = (name: string, side: "left" | "right", words: string): Key => ({
+    keys: [name],
+    words,
+    match: (event) => digit(event) > 0 && event.shiftKey === (side === "left"),
+    act: (event) => stage.bands[side].show(digit(event) - 1),
+  });
   return [
-    key(`1 … ${MODES.length}`, digits, modes, (event) =>
-      stage.setMode(MODES[Number(event.key) - 1]!.value),
+    ...MODES.filter(({ value }) => LETTERS[value]).map(({ value, label }) =>
+      key(LETTERS[value]!, [LETTERS[value]!.toLowerCase()], modeWords(label), () =>
+        stage.setMode(stage.mode.value === value ? "side" : value),
+      ),
     ),
+    digitKey("1 … 9", "right", "show a band of the picture to register"),
+    digitKey("Shift 1 …", "left", "show a band of the reference"),
     {
       ...key("Space", [" "], "hold to flicker in an overlay", () => stage.hold(true)),
       release: () => stage.hold(false),
     },
     key("F", ["f"], "fit the whole picture", () => stage.fit()),
+    key("T", ["t"], "turn the pictures by 90°, with Shift back; kept for this object", (event) =>
+      store.turn(event.shiftKey ? -90 : 90),
+    ),
+    key("H", ["h"], "hide the marks, and show them again", () => {
+      stage.marks.value = !stage.marks.value;
+    }),
+    key("A", ["a"], `arrows: residuals × ${ARROW_TIMES}, and as long as they are`, () => {
+      stage.times.value = stage.times.value === 1 ? ARROW_TIMES : 1;
+    }),
+    key("L", ["l"], "loupe: while placing, always, never", () => {
+      const at = LOUPES.findIndex(({ value }) => value === stage.loupe.value);
+      stage.loupe.value = LOUPES[(at + 1) % LOUPES.length]!.value;
+    }),
     key("+ -", ["+", "-", "="], "zoom", (event) =>
       stage.zoom(event.key === "-" ? 1 / ZOOM_STEP : ZOOM_STEP),
     ),
@@ -85,6 +129,10 @@ function viewKeys({ stage, step, help }: Parts): Key[] {
     key("[ ]", ["[", "]"], "previous, next camera", (event) => step(event.key === "]" ? 1 : -1)),
     key("?", ["?"], "this page", help),
   ];
+}
+
+function modeWords(label: string): string {
+  return label === "Side by side" ? "side by side" : `${label.toLowerCase()}, and back`;
 }
 
 function isLetter(event: KeyboardEvent, letter: string): boolean {

@@ -23,8 +23,8 @@ export class Figure {
   });
   private readonly dots = new Dots();
 
-  /** Draw the pairs `rows` that the fit of a round rests on. */
-  draw(session: SessionState | null, round: number, rows: number[]): void {
+  /** Draw the pairs `rows` that the fit of a round rests on, turned as the pictures are. */
+  draw(session: SessionState | null, round: number, rows: number[], turn: number): void {
     const context = this.root.getContext("2d")!;
     context.setTransform(DENSITY, 0, 0, DENSITY, 0, 0);
     context.clearRect(0, 0, WIDTH, HEIGHT);
@@ -32,7 +32,7 @@ export class Figure {
     if (!trace) return;
     const map = mapOf(trace, round);
     const frame: Box = [-0.5, -0.5, trace.size[0] - 0.5, trace.size[1] - 0.5];
-    const place = placing(frame);
+    const place = placing(frame, turn);
     const seen = boundsOf(session.pairs);
     outline(context, edge(frame, place), ink("--ink"));
     const moved = (by: PlaneMap) => edge(seen, (x, y) => place(...by(x, y)));
@@ -93,12 +93,34 @@ export function edge([left, top, right, bottom]: Box, map: PlaneMap): Point[] {
   });
 }
 
-/** Scale and shift that bring a box into the middle of the figure. */
-function placing([left, top, right, bottom]: Box): PlaneMap {
-  const scale = (1 - 2 * MARGIN) * Math.min(WIDTH / (right - left), HEIGHT / (bottom - top));
-  const dx = (WIDTH - scale * (left + right)) / 2;
-  const dy = (HEIGHT - scale * (top + bottom)) / 2;
-  return (x, y) => [dx + scale * x, dy + scale * y];
+/** Scale, quarter turn and shift that bring a box into the middle of the figure. */
+function placing([left, top, right, bottom]: Box, turn: number): PlaneMap {
+  const size: Point = [right - left, bottom - top];
+  const { place } = placeTurned(size, turn, [WIDTH, HEIGHT], MARGIN);
+  return (x, y) => place(x - left, y - top);
+}
+
+/** Bring a picture of a size into the middle of a box, turned clockwise by quarters. */
+export function placeTurned(
+  [width, height]: Point,
+  turn: number,
+  [across, down]: Point,
+  margin: number,
+): { place: PlaneMap; scale: number; direction: PlaneMap } {
+  const [wide, tall] = turn % 180 ? [height, width] : [width, height];
+  const scale = (1 - 2 * margin) * Math.min(across / wide, down / tall);
+  const [cosine, sine] = [0, 1].map((quarter) =>
+    Math.round(Math.cos(((turn - 90 * quarter) * Math.PI) / 180)),
+  ) as Point;
+  const direction: PlaneMap = (x, y) => [
+    scale * (cosine * x - sine * y),
+    scale * (sine * x + cosine * y),
+  ];
+  const place: PlaneMap = (x, y) => {
+    const [dx, dy] = direction(x - width / 2, y - height / 2);
+    return [across / 2 + dx, down / 2 + dy];
+  };
+  return { place, scale, direction };
 }
 
 function outline(context: CanvasRenderingContext2D, points: Point[], colour: string): void {

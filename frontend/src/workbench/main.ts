@@ -3,7 +3,7 @@ import { effect } from "@preact/signals-core";
 import "../shared/base.css";
 import { BasisView } from "./basis";
 import "./workbench.css";
-import { radioGroup, slider } from "../shared/controls";
+import { GAIN, radioGroup, slider, type Option } from "../shared/controls";
 import { make } from "../shared/element";
 import { RATES } from "../shared/flicker";
 import { helpDialog, listenToKeys } from "../shared/keys";
@@ -12,9 +12,10 @@ import { enter, messageOf, Refusal } from "./api";
 import { cameraList } from "./cameras";
 import { commands } from "./commands";
 import { filesDialog } from "./files";
+import { LOUPES } from "./loupe";
 import { MapLayer } from "./maplayer";
 import { PairCard } from "./pair";
-import { MODES, PairStage } from "./stage";
+import { MODES, PairStage, TIMES } from "./stage";
 import { Store } from "./store";
 import { PairTable } from "./table";
 import { TraceView } from "./trace";
@@ -23,7 +24,7 @@ import { VerdictCard } from "./verdict";
 const BEFORE_KEYS =
   "Drag to pan, turn the wheel to zoom. Click a place that you recognise: its partner in the other picture is found, or click it yourself; Enter adds the pair. In the overlays a click measures how far off the pictures are there.";
 const AFTER_KEYS =
-  "Every change is saved at once in edits.toml and can be undone without end; levkas build replays them. Fast flicker can trouble people with photosensitive epilepsy.";
+  "Every change is saved at once in edits.toml and can be undone without end, also on another day; levkas build replays them. Fast flicker can trouble people with photosensitive epilepsy.";
 
 async function start(): Promise<void> {
   const store = new Store();
@@ -109,6 +110,11 @@ function build(store: Store): void {
   const files = filesDialog(store);
   opened.help.addEventListener("click", () => help.showModal());
   opened.files.addEventListener("click", () => files.showModal());
+  pair.next = () => table.following();
+  pair.onNext = () => {
+    const chosen = store.selectedPair();
+    if (chosen) stage.flyTo(chosen);
+  };
   listenToKeys(keys);
   Object.assign(window, { levkasWorkbench: { store, stage, trace } });
 }
@@ -118,7 +124,7 @@ function header(store: Store): [HTMLElement, { help: HTMLElement; files: HTMLEle
   const button = (words: string, facts: Record<string, string>): HTMLButtonElement =>
     make("button", { type: "button", class: "small", ...facts }, words);
   const title = make("h1", {});
-  const undo = button("Undo", { id: "undo", title: "Ctrl-Z" });
+  const undo = button("Undo", { id: "undo", title: "Ctrl-Z; reaches back to earlier days" });
   const redo = button("Redo", { id: "redo", title: "Ctrl-Shift-Z" });
   const files = button("Files…", { id: "files" });
   const help = button("?", { "aria-label": "Keys and help" });
@@ -151,17 +157,17 @@ function refusal(store: Store): HTMLElement {
   return text;
 }
 
-/** How the pictures are shown: the mode, the map between them, and colours over the reference. */
+/** How the pictures are shown: the mode, the map between them, what is drawn over them. */
 function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   const label = { class: "modes", role: "radiogroup", "aria-label": "How the pictures are shown" };
   const modes = make("div", label);
   radioGroup(modes, MODES, stage.mode, (mode) => stage.setMode(mode));
-  const rate = slider(
-    "Rate",
-    RATES,
-    (hertz) => `${hertz} Hz`,
-    (hertz) => (stage.flicker.rate = hertz),
-  );
+  const button = (words: string, facts: Record<string, string>): HTMLButtonElement =>
+    make("button", { type: "button", class: "small", ...facts }, words);
+  const marks = button("Marks", { id: "marks", title: "Pairs over the pictures (H)" });
+  const turn = button("↻", { id: "turn", "aria-label": "Turn by 90°", title: "Turn by 90° (T)" });
+  marks.addEventListener("click", () => (stage.marks.value = !stage.marks.value));
+  turn.addEventListener("click", () => void store.turn(90));
   const built = make("option", { value: "built" }, "Last registration");
   const map = make(
     "select",
@@ -172,13 +178,68 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
   map.addEventListener("change", () => {
     store.map.value = map.value === "built" ? "built" : "pairs";
   });
+  const times = choice(
+    { id: "times", "aria-label": "Length of the residuals", title: "Residuals as arrows (A)" },
+    TIMES.map((value) => ({ value: String(value), label: `Residuals × ${value}` })),
+    (value) => (stage.times.value = Number(value)),
+  );
+  const loupe = choice(
+    { id: "loupe", "aria-label": "Loupe", title: "Loupe (L)" },
+    LOUPES,
+    (use) => {
+      stage.loupe.value = use;
+    },
+  );
   const colours = new MapLayer(store, stage);
-  bar.append(modes, rate.element, map, colours.choice, colours.legend);
+  stage.left.host.append(colours.legend);
+  const settings = [map, colours.choice, times, loupe, settingsOf(stage)];
+  bar.append(
+    make("div", { class: "line" }, modes, marks, turn),
+    make("div", { class: "line" }, ...settings),
+  );
   effect(() => {
     map.value = store.map.value;
     built.disabled = !store.frame.value?.built;
-    rate.element.hidden = stage.mode.value !== "flicker";
+    times.value = String(stage.times.value);
+    loupe.value = stage.loupe.value;
+    marks.setAttribute("aria-pressed", String(stage.marks.value));
   });
+}
+
+/** Sliders of the mode that is chosen; their place is kept free, so that nothing moves. */
+function settingsOf(stage: PairStage): HTMLElement {
+  const rate = slider(
+    "Rate",
+    RATES,
+    (hertz) => `${hertz} Hz`,
+    (hertz) => (stage.flicker.rate = hertz),
+  );
+  const gain = slider(
+    "Amplify",
+    GAIN,
+    (factor) => `× ${factor}`,
+    (factor) => stage.setTone(1, 1, factor),
+  );
+  stage.setTone(1, 1, GAIN.value);
+  effect(() => {
+    rate.element.hidden = stage.mode.value !== "flicker";
+    gain.element.hidden = stage.mode.value !== "difference";
+  });
+  return make("div", { class: "of-mode" }, rate.element, gain.element);
+}
+
+function choice<T extends string>(
+  facts: Record<string, string>,
+  options: readonly Option<T>[],
+  choose: (value: T) => void,
+): HTMLSelectElement {
+  const select = make(
+    "select",
+    facts,
+    ...options.map(({ value, label }) => make("option", { value }, label)),
+  );
+  select.addEventListener("change", () => choose(select.value as T));
+  return select;
 }
 
 void start();

@@ -3,12 +3,21 @@ import type { Point } from "../shared/pane";
 import { ink } from "../shared/theme";
 import { packed, type Dots } from "./dots";
 import type { PlaneMap } from "./maps";
-import { errorColour, shareOf, type Half, type Partner, type SessionState } from "./record";
+import {
+  errorColour,
+  isMarked,
+  shareOf,
+  type Filter,
+  type Half,
+  type Partner,
+  type SessionState,
+} from "./record";
 
 const BINS = 16;
 const REMOVED = BINS;
 const MANY = 3000;
 const LEAST_LINE = 1.5; // px of the screen
+const HEAD = 5; // of an arrow, px of the screen
 const EDGE = 9; // px round the canvas in which marks still show
 const LARGE = 3.6; // radius of a mark that stands out
 const GREY = "#9a9a9a";
@@ -35,26 +44,38 @@ export interface Scene {
   map: PlaneMap | null;
   /** Screen pixels a pixel of the reference: both pictures show the same place alike. */
   scale: number;
+  filter: Filter;
+  /** How many times as long as they are residuals are drawn. */
+  times: number;
 }
 
 /** Draw all pairs over a picture. */
 export function paintPairs(context: CanvasRenderingContext2D, dots: Dots, scene: Scene): void {
-  const { session, selected, half, place, map, scale } = scene;
+  const { session, selected, half, place, map, scale, filter, times } = scene;
   const light = ink("--error-light") || "45%";
   const colour = (share: number): string =>
     errorColour(share, 1).replace("var(--error-light)", light);
   const at = affineOf(place);
   const radius = Math.min(LARGE, Math.max(1.7, 1 + (100 * scale) / 60));
   const lines = new Path2D();
-  const seen = findInView(context.canvas, session, selected, half, at, (row, x, y) => {
-    if (half !== 0 || !map || !(session.residual[row]! * scale > LEAST_LINE)) return;
+  const join = (row: number, x: number, y: number): void => {
+    if (half !== 0 || !map || !(times * session.residual[row]! * scale > LEAST_LINE)) return;
     const [, , targetX, targetY] = session.pairs[row]!;
+    const [endX, endY] = at(...map(targetX, targetY));
+    const [dx, dy] = [times * (endX - x), times * (endY - y)];
     lines.moveTo(x, y);
-    lines.lineTo(...at(...map(targetX, targetY)));
-  });
+    lines.lineTo(x + dx, y + dy);
+    if (times > 1) addHead(lines, [x + dx, y + dy], [dx, dy]);
+  };
+  const shows = (row: number): boolean => row !== selected && isMarked(session, row, filter);
+  const seen = findInView(context.canvas, session, half, at, shows, join);
   context.lineWidth = 0.4 + radius / 4;
-  context.strokeStyle = "#ddd";
-  context.stroke(lines);
+  if (times > 1) outline(context, lines, "#fff", 3, 1.2);
+  else {
+    context.strokeStyle = "#ddd";
+    context.stroke(lines);
+  }
+  context.lineWidth = 0.4 + radius / 4;
   if (seen.count > MANY) paintMany(context, dots, seen, radius, colour);
   else paintFew(context, seen, radius, colour);
   for (const row of [...seen.special, ...(selected in session.pairs ? [selected] : [])]) {
@@ -79,9 +100,9 @@ function affineOf(place: PlaneMap): PlaneMap {
 function findInView(
   { clientWidth, clientHeight }: HTMLCanvasElement,
   session: SessionState,
-  selected: number,
   half: Half,
   at: PlaneMap,
+  shows: (row: number) => boolean,
   join: (row: number, x: number, y: number) => void,
 ): InView {
   const n = session.pairs.length;
@@ -97,8 +118,8 @@ function findInView(
     const pair = session.pairs[row]!;
     const [x, y] = at(pair[half], pair[half + 1]!);
     if (x < -EDGE || y < -EDGE || x > clientWidth + EDGE || y > clientHeight + EDGE) continue;
+    if (!shows(row)) continue;
     const state = session.state[row]!;
-    if (row === selected) continue;
     if (state === "check" || (state === "kept" && session.hand[row] !== "")) {
       seen.special.push(row);
       continue;
@@ -110,6 +131,16 @@ function findInView(
     seen.y[seen.count++] = y;
   }
   return seen;
+}
+
+/** The head of an arrow at `end` of a line along `by`. */
+function addHead(path: Path2D, [x, y]: Point, [dx, dy]: Point): void {
+  const length = Math.hypot(dx, dy);
+  if (length < HEAD) return;
+  const [u, v] = [(HEAD * dx) / length, (HEAD * dy) / length];
+  path.moveTo(x - u + v / 2, y - v - u / 2);
+  path.lineTo(x, y);
+  path.lineTo(x - u - v / 2, y - v + u / 2);
 }
 
 /** Circles with a rim, as paths of one shade each. */

@@ -24,6 +24,10 @@ export class PairCard {
     this.actions,
   );
 
+  /** The pair that is chosen after the selected one was deleted. */
+  next: () => Pair | null = () => null;
+  onNext: () => void = () => {};
+
   constructor(private readonly store: Store) {
     effect(() => {
       const [proposal, measured] = [store.proposal.value, store.measured.value];
@@ -38,7 +42,9 @@ export class PairCard {
   /** Do something to the selected pair. */
   act(operation: string): void {
     const pair = this.store.selectedPair();
-    if (pair) void this.store.edit({ operation, pair });
+    if (!pair) return;
+    const next = operation === "delete" ? this.next() : null;
+    void this.store.edit({ operation, pair }, next ?? pair).then(() => next && this.onNext());
   }
 
   /** Move what is selected or proposed in the target, by px of it; whether there is anything. */
@@ -56,7 +62,7 @@ export class PairCard {
   accept(): void {
     const proposal = this.store.proposal.peek();
     const pair = (proposal ?? this.store.measured.peek())?.pair;
-    if (!pair || (proposal && !isFound(proposal))) return;
+    if (!pair || !isFound(proposal ?? this.store.measured.peek()!)) return;
     this.cancel();
     void this.store.edit({ operation: proposal ? "add" : "check", pair }, pair);
   }
@@ -73,11 +79,10 @@ export class PairCard {
       kept: "the map rests on it",
       removed: `removed: ${session.reason[row]}`,
     };
-    const [x, y, targetX, targetY] = pair.map((value) => value.toFixed(1));
     const removed = state === "removed";
     const isCheck = state === "check";
     this.show(
-      `Pair ${row + 1}`,
+      `Pair ${session.number[row]}`,
       [
         Number.isFinite(session.residual[row])
           ? make("p", {}, this.lengthOf(session.residual[row]), ` off; ${standing[state]}.`)
@@ -85,21 +90,21 @@ export class PairCard {
         make(
           "p",
           { class: "soft" },
-          `By a map that does not know it: ${px(session.leave_one_out[row])} px. `,
-          `Reference ${x}, ${y}; here ${targetX}, ${targetY}.`,
+          `By a map that does not know it: ${px(session.leave_one_out[row])} px.`,
         ),
+        coordinates(pair, (to) => void this.store.edit({ operation: "move", pair, to }, to)),
       ],
       [
         removed
-          ? this.button("use", "Restore", "restore", "Let the map rest on it, come what may (R)")
+          ? this.button("use", "Restore", "restore", "Let the map rest on it, come what may (U)")
           : this.button("use", "Delete", "delete", "The map no longer rests on it (Del)"),
         this.button("pin", hand === "pinned" ? "Unpin" : "Pin", "pin", "Never to be removed (P)"),
-        this.button("snap", "Snap", "snap", "Move it to where its surroundings agree best (S)"),
+        this.button("snap", "Snap", "snap", "Move it to where its surroundings agree best (J)"),
         this.button(
           "check",
           isCheck ? "No check point" : "Check point",
           "check",
-          "Measures, and is never fitted (C)",
+          "Measures, and is never fitted (V)",
         ),
       ],
     );
@@ -110,7 +115,6 @@ export class PairCard {
     const found = sure
       ? `The partner was found by comparing, likeness ${percent(score)}.`
       : "The partner was not found by comparing: click it in the other picture.";
-    const at = `Here ${pair[2].toFixed(1)}, ${pair[3].toFixed(1)}.`;
     this.show(
       "A new pair",
       [
@@ -118,22 +122,26 @@ export class PairCard {
         make(
           "p",
           { class: "soft" },
-          `Not there? Click the right place in the other picture. ${at} Arrow keys move it by 0.1 px, with Shift by 1 px.`,
+          `Not there? Click the right place in the other picture. Arrow keys move it by 0.1 px, with Shift by 1 px.`,
+        ),
+        coordinates(pair, (to) =>
+          this.store.choose({ proposal: { ...proposal, pair: to, placed: true } }),
         ),
       ],
       this.choices("Add it", "Cancel", isFound(proposal)),
     );
   }
 
-  private showMeasured({ score, length }: Partner): void {
-    const text =
+  private showMeasured({ score, sure, length }: Partner): void {
+    const unlike =
       score > 0
-        ? [this.lengthOf(length), ` off (likeness ${percent(score)}).`]
-        : ["Nothing here can be compared."];
+        ? `The pictures are too unlike here to be compared (likeness ${percent(score)}): how far off they are is not known.`
+        : "Nothing here can be compared.";
+    const text = sure ? [this.lengthOf(length), ` off (likeness ${percent(score)}).`] : [unlike];
     this.show(
       "How far off here?",
       [make("p", { id: "measured" }, ...text)],
-      this.choices("Keep as check point", "Close"),
+      this.choices("Keep as check point", "Close", sure),
     );
   }
 
@@ -166,8 +174,30 @@ export class PairCard {
 }
 
 /** Whether the partner of a pair was found by comparing or placed by a person, not only guessed by the map. */
-export function isFound({ sure, placed }: Proposal): boolean {
+export function isFound({ sure, placed }: Partner & Partial<Proposal>): boolean {
   return sure || placed === true;
+}
+
+const FIELDS = ["Reference x", "Reference y", "Here x", "Here y"];
+
+/** Four numbers that can be typed over: Enter, or leaving a field, sets them. */
+function coordinates(pair: Pair, set: (to: Pair) => void): HTMLElement {
+  const labels = FIELDS.map((name, i) => {
+    const value = pair[i]!.toFixed(2);
+    const input = make("input", { type: "number", step: 0.1, value, id: `pair-at-${i}` });
+    input.addEventListener("change", () => {
+      const to: Pair = [...pair];
+      to[i] = input.valueAsNumber;
+      if (Number.isFinite(to[i])) set(to);
+      else input.value = value;
+    });
+    return make("label", {}, make("span", { class: "soft" }, name), input);
+  });
+  return make(
+    "div",
+    { class: "coordinates", role: "group", "aria-label": "Coordinates, px" },
+    ...labels,
+  );
 }
 
 function percent(share: number): string {

@@ -12,6 +12,8 @@ export class MarkedPane extends Pane {
   /** Whether something at a place is taken hold of, to be dragged rather than the picture. */
   grab: (at: Point) => boolean = () => false;
   onDrag: (at: Point, done: boolean) => void = () => {};
+  /** Called with the place under the pointer, and with nothing when it leaves. */
+  onPoint: (at: Point | null) => void = () => {};
   paint: (context: CanvasRenderingContext2D) => void = () => {};
   private readonly canvas = make("canvas", { class: "marks", "aria-hidden": "true" });
   private dragging = false;
@@ -47,6 +49,11 @@ export class MarkedPane extends Pane {
       this.dragging = false;
       this.onDrag(this.pixelOf(event), true);
     });
+    const { container } = this.viewer;
+    container.addEventListener("pointermove", ({ clientX, clientY }) =>
+      this.onPoint(this.pixelAt(clientX, clientY)),
+    );
+    container.addEventListener("pointerleave", () => this.onPoint(null));
     new ResizeObserver(() => this.redraw()).observe(this.host);
     onTheme(() => this.redraw());
   }

@@ -24,6 +24,8 @@ export interface CameraRow {
   bands: string;
   reference: boolean;
   decision: string;
+  /** The decision in words. */
+  verdict: string;
   reason: string;
   corrections: string;
 }
@@ -74,7 +76,11 @@ export interface FrameInfo {
   builds: number;
   maps: string[];
   method: string;
-  verdict: { decision: string; reasons: string[]; next_step: string };
+  verdict: { decision: string; words: string; reasons: string[]; next_step: string };
+  /** Degrees clockwise by which the pictures are turned, a multiple of 90. */
+  turn: number;
+  /** The corrections that the last registration knew; null where nothing says. */
+  registered: string | null;
   ladder: Record<string, number>[];
   chosen: string[];
   basis: Basis | null;
@@ -111,6 +117,8 @@ export interface SessionState {
   hand: Hand[];
   reason: string[];
   round: Numbers;
+  /** By which a person knows each pair: it stays while others come and go. */
+  number: Numbers;
   summary: {
     pairs: number;
     kept: number;
@@ -150,12 +158,18 @@ export interface Proposal extends Partner {
   placed?: boolean;
 }
 
-export const DECISIONS: Record<string, string> = {
-  accept: "Accepted",
-  warn: "Accepted, please review",
-  refuse: "Rejected",
-  "not built": "Not built yet",
-};
+/** Which pairs the table lists and the pictures show. */
+export type Filter = "all" | "kept" | "removed" | "hand";
+
+export function passes({ state, hand }: SessionState, row: number, filter: Filter): boolean {
+  if (filter === "hand") return hand[row] !== "" || state[row] === "check";
+  return filter === "all" || state[row] === filter;
+}
+
+/** Whether the pictures show a pair: those that the table lists, and all check points. */
+export function isMarked(session: SessionState, row: number, filter: Filter): boolean {
+  return session.state[row] === "check" || passes(session, row, filter);
+}
 
 /** A number of pixels; a dash where it is not known. */
 export function px(value: number | null | undefined, digits = 2): string {

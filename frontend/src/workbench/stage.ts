@@ -3,12 +3,14 @@ import type { Option } from "../shared/controls";
 import type { Layer, Point } from "../shared/pane";
 import { Stage, type Mode, type Wanted } from "../shared/stage";
 import { watch } from "../shared/watch";
+import { signal } from "@preact/signals-core";
 import { getJson } from "./api";
 import { BandPicker } from "./bands";
+import { Loupe, placesOf, type Enlarged, type LoupeUse } from "./loupe";
 import { invert, mapOf, turnAndScale, type PlaneMap } from "./maps";
 import { paintHandle, paintPairs, paintProposal } from "./marks";
 import { MarkedPane } from "./pane";
-import type { Half, Pair, Partner } from "./record";
+import { isMarked, type Half, type Pair, type Partner } from "./record";
 import type { Store } from "./store";
 import { Trial } from "./trial";
 
@@ -20,10 +22,14 @@ export const MODES: Option<Mode>[] = [
   { value: "checker", label: "Checker" },
   { value: "redcyan", label: "Red / cyan" },
 ];
+export const TIMES = [1, 5, 20, 100];
 const TILE = 256;
 const HIT_PX = 9; // of the screen
 const MOVED_PX = 0.05; // a shorter drag is none
 const CLOSE = 3; // screen pixels a pixel at which a pair is looked at
+const LOUPE_TIMES = 2; // of the picture's own scale
+const LOUPE_LEAST = 6; // screen pixels a pixel of the reference
+const TURNED_LEAST = 1; // degrees that a new map turns the other picture before that is shown
 
 interface MapImage {
   image: HTMLImageElement;
@@ -45,6 +51,14 @@ export class PairStage extends Stage<MarkedPane> {
   private mapImage: MapImage | null = null;
   private readonly trial: Trial;
   private drag: Drag | null = null;
+  /** Whether pairs are drawn over the pictures. */
+  readonly marks = signal(true);
+  /** How many times as long as they are residuals are drawn. */
+  readonly times = signal(1);
+  readonly loupe = signal<LoupeUse>("placing");
+  private readonly loupes = { left: new Loupe(), right: new Loupe() };
+  private pointer: { half: Half; at: Point } | null = null;
+  private magnifying = false;
 
   constructor(
     host: HTMLElement,
@@ -59,6 +73,8 @@ export class PairStage extends Stage<MarkedPane> {
     this.trial = new Trial(store, () => this.load());
     this.left.foot.append(this.bands.left.root);
     this.right.foot.append(this.bands.right.root);
+    this.left.host.append(this.loupes.left.root);
+    this.right.host.append(this.loupes.right.root);
     for (const [pane, half] of [
       [this.left, 0],
       [this.right, 2],
@@ -67,12 +83,22 @@ export class PairStage extends Stage<MarkedPane> {
       pane.onClick = (...at) => void this.click(pane, half, at);
       pane.grab = (at) => this.grab(pane, half, at);
       pane.onDrag = (at, done) => this.dragTo(half, at, done);
+      pane.onPoint = (at) => {
+        this.pointer = at && { half, at };
+        this.magnify();
+      };
       pane.viewer.addHandler("resize", () => requestAnimationFrame(() => this.link(this.left)));
     }
     watch([store.frame], () => this.offerBands());
+    watch([store.frame], () => this.turnTo(store.frame.value?.turn ?? 0));
     const { frame, session, map, selected, measured, proposal } = store;
     const bands = [this.bands.left.chosen, this.bands.right.chosen];
     watch([frame, session, map, selected, measured, proposal, ...bands], () => this.update());
+    watch([this.marks, this.times, this.loupe, store.filter], () => {
+      this.left.redraw();
+      this.right.redraw();
+      this.magnify();
+    });
   }
 
   private get map(): PlaneMap | null {
@@ -85,6 +111,11 @@ export class PairStage extends Stage<MarkedPane> {
     // In an overlay both pictures are chosen under the one that is there.
     const { foot } = mode === "side" ? this.right : this.left;
     foot.append(this.right.label, this.bands.right.root);
+    (mode === "side" ? this.right : this.left).host.append(this.loupes.right.root);
+  }
+
+  protected override onView(): void {
+    this.magnify();
   }
 
   override hold(on: boolean): void {
@@ -98,16 +129,28 @@ export class PairStage extends Stage<MarkedPane> {
     this.left.redraw();
   }
 
-  /** Do what a click into the middle of the reference does. */
-  pointAtMiddle(): Promise<void> {
-    return this.click(this.left, 0, this.left.centre);
+  /** Propose a pair in the middle of the reference. */
+  proposeAtMiddle(): Promise<void> {
+    return this.findPartner(0, this.left.centre, true);
+  }
+
+  /** Measure how far off the pictures are in the middle of the reference. */
+  measureAtMiddle(): Promise<void> {
+    return this.findPartner(0, this.left.centre, false);
   }
 
   /** Show a pair in the middle of both pictures. */
   flyTo(pair: Pair): void {
     const { map, right } = this;
     this.look(pair[0], pair[1], Math.max(this.heading[2], CLOSE));
-    if (!map) right.look(pair[2], pair[3], Math.max(right.scale, CLOSE));
+    if (!map) right.look(pair[2], pair[3], Math.max(right.scale, CLOSE), this.turned);
+  }
+
+  /** A step on screen as one along the axes of the picture to register, to the nearest quarter turn. */
+  toTarget(right: number, down: number): Point {
+    const turn = (-Math.round(this.right.viewer.viewport.getRotation(true) / 90) * Math.PI) / 2;
+    const [cosine, sine] = [Math.round(Math.cos(turn)), Math.round(Math.sin(turn))];
+    return [cosine * right - sine * down, sine * right + cosine * down];
   }
 
   private offerBands(): void {
@@ -125,6 +168,18 @@ export class PairStage extends Stage<MarkedPane> {
     void this.load();
     this.left.redraw();
     this.right.redraw();
+    this.magnify();
+    if (this.isTurned) this.link(this.left);
+  }
+
+  /** Whether a new map turns or scales the other picture otherwise than it is shown. */
+  private get isTurned(): boolean {
+    const { map, right } = this;
+    if (!map || this.drag || this.leader !== this.left) return false;
+    const { degrees, mirrored } = turnAndScale(map, ...right.centre);
+    const wanted = this.turned + (mirrored ? 0 : degrees);
+    const apart = Math.abs(right.viewer.viewport.getRotation(true) - wanted) % 360;
+    return Math.min(apart, 360 - apart) > TURNED_LEAST;
   }
 
   protected wanted(): Wanted | null {
@@ -148,6 +203,37 @@ export class PairStage extends Stage<MarkedPane> {
     return { subject: frame.id, left, right };
   }
 
+  /** Show the loupes anew with the next frame. */
+  private magnify(): void {
+    if (this.magnifying) return;
+    this.magnifying = true;
+    requestAnimationFrame(() => {
+      this.magnifying = false;
+      const [left, right] = this.enlarged();
+      this.loupes.left.show(left);
+      this.loupes.right.show(right);
+    });
+  }
+
+  /** What the loupes show. */
+  private enlarged(): [Enlarged | null, Enlarged | null] {
+    const [use, wanted, proposal] = [this.loupe.peek(), this.wanted(), this.store.proposal.peek()];
+    const pair = this.drag?.to ?? proposal?.pair ?? this.store.selectedPair();
+    if (!wanted || use === "never" || (use === "placing" && !pair)) return [null, null];
+    const { map, turned } = this;
+    const pointer = this.drag ? null : this.pointer;
+    const free = this.mode.peek() === "side" && proposal ? proposal.begun : null;
+    const [here, there] = placesOf({ pair, pointer, follows: use === "always", begun: free, map });
+    const scale = Math.max(LOUPE_LEAST, LOUPE_TIMES * this.left.scale);
+    const turn = map && there ? turnAndScale(map, ...there) : null;
+    const degrees = turned + (turn && !turn.mirrored ? turn.degrees : 0);
+    const [ours, theirs] = [wanted.left[0]!, wanted.right![0]!];
+    return [
+      here && { layer: ours, at: here, scale, degrees: turned },
+      there && { layer: theirs, at: there, scale: scale * (turn?.scale ?? 1), degrees },
+    ];
+  }
+
   /** Let the other picture show the same place, turned and scaled alike. */
   protected follow(leader: MarkedPane): void {
     const { map, left, right } = this;
@@ -158,10 +244,10 @@ export class PairStage extends Stage<MarkedPane> {
       const place = invert(map, left.centre, [width / 2, height / 2]);
       const { degrees, scale, mirrored } = turnAndScale(map, ...place);
       if (Number.isFinite(place[0]) && scale > 0)
-        right.look(...place, left.scale * scale, mirrored ? 0 : degrees);
+        right.look(...place, left.scale * scale, this.turned + (mirrored ? 0 : degrees));
     } else {
       const { scale } = turnAndScale(map, ...right.centre);
-      if (scale > 0) left.look(...map(...right.centre), right.scale / scale);
+      if (scale > 0) left.look(...map(...right.centre), right.scale / scale, this.turned);
     }
     left.redraw();
     right.redraw();
@@ -199,18 +285,21 @@ export class PairStage extends Stage<MarkedPane> {
     this.drag = { from, to };
     this.left.redraw();
     this.right.redraw();
+    this.magnify();
   }
 
   private async click(pane: MarkedPane, half: Half, [x, y]: Point): Promise<void> {
     const { store } = this;
-    const pairs = store.session.peek()?.pairs ?? [];
-    if (!pane.contains([x, y])) return;
+    const session = store.session.peek();
+    if (!session || !pane.contains([x, y])) return;
     const beside = this.mode.peek() === "side";
     if (beside) {
       let [best, row] = [HIT_PX / pane.scale, -1];
-      pairs.forEach((pair, i) => {
+      const filter = store.filter.peek();
+      session.pairs.forEach((pair, i) => {
         const apart = Math.hypot(pair[half] - x, pair[half + 1]! - y);
-        if (apart < best) [best, row] = [apart, i];
+        if (apart >= best || !this.marks.peek() || !isMarked(session, i, filter)) return;
+        [best, row] = [apart, i];
       });
       if (row >= 0) {
         store.choose({ row });
@@ -225,6 +314,12 @@ export class PairStage extends Stage<MarkedPane> {
         return;
       }
     }
+    await this.findPartner(half, [x, y], beside);
+  }
+
+  /** Find the partner of a place, and propose the pair or show how far off it is. */
+  private async findPartner(half: Half, [x, y]: Point, proposes: boolean): Promise<void> {
+    const { store } = this;
     const query = new URLSearchParams({
       x: x.toFixed(3),
       y: y.toFixed(3),
@@ -236,7 +331,7 @@ export class PairStage extends Stage<MarkedPane> {
     try {
       const partner = await getJson<Partner>(`${store.path}/partner?${query.toString()}`);
       store.refused.value = "";
-      store.choose(beside ? { proposal: { ...partner, begun: half } } : { measured: partner });
+      store.choose(proposes ? { proposal: { ...partner, begun: half } } : { measured: partner });
     } catch (error) {
       store.refuse(error);
     }
@@ -247,7 +342,9 @@ export class PairStage extends Stage<MarkedPane> {
     if (!session.peek() || !frame.peek()) return;
     if (half === 0 && this.mapImage) this.paintMap(context, pane, frame.peek()!.size);
     const place: PlaneMap = (x, y) => pane.placeOf(x, y);
-    if (!this.isOverlay || this.mapImage)
+    if (!this.marks.peek()) {
+      // Only what is being placed is drawn.
+    } else if (!this.isOverlay || this.mapImage)
       paintPairs(context, pane.dots, {
         session: session.peek()!,
         selected: selected.peek(),
@@ -255,6 +352,8 @@ export class PairStage extends Stage<MarkedPane> {
         place,
         map: this.map,
         scale: this.left.scale,
+        filter: this.store.filter.peek(),
+        times: this.times.peek(),
       });
     else {
       const pair = this.drag?.to ?? this.store.selectedPair();
@@ -269,10 +368,13 @@ export class PairStage extends Stage<MarkedPane> {
   private paintMap(context: CanvasRenderingContext2D, pane: MarkedPane, [w, h]: Point): void {
     const { image, opacity } = this.mapImage!;
     const [left, top] = pane.placeOf(-0.5, -0.5);
-    const [right, bottom] = pane.placeOf(w - 0.5, h - 0.5);
+    const [a, b] = pane.placeOf(w - 0.5, -0.5);
+    const [c, d] = pane.placeOf(-0.5, h - 0.5);
+    context.save();
     context.globalAlpha = opacity;
-    context.drawImage(image, left, top, right - left, bottom - top);
-    context.globalAlpha = 1;
+    context.transform((a - left) / w, (b - top) / w, (c - left) / h, (d - top) / h, left, top);
+    context.drawImage(image, 0, 0, w, h);
+    context.restore();
   }
 }
 

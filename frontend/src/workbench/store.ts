@@ -1,8 +1,8 @@
 // What the page knows. Whatever shows a part of it is an effect of that part.
-import { batch, signal } from "@preact/signals-core";
+import { batch, computed, signal } from "@preact/signals-core";
 import { getBytes, getJson, messageOf, Refusal } from "./api";
 import { readSession } from "./columns";
-import type { CameraRow, FrameInfo, Pair, Partner, Proposal, SessionState } from "./record";
+import type { CameraRow, Filter, FrameInfo, Pair, Partner, Proposal, SessionState } from "./record";
 
 const SAME_PX = 0.03; // pairs are rounded on their way
 
@@ -16,6 +16,12 @@ export class Store {
   readonly measured = signal<Partner | null>(null);
   /** The map that brings the pictures together. */
   readonly map = signal<"pairs" | "built">("pairs");
+  readonly filter = signal<Filter>("kept");
+  /** Whether the corrections have changed since the last registration. */
+  readonly stale = computed(() => {
+    const now = this.session.value?.corrections ?? "";
+    return now !== (this.frame.value?.registered ?? "");
+  });
   readonly refused = signal("");
   private queue: Promise<unknown> = Promise.resolve();
 
@@ -39,7 +45,7 @@ export class Store {
       this.choose({});
       this.frame.value = frame;
       this.session.value = session;
-      this.map.value = frame.built && !session.corrections ? "built" : "pairs";
+      this.map.value = frame.built && !this.stale.value ? "built" : "pairs";
       this.refused.value = "";
     });
   }
@@ -67,7 +73,7 @@ export class Store {
           this.session.value = session;
           this.refused.value = "";
           this.selected.value = before ? rowAt(session.pairs, before) : -1;
-          if (session.corrections) this.map.value = "pairs";
+          if (this.stale.value) this.map.value = "pairs";
         });
       } catch (error) {
         this.refuse(error);
@@ -78,6 +84,15 @@ export class Store {
     });
     this.queue = run;
     return run;
+  }
+
+  /** Turn the pictures of this object by so many degrees clockwise, for good. */
+  async turn(by: number): Promise<void> {
+    const frame = this.frame.peek();
+    if (!frame) return;
+    const degrees = (frame.turn + by + 360) % 360;
+    this.frame.value = { ...frame, turn: degrees };
+    await getJson(`${this.path}/turn`, { degrees }).catch((error: unknown) => this.refuse(error));
   }
 
   refuse(error: unknown): void {

@@ -2,18 +2,17 @@
 import { computed, effect, signal } from "@preact/signals-core";
 import { make } from "../shared/element";
 import { watch } from "../shared/watch";
-import { errorColour, px, type SessionState } from "./record";
+import { errorColour, passes, px, type Filter, type Pair, type SessionState } from "./record";
 import { sortRows } from "./sorting";
 import type { Store } from "./store";
 
 type Key = "row" | "residual" | "leave_one_out" | "weight" | "state" | "reason";
-type Filter = "all" | "kept" | "removed" | "hand";
 
 const ROW_PX = 28;
 const SPARE = 4; // rows made above and below those in view
 const PAGE = 8;
 const COLUMNS: [Key, string, string][] = [
-  ["row", "Pair", "Number of the pair"],
+  ["row", "Pair", "Number of the pair, which it keeps"],
   ["residual", "Off by", "Distance from where the map puts it, reference px"],
   [
     "leave_one_out",
@@ -43,7 +42,6 @@ export class PairTable {
     "aria-label": "Pairs of places; arrows choose, Delete removes",
   });
   private readonly sort = signal<{ key: Key; down: boolean }>({ key: "residual", down: true });
-  private readonly filter = signal<Filter>("kept");
   private readonly order = computed(() => this.arrange());
   private readonly lines: Line[] = [];
   /** What is in view, kept as asking for it lays the page out. */
@@ -88,6 +86,14 @@ export class PairTable {
     return best;
   }
 
+  /** The pair that is chosen when the selected one goes: the one below it, or above the last; null without one. */
+  following(): Pair | null {
+    const order = this.order.peek();
+    const at = order.indexOf(this.store.selected.peek());
+    const row = order[at + 1] ?? order[at - 1];
+    return at < 0 || row === undefined ? null : (this.store.session.peek()?.pairs[row] ?? null);
+  }
+
   pick(row: number): void {
     this.store.choose({ row });
     this.onPick(row);
@@ -113,8 +119,9 @@ export class PairTable {
   private makeFilters(): HTMLElement {
     const buttons = FILTERS.map(([name, words]) => {
       const button = make("button", { type: "button", class: "small" }, words);
-      button.addEventListener("click", () => (this.filter.value = name));
-      effect(() => button.setAttribute("aria-pressed", String(this.filter.value === name)));
+      const { filter } = this.store;
+      button.addEventListener("click", () => (filter.value = name));
+      effect(() => button.setAttribute("aria-pressed", String(filter.value === name)));
       return button;
     });
     const group = { class: "filters", role: "group", "aria-label": "Which pairs" };
@@ -126,8 +133,9 @@ export class PairTable {
     const session = this.store.session.value;
     if (!session) return [];
     const { key, down } = this.sort.value;
-    const rows = [...session.pairs.keys()].filter((row) => passes(session, row, this.filter.value));
-    return sortRows(rows, key === "row" ? null : session[key], down);
+    const filter = this.store.filter.value;
+    const rows = [...session.pairs.keys()].filter((row) => passes(session, row, filter));
+    return sortRows(rows, key === "row" ? session.number : session[key], down);
   }
 
   private move(event: KeyboardEvent): void {
@@ -170,11 +178,6 @@ export class PairTable {
   }
 }
 
-function passes({ state, hand }: SessionState, row: number, filter: Filter): boolean {
-  if (filter === "hand") return hand[row] !== "" || state[row] === "check";
-  return filter === "all" || state[row] === filter;
-}
-
 /** A row of the table, made once and filled again and again. */
 class Line {
   private readonly texts = COLUMNS.map(() => document.createTextNode(""));
@@ -202,7 +205,7 @@ class Line {
     set(this.cells.at(-1)!, { title: reason });
     const weight = String(Number(session.weight[row]!.toFixed(3)));
     const errors = [px(error), px(session.leave_one_out[row])];
-    [String(row + 1), ...errors, weight, STATES[state], reason].forEach((text, i) => {
+    [String(session.number[row]), ...errors, weight, STATES[state], reason].forEach((text, i) => {
       if (this.texts[i]!.data !== text) this.texts[i]!.data = text;
     });
     this.dot.style.background =

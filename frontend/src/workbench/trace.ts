@@ -39,13 +39,13 @@ export class TraceView {
     this.root = make(
       "section",
       { class: "card trace", "aria-labelledby": "trace-head" },
-      make("h2", { id: "trace-head" }, "How wrong pairs left"),
+      make("h2", { id: "trace-head" }, "Removal of wrong pairs"),
       this.figure.root,
       make("div", { class: "scrub" }, this.play, range),
       this.curve.root,
       this.status,
-      thresholdSlider(store, "reject", "Cut at the start", reject),
-      thresholdSlider(store, "stop", "Stop at", stop),
+      thresholdSlider(store, "reject", "Cut at the start (reject)", reject),
+      thresholdSlider(store, "stop", "Worst error left (stop)", stop),
     );
     range.addEventListener("input", () => this.go(Number(range.value)));
     this.play.addEventListener("click", () => this.toggle());
@@ -94,7 +94,7 @@ export class TraceView {
   private draw(): void {
     const [session, round] = [this.store.session.value, this.round.value];
     const rows = session ? rowsAt(session, round) : [];
-    this.figure.draw(session, round, rows);
+    this.figure.draw(session, round, rows, this.store.frame.value?.turn ?? 0);
     this.curve.draw(session, round);
     this.status.textContent = session ? describeRound(session, round, rows.length) : "";
   }

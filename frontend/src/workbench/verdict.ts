@@ -2,7 +2,7 @@
 import { effect, signal } from "@preact/signals-core";
 import { make, refill } from "../shared/element";
 import { describeProblem, getJson, messageOf, type Problem } from "./api";
-import { DECISIONS, length, type FrameInfo, type SessionState } from "./record";
+import { length, type FrameInfo, type SessionState } from "./record";
 import type { Store } from "./store";
 
 interface Building {
@@ -26,6 +26,16 @@ export class VerdictCard {
     id: "build-status",
   });
   private readonly running = signal(false);
+  private readonly takeBack = make(
+    "button",
+    {
+      type: "button",
+      class: "small",
+      id: "take-back",
+      title: "One change, which Undo brings back",
+    },
+    "Take all back",
+  );
 
   constructor(private readonly store: Store) {
     const content = make("div");
@@ -33,6 +43,7 @@ export class VerdictCard {
     const button = { type: "button", class: "primary", id: "build", title };
     this.again = make("button", button, "Register again");
     this.again.addEventListener("click", () => void this.build());
+    this.takeBack.addEventListener("click", () => void store.edit({ operation: "take_all_back" }));
     this.root = make(
       "section",
       { class: "card verdict", "aria-labelledby": "verdict-head" },
@@ -43,7 +54,9 @@ export class VerdictCard {
     );
     effect(() => {
       const [frame, session] = [store.frame.value, store.session.value];
-      if (frame && session) refill(content, ...describe(frame, session));
+      if (!frame || !session) return;
+      const back = session.corrections !== "" && this.takeBack;
+      refill(content, ...describe(frame, session, store.stale.value), back);
     });
     effect(() => {
       this.again.disabled = this.running.value;
@@ -65,8 +78,12 @@ export class VerdictCard {
       await this.store.open(frame.id);
       await this.store.loadCameras();
       this.store.map.value = this.store.frame.value?.built ? "built" : "pairs";
-      const failed = state.problems.map(describeProblem).join("\n");
-      this.progress.textContent = failed || "Registered again.";
+      const { verdict } = this.store.frame.value ?? frame;
+      const failed = state.problems.filter((problem) => !isSaid(problem, verdict.reasons));
+      const refused = verdict.decision === "refuse" ? " It is refused, for the reasons above." : "";
+      this.progress.textContent = failed.length
+        ? failed.map(describeProblem).join("\n")
+        : `Registered again.${refused}`;
     } catch (error) {
       this.progress.textContent = messageOf(error);
     }
@@ -74,18 +91,37 @@ export class VerdictCard {
   }
 }
 
-function describe(frame: FrameInfo, session: SessionState): (HTMLElement | false)[] {
-  const { decision, reasons, next_step } = frame.verdict;
-  const stale = session.corrections !== "";
-  const badge = make("span", { class: `badge ${decision}` }, DECISIONS[decision] ?? decision);
+/** Whether the reasons of the verdict tell of a problem already. */
+function isSaid({ message }: Problem, reasons: string[]): boolean {
+  const text = message.toLowerCase();
+  return reasons.some((reason) => text.includes(reason.toLowerCase()));
+}
+
+function describe(
+  frame: FrameInfo,
+  session: SessionState,
+  stale: boolean,
+): (HTMLElement | false)[] {
+  const { decision, words, reasons, next_step } = frame.verdict;
+  const badge = make("span", { class: `badge ${decision}` }, words);
   const corrections = session.corrections.replace(/ \([0-9a-f]+\)$/, "");
   return [
-    make("p", {}, badge, stale && make("span", { class: "soft" }, " as of the last registration")),
-    make("p", { class: "sum", id: "sum" }, ...summarise(frame, session)),
+    make(
+      "p",
+      {},
+      badge,
+      stale &&
+        make(
+          "span",
+          { class: "soft" },
+          " as of the last registration, which does not know your latest corrections",
+        ),
+    ),
+    make("p", { class: "sum", id: "sum" }, ...summarise(frame, session, stale)),
     reasons.length > 0 && make("ul", {}, ...reasons.map((reason) => make("li", {}, reason))),
     next_step !== "" && make("p", {}, make("strong", {}, "Next: "), next_step),
     ...describeModels(frame),
-    stale &&
+    corrections !== "" &&
       make(
         "p",
         { class: "soft", id: "corrections" },
@@ -95,8 +131,10 @@ function describe(frame: FrameInfo, session: SessionState): (HTMLElement | false
 }
 
 /** What the pairs say, for someone who has never heard of a residual. */
-function summarise(frame: FrameInfo, { summary, refusal, corrections }: SessionState): string[] {
+function summarise(frame: FrameInfo, session: SessionState, stale: boolean): string[] {
+  const { summary, refusal } = session;
   const { kept, pairs, mean, max, checks, check_mean } = summary;
+  const own = session.hand.filter((hand, i) => hand === "added" && session.state[i] === "kept");
   const measured = (value: number | null): string => length(value, frame.px_per_mm);
   if (frame.is_reference)
     return [
@@ -113,11 +151,11 @@ function summarise(frame: FrameInfo, { summary, refusal, corrections }: SessionS
     return [found, `${ENOUGH} pairs are enough for a new registration.`];
   }
   const words = [
-    `${kept} places are recognised in both pictures. A simple map through them is off by ${measured(mean)} on average, by ${measured(max)} at worst.`,
+    `${countPlaces(kept - own.length, own.length)} A simple map through them is off by ${measured(mean)} on average, by ${measured(max)} at worst.`,
   ];
   const taken = frame.ladder[0]?.[frame.chosen[0] ?? ""];
   // What was refused is off elsewhere than where this was measured: the reasons say so.
-  if (taken !== undefined && !corrections && frame.verdict.decision !== "refuse")
+  if (taken !== undefined && !stale && frame.verdict.decision !== "refuse")
     words.push(
       ` The registration itself, which looks everywhere, is off by ${measured(taken)} where it was not fitted.`,
     );
@@ -126,6 +164,12 @@ function summarise(frame: FrameInfo, { summary, refusal, corrections }: SessionS
       ` Your ${checks} check point${checks > 1 ? "s are" : " is"} off by ${measured(check_mean)}.`,
     );
   return words;
+}
+
+function countPlaces(found: number, own: number): string {
+  const set = `${own} ${own === 1 ? "pair is" : "pairs are"} set by hand`;
+  if (!found) return `${set}.`;
+  return `${found} places are recognised in both pictures${own ? `, ${set}` : ""}.`;
 }
 
 function describeModels({ ladder, chosen }: FrameInfo): HTMLElement[] {

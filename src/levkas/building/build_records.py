@@ -39,6 +39,9 @@ WAS = ".was"
 REFUSED = ".refused"
 """Suffix of what a refused stage was refused for: it is tried again by every build, and read by `status`."""
 
+MOST_KNOWN = 10_000
+"""Records in memory, some 8 kB each."""
+
 
 @dataclass(frozen=True, order=True)
 class Key:
@@ -86,7 +89,7 @@ class BuildRecords:
     """Fingerprints and products of finished stages, one small file a stage.
 
     A record is read once: what this build was told, or has noted itself, stays true for it, whatever
-    another build that runs beside it takes away or writes.
+    another build that runs beside it takes away or writes. Of more than `MOST_KNOWN` the first are read again.
 
     Parameters
     ----------
@@ -150,16 +153,17 @@ class BuildRecords:
         """Return the names and hashes of what a finished stage made."""
         return dict(self._record(key).get("products", {}))
 
-    def hashes_of_products(self) -> dict[str, str]:
-        """Return name → SHA-256 of every product of every finished stage that still stands."""
-        known: dict[str, str] = {}
-        for place, _, names in sorted(os.walk(self.folder)):
-            if place != str(self.folder):
-                for name in sorted(n for n in names if n.endswith(".json")):
-                    record = self._recorded(f"{place}{os.sep}{name}")
-                    known.update(record.get("products", {}))
+    def products_that_stand(self) -> Iterator[tuple[str, str]]:
+        """Yield name and SHA-256 of every product of every finished stage that still stands."""
         root = str(self.output)
-        return {name: sha for name, sha in known.items() if _is_file(f"{root}{os.sep}{name}")}
+        for place, folders, names in os.walk(self.folder):
+            folders.sort()
+            if place != str(self.folder):
+                for record in sorted(n for n in names if n.endswith(".json")):
+                    made = self._recorded(f"{place}{os.sep}{record}").get("products", {})
+                    for name, sha in made.items():
+                        if _is_file(f"{root}{os.sep}{name}"):
+                            yield name, sha
 
     def notes(self, key: Key) -> dict[str, Any]:
         """Return what a finished stage noted for later ones."""
@@ -219,7 +223,8 @@ class BuildRecords:
 
     def refusal(self, key: Key, fingerprint: dict[str, Any]) -> tuple[Problem, ...]:
         """Return why a stage was refused that was made of the same; empty where it was not."""
-        record = _sound(_read(self.path_of(key).with_suffix(REFUSED)))
+        path = self.path_of(key).with_suffix(REFUSED)
+        record = _sound(_read(path)) if _is_file(path) else {}
         if not record or _difference(record.get("fingerprint", {}), fingerprint):
             return ()
         return tuple(Problem(**problem) for problem in record["refused"])
@@ -254,8 +259,8 @@ class BuildRecords:
 
     def made_by(self, key: Key) -> set[str]:
         """Return the names of all that a stage has made, also of one that was being done anew."""
-        path = self.path_of(key)
-        records = self._record(key), _sound(_read(path.with_suffix(WAS)))
+        was = self.path_of(key).with_suffix(WAS)
+        records = self._record(key), _sound(_read(was)) if _is_file(was) else {}
         return {
             n for record in records for part in ("products", "left") for n in record.get(part, ())
         }
@@ -290,6 +295,8 @@ class BuildRecords:
 
     def _recorded(self, path: str) -> dict[str, Any]:
         if path not in self._known:
+            while len(self._known) >= MOST_KNOWN:
+                del self._known[next(iter(self._known))]
             self._known[path] = _sound(_read(Path(path))) if _is_file(path) else {}
         return self._known[path]
 
@@ -313,7 +320,7 @@ def _check(record: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(record, ensure_ascii=False).encode()).hexdigest()
 
 
-def _is_file(path: str) -> bool:
+def _is_file(path: str | Path) -> bool:
     return os.path.isfile(path)  # noqa: PTH113 -- thousands of times where all is fresh
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from levkas.building.build_records import CATALOGUE, BuildRecords, Key, key_of
 from levkas.building.fingerprints import digest
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
     from levkas.campaign.campaign import Campaign
     from levkas.database.catalogue import Entry
 
+AT_A_TIME = 50_000
+"""Names that are compared at once."""
 _OF_ALL_LAYERS = re.compile(r"zarr/[^/]+\.zarr/zarr\.json|setups/[^/]+/spd\.csv")
 
 
@@ -46,11 +52,10 @@ def write_catalogue_of(
     key = CATALOGUE
     with in_turn(places.kept):
         entries = _entries(places, records, captures, names, whole=whole)
-        products = records.hashes_of_products()
         imprint = imprint_of(campaign, entries)
         spectra = spectra_of(campaign, imprint["setups"])
         others = by_others(places, records)
-        prints = _prints(entries, products, imprint, spectra, others)
+        prints = _prints(entries, records, imprint, spectra, others)
         why = records.why_stale(key, prints)
         if not why:
             return Step(key, "fresh", warnings=foreign_files(others))
@@ -59,7 +64,7 @@ def write_catalogue_of(
         manifest = places.output / MANIFEST
         listed = [path.relative_to(places.output).as_posix() for path in (*made, manifest)]
         records.put_away_left(key, listed)
-        write_manifest(places.output, products)
+        write_manifest(places.output, dict(records.products_that_stand()))
         records.keep(key, prints, [*made, manifest])
     return Step(key, "done", why, warnings=foreign_files(others))
 
@@ -76,8 +81,7 @@ def prints_of_catalogue(
     entries = _entries(places, records, captures, names, whole=True)
     imprint = imprint_of(campaign, entries)
     spectra = spectra_of(campaign, imprint["setups"])
-    products = records.hashes_of_products()
-    return _prints(entries, products, imprint, spectra, others)
+    return _prints(entries, records, imprint, spectra, others)
 
 
 def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
@@ -87,15 +91,31 @@ def by_others(places: Places, records: BuildRecords) -> dict[str, str]:
     """
     from levkas.database.catalogue import NAME as TABLE
     from levkas.database.manifest import NAME as MANIFEST
-    from levkas.database.manifest import is_partial, list_files
+    from levkas.database.manifest import is_partial, walk_files
 
-    ours = {name for key in (*records.recorded(), CATALOGUE) for name in records.made_by(key)}
-    ours |= {TABLE, IMPRINT, MANIFEST}
-    there = [n for n in list_files(places.output) if n not in ours and not is_partial(n)]
-    there = [n for n in there if not _OF_ALL_LAYERS.fullmatch(n)]
+    keys = (*records.recorded(), CATALOGUE)
+    made = (name for key in keys for name in records.made_by(key))
+    there = _left_of(walk_files(places.output), chain(made, (TABLE, IMPRINT, MANIFEST)))
+    there = [n for n in there if not is_partial(n) and not _OF_ALL_LAYERS.fullmatch(n)]
     estimated = _estimated_files(places)
     there = [n for n in there if not n.startswith(estimated)]
     return {n: records.hashes(places.output / n) for n in there if (places.output / n).is_file()}
+
+
+def _left_of(names: Iterable[str], ours: Iterable[str]) -> list[str]:
+    """Return the names that are not ours, sorted; ours are held as 8 bytes each, for there may be 10⁷ of them.
+
+    >>> _left_of(["c", "a", "b"], ["b"])
+    ['a', 'c']
+    """
+    known = np.sort(np.fromiter(map(hash, ours), np.int64))
+    left: list[str] = []
+    names = iter(names)
+    while some := list(islice(names, AT_A_TIME)):
+        hashes = np.fromiter(map(hash, some), np.int64, len(some))
+        places = np.searchsorted(known, hashes).clip(max=len(known) - 1)
+        left += [some[i] for i in np.flatnonzero(known[places] != hashes)]
+    return sorted(left)
 
 
 def _estimated_files(places: Places) -> tuple[str, ...]:
@@ -132,14 +152,18 @@ def foreign_files(others: dict[str, str]) -> tuple[str, ...]:
 
 def _prints(
     entries: list[Entry],
-    products: dict[str, str],
+    records: BuildRecords,
     imprint: dict[str, Any],
     spectra: dict[str, str],
     others: dict[str, str],
 ) -> dict[str, Any]:
+    products = hashlib.sha256()
+    for name, sha in records.products_that_stand():
+        products.update(f"{sha} {name}\n".encode("utf-8", "surrogateescape"))
+    files = products.hexdigest()
     return {
         "code": code_version("catalogue"),
-        "layers": digest({"rows": [e.to_row() for e in entries], "files": products}),
+        "layers": digest({"rows": [e.to_row() for e in entries], "files": files}),
         "campaign": digest({"imprint": imprint, "mark": MARK}),
         "spectra": digest(spectra),
         "files by others": digest(others),

@@ -150,10 +150,10 @@ def _begins(path: Path, text: str) -> bool:
 def _links(root: Path) -> Iterator[Problem]:
     """Yield the links in a folder that lead out of it: a build would write through them."""
     from levkas.database.containment import find_escapes
-    from levkas.database.manifest import list_files
+    from levkas.database.manifest import walk_files
 
     if root.is_dir():
-        yield from find_escapes(root, list_files(root))
+        yield from find_escapes(root, walk_files(root))
 
 
 def _owner(kept: Path) -> Path | None:

@@ -6,7 +6,7 @@ Made without reading a pixel.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -311,10 +311,15 @@ class BuildReport:
     stages: tuple[Step, ...]
     problems: list[Problem] = field(default_factory=list)
     warnings: tuple[str, ...] = ()
-    graph: str = ""
-    """Of `status`: the campaign's graph as a Mermaid flow chart."""
+    draws: Callable[[], str] = field(default=str, compare=False, repr=False)
+    """Of `status`: draws the graph."""
     layers: tuple[dict[str, Any], ...] = ()
     """Of `build --json`: verdict, errors and reasons of every layer."""
+
+    @property
+    def graph(self) -> str:
+        """Of `status`: the campaign's graph as a Mermaid flow chart; empty where its stages are not listed."""
+        return self.draws()
 
     @property
     def unlisted(self) -> dict[str, int]:

@@ -7,7 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from levkas.core.problems import Refused
 from levkas.database.layout import Places, layer_name
-from levkas.database.registrations import mm_per_px, read_registration
+from levkas.database.registrations import (
+    mm_per_px,
+    read_registration,
+    unchecked_mm2,
+    unchecked_share,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -63,19 +68,22 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
 
 
 def _errors(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the held-out error, px of the reference and mm on the object, and the share that was checked.
+    """Return the held-out error, px of the reference and mm on the object, and what was not checked.
 
-    Of several sensors the largest error and the smallest share.
+    The error is that of the area that was checked. Of several sensors the largest error and the
+    smallest area.
     """
     sensors = [s for s in record.get("errors", {}).get("sensors", {}).values() if s]
     px = [float(s["held_out_px"]) for s in sensors if _is_number(s.get("held_out_px"))]
     shares = [float(s["checked"]) for s in sensors if _is_number(s.get("checked"))]
     worst = max(px, default=None)
-    scale = mm_per_px(record) if "grid" in record else None
+    scale = mm_per_px(record)
     return {
         "held_out_px": worst,
         "held_out_mm": None if worst is None or scale is None else worst * scale,
         "checked_share": min(shares, default=None),
+        "unchecked_share": unchecked_share(record),
+        "unchecked_mm2": unchecked_mm2(record),
     }
 
 

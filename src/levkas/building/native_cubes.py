@@ -16,7 +16,7 @@ from levkas.core.problems import Problem, Refused
 from levkas.database.layers import Layer, write_tiffs
 from levkas.database.spectral_tiff import read_tiff_pages
 from levkas.readers.frames import read_facts
-from levkas.registration.bands import BandImage
+from levkas.registration.bands import BandImage, share_of_most
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -108,8 +108,10 @@ def _pictures(cube: Cube, pool: Executor) -> Iterator[tuple[np.ndarray, np.ndarr
             valid[:, y : y + ROWS] = np.moveaxis(known, 2, 0)
         return values, valid
 
+    scale = share_of_most if cube.quantity == "counts" else np.asarray
     for values, valid in pool.map(work, range(0, count, GROUP)):
-        yield from zip(values, valid, strict=True)
+        for one, known in zip(values, valid, strict=True):
+            yield scale(one), known
 
 
 class PackedSigma:

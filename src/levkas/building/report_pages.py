@@ -20,7 +20,14 @@ from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
 from levkas.core.instructions import describe_instructions
 from levkas.core.problems import Refused
-from levkas.database.registrations import describe_pairs, mm_per_px, read_registration, shares_light
+from levkas.database.registrations import (
+    describe_pairs,
+    mm_per_px,
+    read_registration,
+    shares_light,
+    unchecked_mm2,
+    unchecked_share,
+)
 from levkas.pages.maps import draw_maps
 from levkas.pages.page import (
     CloseUpRow,
@@ -153,7 +160,7 @@ def _layer(
     if not shares_light(record, [band.wavelength for band in capture.bands]):
         ssim, ssim_map = None, ""
     error, checked = _error(record)
-    scale = mm_per_px(record)
+    scale, area = mm_per_px(record), unchecked_mm2(record)
     drawn = [Figure(svg, caption) for svg, caption in registered.get("figures", [])]
     removal = record.get("trace", {}).get("kind") == "removal"
     quantity = str(calibrated.get("quantity", ""))
@@ -171,6 +178,8 @@ def _layer(
         next_step=verdict["next_step"],
         warnings=calibrated.get("warnings", []),
         by_hand=describe_pairs(record),
+        unchecked=unchecked_share(record),
+        unchecked_area="" if area is None else f"{area:,.0f} mm²",
         error=_describe_error(error, checked, scale),
         error_px=error,
         checked=checked,

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
@@ -332,9 +333,9 @@ def status(
             counts.add(step, records)
         write_index(plan, places, before, counts, writes=False)
     report = summarise(steps, places.output)
-    chart = draw(plan.graph, {step.key: step.state for step in steps})
+    states = {step.key: step.state for step in steps}
     warnings = (*campaign.without_effect, *report.warnings)
-    return replace(report, warnings=warnings, graph=chart)
+    return replace(report, warnings=warnings, draws=partial(draw, plan.graph, states))
 
 
 def _state(

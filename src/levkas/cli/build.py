@@ -85,7 +85,6 @@ def build(
     """Build the database of a campaign from its raw frames."""
     from levkas.building import build as build_campaign
     from levkas.building import summarise
-    from levkas.building.layer_verdicts import layer_verdicts
 
     steps = build_campaign(
         campaign,
@@ -99,6 +98,8 @@ def build(
     )
     report = summarise(draw_steps(steps, as_json))
     if as_json:
+        from levkas.building.layer_verdicts import layer_verdicts
+
         report = replace(report, layers=tuple(layer_verdicts(report)))
     finish("build", report, as_json)
 

@@ -9,6 +9,8 @@ import stat
 from pathlib import Path
 
 Stamp = tuple[int, int, int, int]
+SMALL = 1 << 16
+"""Bytes of a file that is read in one piece: the buffer of a streamed one costs more than its reading."""
 
 
 def hash_file(path: str | Path) -> str:
@@ -17,9 +19,12 @@ def hash_file(path: str | Path) -> str:
     Raises OSError where it cannot be read, or is none: a pipe would be waited for, for ever.
     """
     path = Path(path) if isinstance(path, str) else path
-    mode = path.stat().st_mode
+    found = path.stat()
+    mode = found.st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "it is no plain file", str(path))
+    if found.st_size <= SMALL and stat.S_ISREG(mode):
+        return hashlib.sha256(path.read_bytes()).hexdigest()
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 

@@ -7,31 +7,36 @@ it; what only Levkas reads (sizes, and a hash of the manifest itself) stands in 
 from __future__ import annotations
 
 import hashlib
+import io
+import itertools
 import os
 import re
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from levkas.core.digests import hash_file
 from levkas.core.files import DROPPINGS, PARTIAL, write_changed
-from levkas.core.machine import count_threads
+from levkas.core.machine import count_threads, memory_bound
 from levkas.core.problems import Problem
 from levkas.core.text import DEEPEST
 from levkas.database.containment import stays_inside
 
 NAME = "manifest-sha256.txt"
-LARGEST = 256 << 20
-"""Bytes of a manifest that is still read: two million files."""
+MEMORY_PER_BYTE = 5
+"""Of memory that the files of a manifest take, a byte of its text: 2.9 measured, 4.3 where names are a few letters."""
+LONGEST_LINE = 1 << 16
+"""Bytes; the longest path of Linux has 4096, and each may be three letters in a manifest."""
 
 _HEAD = re.compile(r"# levkas manifest 1: (\d+) files, (\d+) bytes, sha256 ([0-9a-f]{64}) below")
 _SIZE = re.compile(r"# (\d+) bytes")
 _LINE = re.compile(r"([0-9a-fA-F]{64}) [ *](.+)")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Listed:
     """One file as the manifest has it; `size` in bytes, None where a foreign one does not say."""
 
@@ -105,27 +110,58 @@ def write_manifest(
 
 
 def read_manifest(path: str | Path) -> Manifest:
-    """Read a manifest, ours or any in BagIt's format; what is damaged in it is told, never raised."""
+    """Read a manifest, ours or any in BagIt's format; what is damaged in it is told, never raised.
+
+    It is read line by line; its files, and no second copy of its text, are in memory.
+    """
     path = Path(path) if isinstance(path, str) else path
     try:
         size = path.stat().st_size
-        data = b"" if size > LARGEST else path.read_bytes()
+        if (needed := size * MEMORY_PER_BYTE) > memory_bound():
+            return _damaged(path, f"its {size:,} bytes would take {needed / 1e9:.1f} GB of memory")
+        if isinstance(path, Path):
+            with path.open("rb") as file:
+                return _read(path, file)
+        return _read(path, io.BytesIO(path.read_bytes()))
     except OSError as error:
         return _damaged(path, f"it cannot be read: {error}")
-    if not data:
-        return _damaged(path, "it is empty" if size == 0 else f"it has {size} bytes")
-    head, _, body = data.partition(b"\n")
-    told = _HEAD.fullmatch(head.decode("ascii", "replace"))
-    manifest = _parse(path, body if told else data)
+
+
+def _read(path: Path, file: BinaryIO) -> Manifest:
+    """Read an open manifest, and compare its lines with its head where it is one of ours."""
+    lines = iter(lambda: file.readline(LONGEST_LINE), b"")
+    head = next(lines, b"")
+    if not head:
+        return _damaged(path, "it is empty")
+    told = _HEAD.fullmatch(head.removesuffix(b"\n").decode("ascii", "replace"))
     if told is None:
-        if any(line.startswith(b"#") for line in data.splitlines()):
+        comments: list[bytes] = []
+        manifest = _parse(path, _noting(itertools.chain([head], lines), comments))
+        if comments:
             return _damaged(path, "its first line is not what was written", manifest)
         return manifest
-    if hashlib.sha256(body).hexdigest() != told.group(3):
+    digest = hashlib.sha256()
+    manifest = _parse(path, _hashing(lines, digest))
+    if digest.hexdigest() != told.group(3):
         return _damaged(path, "its lines are not those that were written", manifest)
     if (len(manifest.files), manifest.bytes) != (int(told.group(1)), int(told.group(2))):
         return _damaged(path, "its numbers of files and bytes are not those of its lines", manifest)
     return manifest
+
+
+def _noting(lines: Iterable[bytes], comments: list[bytes]) -> Iterator[bytes]:
+    """Yield lines, and note the first that is a comment."""
+    for line in lines:
+        if not comments and any(part.startswith(b"#") for part in line.splitlines()):
+            comments.append(line)
+        yield line
+
+
+def _hashing(lines: Iterable[bytes], digest: hashlib._Hash) -> Iterator[bytes]:
+    """Yield lines, and hash them."""
+    for line in lines:
+        digest.update(line)
+        yield line
 
 
 def list_files(folder: str | Path) -> list[str]:
@@ -136,7 +172,7 @@ def list_files(folder: str | Path) -> list[str]:
     """
     if not isinstance(folder, str | Path):
         return sorted(folder.names())
-    return sorted(_walk(Path(folder)))
+    return sorted(walk_files(Path(folder)))
 
 
 def is_partial(name: str) -> bool:
@@ -155,7 +191,8 @@ def plain(name: str) -> str:
     return unicodedata.normalize("NFC", name)
 
 
-def _walk(root: Path) -> Iterator[str]:
+def walk_files(root: Path) -> Iterator[str]:
+    """Yield the files below a folder as `list_files` has them, in no order."""
     # Thousands of names where all is fresh: texts, not paths.
     for place, folders, names in os.walk(root):
         above = place[len(str(root)) :].replace(os.sep, "/").strip("/")
@@ -168,22 +205,22 @@ def _walk(root: Path) -> Iterator[str]:
 
 
 def _to_bytes(files: Mapping[str, Listed], total: int) -> bytes:
-    lines = []
+    body = bytearray()
     for name in sorted(files):
-        lines.append(f"# {files[name].size} bytes\n{files[name].sha256}  {_encode(name)}\n")
-    body = "".join(lines).encode("utf-8", "surrogateescape")
+        line = f"# {files[name].size} bytes\n{files[name].sha256}  {_encode(name)}\n"
+        body += line.encode("utf-8", "surrogateescape")
     digest = hashlib.sha256(body).hexdigest()
     head = f"# levkas manifest 1: {len(files)} files, {total} bytes, sha256 {digest} below\n"
     return head.encode("ascii") + body
 
 
-def _parse(path: Path, body: bytes) -> Manifest:
+def _parse(path: Path, lines: Iterable[bytes]) -> Manifest:
     """Read the lines; those that cannot be are counted as one problem."""
     files: dict[str, Listed] = {}
     size: int | None = None
-    wrong: list[int] = []
-    for number, line in enumerate(body.decode("utf-8", "surrogateescape").split("\n"), 1):
-        text = line.rstrip("\r")
+    wrong = first = 0
+    for number, line in enumerate(lines, 1):
+        text = line.decode("utf-8", "surrogateescape").removesuffix("\n").rstrip("\r")
         if told := _SIZE.fullmatch(text):
             size = int(told.group(1))
             continue
@@ -192,14 +229,12 @@ def _parse(path: Path, body: bytes) -> Manifest:
         if found and name not in files and stays_inside(name):
             files[name] = Listed(name, found.group(1).lower(), size)
         elif text.strip():
-            wrong.append(number)
+            wrong, first = wrong + 1, first or number
         size = None
     total = sum(entry.size or 0 for entry in files.values())
     manifest = Manifest(path, files, total)
     if wrong:
-        return _damaged(
-            path, f"{len(wrong)} lines cannot be read, the first is {wrong[0]}", manifest
-        )
+        return _damaged(path, f"{wrong} lines cannot be read, the first is {first}", manifest)
     return manifest
 
 

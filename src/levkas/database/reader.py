@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice
 from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,21 +66,40 @@ class Database(Mapping[str, "Object"]):
         self.catalogue: tuple[Entry, ...] = read_catalogue(self.path) if listed else ()
 
     def __getitem__(self, name: str) -> Object:
-        if name not in list(self):
-            raise KeyError(f"no object {name!r}; there are: {', '.join(self) or 'none'}")
-        layers = [(e.camera, e.setup) for e in self.catalogue if e.object == name]
+        layers = self._layers.get(name)
+        if layers is None:
+            raise KeyError(f"no object {name!r}; there are: {_first_of(self) or 'none'}")
         return Object(self.path, name, tuple(layers) or _layers_found(self.path, name))
 
     def __iter__(self) -> Iterator[str]:
-        if self.catalogue:
-            return iter(dict.fromkeys(entry.object for entry in self.catalogue))
-        return iter(sorted(p.name for p in (self.path / "objects").iterdir() if p.is_dir()))
+        return iter(self._layers)
 
     def __len__(self) -> int:
-        return len(list(iter(self)))
+        return len(self._layers)
 
     def __repr__(self) -> str:
-        return f"<levkas database {self.path}: {', '.join(self) or 'empty'}>"
+        return f"<levkas database {self.path}: {_first_of(self) or 'empty'}>"
+
+    @cached_property
+    def _layers(self) -> dict[str, list[tuple[str, str]]]:
+        """Camera and setup of every layer by object; no layers where there is no catalogue."""
+        if not self.catalogue:
+            folders = (self.path / "objects").iterdir()
+            return {name: [] for name in sorted(p.name for p in folders if p.is_dir())}
+        found: dict[str, list[tuple[str, str]]] = {}
+        for entry in self.catalogue:
+            found.setdefault(entry.object, []).append((entry.camera, entry.setup))
+        return found
+
+
+def _first_of(names: Collection[str], most: int = 100) -> str:
+    """Return names in a line, and how many more there are.
+
+    >>> _first_of(["a", "b", "c"], 2)
+    'a, b and 1 more'
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(islice(names, most)) + more
 
 
 @dataclass(frozen=True, repr=False)

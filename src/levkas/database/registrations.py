@@ -105,6 +105,24 @@ def describe_pairs(record: Mapping[str, Any]) -> str:
     return f"aligned with {count} pair{'' if count == 1 else 's'} by hand"
 
 
+def unchecked_share(record: Mapping[str, Any]) -> float:
+    """Return the share of the object, 0 … 1, where nothing confirms a layer's map; 0 where a record does not tell."""
+    share = (record.get("verdict") or {}).get("unchecked")
+    if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+        return 0.0
+    return float(share)
+
+
+def unchecked_mm2(record: Mapping[str, Any]) -> float | None:
+    """Return the same as an area of the object, mm²; None where the sampling is not known."""
+    scale = mm_per_px(record)
+    if scale is None:
+        return None
+    width, height = record["grid"]["size"]
+    step = from_dict(record["grid"]["transform"]).jacobian(np.zeros((1, 2)))[0]
+    return float(unchecked_share(record) * width * height * abs(np.linalg.det(step)) * scale**2)
+
+
 def mm_per_px(record: Mapping[str, Any]) -> float | None:
     """Return mm on the object a pixel of the reference, None where the sampling is not known."""
     px_per_mm = record["grid"].get("px_per_mm")

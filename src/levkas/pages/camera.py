@@ -43,10 +43,10 @@ def sensor_row(name: str, sensor: Mapping[str, Any]) -> list[str]:
     """Return a sensor's record as texts.
 
     >>> sensor_row("", {"full": 4030.0, "read_noise": 1.29, "gain": 0.16, "stops": 11.6, "source": "temporal"})
-    ['sensor', '0.16', '1.29', '4030', '11.6', 'repeated shots']
+    ['the only one', '0.16', '1.29', '4030', '11.6', 'repeated shots']
     """
     return [
-        name or "sensor",
+        name or "the only one",
         f"{sensor['gain']:.3g}",
         f"{sensor['read_noise']:.3g}",
         f"{sensor['full']:.0f}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,15 @@ LONGEST = 640
 MOST_LINES = 33
 
 
+class Swatch(NamedTuple):
+    """A patch as it was measured and as it is published, as colours of CSS."""
+
+    name: str
+    measured: str
+    published: str
+    difference: str
+
+
 @dataclass(frozen=True)
 class ChartSection:
     """One chart by one camera, ready to be shown."""
@@ -32,6 +41,7 @@ class ChartSection:
     indicators: Sequence[Sequence[str]]
     columns: Sequence[str]
     patches: Sequence[Sequence[str]]
+    swatches: Sequence[Swatch] = ()
 
 
 def describe_chart(measure: ChartMeasure) -> ChartSection:
@@ -56,7 +66,30 @@ def describe_chart(measure: ChartMeasure) -> ChartSection:
         indicators,
         ("mean", "SNR, median band", "dB", "ΔE2000"),
         _patch_rows(measure),
+        _swatches(measure),
     )
+
+
+def _swatches(measure: ChartMeasure) -> list[Swatch]:
+    """Return the patches beside the published ones, sRGB; none where colours were not compared."""
+    if measure.colours is None:
+        return []
+    seen, wanted = (css_colours(lab) for lab in (measure.colours.measured, measure.colours.wanted))
+    differences = [f"{value:.1f}" for value in measure.colours.difference]
+    rows = zip(measure.chart.patches, seen, wanted, differences, strict=True)
+    return [Swatch(*row) for row in rows]
+
+
+def css_colours(lab: np.ndarray) -> list[str]:
+    """Return CIELAB (D65), (n, 3), as colours of CSS; what sRGB cannot show is cut to what it can.
+
+    >>> css_colours(np.array([[100.0, 0.0, 0.0], [0.0, 0.0, 0.0], [53.24, 80.09, 67.2]]))
+    ['#ffffff', '#000000', '#ff0000']
+    """
+    from skimage.color import lab2rgb
+
+    rgb = np.round(255 * np.clip(lab2rgb(np.asarray(lab, float)[None])[0], 0, 1)).astype(int)
+    return [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in rgb.tolist()]
 
 
 def _blur_notes(measure: ChartMeasure) -> list[str]:
@@ -104,7 +137,7 @@ def _over_signal(measure: ChartMeasure) -> Figure | None:
     order = np.argsort(middle)[:: max(1, len(greys) // 6)]
     marks = [(float(middle[i]), f"{luminance[i]:.0f}") for i in order if middle[i] > 0]
     svg = plot(
-        lines, x="signal of the channel", y="SNR, dB (10·log10)", log=True,
+        lines, x="signal of the channel", y="SNR, dB (10·log10)", log="x",
         top_axis=("luminance Y, %", marks),
     )  # fmt: skip
     caption = (

@@ -43,12 +43,15 @@ def render_comparison(comparison: Comparison) -> str:
     """Return the page as HTML; the maps are pictures beside it."""
     return render_page(
         "comparison.html",
-        summary=[_summary_cells(one) for one in comparison.summary()],
-        problems=comparison.problems,
-        keys=[(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],
-        layers=[_layer(comparison, i, name) for i, name in enumerate(comparison.layers, start=1)],
-        errors=_chart(comparison, "error_mean", "mean error, px", log=True),
-        chart=_chart(comparison, "ssim", "SSIM"),
+        page={
+            "title": "Methods of registration compared",
+            "summary": [_summary_cells(one) for one in comparison.summary()],
+            "failures": comparison.problems,
+            "keys": [(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],
+            "layers": [_layer(comparison, name) for name in comparison.layers],
+            "errors": _chart(comparison, "error_mean", "mean error, px", log="y"),
+            "chart": _chart(comparison, "ssim", "SSIM"),
+        },
     )
 
 
@@ -66,7 +69,7 @@ def _summary_cells(one: dict[str, Any]) -> list[str]:
     ]
 
 
-def _layer(comparison: Comparison, index: int, layer: str) -> dict[str, Any]:
+def _layer(comparison: Comparison, layer: str) -> dict[str, Any]:
     cells = []
     for method in comparison.methods:
         row = comparison.row(layer, method)
@@ -81,17 +84,16 @@ def _layer(comparison: Comparison, index: int, layer: str) -> dict[str, Any]:
                 "max": number(told["error_max"], 2),
                 "ssim": number(told.get("ssim"), 3),
                 "seconds": number(told.get("seconds"), 1),
-                "decision": told.get("decision", ""),
                 "said": told.get("failure") or told.get("note", ""),
                 "failed": bool(told.get("failure")),
             }
         )
-    return {"index": index, "name": layer, "cells": cells}
+    return {"name": layer, "cells": cells}
 
 
-def _chart(comparison: Comparison, fact: str, y: str, *, log: bool = False) -> str:
+def _chart(comparison: Comparison, fact: str, y: str, *, log: str = "") -> str:
     lines = []
-    for method in reversed(comparison.methods):  # the first lies on top
+    for place, method in enumerate(comparison.methods):
         scores = [
             (i, row.to_dict().get(fact))
             for i, layer in enumerate(comparison.layers, start=1)
@@ -100,9 +102,15 @@ def _chart(comparison: Comparison, fact: str, y: str, *, log: bool = False) -> s
         known = [(i, s) for i, s in scores if s is not None]
         if known:
             across, up = zip(*known, strict=True)
-            lines.append(Line(COMPARED[method].title, across, up, INKS.get(method, OTHER_INK)))
-    text = "layer, by its number below"
-    return plot(lines, x=text, y=y, log_y=log, legend=False) if lines else ""
+            ink = INKS.get(method, OTHER_INK)
+            # Layers have no order: points beside one another, and no line between them.
+            apart = 0.5 * (place / max(len(comparison.methods) - 1, 1) - 0.5)
+            lines.append(
+                Line(COMPARED[method].title, [i + apart for i in across], up, ink, joined=False)
+            )
+    if not lines:
+        return ""
+    return plot(lines, x="", y=y, log=log, legend=False, names=comparison.layers)
 
 
 def number(value: float | None, digits: int) -> str:

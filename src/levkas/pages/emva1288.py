@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.calibration.noise_model import Sensor, snr_db
+from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.pages.page import render_page
 from levkas.pages.plots import draw_legend, in_style, new_figure, themed, to_svg
 from levkas.quality.emva1288.facts import describe_levels
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from levkas.quality.emva1288.report import Examination, SensorReport
 
 INKS = ("a", "b", "c", "d")
+MARKS = ("o", "^", "s", "D")
+"""Of channels, whose points often lie on one another."""
 OWN_INK = {"R": "b", "G": "c", "B": "a"}
 
 
@@ -44,14 +47,22 @@ def write_page(found: Examination, path: str | Path) -> Path:
 
 def render_examination(found: Examination) -> str:
     """Return the page as HTML; every text from outside is escaped."""
-    root = found.root if found.root.is_dir() else found.root.parent
     sensors = [_section(sensor) for sensor in found.sensors]
-    return render_page("emva1288.html", title=root.resolve().name, sensors=sensors)
+    return render_page("emva1288.html", page={"title": _title(found.root), "sensors": sensors})
+
+
+def _title(root: Path) -> str:
+    """Return the title of a campaign; the name of its folder where it has none, or is none."""
+    try:
+        title = load_campaign(root).campaign.title
+    except CampaignInvalid:
+        title = ""
+    return title or (root if root.is_dir() else root.parent).resolve().name
 
 
 def _section(sensor: SensorReport) -> dict[str, Any]:
     def share(value: float) -> str:
-        return "–" if value != value else f"{100 * value:+.2f} %"
+        return "–" if value != value else f"{round(100 * value, 2) + 0.0:+.2f} %"
 
     return {
         "name": sensor.name,
@@ -71,7 +82,12 @@ def _section(sensor: SensorReport) -> dict[str, Any]:
             for n, d in sensor.light
         ],
         "linearity": [
-            (n, f"{100 * f.rms:.2f} %", share(f.worst), f"{f.offset:+.2f}" if f.offset else "–")
+            (
+                n,
+                f"{100 * f.rms:.2f} %",
+                share(f.worst),
+                f"{round(f.offset, 2) + 0.0:+.2f}" if f.offset else "–",
+            )
             for n, f in sensor.linearity
         ],
     }
@@ -92,7 +108,8 @@ def draw_transfer(channels: dict[str, PhotonTransfer]) -> str:
         quiet = found.dark_noise.value if found.dark_noise else 0.0
         axes.axline((0.0, (quiet * found.gain.value) ** 2), slope=found.gain.value, color=ink)
         signal, variance = np.array(found.points).T[:2]
-        axes.scatter(signal, variance, s=12, color=ink, label=name or None)
+        mark = MARKS[i % len(MARKS)]
+        axes.scatter(signal, variance, s=14, color=ink, marker=mark, label=name or None)
     axes.set(xlabel="signal, DN", ylabel="variance, DN²", xlim=(0, right), ylim=(0, high))
     if any(drawn):
         draw_legend(axes)
@@ -120,6 +137,7 @@ def draw_snr(channels: dict[str, PhotonTransfer]) -> str:
             axes.plot(exposure, snr, dash, color=themed(_ink(i, name)), label=label)
     axes.set(xlabel="exposure, photo-electrons", ylabel="SNR, dB (10 log₁₀)", xscale="log")
     axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_formatter("{x:,g}")
     if any(drawn):
         draw_legend(axes)
     return to_svg(figure, "signal-to-noise ratio over exposure")

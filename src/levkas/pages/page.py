@@ -13,10 +13,28 @@ if TYPE_CHECKING:
 
 DECISIONS = {
     "accept": "accepted",
-    "warn": "accepted with a warning",
+    "warn": "doubtful, please check",
     "refuse": "refused",
     "reference": "reference",
+    "not built": "not built yet",
 }
+"""Verdicts in the words of every page, of the viewer and of the workbench; records hold the keys."""
+
+
+WORTH_NAMING = 0.1
+"""Share of an object that was not checked which stands beside the decision."""
+
+
+def describe_decision(decision: str, unchecked: float = 0.0, area: str = "") -> str:
+    """Return a decision of a record in words, with the share of the object that nothing confirms, and its area.
+
+    >>> describe_decision("warn"), describe_decision("accept", 0.214, "340 mm²")
+    ('doubtful, please check', 'accepted, 21 % (340 mm²) not checked')
+    """
+    words = DECISIONS.get(decision, decision)
+    if decision != "accept" or unchecked < WORTH_NAMING:
+        return words
+    return f"{words}, {100 * unchecked:.0f} %{f' ({area})' if area else ''} not checked"
 
 
 @dataclass(frozen=True)
@@ -43,6 +61,8 @@ class LayerReport:
     next_step: str = ""
     warnings: Sequence[str] = ()
     by_hand: str = ""
+    unchecked: float = 0.0
+    unchecked_area: str = ""
     error: str = "–"
     checks: str = ""
     ssim: str = "–"
@@ -60,7 +80,7 @@ class LayerReport:
     @property
     def decision_text(self) -> str:
         """The decision in a user's word."""
-        return DECISIONS.get(self.decision, self.decision)
+        return describe_decision(self.decision, self.unchecked, self.unchecked_area)
 
     @property
     def anchor(self) -> str:

@@ -169,7 +169,7 @@ def draw_trade_off(curve: TradeOff, best_deg: float, current_deg: float | None =
         xlim=(30, 84), ylim=(0, 3), ylabel="over tolerance",
         xlabel="angle of the lamps from the object's normal, degrees",
     )  # fmt: skip
-    draw_legend(axes, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    draw_legend(axes)
     return to_svg(figure, "trade-off over the lamps' angle")
 
 
@@ -183,7 +183,7 @@ def draw_spectra(wavelengths: np.ndarray, curves: dict[str, np.ndarray], label: 
         shown = values[inside] / values[inside].max()
         axes.plot(wavelengths[inside], shown, dash, color=themed(ink), label=name)
     axes.set(xlabel="wavelength, nm", ylabel="relative power", xlim=(380, 780), ylim=(0, 1.05))
-    draw_legend(axes, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    draw_legend(axes)
     return to_svg(figure, label)
 
 
@@ -205,7 +205,7 @@ def draw_snr(exposures: list[CameraExposure]) -> str:
             axes.annotate(channel.name, place, (6, 4), textcoords="offset points")
     axes.set(xlabel="wavelength, nm", ylabel="signal over noise on white")
     axes.set_ylim(bottom=0)
-    draw_legend(axes, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    draw_legend(axes)
     return to_svg(figure, "signal over noise by wavelength")
 
 
@@ -222,5 +222,5 @@ def draw_filter(found: RegulatingFilter, camera: str) -> str:
     right.set_xticks(places, found.channels)
     right.set(ylabel="exposure over the fullest", ylim=(0, 1.02))
     right.grid(visible=False, axis="x")
-    draw_legend(right, loc="lower center", ncols=2, bbox_to_anchor=(0.5, 1.0))
+    draw_legend(right)
     return to_svg(figure, f"regulating filter of {camera}")

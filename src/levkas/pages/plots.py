@@ -35,6 +35,13 @@ THEME = (
 MOST_MARKS = 60
 """Points of a line that are marked; more would be a band."""
 MOST_NAMES = 8
+FEW_NAMES, MOST_LETTERS = 4, 56
+"""Of a legend that stands above the axes rather than beside them."""
+HUES = (
+    *((400, 275), (450, 240), (490, 190), (520, 130), (560, 85), (580, 58)),
+    *((600, 35), (620, 15), (640, 0), (1000, 0)),
+)
+"""Wavelength, nm, and the hue as which the eye sees it, degrees."""
 COLOURS = {"R": "#d4453b", "G": "#3a9a4b", "B": "#3b6fd4", "IR": "#8a5a3c"}
 STYLE: dict[Any, Any] = {
     "svg.hashsalt": "levkas",
@@ -143,11 +150,11 @@ def plot(
     *,
     x: str,
     y: str,
-    log: bool = False,
-    log_y: bool = False,
+    log: str = "",
     top_axis: tuple[str, Sequence[tuple[float, str]]] | None = None,
     from_zero: bool = False,
     legend: bool = True,
+    names: Sequence[str] = (),
 ) -> str:
     """Return lines as SVG, "" where there is nothing to draw.
 
@@ -156,23 +163,30 @@ def plot(
     lines : sequence of Line
     x, y : str
         Titles of the axes.
-    log, log_y : bool
-        Logarithmic x, y; points at or below 0 are left out.
+    log : {"", "x", "y"}
+        The logarithmic axis; points at or below 0 on it are left out.
     top_axis : (title, [(x, label), …]), optional
         A second axis above.
     from_zero : bool
         y starts at 0.
+    names : sequence of str
+        Of x = 1, 2, …, where it counts things and measures nothing.
     """
-    drawn = [(line, *_sound(line, log, log_y)) for line in lines]
+    drawn = [(line, *_sound(line, log)) for line in lines]
     if not any(len(xs) for _, xs, _ in drawn):
         return ""
-    figure = new_figure()
+    figure = new_figure(max(WIDTH, 46 * len(names)))
     axes = figure.subplots()
     draw_lines(axes, drawn)
+    if names:
+        axes.set_xticks(range(1, len(names) + 1), names, rotation=30, ha="right")
     axes.set(
-        xlabel=x, ylabel=y, xscale="log" if log else "linear", yscale="log" if log_y else "linear"
+        xlabel=x,
+        ylabel=y,
+        xscale="log" if log == "x" else "linear",
+        yscale="log" if log == "y" else "linear",
     )
-    for axis, logarithmic in ((axes.xaxis, log), (axes.yaxis, log_y)):
+    for axis, logarithmic in ((axes.xaxis, log == "x"), (axes.yaxis, log == "y")):
         if logarithmic:
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter("")
@@ -186,7 +200,7 @@ def plot(
         above.set_xlabel(title)
     if legend and len(lines) > 1:
         draw_legend(axes)
-    return to_svg(figure, f"{y} over {x}")
+    return to_svg(figure, f"{y} over {x}" if x else y)
 
 
 def draw_lines(axes: Axes, drawn: Sequence[tuple[Line, np.ndarray, np.ndarray]]) -> None:
@@ -199,33 +213,48 @@ def draw_lines(axes: Axes, drawn: Sequence[tuple[Line, np.ndarray, np.ndarray]])
         )  # fmt: skip
 
 
-def draw_legend(axes: Axes, **place: Any) -> None:
-    """Draw at most eight names: the first, the last, and some between."""
+def draw_legend(axes: Axes) -> None:
+    """Name at most eight lines beside the axes, where no line runs: the first, the last, and some between."""
     handles, names = axes.get_legend_handles_labels()
     count = len(names)
     chosen = sorted({round(i * (count - 1) / (MOST_NAMES - 1)) for i in range(MOST_NAMES)})
     chosen = chosen if count > MOST_NAMES else list(range(count))
-    axes.legend([handles[i] for i in chosen], [names[i] for i in chosen], **place)
+    short = len(chosen) <= FEW_NAMES and sum(len(names[i]) for i in chosen) <= MOST_LETTERS
+    place: dict[str, Any] = (
+        {"loc": "outside upper center", "ncols": len(chosen)}
+        if short
+        else {"loc": "outside right center"}
+    )
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.legend([handles[i] for i in chosen], [names[i] for i in chosen], **place)
 
 
-def _sound(line: Line, log: bool, log_y: bool) -> tuple[np.ndarray, np.ndarray]:
+def _sound(line: Line, log: str) -> tuple[np.ndarray, np.ndarray]:
     x, y = (
         np.array([np.nan if v is None else v for v in values], float) for values in (line.x, line.y)
     )
     good = np.isfinite(x) & np.isfinite(y)
-    good &= (x > 0) | (not log)
-    good &= (y > 0) | (not log_y)
+    good &= (x > 0) | (log != "x")
+    good &= (y > 0) | (log != "y")
     return x[good], y[good]
 
 
 def colour_of(label: str, index: int, count: int, wavelength: float = float("nan")) -> str:
-    """Return a colour for a channel: its own where it is a letter, else along the spectrum."""
+    """Return a colour for a channel: its own where it is a letter, that of its light, else along a rainbow.
+
+    >>> colour_of("640 nm", 0, 1, 640.0), colour_of("530 nm", 0, 1, 530.0)
+    ('#d22d2d', '#30d22d')
+    """
     letters = label.rstrip("0123456789")
     if letters in COLOURS:
         return COLOURS[letters]
-    share = index / max(count - 1, 1)
     if np.isfinite(wavelength):
-        share = float(np.clip((wavelength - 400) / 320, 0, 1))
+        hue = float(np.interp(wavelength, *np.array(HUES, float).T))
+        # What the eye sees no more grows dark, so that bands beyond 700 nm are told apart.
+        lightness = float(np.interp(wavelength, (700, 1000), (0.5, 0.25)))
+        return hls_colour(hue / 360, lightness, 0.65)
+    share = index / max(count - 1, 1)
     return hls_colour(275 * (1 - share) / 360, 0.5, 0.65)
 
 
@@ -271,7 +300,11 @@ def light_map(
         x = (np.arange(columns) + 0.5) * width / columns
         y = (np.arange(rows) + 0.5) * height / rows
         lines = axes.contour(x, y, levels, contours, colors="#1d1b16", linewidths=0.9)
-        axes.clabel(lines, fmt=lambda level: f"{100 * level:g} %", fontsize=9)
+        for (left, top), level in place_labels(lines.get_paths(), list(lines.levels), size):
+            axes.text(
+                left, top, f"{100 * level:g} %", fontsize=9, color="#1d1b16", ha="center", va="center",
+                bbox={"facecolor": "#fffbe8", "alpha": 0.8, "linewidth": 0, "pad": 1.5},
+            )  # fmt: skip
     axes.axhline(height / 2, color="#c62828", linewidth=1, linestyle="--")
     axes.axvline(width / 2, color="#c62828", linewidth=1, linestyle="--")
     left, top, across, down = rectangle
@@ -279,6 +312,38 @@ def light_map(
         Rectangle((left, top), across, down, fill=False, edgecolor="#1f9d4c", linewidth=2.5)
     )
     return to_svg(figure, "light on the white")
+
+
+def place_labels(
+    paths: Sequence[Any], levels: Sequence[float], size: Sequence[int]
+) -> list[tuple[np.ndarray, float]]:
+    """Return a place for each contour's label: away from the edges and from the labels before; none without room.
+
+    Parameters
+    ----------
+    paths : sequence of matplotlib.path.Path
+        A contour each.
+    levels : sequence of float
+    size : (width, height), in the units of the paths
+    """
+    placed: list[tuple[np.ndarray, float]] = []
+    whole = np.array(size, float)
+    for path, level in zip(paths, levels, strict=True):
+        shares = path.vertices / whole
+        inside = ((shares > LABEL_MARGIN) & (shares < 1 - LABEL_MARGIN)).all(1)
+        free = path.vertices[inside]
+        if not len(free):
+            continue
+        apart = [np.linalg.norm((free - at) / whole, axis=1) for at, _ in placed]
+        room = np.min(apart, axis=0) if apart else np.ones(len(free))
+        best = int(room.argmax())
+        if room[best] >= LABEL_ROOM:
+            placed.append((free[best], float(level)))
+    return placed
+
+
+LABEL_MARGIN, LABEL_ROOM = 0.08, 0.14
+"""Of labels of contours, from the edge and from one another, as shares of the sides."""
 
 
 @in_style
@@ -296,5 +361,8 @@ def picture_with_areas(picture: np.ndarray, areas: np.ndarray, names: Sequence[s
     )
     for area, name in zip(areas, names, strict=True):
         x, y = area.min(0)
-        axes.text(x, y, name, color="#00e5ff", fontsize=8, verticalalignment="bottom")
+        axes.text(
+            x, y, name, color="#ffffff", fontsize=8, verticalalignment="bottom",
+            bbox={"facecolor": "#000000", "alpha": 0.6, "linewidth": 0, "pad": 1},
+        )  # fmt: skip
     return to_svg(figure, "sampled areas")

@@ -68,14 +68,30 @@ class BandImage:
 
     @classmethod
     def of(cls, label: str, values: np.ndarray, wavelength: float = nan) -> BandImage:
-        """Return a band of which every finite value is valid."""
+        """Return a band of which every finite value is valid.
+
+        Codes, integers, become shares of the greatest of them.
+        """
+        codes = np.issubdtype(np.asarray(values).dtype, np.integer)
         values = np.asarray(values, np.float32)
-        return cls(label, wavelength, values, np.isfinite(values))
+        return cls(
+            label, wavelength, share_of_most(values) if codes else values, np.isfinite(values)
+        )
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height)."""
         return self.values.shape[1], self.values.shape[0]
+
+
+def share_of_most(counts: np.ndarray) -> np.ndarray:
+    """Return counts as shares of the greatest finite one; 8 and 16 bits of one picture are then the same numbers.
+
+    >>> share_of_most(np.array([3.0, 51.0, 255.0])) == share_of_most(257 * np.array([3.0, 51.0, 255.0]))
+    array([ True,  True,  True])
+    """
+    most = np.max(counts, where=np.isfinite(counts), initial=0)
+    return counts / most if most > 0 else counts
 
 
 def by_wavelength(bands: Sequence[BandImage]) -> list[BandImage]:

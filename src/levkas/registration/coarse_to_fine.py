@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -104,6 +104,7 @@ class RefinementSettings:
     grey_correlation: float = 0.98
 
 
+Light = Literal["same", "other", "unknown"]
 SETTINGS = RefinementSettings()
 
 
@@ -170,16 +171,16 @@ class SensorTask:
 
         return each(seen, bands, own)
 
-    def shares_light(self, band: BandImage, transform: Transform, step: int) -> bool:
+    def light_of(self, band: BandImage, transform: Transform, step: int) -> Light:
         """Tell whether a band sees light that the reference sees too, so that it shows the same detail.
 
         Its wavelength says so. Where it has none, the band of a colour camera does: one of three or
         more bands whose detail differs, unlike that of a grey picture stored as colours.
         """
         if np.isfinite(band.wavelength):
-            return self.reference.covers(band.wavelength)
+            return "same" if self.reference.covers(band.wavelength) else "other"
         if min(len(self.bands), self.reference.count) < SETTINGS.least_colour_bands:
-            return False
+            return "unknown"
         mine = highpass(self.resample(band, transform, step))
         for other in (self.bands[0], self.bands[-1]):
             theirs = highpass(self.resample(other, transform, step))
@@ -188,8 +189,8 @@ class SensorTask:
                 both.any()
                 and np.corrcoef(mine[both], theirs[both])[0, 1] < SETTINGS.grey_correlation
             ):
-                return True
-        return False
+                return "same"
+        return "unknown"
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,7 @@ class RefinedMap:
         ``rounds`` that were made, ``settled``: whether the map had converged in the last of them,
         ``moved``, reference px: by how much that moved it, the median over windows, ``band`` by which
         it was judged.
-    shares_light : bool
+    light : {"same", "other", "unknown"}
         Whether that band sees light that the reference sees too.
     """
 
@@ -231,7 +232,7 @@ class RefinedMap:
     verification: dict[str, Any]
     checks: CheckWindows
     course: dict[str, Any]
-    shares_light: bool
+    light: Light
 
     @property
     def is_good(self) -> bool:
@@ -359,7 +360,7 @@ def _refine_one_way(task: SensorTask, *, stiff: bool) -> RefinedMap:
     numbers, checks = _verify(task, bands[best], whole, judged, test)
     return RefinedMap(
         way.base, judged, way.chromatic, way.selected, way.windows, way.selections, test.evidence,
-        numbers, checks, way.course, task.shares_light(bands[best], whole, judged),
+        numbers, checks, way.course, task.light_of(bands[best], whole, judged),
     )  # fmt: skip
 
 

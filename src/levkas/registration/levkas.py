@@ -128,7 +128,8 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "settled": course.get("settled"),
         "moved": course.get("moved"),
         "checked": verification.get("checked"),
-        "alike": bool(found and found.shares_light),
+        "alike": bool(found and found.light == "same"),
+        "light": found.light if found else "unknown",
         "terms": selected.spec.coefficients if selected and selected.spec else None,
         "borne_out": verification,
     }

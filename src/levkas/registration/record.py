@@ -274,12 +274,15 @@ class Verdict:
         What to do; empty where nothing is to be done.
     numbers : dict
         The evidence, by name, JSON-ready.
+    unchecked : float
+        Share of the object, 0 … 1, that the camera does not show or where nothing confirms the map.
     """
 
     decision: Decision
     reasons: tuple[str, ...] = ()
     next_step: str = ""
     numbers: dict[str, Any] = field(default_factory=dict)
+    unchecked: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready record."""
@@ -287,6 +290,7 @@ class Verdict:
             "decision": self.decision,
             "reasons": list(self.reasons),
             "next_step": self.next_step,
+            "unchecked": round(self.unchecked, 4),
             "numbers": plain(self.numbers),
         }
 

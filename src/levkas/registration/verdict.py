@@ -1,6 +1,9 @@
 """Verdict: rules on evidence decide whether a registration is accepted, with reasons in a user's words.
 
-No rule looks at the residuals of the matches that were kept: the removal of outliers makes those
+A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it. Where nothing contradicts a
+map and nothing confirms it either, it is accepted, and what was not checked is named and counted: a
+warning that is not heeded because most right maps have one is none. `benchmarks/verdict_classes.py` measures
+what the classes are worth. No rule looks at the residuals of the matches that were kept: the removal of outliers makes those
 small whether the map is right or not.
 """
 
@@ -8,11 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from levkas.registration.record import Decision, Verdict
+
+Finding = Literal["refuse", "warn", "unchecked"]
+"""What one rule says: refused, contradicted somewhere, or not checked somewhere."""
 
 
 class Limits(NamedTuple):
@@ -21,7 +27,7 @@ class Limits(NamedTuple):
     warn: float
     refuse: float
 
-    def exceeded_by(self, *values: float) -> Decision | None:
+    def exceeded_by(self, *values: float) -> Finding | None:
         """Return the decision on the largest of `values`."""
         largest = max(values)
         return "refuse" if largest > self.refuse else "warn" if largest > self.warn else None
@@ -62,7 +68,8 @@ class VerdictSettings:
         Held-out error: px of the compared grid that are a warning; reference px, and px of the grid,
         that are refused. Where the target is coarse, single windows scatter more than the map is off.
     least_cover, least_checked : float
-        Share of the reference that has to be compared; of what both show that has to be checked.
+        Share of the reference below which it is said how little could be compared; share of what both show
+        below which a map only reaches over too much, and is doubtful.
     most_sigmas : float
         By so many of its sigmas others may move a band: three of a normal error are one in three hundred.
     strange : Limits
@@ -116,12 +123,13 @@ class Objection:
 
     Parameters
     ----------
-    decision, reason, next_step : str
+    decision : {"refuse", "warn", "unchecked"}
+    reason, next_step : str
     on_matches : str
         The next step for a map on matches, where its method has options that a dense map has not.
     """
 
-    decision: Decision
+    decision: Finding
     reason: str
     next_step: str
     on_matches: str = ""
@@ -139,7 +147,7 @@ def judge_matches(numbers: dict[str, Any]) -> Verdict:
         (one.reason, one.on_matches or one.next_step, one.decision)
         for one in objections_to(numbers, MATCHES)
     ]
-    return _decide(objections, (praise,), numbers)
+    return _decide(objections, (praise,), numbers, _unchecked(numbers))
 
 
 def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
@@ -160,21 +168,35 @@ def judge_windows(numbers: Mapping[str, Numbers]) -> Verdict:
             for one in objections_to(known, WINDOWS)
         ]
     praise = (_where(name) + _praise(n) for name, n in judged.items())
-    return _decide(objections, tuple(praise), dict(numbers))
+    unchecked = max((_unchecked({**n, **n["borne_out"]}) for n in judged.values()), default=0.0)
+    return _decide(objections, tuple(praise), dict(numbers), unchecked)
 
 
 def _decide(
-    objections: Sequence[tuple[str, str, Decision]],
+    objections: Sequence[tuple[str, str, Finding]],
     praise: tuple[str, ...],
     numbers: dict[str, Any],
+    unchecked: float,
 ) -> Verdict:
-    """Refuse where one rule refuses; the next step is that of the first rule of the decision."""
+    """Refuse where one rule refuses; the next step is that of the first rule of the decision.
+
+    What was not checked is said of maps that are accepted or doubtful, behind the reasons for that.
+    """
+    open_ones = [(reason, step) for reason, step, one in objections if one == "unchecked"]
     decisions: tuple[Decision, ...] = ("refuse", "warn")
     for decision in decisions:
         found = [(reason, step) for reason, step, one in objections if one == decision]
         if found:
-            return Verdict(decision, tuple(reason for reason, _ in found), found[0][1], numbers)
-    return Verdict("accept", praise, "", numbers)
+            told = found if decision == "refuse" else [*found, *open_ones]
+            reasons = tuple(reason for reason, _ in told)
+            return Verdict(decision, reasons, found[0][1], numbers, unchecked)
+    reasons = (*praise, *(reason for reason, _ in open_ones))
+    return Verdict("accept", reasons, open_ones[0][1] if open_ones else "", numbers, unchecked)
+
+
+def _unchecked(n: Numbers) -> float:
+    """Return the share of the object that the other picture does not show, or where nothing confirms the map."""
+    return 1 - n["overlap"] * min(n.get("checked", 1.0), max(n.get("coverage", 1.0), 0.0))
 
 
 def _where(name: str) -> str:
@@ -387,7 +409,7 @@ def shows_the_reference(n: Numbers) -> Objection | None:
         return None
     refused = n["overlap"] < SETTINGS.overlap.refuse
     return Objection(
-        "refuse" if refused else "warn",
+        "refuse" if refused else "unchecked",
         f"This camera shows {percent(n['overlap'])} of the reference; nothing is known "
         "of the rest.",
         f"{OTHER}." if refused else "Use nothing outside the overlap.",
@@ -409,14 +431,7 @@ def matches_cover(n: Numbers) -> Objection | None:
             "or by comparison.",
             BY_HAND,
         )
-    if n["off"] or n["coverage"] < SETTINGS.coverage.warn:
-        return Objection(
-            "warn",
-            f"The map is off or not confirmed in {percent(1 - n['coverage'])} of what both "
-            f"pictures show {_places(n['unsupported'] + n['off'])}.",
-            REGION,
-        )
-    return None
+    return _off_or_unconfirmed(n)
 
 
 def windows_cover(n: Numbers) -> Objection | None:
@@ -430,10 +445,23 @@ def windows_cover(n: Numbers) -> Objection | None:
             + (f", and shows it off in {percent(n['off_share'])}." if n["off_share"] else "."),
             BY_HAND,
         )
+    return _off_or_unconfirmed(n)
+
+
+def _off_or_unconfirmed(n: Numbers) -> Objection | None:
+    """Doubt a map that is off in cells, or not confirmed in more than a quarter of them; else say what was not checked."""
+    if n["off"]:
+        return Objection(
+            "warn",
+            f"The map is off in {percent(n['off_share'])} of what both pictures show {_places(n['off'])}.",
+            REGION,
+        )
+    if n["coverage"] >= SETTINGS.coverage.warn:
+        return None
     return Objection(
-        "warn",
-        f"The map is off or not confirmed in {percent(1 - n['coverage'])} of what both pictures show "
-        f"{_places(n['unsupported'] + n['off'])}.",
+        "warn" if n["coverage"] < SETTINGS.least_checked else "unchecked",
+        f"Nothing confirms the map in {percent(1 - n['coverage'])} of what both pictures show "
+        f"{_places(n['unsupported'])}.",
         REGION,
     )
 
@@ -454,7 +482,10 @@ def is_checked(n: Numbers) -> Objection | None:
 
 
 def shows_the_same_painting(n: Numbers) -> Objection | None:
-    """Refuse or warn where outlines agree and the detail between them does not."""
+    """Refuse or warn where outlines agree and the detail between them does not.
+
+    Where nobody says what light a picture was taken in, as with an X-ray, such detail contradicts nothing.
+    """
     strange = n.get("strange")
     if strange is None or strange < SETTINGS.strange.warn:
         return None
@@ -467,9 +498,13 @@ def shows_the_same_painting(n: Numbers) -> Objection | None:
             f"{seen}, which sees the same light: it is another painting by the same pattern.",
             BY_HAND,
         )
+    unknown = n.get("light") == "unknown"
     return Objection(
-        "warn",
-        f"{seen}: it may be another painting by the same pattern, or one seen in quite another light.",
+        "unchecked" if unknown else "warn",
+        f"{seen}: another light shows other detail, and so does another painting by the same pattern; nothing "
+        "here can tell them apart."
+        if unknown
+        else f"{seen}: it may be another painting by the same pattern, or one seen in quite another light.",
         LOOK,
     )
 
@@ -488,11 +523,11 @@ def stays_within_its_sigma(n: Numbers) -> Objection | None:
 
 
 def is_compared(n: Numbers) -> Objection | None:
-    """Warn where less than half of the reference could be compared."""
+    """Say where less than half of the reference could be compared."""
     if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
         return None
     return Objection(
-        "warn", f"Only {percent(n['cover'])} of the reference could be compared.", LOOK
+        "unchecked", f"Only {percent(n['cover'])} of the reference could be compared.", LOOK
     )
 
 

@@ -65,6 +65,7 @@ def describe(session: CorrectionSession, known: str = "") -> dict[str, Any]:
         ),
         "reason": number_words(matches.reason),
         "round": _array(matches.round, "i4"),
+        "number": _array(session.number(), "i4"),
         "summary": _summary(matches, matches.kept),
         "refusal": view.refusal,
         "trace": None if view.cleaned is None else _trace(view.cleaned),

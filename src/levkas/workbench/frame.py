@@ -117,6 +117,17 @@ class RegistrationView:
         slope = from_dict(grid["transform"]).jacobian(np.zeros((1, 2)))[0]
         return float(grid["px_per_mm"]) / float(np.sqrt(abs(np.linalg.det(slope))))
 
+    @property
+    def upright(self) -> int:
+        """Degrees clockwise, a multiple of 90, by which the reference is turned to stand as on the grid."""
+        grid = self.record.get("grid", {}).get("transform")
+        if not grid:
+            return 0
+        slope = from_dict(grid).jacobian(np.zeros((1, 2)))[0]
+        if np.linalg.det(slope) < 0:  # mirrored before it is turned
+            slope = slope * np.array([[-1.0], [1.0]])
+        return round(float(np.degrees(np.arctan2(slope[0, 1], slope[0, 0]))) / 90) * 90 % 360
+
     def renew(self, fresh: RegistrationView) -> None:
         """Take over what a new build recorded; corrections and undo stay."""
         with self.lock:
@@ -372,7 +383,7 @@ class RegistrationView:
         return ControlPoints(
             matches.reference,
             matches.target,
-            names=tuple(f"{i + 1}" for i in range(len(matches))),
+            names=tuple(map(str, self.session.number().tolist())),
             enabled=matches.state != "removed",
             check=matches.state == "check",
             reference_frame=f"{self.reference.layer}:{self.reference_band}",

@@ -20,8 +20,11 @@ from levkas.campaign.methods import method_of
 from levkas.core.problems import Problem, Refused
 from levkas.core.text import read_json
 from levkas.database.layout import Places
+from levkas.database.registrations import unchecked_share
+from levkas.pages.page import describe_decision
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
+from levkas.workbench.history import HistoryFile
 from levkas.workbench.pictures import ShownPicture, read_picture
 from levkas.workbench.session import CorrectionSession, RecordedPairs
 
@@ -88,12 +91,37 @@ class Library:
         """edits.toml."""
         return self.campaign.root / FILE_NAME
 
+    @property
+    def history(self) -> HistoryFile:
+        """What keeps undo over the end of the server."""
+        return HistoryFile(self.campaign.root)
+
+    def turn_of(self, frame: RegistrationView) -> int:
+        """Return by how many degrees clockwise the pictures of a camera are turned: as a person did, else upright."""
+        turn = self.history.turn(frame.capture.object)
+        return frame.upright if turn is None else turn
+
+    def registered_with(self, frame: RegistrationView) -> str | None:
+        """Return the corrections with which a camera was registered last, in words; None where nothing says."""
+        from levkas.building.build_records import BuildRecords, key_of
+
+        view, capture = frame.view, frame.capture
+        records = BuildRecords(self.places.kept, self.places.output)
+        stages = [records.fingerprint(key_of(capture, stage)) for stage in ("measure", "register")]
+        edits = read_edits(self.edits_path).of_layer(capture.object, capture.layer)
+        band = self._band_of(view, edits)
+        name = f"edits.toml: correction of {capture.layer}{f':{band}' if band else ''}"
+        return str((stages[0] | stages[1]).get(name, "")) if any(stages) else None
+
     def list(self) -> list[dict[str, Any]]:
         """Return every camera with the verdict of its last build, JSON-ready."""
         listed = []
         for key, view in self.views.items():
             capture = view.capture
-            verdict = self._record(capture).get("verdict", {})
+            record = self._record(capture)
+            decision = record.get("verdict", {}).get("decision", "not built")
+            reasons = record.get("verdict", {}).get("reasons", [])
+            is_reference = self._is_reference(view)
             facts = self.campaign.objects.get(capture.object)
             listed.append(
                 {
@@ -104,9 +132,12 @@ class Library:
                     "setup": capture.setup,
                     "sensor": view.sensor.name if len(capture.sensors) > 1 else "",
                     "bands": _name_bands(view.labels),
-                    "reference": self._is_reference(view),
-                    "decision": verdict.get("decision", "not built"),
-                    "reason": next(iter(verdict.get("reasons", [])), ""),
+                    "reference": is_reference,
+                    "decision": decision,
+                    "verdict": describe_decision(
+                        "reference" if is_reference else decision, unchecked_share(record)
+                    ),
+                    "reason": next(iter(reasons), ""),
                     "corrections": self._edits(view).describe(),
                 }
             )
@@ -193,7 +224,14 @@ class Library:
             reject=keys.get("reject"),
             stop=keys.get("stop", 1.0),
         )
-        session = CorrectionSession(found, self._edits(view), partial(self._save, view))
+        place = capture.object, f"{capture.layer}{'' if view.is_first else f':{view.sensor.name}'}"
+        session = CorrectionSession(
+            found,
+            self._edits(view),
+            partial(self._save, view),
+            self.history.read(*place),
+            partial(self.history.write, *place),
+        )
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return RegistrationView(
             view, main, record, self._record(reference), session, band, str(ours["band"]),

@@ -1,8 +1,8 @@
 """Corrections of one registration: operations on pairs, refit, undo.
 
-An operation is a function from corrections to corrections. A session holds what the method found and the
-corrections so far; every state is one value, so that undo has no end and nothing is ever taken back by
-hand. Outliers are removed from the corrected pairs by the paper's way, whatever method found them."""
+An operation is a function from corrections to corrections. A session holds what the method found, the
+corrections so far and the steps that led there, so that undo has no end. Outliers are removed from the
+corrected pairs by the paper's way, whatever method found them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, merge, round_pair
+from levkas.campaign.edits import EditsConflict, FrameEdits, Pair, round_pair
 from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Affine, Inverse, Transform
-from levkas.registration.manual_points import ManualPoints, MarkedMatches, measure_checks
+from levkas.registration.manual_points import (
+    ManualPoints,
+    MarkedMatches,
+    measure_checks,
+    nearest_rows,
+)
 from levkas.registration.mirhashemi2019 import SETTINGS, scale_only
 from levkas.registration.outliers import Cleaned, RemovalTerms, clean, cut
 from levkas.registration.record import HandMark, Matches, MatchState, RegistrationRefused
+from levkas.workbench.history import CorrectionStep, History, number_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -235,14 +241,18 @@ class CorrectionSession:
     save : callable, optional
         Writes a change, (before, after), on top of what others wrote meanwhile; returns what stands
         there then. Where it raises, nothing was changed.
+    history : History, optional
+        Steps that can be undone and redone.
+    remember : callable, optional
+        Keeps the history after each change.
     """
 
     found: RecordedPairs
     edits: FrameEdits = field(default_factory=FrameEdits)
     save: Callable[[FrameEdits, FrameEdits], FrameEdits] | None = None
+    history: History = field(default_factory=History)
+    remember: Callable[[History], object] | None = None
     version: int = 0
-    _undone: list[FrameEdits] = field(default_factory=list)
-    _done: list[FrameEdits] = field(default_factory=list)
     _view: CorrectionResult | None = None
     _drawn: tuple[int, np.ndarray] | None = None
 
@@ -268,7 +278,20 @@ class CorrectionSession:
     @property
     def can(self) -> dict[str, int]:
         """How many changes can be undone and redone."""
-        return {"undo": len(self._done), "redo": len(self._undone)}
+        return {"undo": len(self.history.done), "redo": len(self.history.undone)}
+
+    def number(self) -> np.ndarray:
+        """Return the number of each pair of the view, (n,) int; it stays while others come and go."""
+        matches, found = self.view.matches, self.found.matches
+        rows = np.hstack([matches.reference, matches.target])[len(found) :]
+        origins: dict[Pair, int] = {}
+        if self.edits.moved:
+            moves = np.array(self.edits.moved, float)
+            at = nearest_rows(moves[:, :4], np.hstack([found.reference, found.target]))
+            moved = zip(self.edits.moved, at.tolist(), strict=True)
+            origins = {move[4:]: row for move, row in moved if row >= 0}
+        own = [round_pair(row) for row in rows.tolist()]
+        return np.array(number_pairs(len(found), own, self.history.numbers, origins), int)
 
     def apply(self, name: str, pair: Sequence[float], to: Sequence[float] | None = None) -> None:
         """Do one of `OPERATIONS` to a pair.
@@ -278,7 +301,11 @@ class CorrectionSession:
         OperationRefused
             Where there is no such operation, or the places cannot be.
         """
-        self._change(self.changed(name, pair, to))
+        changed = self.changed(name, pair, to)
+        numbers = self.history.numbers
+        if name == "move" and to is not None and round_pair(pair) in numbers:
+            numbers.setdefault(round_pair(to), numbers[round_pair(pair)])
+        self._change(changed)
 
     def changed(
         self, name: str, pair: Sequence[float], to: Sequence[float] | None = None
@@ -307,16 +334,20 @@ class CorrectionSession:
         reject = edits.reject or self.found.reject or reject_of(self.found.size)
         if reject <= (edits.stop or self.found.stop):
             raise refused("`reject` must be above `stop`", reject, "more than `stop`")
-        before = self._done[-1] if self._done else None
-        if before is not None and edits not in (before, self.edits):
+        last = self.history.done[-1] if self.history.done else CorrectionStep()
+        if edits != self.edits and not last.gone and set(last.values) == {name}:
             # A slider that is drawn along is one change, not one for each place it passed.
-            without = [set_threshold(e, name, None) for e in (before, self.edits)]
-            if without[0] == without[1]:
-                written = self._set(edits)
-                self._undone.clear()
-                self.take(written)
-                return
+            written = self._set(edits)
+            self.history.done.pop()
+            self._keep(
+                CorrectionStep(values={name: (last.values[name][0], getattr(edits, name))}), written
+            )
+            return
         self._change(edits)
+
+    def take_all_back(self) -> None:
+        """Take back all corrections but the note, as one change that can be undone."""
+        self._change(FrameEdits(note=self.edits.note))
 
     def note(self, text: str) -> None:
         """Keep a person's own words."""
@@ -324,11 +355,11 @@ class CorrectionSession:
 
     def undo(self) -> None:
         """Take the last change back; nothing where there is none."""
-        self._step(self._done, self._undone)
+        self._step(self.history.done, self.history.undone, CorrectionStep.back)
 
     def redo(self) -> None:
         """Do again what was undone last."""
-        self._step(self._undone, self._done)
+        self._step(self.history.undone, self.history.done, CorrectionStep.onward)
 
     def refresh(self, found: RecordedPairs) -> None:
         """Go on from what a new build found; corrections and undo stay."""
@@ -339,29 +370,44 @@ class CorrectionSession:
         """Go on from what others made of the corrections; undo takes back what was done here alone."""
         if present == self.edits:
             return
-        for states in (self._done, self._undone):
-            states[:] = [merge(self.edits, state, present) for state in states]
-            while states and states[-1] == present:
-                states.pop()
+        for steps, walk in (
+            (self.history.done, CorrectionStep.back),
+            (self.history.undone, CorrectionStep.onward),
+        ):
+            while steps and walk(steps[-1], present) == present:
+                steps.pop()
         self.edits, self._view = present, None
         self.version += 1
 
-    def _step(self, source: list[FrameEdits], into: list[FrameEdits]) -> None:
+    def _step(
+        self,
+        source: list[CorrectionStep],
+        into: list[CorrectionStep],
+        walk: Callable[[CorrectionStep, FrameEdits], FrameEdits],
+    ) -> None:
         if source:
-            before = self.edits
-            written = self._set(source[-1])
-            source.pop()
-            into.append(before)
+            written = self._set(walk(source[-1], self.edits))
+            into.append(source.pop())
             self.take(written)
+            self._remember()
 
     def _change(self, edits: FrameEdits) -> None:
-        if edits == self.edits:
-            return
-        before = self.edits
-        written = self._set(edits)
-        self._done.append(before)
-        self._undone.clear()
+        if edits != self.edits:
+            step = CorrectionStep.between(self.edits, edits)
+            self._keep(step, self._set(edits))
+
+    def _keep(self, step: CorrectionStep, written: FrameEdits) -> None:
+        """Note a step that was saved; a slider that came back to where it was is none."""
+        if step.back(self.edits) != self.edits:
+            self.history.done.append(step)
+        self.history.undone.clear()
         self.take(written)
+        self._remember()
+
+    def _remember(self) -> None:
+        if self.remember is not None:
+            self.number()
+            self.remember(self.history)
 
     def _set(self, edits: FrameEdits) -> FrameEdits:
         """Save and take over; return what is saved, others' changes included."""

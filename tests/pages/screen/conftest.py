@@ -8,6 +8,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from levkas.workbench.history import HISTORY_NAME
+
 from .database import write_database
 from .serving import Served, opened
 
@@ -148,6 +150,7 @@ def served(correctable, inspected, tmp_path_factory):
 def bench(served, browser):
     """The workbench without any correction, opened: (page, server)."""
     served.edits_path.unlink(missing_ok=True)
+    (served.folder / HISTORY_NAME).unlink(missing_ok=True)
     served.library._frames.clear()
     return opened(browser, served), served
 

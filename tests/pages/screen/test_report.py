@@ -185,6 +185,31 @@ def test_the_curtain_can_be_moved_where_the_picture_is_enlarged_and_the_picture_
     assert "four times amplified" in page.locator("#now").inner_text()
 
 
+def test_the_keys_of_the_report_are_those_of_the_viewer(browser, tmp_path):
+    page = browser.open(written(tmp_path, [REFERENCE, COLOUR]).as_uri())
+    page.locator("#under").evaluate("image => image.decode()")
+    now = page.locator("#now")
+    page.keyboard.press("d")
+    assert "Difference of vis and rgb" in now.inner_text()
+    page.keyboard.press("d")
+    assert "Left of the line vis, right of it rgb" in now.inner_text()
+    page.keyboard.press("x")
+    assert "Left of the line rgb, right of it vis" in now.inner_text()
+    page.keyboard.press("+")
+    page.keyboard.press("+")
+    assert page.locator("#times").inner_text() in ("× 2.3", "× 2.2")
+    page.keyboard.press("f")
+    assert page.locator("#times").inner_text() == "× 1"
+    page.keyboard.down(" ")
+    page.wait_for_function("() => document.querySelector('#now').textContent.startsWith('Now')")
+    page.keyboard.up(" ")
+    assert "Left of the line" in now.inner_text()
+    assert page.locator("#keys kbd").nth(1).is_hidden()
+    page.keyboard.press("?")
+    assert page.locator("#keys kbd").nth(1).is_visible()
+    assert "swap A and B" in page.locator("#keys").inner_text()
+
+
 def test_details_open_where_something_is_to_be_checked_and_where_a_link_leads(browser, tmp_path):
     page = browser.open(written(tmp_path, [REFERENCE, COLOUR, XRAY, LOST]).as_uri())
     opened = "names => names.map(n => document.getElementById('layer-' + n).open)"

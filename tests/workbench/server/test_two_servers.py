@@ -11,6 +11,7 @@ from starlette.testclient import TestClient
 from levkas.campaign.edits import FrameEdits, change_edits, read_edits
 from levkas.core.locks import Taken, locked
 from levkas.workbench.answer import from_bytes
+from levkas.workbench.history import HISTORY_NAME
 from levkas.workbench.library import Library, id_of
 from levkas.workbench.server.app import make_app
 from levkas.workbench.server.guard import cookie_of
@@ -86,7 +87,7 @@ def test_nothing_that_was_acknowledged_is_lost_between_two_servers_and_an_editor
     assert set(edits_of(folder).added) == added
     text = (folder / "edits.toml").read_text()
     assert text.startswith("# seen on Monday\n") and "# the nail" in text
-    assert sorted(path.name for path in folder.glob(".edits*")) == []
+    assert [path.name for path in folder.glob(".edits*")] == [HISTORY_NAME]
     for server in servers:
         assert server.pairs()["corrections"].startswith("121 added")
 

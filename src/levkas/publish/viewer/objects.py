@@ -18,10 +18,10 @@ from levkas.core.text import parse_bounded, read_text
 from levkas.database.catalogue import ESTIMATED
 from levkas.database.layout import LayerId, layer_name
 from levkas.database.pixel_frames import Frame
-from levkas.database.registrations import describe_pairs, read_registration
+from levkas.database.registrations import describe_pairs, read_registration, unchecked_share
 from levkas.database.spectral_tiff import METADATA, WAVELENGTHS, decode_text
 from levkas.database.tiff_pages import open_pages
-from levkas.pages.page import DECISIONS
+from levkas.pages.page import DECISIONS, describe_decision
 from levkas.publish.viewer.pages import address, worst
 from levkas.publish.viewer.pictures import Source, analyses_of, pictures_of
 from levkas.publish.viewer.pyramid import encode_thumbnail, fit_within, write_pyramid
@@ -123,7 +123,8 @@ def write_object(write: Write, item: Item) -> Iterator[dict[str, Any]]:
         reasons = verdict.get("reasons", []) if decision != "refuse" else [LEFT_OUT]
         layer = {
             **{"id": str(number), "name": name, "camera": camera, "setup": setup},
-            **{"decision": decision, "verdict": _say(item, camera, setup, decision)},
+            **{"decision": decision, "verdict": _say(item, camera, setup, record)},
+            "unchecked": unchecked_share(record),
             "reasons": [str(reason) for reason in reasons],
             "by_hand": describe_pairs(record).capitalize(),
             **{"quantity": "", "rendering": "", "bands": [], "pictures": []},
@@ -365,10 +366,11 @@ def _known(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _say(item: Item, camera: str, setup: str, decision: str) -> str:
+def _say(item: Item, camera: str, setup: str, record: dict[str, Any]) -> str:
+    decision = str((record.get("verdict") or {}).get("decision", "accept"))
     if camera == item.reference and not setup and decision == "accept":
         return "reference"
-    return DECISIONS.get(decision, decision)
+    return describe_decision(decision, unchecked_share(record))
 
 
 def _say_facts(item: Item, width: int, height: int, sampling: float | None) -> list[list[str]]:

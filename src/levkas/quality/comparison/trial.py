@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -166,7 +167,11 @@ def _register(name: str, given: tuple[Any, ...]) -> tuple[dict[str, Map], str, s
         found = register(ours, theirs, **options)
     except RegistrationRefused as refused:
         raise NoAnswer("; ".join(p.message for p in refused.problems)) from refused
-    return dict(found.transforms), found.verdict.decision, "; ".join(found.verdict.reasons)[:300]
+    return (
+        dict(found.transforms),
+        found.verdict.decision,
+        shorten("; ".join(found.verdict.reasons), 300, placeholder=" …"),
+    )
 
 
 def _errors(trial: Trial, record: dict[str, Any], maps: dict[str, Map]) -> list[dict[str, Any]]:

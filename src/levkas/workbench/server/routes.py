@@ -20,9 +20,12 @@ from starlette.routing import Route
 from levkas.campaign.edits import EditsConflict
 from levkas.core.locks import Taken
 from levkas.core.problems import Problem, Refused
+from levkas.database.registrations import unchecked_share
+from levkas.pages.page import describe_decision
 from levkas.pages.screen import read_built
 from levkas.workbench.answer import describe, to_bytes
 from levkas.workbench.frame import SIDES, RegistrationView, SensorView
+from levkas.workbench.history import QUARTERS
 from levkas.workbench.library import FrameMissing, Library
 from levkas.workbench.pictures import KINDS, MapMissing, find_kinds
 from levkas.workbench.session import OperationRefused, refused
@@ -233,7 +236,19 @@ class Handlers:
         return JSONResponse({"ok": True, "campaign": title, "cameras": self.library.list()})
 
     def camera(self, request: Request, body: dict[str, Any]) -> Response:
-        return JSONResponse({"ok": True, **describe_frame(self._frame(request))})
+        frame = self._frame(request)
+        more = {
+            "turn": self.library.turn_of(frame),
+            "registered": self.library.registered_with(frame),
+        }
+        return JSONResponse({"ok": True, **describe_frame(frame), **more})
+
+    def turn(self, request: Request, body: dict[str, Any]) -> Response:
+        frame, degrees = self._frame(request), body.get("degrees")
+        if degrees not in QUARTERS or isinstance(degrees, bool):
+            raise refused("pictures are turned by quarters", str(degrees)[:40], "0, 90, 180 or 270")
+        self.library.history.set_turn(frame.capture.object, int(degrees))
+        return JSONResponse({"ok": True, "turn": degrees})
 
     def pairs(self, request: Request, body: dict[str, Any]) -> Response:
         frame = self._frame(request)
@@ -314,6 +329,7 @@ def routes(
         (one, handlers.camera, "GET"),
         (f"{one}/pairs", handlers.pairs, "GET"),
         (f"{one}/edit", handlers.edit, "POST"),
+        (f"{one}/turn", handlers.turn, "POST"),
         (f"{one}/attempt", handlers.attempt, "POST"),
         (f"{one}/partner", handlers.partner, "GET"),
         (one + "/tiles/{which}/{level}/{column}/{row}", handlers.tile, "GET"),
@@ -338,7 +354,7 @@ def change(frame: RegistrationView, body: dict[str, Any]) -> None:
     OperationRefused
     """
     session, name = frame.session, str(body.get("operation", ""))
-    if name in ("undo", "redo"):
+    if name in ("undo", "redo", "take_all_back"):
         getattr(session, name)()
     elif name == "slide":
         value = body.get("value")
@@ -359,6 +375,7 @@ def describe_frame(frame: RegistrationView) -> dict[str, Any]:
     model = frame.record.get("model", {})
     found = frame.session.found
     judged = {k: verdict.get(k) for k in ("decision", "reasons", "next_step")}
+    judged["words"] = describe_decision(str(judged["decision"]), unchecked_share(frame.record))
     judged["reasons"] = reasons_of(frame, judged["reasons"] or [])
     sensors = [s for s in model.get("sensors", []) if isinstance(s, dict)]
     sensors = [s for s in sensors if s.get("sensor") == frame.view.sensor.name] or sensors

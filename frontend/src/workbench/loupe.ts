@@ -1,0 +1,144 @@
+// A loupe in a corner of a picture: the surroundings of a place, magnified and turned as the picture is.
+import type { Option } from "../shared/controls";
+import { make } from "../shared/element";
+import type { Layer, Point } from "../shared/pane";
+import { invert, type PlaneMap } from "./maps";
+import type { Half, Pair } from "./record";
+
+/** When the loupe is there: while a pair is chosen, proposed or dragged; wherever the pointer is; never. */
+export type LoupeUse = "placing" | "always" | "never";
+
+export const LOUPES: Option<LoupeUse>[] = [
+  { value: "placing", label: "Loupe: placing" },
+  { value: "always", label: "Loupe: always" },
+  { value: "never", label: "Loupe: never" },
+];
+
+export interface Enlarged {
+  layer: Layer;
+  at: Point;
+  /** Screen pixels a pixel. */
+  scale: number;
+  degrees: number;
+}
+
+const SIDE = 156; // px of the screen
+const CROSS = 14; // of the lines that lead to the middle, and of the gap there
+const MOST_TILES = 96;
+const TILE = 256;
+
+/** Tiles that were loaded, the latest last. */
+const tiles = new Map<string, HTMLImageElement>();
+
+export class Loupe {
+  readonly root = make("canvas", { class: "loupe", "aria-hidden": "true", hidden: true });
+  private shown: Enlarged | null = null;
+
+  /** Show a place, or nothing; tiles that are missing are drawn once they have come. */
+  show(what: Enlarged | null): void {
+    this.shown = what;
+    this.root.hidden = !what;
+    if (what) this.draw(what);
+  }
+
+  private draw({ layer, at: [x, y], scale, degrees }: Enlarged): void {
+    const ratio = devicePixelRatio || 1;
+    const side = Math.round(SIDE * ratio);
+    if (this.root.width !== side) [this.root.width, this.root.height] = [side, side];
+    const context = this.root.getContext("2d")!;
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, SIDE, SIDE);
+    context.translate(SIDE / 2, SIDE / 2);
+    context.rotate((degrees * Math.PI) / 180);
+    context.scale(scale, scale);
+    context.translate(-x - 0.5, -y - 0.5);
+    context.imageSmoothingEnabled = false;
+    for (const [column, row] of tilesAround([x, y], SIDE / scale, layer.size)) {
+      const tile = this.tile(layer.source.getTileUrl(layer.source.maxLevel ?? 0, column, row));
+      if (tile) context.drawImage(tile, TILE * column, TILE * row);
+    }
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    cross(context);
+  }
+
+  private tile(address: string): HTMLImageElement | null {
+    const known = tiles.get(address);
+    if (known) return known.complete && known.naturalWidth ? known : null;
+    const image = new Image();
+    image.src = address;
+    tiles.set(address, image);
+    for (const oldest of [...tiles.keys()].slice(0, Math.max(0, tiles.size - MOST_TILES)))
+      tiles.delete(oldest);
+    image.decode().then(
+      () => this.shown && this.draw(this.shown),
+      () => tiles.delete(address),
+    );
+    return null;
+  }
+}
+
+/**
+ * The places in either picture that the loupes show; null for none.
+ *
+ * Those of the pair that is placed; while a pair is proposed that was begun in one picture, what is under
+ * the pointer in the other; where the loupes follow the pointer, what is under it, and its partner by the map.
+ */
+export function placesOf({
+  pair,
+  pointer,
+  follows,
+  begun,
+  map,
+}: {
+  pair: Pair | null;
+  pointer: { half: Half; at: Point } | null;
+  follows: boolean;
+  begun: Half | null;
+  map: PlaneMap | null;
+}): [Point | null, Point | null] {
+  const here: Point | null = pair && [pair[0], pair[1]];
+  const there: Point | null = pair && [pair[2], pair[3]];
+  if (!pointer) return [here, there];
+  const { half, at } = pointer;
+  if (follows && half === 0) return [at, map ? finite(invert(map, at, there ?? at)) : there];
+  if (follows) return [map ? finite(map(...at)) : here, at];
+  if (begun === null || begun === half) return [here, there];
+  return half === 0 ? [at, there] : [here, at];
+}
+
+function finite(place: Point): Point | null {
+  return place.every(Number.isFinite) ? place : null;
+}
+
+/** Columns and rows of the tiles within a circle of `breadth` px about a place. */
+export function tilesAround([x, y]: Point, breadth: number, [width, height]: Point): Point[] {
+  const reach = (breadth / 2) * Math.SQRT2;
+  const range = (at: number, size: number): number[] => {
+    const first = Math.max(0, Math.floor((at + 0.5 - reach) / TILE));
+    const last = Math.min(Math.ceil(size / TILE) - 1, Math.floor((at + 0.5 + reach) / TILE));
+    return Array.from({ length: Math.max(0, last - first + 1) }, (_, i) => first + i);
+  };
+  return range(y, height).flatMap((row) => range(x, width).map((column): Point => [column, row]));
+}
+
+/** Lines towards the middle, which stays free: light on a dark ground, to be seen on any picture. */
+function cross(context: CanvasRenderingContext2D): void {
+  const [middle, gap] = [SIDE / 2, CROSS / 2];
+  const path = new Path2D();
+  for (const [dx, dy] of [
+    [1, 0],
+    [-1, 0],
+    [0, 1],
+    [0, -1],
+  ] as const) {
+    path.moveTo(middle + gap * dx, middle + gap * dy);
+    path.lineTo(middle + (gap + CROSS) * dx, middle + (gap + CROSS) * dy);
+  }
+  for (const [strokeStyle, lineWidth] of [
+    ["#000a", 3.5],
+    ["#fff", 1.2],
+  ] as const) {
+    Object.assign(context, { strokeStyle, lineWidth });
+    context.stroke(path);
+  }
+}

@@ -1,0 +1,236 @@
+"""What helps to place pairs: loupe, marks, arrows, numbers that are typed, pictures that stand upright."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from levkas.workbench.history import HISTORY_NAME
+from levkas.workbench.library import id_of
+
+from .serving import READY, opened, told
+
+
+def pixels(page, locator):
+    return np.asarray(
+        Image.open(io.BytesIO(page.locator(locator).first.screenshot())).convert("L"), int
+    )
+
+
+def rotation(page, pane="left"):
+    script = f"levkasWorkbench.stage.{pane}.viewer.viewport.getRotation(true)"
+    return page.evaluate(script) % 360
+
+
+def choose_worst(page):
+    page.keyboard.press("w")
+    page.wait_for_function("() => levkasWorkbench.store.selected.value >= 0")
+
+
+def test_a_loupe_shows_both_ends_of_the_pair_that_is_placed(bench, correctable):
+    page, _ = bench
+    assert page.locator(".loupe:visible").count() == 0
+    spot = [216.4, 160.3]
+    x, y = page.evaluate(f"levkasWorkbench.stage.left.pageOf({spot[0]}, {spot[1]})")
+    page.mouse.click(x, y)
+    page.wait_for_selector("#pair-accept")
+    page.wait_for_function("() => document.querySelectorAll('.loupe:not([hidden])').length === 2")
+    page.wait_for_timeout(600)
+    shown = page.evaluate(
+        """() => [...document.querySelectorAll('.loupe')].map((c) =>
+        [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data].filter((_, i) => i % 4 === 0))"""
+    )
+    ours, theirs = (np.array(values, float) for values in shown)
+    # A radiograph is the negative of the photograph: turned and scaled alike, the loupes oppose each other.
+    assert ours.std() > 3 and np.corrcoef(ours, theirs)[0, 1] < -0.8
+    target = correctable.truth([250.0, 190.0])
+    x, y = page.evaluate(f"levkasWorkbench.stage.right.pageOf({target[0]}, {target[1]})")
+    page.mouse.move(x, y)
+    page.wait_for_timeout(500)
+    moved = page.evaluate(
+        """() => { const c = document.querySelectorAll('.loupe')[1];
+        return [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data].filter((_, i) => i % 4 === 0); }"""
+    )
+    assert np.abs(np.array(moved, float) - theirs).mean() > 3, "the other one follows the pointer"
+    page.keyboard.press("l")
+    page.keyboard.press("l")
+    page.wait_for_function("() => document.querySelectorAll('.loupe:not([hidden])').length === 0")
+    assert page.locator("#loupe").input_value() == "never"
+
+
+def test_marks_go_and_come_and_only_those_that_the_table_lists_are_there(bench):
+    page, _ = bench
+    with_marks = pixels(page, ".marks")
+    page.keyboard.press("h")
+    page.wait_for_timeout(200)
+    without = pixels(page, ".marks")
+    assert np.abs(with_marks - without).max() > 60
+    assert page.locator("#marks").get_attribute("aria-pressed") == "false"
+    page.keyboard.press("h")
+    page.wait_for_timeout(200)
+    assert np.abs(pixels(page, ".marks") - with_marks).max() < 20
+    # A pair that was removed is no mark while the table lists those in use: a click there adds.
+    choose_worst(page)
+    pair = told(page, "selectedPair()")
+    page.keyboard.press("Delete")
+    told(page, "session.value.version")
+    page.keyboard.press("Escape")
+    page.evaluate(f"levkasWorkbench.stage.look({pair[0]}, {pair[1]}, 6)")
+    page.wait_for_timeout(300)
+    x, y = page.evaluate(f"levkasWorkbench.stage.left.pageOf({pair[0]}, {pair[1]})")
+    page.mouse.click(x, y)
+    page.wait_for_selector("#pair-accept")
+    page.keyboard.press("Escape")
+    page.locator(".filters button", has_text="Removed").click()
+    page.mouse.click(x, y)
+    page.wait_for_function("() => levkasWorkbench.store.selected.value >= 0")
+
+
+def test_residuals_are_drawn_as_arrows_as_long_as_is_said(bench):
+    page, _ = bench
+    page.keyboard.press("a")
+    assert page.locator("#times").input_value() == "20"
+    page.wait_for_timeout(200)
+    long = pixels(page, ".marks")
+    page.locator("#times").select_option("100")
+    page.wait_for_timeout(200)
+    assert np.abs(pixels(page, ".marks") - long).max() > 60
+    page.evaluate("() => document.activeElement.blur()")
+    page.keyboard.press("a")
+    assert page.locator("#times").input_value() == "1"
+
+
+def test_the_next_pair_is_chosen_after_a_deletion_and_numbers_stay(bench):
+    page, _ = bench
+    choose_worst(page)
+    rows = page.locator(".rows .row .c-row")
+    first, second, third = sorted(
+        ((float(row.evaluate("e => e.parentElement.style.top").rstrip("px")), row.inner_text())
+         for row in rows.all()),
+    )[:3]  # fmt: skip
+    assert page.locator("#pair-head").inner_text() == f"Pair {first[1]}"
+    page.keyboard.press("Delete")
+    page.wait_for_selector(f"#pair-head:has-text('Pair {second[1]}')")
+    page.keyboard.press("Delete")
+    page.wait_for_selector(f"#pair-head:has-text('Pair {third[1]}')")
+    centre = page.evaluate("levkasWorkbench.stage.left.centre")
+    assert np.allclose(centre, told(page, "selectedPair()")[:2], atol=1)
+    page.locator("#take-back").click()
+    page.wait_for_function("() => levkasWorkbench.store.session.value.corrections === ''")
+    page.keyboard.press("Control+z")
+    told(page, "session.value.version")
+    assert "2 deleted" in told(page, "session.value.corrections")
+
+
+def test_undo_is_there_after_the_server_was_started_anew(bench, browser, inspected):
+    page, server = bench
+    choose_worst(page)
+    page.keyboard.press("Delete")
+    told(page, "session.value.version")
+    again = opened(browser, inspected(server.folder))
+    assert again.locator("#undo").is_enabled()
+    again.keyboard.press("Control+z")
+    assert told(again, "session.value.corrections") == ""
+
+
+def test_coordinates_are_typed(bench, browser):
+    page, server = bench
+    choose_worst(page)
+    pair = told(page, "selectedPair()")
+    field = page.get_by_label("Here x")
+    field.fill(f"{pair[2] + 2:.2f}")
+    field.press("Enter")
+    page.wait_for_function(
+        "() => levkasWorkbench.store.session.value.corrections.includes('moved')"
+    )
+    (moved,) = server.edits.moved
+    assert moved[6] == pytest.approx(pair[2] + 2, abs=0.011) and moved[4:6] == moved[:2]
+    assert page.locator("#pair-head").inner_text() == "Pair 1"
+    page.get_by_label("Reference y").fill("-40")
+    page.get_by_label("Reference y").press("Enter")
+    page.wait_for_selector("#refused:has-text('outside the picture')")
+    browser.errors.clear()  # the browser tells of the answer 422 by itself
+
+
+def test_pictures_are_turned_by_quarters_and_stay_so(bench, browser, correctable):
+    page, server = bench
+    page.keyboard.press("t")
+    page.wait_for_function("() => levkasWorkbench.store.frame.value.turn === 90")
+    page.wait_for_function(READY)
+    assert rotation(page) == 90 and min(abs(rotation(page, "right") - 84), 6) < 0.5
+    # What lies right of the middle in the picture lies below it on screen.
+    at = [page.evaluate(f"levkasWorkbench.stage.left.pageOf({x}, 170)") for x in (210, 260)]
+    assert abs(at[0][0] - at[1][0]) < 0.5 and at[1][1] > at[0][1] + 20
+    centre = page.evaluate("levkasWorkbench.stage.left.centre")
+    page.keyboard.press("+")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_timeout(400)
+    moved = page.evaluate("levkasWorkbench.stage.left.centre")
+    assert abs(moved[0] - centre[0]) < 1 and moved[1] < centre[1] - 5, "right on screen is up in it"
+    page.keyboard.press("f")
+    page.keyboard.press("c")
+    page.wait_for_function(READY)
+    page.wait_for_timeout(300)
+    clip = page.evaluate(
+        "(() => { const c = levkasWorkbench.stage.left.layers[1].getClip(); return [c.x, c.y, c.width, c.height]; })()"
+    )
+    assert clip[:3] == [0, 0, 420] and clip[3] == pytest.approx(170, abs=2)
+    again = opened(browser, server)
+    again.wait_for_function("() => levkasWorkbench.store.frame.value.turn === 90")
+    assert rotation(again) == 90
+    assert '"turn": 90' in (server.folder / HISTORY_NAME).read_text().replace('":90', '": 90')
+    again.keyboard.press("Shift+T")
+    again.wait_for_function("() => levkasWorkbench.store.frame.value.turn === 0")
+
+
+def test_a_place_that_cannot_be_compared_is_no_check_point(bench):
+    page, _ = bench
+    page.keyboard.press("c")
+    page.wait_for_function(READY)
+    page.evaluate(
+        """() => { const { store } = levkasWorkbench; const pair = [10, 10, 20, 20];
+        store.choose({ measured: { pair, predicted: pair, shift: [3, 4], length: 5, length_mm: 2.5,
+          score: 0.13, sure: false } }); }"""
+    )
+    words = page.locator("#measured").inner_text()
+    assert "likeness 13 %" in words and "5.00 px" not in words
+    assert page.locator("#pair-accept").is_disabled()
+    page.keyboard.press("Enter")
+    assert told(page, "session.value.summary.checks") == 0
+
+
+def test_differences_are_amplified_and_choosing_a_mode_moves_no_picture(bench):
+    page, _ = bench
+    tops = {}
+    for key in "sckdby":
+        page.keyboard.press(key)
+        page.wait_for_function(READY)
+        tops[key] = page.locator(".views").bounding_box()["y"]
+    assert len(set(tops.values())) == 1
+    page.keyboard.press("d")
+    page.wait_for_function(READY)
+    gain = page.get_by_label("Amplify")
+    gain.fill("1")
+    page.wait_for_timeout(300)
+    plain = pixels(page, ".pane .openseadragon-canvas").mean()
+    gain.fill("8")
+    page.wait_for_timeout(300)
+    assert pixels(page, ".pane .openseadragon-canvas").mean() > 1.2 * plain
+
+
+def test_a_verdict_is_as_of_the_last_registration_only_until_the_next(bench):
+    page, server = bench
+    assert "as of" not in page.locator(".verdict").inner_text()
+    choose_worst(page)
+    page.keyboard.press("Delete")
+    page.wait_for_selector(".verdict:has-text('as of the last registration')")
+    words = told(page, "session.value.corrections")
+    frame = server.library.open(id_of("icon", "xray"))
+    assert server.library.registered_with(frame) is None
+    page.evaluate(
+        f"""() => {{ const {{ frame }} = levkasWorkbench.store;
+        frame.value = {{ ...frame.value, registered: {words!r} }}; }}"""
+    )
+    assert "as of" not in page.locator(".verdict").inner_text()
+    assert "Your corrections: 1 deleted" in page.locator("#corrections").inner_text()
