@@ -14,6 +14,7 @@ import sys
 import tempfile
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -127,7 +128,8 @@ class Planted(Library):
             np.random.default_rng(0).integers(0, 255, SIZE[::-1]).astype(np.uint8)
         )
         record = {"verdict": {"decision": "accept", "reasons": [], "next_step": ""}, "bands": {}}
-        session = CorrectionSession(found, FrameEdits(), self._keep)
+        remember = partial(self.remember, "icon", "nir")
+        session = CorrectionSession(found, FrameEdits(), self._keep, remember=remember)
         self._planted = RegistrationView(
             view, main, record, {}, session, "900 nm", "550 nm",
             lambda capture, band: picture, lambda capture, band: picture.pixels,
@@ -137,10 +139,15 @@ class Planted(Library):
     def list(self) -> list[dict]:
         words = ("setup", "sensor", "bands", "reason", "corrections")
         row = dict.fromkeys(words, "") | {"id": "planted", "reference": False, "object": "icon"}
-        return [{**row, "camera": "nir", "title": "icon", "decision": "accept", "verdict": "accepted"}]
+        return [
+            {**row, "camera": "nir", "title": "icon", "decision": "accept", "verdict": "accepted"}
+        ]
 
     def open(self, key: str) -> RegistrationView:
         return self._planted
+
+    def registered_with(self, frame: RegistrationView) -> None:
+        return None
 
     def _keep(self, before: FrameEdits, after: FrameEdits) -> FrameEdits:
         write_edits(self.path / "edits.toml", Edits({("icon", "nir"): after}))

@@ -8,6 +8,7 @@ const picture = (key: string, kind: Picture["kind"]): Picture => ({
   label: key,
   kind,
   note: "",
+  white: null,
   legend: null,
   folder: `layer/${key}`,
   width: 10,

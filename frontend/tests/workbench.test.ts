@@ -2,7 +2,7 @@ import { expect, test } from "vitest";
 import { isSafeAddress } from "../src/shared/element";
 import { beyond } from "../src/shared/curtain";
 import { restore } from "../src/viewer/spectra";
-import { confirms, enlargement, quantile } from "../src/workbench/basis";
+import { confirms, enlargement, quantile, windowsTable } from "../src/workbench/basis";
 import { placeTurned } from "../src/workbench/figure";
 import { placesOf, tilesAround } from "../src/workbench/loupe";
 import type { PlaneMap } from "../src/workbench/maps";
@@ -15,7 +15,7 @@ import {
 } from "../src/workbench/record";
 import { rowAt } from "../src/workbench/store";
 import { latestOnly } from "../src/workbench/threshold";
-import { rowsAt } from "../src/workbench/trace";
+import { roundsTable, rowsAt } from "../src/workbench/trace";
 
 const PAIRS: Pair[] = [
   [10, 10, 20, 20],
@@ -138,4 +138,18 @@ test("pictures show the pairs that the table lists, and all check points", () =>
   expect(shown("kept")).toEqual([0, 2]);
   expect(shown("removed")).toEqual([1, 2, 3]);
   expect(shown("hand")).toEqual([2, 3]);
+});
+
+test("rounds and windows are saved as tables", () => {
+  const trace = { largest: new Float32Array([4, 2.5]), removed: new Int32Array([2, -1]) };
+  const session = { trace, number: new Int32Array([1, 2, 7]) } as unknown as SessionState;
+  expect(roundsTable(session)).toBe("round,largest_error_px,removed_pair\n1,4.000,7\n2,2.500,\n");
+  const column = [1, 2];
+  const shifts = { x: column, y: column, shift_x: [0.1, 0.2], shift_y: column, weight: column };
+  const windows = { ...shifts, sigma: [null, 0.02], held_out: [0.5, null] };
+  expect(windowsTable(windows).split("\n").slice(0, 3)).toEqual([
+    "x,y,shift_x,shift_y,sigma,held_out,weight",
+    "1,1,0.1,1,,0.5,1",
+    "2,2,0.2,2,0.02,,2",
+  ]);
 });

@@ -41,8 +41,12 @@ KINDS = {
 }
 
 
-def make(folder, how, *, panel, white, late=1.0, moved=False, kind="bands", black="", dim=1.0):
+def make(
+    folder, how, *, panel, white, late=1.0, moved=False, kind="bands", black="", dim=1.0, odd=()
+):
     """Write a campaign; `late` is what the longest white really took, over what its name says.
+
+    Exposures of the panel in `odd` took a third more than their names say.
 
     `dim`: by which the scene is darker. `black`: where its level stands, in the campaign's "file", in the "frames" or nowhere.
     """
@@ -60,6 +64,7 @@ def make(folder, how, *, panel, white, late=1.0, moved=False, kind="bands", blac
                 if moved and target == "panel" and time == max(panel):
                     seen[80:96, 96:112] *= 0.3
                 real = time * (late if target == "white" and time == max(white) else 1.0)
+                real *= 4 / 3 if target == "panel" and time in odd else 1.0
                 light = GAIN * rng.poisson(14_000 * real * seen * response)
                 raw = np.rint(light + rng.normal(BLACK, READ, SHAPE)).clip(0, 4095)
                 name = f"{target}_550nm_{1000 * time:g}ms_{shot}.tif"
@@ -88,6 +93,24 @@ def test_merged_exposures_have_the_sigma_that_they_have(tmp_path):
     miss = ((values - SCENE) / sigma)[sound]
     assert sound.mean() > 0.95
     assert 0.95 < miss.std() < 1.05
+    assert not (cube.flags & Flag.MOVED).any()
+
+
+@pytest.mark.parametrize(
+    ("times", "odd", "said"),
+    [
+        ((0.25, 0.5, 1.0, 2.0), (0.5,), "exposures of 0.5 s do not scale with 0.25 s, 1 s, 2 s"),
+        ((0.25, 1.0), (0.25,), "1 s is taken alone, 0.25 s not at all"),
+    ],
+)
+def test_exposures_that_do_not_scale_are_left_out_by_name(tmp_path, times, odd, said):
+    made = developed(make(tmp_path / "c", "merge", panel=times, white=(1.0,), odd=odd))
+    assert any("550 nm: " in w and said in w for w in made.warnings), made.warnings
+    cube = made.cubes[""]
+    sound = (cube.flags[..., 0] & (Flag.SATURATED | Flag.DEFECT)) == 0
+    miss = ((cube.values[..., 0] - SCENE) / cube.sigma[..., 0])[sound]
+    assert abs(cube.values[..., 0][sound].mean() / SCENE[sound].mean() - 1) < 0.005
+    assert 0.9 < miss.std() < 1.1
     assert not (cube.flags & Flag.MOVED).any()
 
 

@@ -23,6 +23,17 @@ def folder(correctable, tmp_path):
     return correctable.make(tmp_path / "campaign")
 
 
+LIBRARIES = []
+
+
+def session_of(folder):
+    """Open the camera as another server does, once those before have kept all."""
+    for library in LIBRARIES:
+        library.settle()
+    LIBRARIES[:] = [Library(folder)]
+    return LIBRARIES[0].open(XRAY).session
+
+
 def corrected(folder):
     return read_edits(folder / "edits.toml").frames.get(("icon", "xray"), FrameEdits())
 
@@ -36,14 +47,14 @@ def numbers(session):
 
 
 def test_undo_and_redo_reach_back_over_the_end_of_the_server(folder):
-    first = Library(folder).open(XRAY).session
+    first = session_of(folder)
     pairs = describe(first)["pairs"].tolist()
     for operation, row in (("delete", 0), ("pin", 5), ("delete", 9)):
         first.apply(operation, pairs[row])
     first.slide("stop", 3.0)
     first.undo()
     states = [corrected(folder)]
-    later = Library(folder).open(XRAY).session
+    later = session_of(folder)
     assert later.can == {"undo": 3, "redo": 1}
     later.redo()
     assert corrected(folder).stop == 3.0
@@ -51,22 +62,22 @@ def test_undo_and_redo_reach_back_over_the_end_of_the_server(folder):
         later.undo()
         states.append(corrected(folder))
     assert states[-1] == FrameEdits() and states[-2].deleted and not states[-2].pinned
-    last = Library(folder).open(XRAY).session
+    last = session_of(folder)
     assert last.can == {"undo": 0, "redo": 4}
 
 
 def test_undo_after_a_restart_leaves_what_an_editor_wrote_meanwhile(folder):
-    session = Library(folder).open(XRAY).session
+    session = session_of(folder)
     session.apply("delete", describe(session)["pairs"][0].tolist())
     path = folder / "edits.toml"
     path.write_text(path.read_text() + "added = [[50, 50, 100, 90]]\n")
-    later = Library(folder).open(XRAY).session
+    later = session_of(folder)
     later.undo()
     assert corrected(folder) == FrameEdits(added=((50.0, 50.0, 100.0, 90.0),))
 
 
 def test_all_is_taken_back_but_the_note_and_comes_back_with_undo(folder):
-    session = Library(folder).open(XRAY).session
+    session = session_of(folder)
     pairs = describe(session)["pairs"].tolist()
     session.apply("delete", pairs[0])
     session.apply("check", pairs[4])
@@ -80,7 +91,7 @@ def test_all_is_taken_back_but_the_note_and_comes_back_with_undo(folder):
 
 
 def test_a_pair_keeps_its_number_while_others_come_and_go_and_over_a_restart(folder, correctable):
-    session = Library(folder).open(XRAY).session
+    session = session_of(folder)
     spots = [[300.0, 250.0], [20.0, 20.0], [150.0, 99.0]]
     own = [(*spot, *np.round(correctable.truth(spot), 2).tolist()) for spot in spots]
     given_ = []
@@ -98,7 +109,7 @@ def test_a_pair_keeps_its_number_while_others_come_and_go_and_over_a_restart(fol
     to = tuple(np.round([*found[:2], found[2] + 1, found[3]], 2).tolist())
     assert numbers(session)[to] == 8, "a pair that is moved keeps its number"
     session.apply("move", own[0], [*own[0][:2], own[0][2] + 1, own[0][3]])
-    later = Library(folder).open(XRAY).session
+    later = session_of(folder)
     assert numbers(later) == numbers(session)
     later.undo()
     assert numbers(later)[own[0]] == 242
@@ -151,7 +162,8 @@ def test_a_damaged_history_costs_undo_and_nothing_else(folder, text):
     frame = library.open(XRAY)
     assert frame.session.can == {"undo": 0, "redo": 0} and library.turn_of(frame) == 0
     frame.session.apply("delete", describe(frame.session)["pairs"][0].tolist())
-    assert Library(folder).open(XRAY).session.can == {"undo": 1, "redo": 0}
+    library.settle()
+    assert session_of(folder).can == {"undo": 1, "redo": 0}
 
 
 def test_how_an_object_is_turned_is_kept_and_stands_upright_as_on_the_grid_at_first(folder):

@@ -1,14 +1,16 @@
-// The line between A, left of it, and B, right of it: dragged, or moved with the arrow keys.
+// The line between A and B: upright or level, dragged, or moved with the arrow keys.
 import { signal } from "@preact/signals-core";
 import { make } from "./element";
 import type { Point } from "./pane";
 
 const STEP = 0.02;
 
-/** A line over a pane. */
+/** A line over a pane: A is left of it or above, B right of it or below. */
 export class Curtain {
-  /** Where the line stands, 0 left to 1 right. */
+  /** Where the line stands, 0 left or top to 1 right or bottom. */
   readonly place = signal(0.5);
+  /** Whether the line is level, and B below it. */
+  readonly level = signal(false);
   readonly line = make(
     "div",
     {
@@ -38,7 +40,10 @@ export class Curtain {
     this.line.addEventListener("pointermove", (event) => {
       if (!this.line.hasPointerCapture(event.pointerId)) return;
       const box = pane.getBoundingClientRect();
-      this.move((event.clientX - box.left) / box.width);
+      const level = this.level.peek();
+      this.move(
+        level ? (event.clientY - box.top) / box.height : (event.clientX - box.left) / box.width,
+      );
     });
     this.line.addEventListener("keydown", (event) => {
       const [by, to] = [MOVES[event.key], ENDS[event.key]];
@@ -47,29 +52,45 @@ export class Curtain {
       event.stopPropagation();
       this.move(to ?? this.fraction + (by ?? 0));
     });
-    this.move(0.5);
+    this.draw();
   }
 
   set shown(on: boolean) {
     this.line.hidden = !on;
   }
 
-  /** Where the line stands, 0 left to 1 right. */
+  /** Where the line stands, 0 left or top to 1 right or bottom. */
   get fraction(): number {
     return this.place.peek();
   }
 
+  /** Turn the line upright or level; it keeps its part of the view. */
+  turn(level: boolean): void {
+    this.level.value = level;
+    this.line.classList.toggle("level", level);
+    this.line.setAttribute("aria-orientation", level ? "vertical" : "horizontal");
+    this.move(this.fraction);
+  }
+
   move(fraction: number): void {
     this.place.value = Math.min(1, Math.max(0, fraction));
-    this.line.style.left = `${100 * this.fraction}%`;
-    this.line.setAttribute("aria-valuenow", String(Math.round(100 * this.fraction)));
+    this.draw();
     this.onMove();
+  }
+
+  private draw(): void {
+    const part = `${100 * this.fraction}%`;
+    const level = this.level.peek();
+    [this.line.style.left, this.line.style.top] = level ? ["", part] : [part, ""];
+    this.line.setAttribute("aria-valuenow", String(Math.round(100 * this.fraction)));
   }
 }
 
 const MOVES: Record<string, number> = {
   ArrowLeft: -STEP,
+  ArrowUp: -STEP,
   ArrowRight: STEP,
+  ArrowDown: STEP,
   PageDown: -5 * STEP,
   PageUp: 5 * STEP,
 };

@@ -1,20 +1,37 @@
 // Two preloaded pictures in turn. The rate is of whole turns: at 2 Hz each is seen for a quarter second.
 
 export const RATES = { min: 0.5, max: 8, step: 0.5, value: 2 };
+const STILL = "(prefers-reduced-motion: reduce)";
 
-/** A clock that shows A and B in turn. */
+/** A clock that shows A and B in turn; where the system asks for less motion, nothing turns by itself. */
 export class Flicker {
   rate = RATES.value;
   shown: "a" | "b" = "a";
   running = false;
   private began = 0;
   private frame = 0;
+  private readonly still = matchMedia(STILL);
 
-  constructor(private readonly onTurn: (shown: "a" | "b") => void) {}
+  constructor(private readonly onTurn: (shown: "a" | "b") => void) {
+    this.still.addEventListener("change", () => {
+      if (!this.running) return;
+      this.stop();
+      this.start();
+    });
+  }
+
+  /** Whether a person turns from one picture to the other, by `step`. */
+  get byHand(): boolean {
+    return this.still.matches;
+  }
 
   start(): void {
     if (this.running) return;
     this.running = true;
+    if (this.byHand) {
+      this.show("b");
+      return;
+    }
     this.began = performance.now();
     const tick = (now: number): void => {
       if (!this.running) return;
@@ -23,6 +40,11 @@ export class Flicker {
       this.frame = requestAnimationFrame(tick);
     };
     this.frame = requestAnimationFrame(tick);
+  }
+
+  /** Show the other picture. */
+  step(): void {
+    if (this.running) this.show(this.shown === "a" ? "b" : "a");
   }
 
   stop(): void {

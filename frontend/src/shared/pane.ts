@@ -24,6 +24,7 @@ export interface PaneOptions {
 const MARGIN = 0.03; // of the longer side, round a picture that is fitted
 const STILL_PX = 0.02;
 const SMOOTH_BELOW = 3; // screen pixels a pixel: beyond, single pixels are shown as squares
+const PATIENCE_COMPUTED_MS = 600_000; // for a tile that the page computes
 const PATIENCE_MS = 1500; // for new tiles, before the old ones go all the same
 
 export class Pane {
@@ -168,6 +169,13 @@ export class Pane {
     return [...this.toPixel(viewport.getCenter(false)), scale];
   }
 
+  /** A way on the screen as one in the picture, where that is turned. */
+  along([x, y]: Point): Point {
+    const turned = (this.viewer.viewport.getRotation(true) * Math.PI) / 180;
+    const [cos, sin] = [Math.cos(turned), Math.sin(turned)];
+    return [cos * x + sin * y, cos * y - sin * x];
+  }
+
   /** Show a place in the middle; a view that is there already stays still. */
   look(x: number, y: number, scale: number, degrees = 0, immediately = true): void {
     const { viewport } = this.viewer;
@@ -286,6 +294,7 @@ function openViewer(
     maxZoomPixelRatio: 40,
     defaultZoomLevel: 0,
     imageLoaderLimit: 6,
+    timeout: PATIENCE_COMPUTED_MS,
     gestureSettingsMouse: { clickToZoom: false, dblClickToZoom: zoomOnDoubleClick },
     gestureSettingsTouch: { clickToZoom: false, dblClickToZoom: true },
     gestureSettingsPen: { clickToZoom: false },

@@ -116,3 +116,21 @@ export function niceTop(value: number): number {
 export function joined(points: Point[]): string {
   return points.map((point) => point.join()).join(" ");
 }
+
+const DASHES = ["", "7 3", "2 2.5", "9 3 2 3", "13 4", "4 2 1.5 2 1.5 2", "5 5", "13 3 2 3 2 3"];
+
+/** How a curve is dashed: each of the colours --curve-1 and on has its own, so that colour is not the only sign. */
+export function dashOf(colour: string): string {
+  const number = Number(/--curve-(\d+)/.exec(colour)?.[1] ?? 0);
+  return number ? DASHES[(number - 1) % DASHES.length]! : "1 3";
+}
+
+/** A short piece of a curve, beside the word for it. */
+export function curveSwatch(colour: string): SVGSVGElement {
+  const line = { x1: 0, x2: 30, y1: 5, y2: 5, "stroke-dasharray": dashOf(colour) };
+  return draw(
+    "svg",
+    { viewBox: "0 0 30 10", width: 30, height: 10, class: "curve-swatch", "aria-hidden": "true" },
+    draw("g", { stroke: colour }, draw("line", line)),
+  );
+}

@@ -5,7 +5,16 @@ import { beyond, Curtain } from "./curtain";
 import { Flicker } from "./flicker";
 import type { Aim, Layer, Pane } from "./pane";
 
-export type Mode = "single" | "side" | "curtain" | "flicker" | "difference" | "checker" | "redcyan";
+export type Mode =
+  | "single"
+  | "side"
+  | "grid"
+  | "curtain"
+  | "opacity"
+  | "flicker"
+  | "difference"
+  | "checker"
+  | "redcyan";
 
 const PAN_STEP = 0.15; // of the height of the view
 const SQUARES = 12; // of the checker, along the longer side
@@ -20,12 +29,19 @@ export interface Wanted {
   subject: string;
   left: Layer[];
   right?: Layer[];
+  /** Of panes beyond these two. */
+  others?: Layer[][];
 }
 
 /** The left pane holds one picture or both, the right one is there side by side. */
 export abstract class Stage<P extends Pane> {
   readonly mode = signal<Mode>("side");
-  readonly flicker = new Flicker((shown) => this.upper?.setOpacity(Number(shown === "b")));
+  /** Which picture the flicker shows now. */
+  readonly seen = signal<"a" | "b">("a");
+  readonly flicker = new Flicker((shown) => {
+    this.seen.value = shown;
+    this.showOne(shown);
+  });
   readonly curtain: Curtain;
   protected tone = { brightness: 1, contrast: 1, amplify: 3 };
   /** By how many degrees clockwise the pictures are turned, a multiple of 90. */
@@ -48,16 +64,39 @@ export abstract class Stage<P extends Pane> {
   ) {
     this.leader = left;
     this.curtain = new Curtain(left.host, () => this.clip());
-    for (const pane of [left, right]) {
-      pane.onView = () => {
-        if (pane === left) this.clip();
-        if (pane === this.leader) this.link();
-        this.onView();
-      };
-      pane.onGesture = () => {
-        [this.leader, this.arrival] = [pane, null];
-      };
-    }
+    for (const pane of [left, right]) this.lead(pane);
+  }
+
+  /** Let others go after a pane that a person moves. */
+  protected lead(pane: P): void {
+    pane.onView = () => {
+      if (pane === this.left) this.clip();
+      if (pane === this.leader) this.link();
+      this.onView();
+    };
+    pane.onGesture = () => {
+      [this.leader, this.arrival] = [pane, null];
+    };
+  }
+
+  /** The panes that show something now, the left one first. */
+  protected get panes(): P[] {
+    return this.mode.value === "side" ? [this.left, this.right] : [this.left];
+  }
+
+  /** Make room for what a mode shows. */
+  protected arrange(mode: Mode): void {
+    this.right.host.hidden = mode !== "side";
+  }
+
+  /** Panes beyond these two. */
+  protected get others(): P[] {
+    return [];
+  }
+
+  /** Show A or B, as the flicker turns. */
+  protected showOne(shown: "a" | "b"): void {
+    this.upper?.setOpacity(Number(shown === "b"));
   }
 
   /** Return what the mode needs, or null where nothing is known yet. */
@@ -69,7 +108,7 @@ export abstract class Stage<P extends Pane> {
 
   /** Whether one picture lies over the other, be it while a key is held. */
   protected get isOverlay(): boolean {
-    return !["single", "side"].includes(this.mode.value) || this.flicker.running;
+    return !["single", "side", "grid"].includes(this.mode.value) || this.flicker.running;
   }
 
   /** The upper layer of the overlay. */
@@ -79,16 +118,20 @@ export abstract class Stage<P extends Pane> {
 
   /** Whether all that is in view has been drawn, in the mode that was asked for. */
   get settled(): boolean {
-    const beside = this.mode.value === "side";
-    return this.arrival === null && this.left.settled && (!beside || this.right.settled);
+    return this.arrival === null && this.panes.every((pane) => pane.settled);
   }
 
   setMode(mode: Mode): void {
+    if (mode === "flicker" && mode === this.mode.value && this.flicker.byHand) {
+      this.flicker.step();
+      return;
+    }
     this.arrival ??= !this.left.layers.length || this.left.isFitted ? "fit" : this.left.aim;
     const mine = ++this.changes;
     this.mode.value = mode;
     this.host.dataset["mode"] = mode;
-    this.right.host.hidden = mode !== "side";
+    this.leader = this.left;
+    this.arrange(mode);
     this.curtain.shown = mode === "curtain";
     this.flicker.stop();
     void this.load().finally(() => requestAnimationFrame(() => this.arrive(mine)));
@@ -96,7 +139,8 @@ export abstract class Stage<P extends Pane> {
 
   /** Flicker for as long as a key is held, whatever the mode. */
   hold(on: boolean): void {
-    if (on) this.flicker.start();
+    if (on && this.mode.value === "flicker" && this.flicker.byHand) this.flicker.step();
+    else if (on) this.flicker.start();
     else if (this.mode.value !== "flicker") this.flicker.stop();
     void this.load();
   }
@@ -111,13 +155,15 @@ export abstract class Stage<P extends Pane> {
   async load(): Promise<void> {
     const wanted = this.wanted();
     if (!wanted) return;
-    const { subject, left, right } = wanted;
-    const keys = JSON.stringify([left, right].map((layers) => layers?.map(({ key }) => key)));
+    const { subject, left, right, others = [] } = wanted;
+    const all = [left, right, ...others];
+    const keys = JSON.stringify(all.map((layers) => layers?.map(({ key }) => key)));
     if (this.shown !== keys || this.subject !== subject) {
       const fresh = this.subject !== subject;
       [this.shown, this.subject] = [keys, subject];
       const loading = [this.left.show(left, !fresh)];
       if (right) loading.push(this.right.show(right, !fresh));
+      others.forEach((layers, i) => loading.push(this.others[i]!.show(layers, !fresh)));
       if (fresh && this.arrival) this.arrival = "fit";
       if (fresh) this.fitBoth();
       await Promise.all(loading);
@@ -128,7 +174,7 @@ export abstract class Stage<P extends Pane> {
   /** Take the view over once the panes know their new sizes, some frames later; but the last mode only. */
   private arrive(change: number, frames = 60): void {
     if (change !== this.changes) return;
-    const panes = this.mode.value === "side" ? [this.left, this.right] : [this.left];
+    const { panes } = this;
     for (const pane of panes) pane.viewer.forceResize();
     if (frames > 0 && !panes.every((pane) => pane.isSized)) {
       requestAnimationFrame(() => this.arrive(change, frames - 1));
@@ -198,8 +244,8 @@ export abstract class Stage<P extends Pane> {
 
   /** Let the other pane show the same place. */
   protected link(leader: P = this.leader): void {
-    if (this.mode.value !== "side" || this.following) return;
-    if (!this.left.isSized || !this.right.isSized) return;
+    const { panes } = this;
+    if (panes.length < 2 || this.following || !panes.every((pane) => pane.isSized)) return;
     this.following = true;
     this.follow(leader);
     this.following = false;
@@ -225,7 +271,7 @@ export abstract class Stage<P extends Pane> {
     this.left.viewer.forceRedraw();
   }
 
-  private clip(): void {
+  protected clip(): void {
     const upper = this.upper;
     if (!upper) return;
     if (this.mode.value !== "curtain" || this.flicker.running) {

@@ -1,5 +1,6 @@
 // Drawings of a page as files of their own: styles stand in every element, so that they open anywhere.
 import { draw, saveFile } from "./element";
+import { dashOf } from "./plot";
 
 const PROPERTIES = [
   ...["fill", "fill-opacity", "fill-rule", "opacity", "paint-order", "visibility", "display"],
@@ -38,11 +39,12 @@ function chartFile(chart: SVGElement, { title, curves, lines }: Caption): string
     const y = height + MARGIN + LINE * (i + 1);
     const words = draw(
       "text",
-      { x: colour ? 28 : MARGIN, y, "font-size": 10, fill: "#1d1b16" },
+      { x: colour ? 46 : MARGIN, y, "font-size": 10, fill: "#1d1b16" },
       text,
     );
-    const key = { x: MARGIN, y: y - 8, width: 12, height: 8 };
-    return colour ? [draw("rect", { ...key, fill: colourOf(colour) }), words] : [words];
+    const key = { x1: MARGIN, x2: 40, y1: y - 3, y2: y - 3, "stroke-width": 2.4 };
+    const line = { ...key, stroke: colourOf(colour), "stroke-dasharray": dashOf(colour) };
+    return colour ? [draw("line", line), words] : [words];
   });
   const total = height + MARGIN * 2 + LINE * foot.length;
   const inner = inLight(() => standalone(chart));

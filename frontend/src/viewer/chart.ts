@@ -5,6 +5,7 @@ import type { Point } from "../shared/pane";
 import {
   across,
   clipped,
+  dashOf,
   footers,
   joined,
   level,
@@ -23,6 +24,8 @@ export interface Curve {
   layer: Pick<Layer, "bands">;
   spectrum: Spectrum;
   colour: string;
+  /** A word of one or two letters at the end of the curve. */
+  mark?: string;
 }
 
 /** A band in the chart: where it lies and how wide it is, nm, what it measured, and its flags. */
@@ -50,6 +53,7 @@ export function drawChart(
 ): SVGElement | null {
   const series = curves.map((curve) => ({
     colour: curve.colour,
+    mark: curve.mark ?? "",
     samples: samplesOf(curve, marks),
   }));
   const all = series.flatMap(({ samples }) => samples);
@@ -68,11 +72,13 @@ export function drawChart(
   }
   chart.append(...footers(BOX, x, ticks(from, to)), ...titles(BOX, "Wavelength, nm", quantity));
   const inside: SVGElement[] = [];
-  for (const { colour, samples } of series) {
+  for (const { colour, mark, samples } of series) {
     const narrow = runs(samples.filter(({ broad }) => !broad));
-    const lines = narrow.flatMap((run) => drawLine(run, place));
+    const lines = narrow.flatMap((run) => drawLine(run, dashOf(colour), place));
     const points = samples.filter(({ broad }) => broad).flatMap((one) => drawPoint(one, x, place));
     const doubtful = samples.filter(({ doubts }) => doubts.length);
+    const last = samples.filter(({ doubts }) => !doubts.length).at(-1);
+    if (mark && last) chart.append(drawMark(mark, colour, place(last.nm, last.value)));
     inside.push(
       draw("g", { stroke: colour, fill: colour }, ...lines, ...points),
       ...doubtful.map((one) => drawDoubt(one, colour, place)),
@@ -82,7 +88,17 @@ export function drawChart(
   return chart;
 }
 
-function drawLine(run: Sample[], place: (nm: number, value: number) => Point): SVGElement[] {
+function drawMark(mark: string, colour: string, [x, y]: Point): SVGElement {
+  const text = draw("text", { x: x + 4, y: y + 3.5, "font-weight": 700 }, mark);
+  text.style.fill = colour;
+  return text;
+}
+
+function drawLine(
+  run: Sample[],
+  dash: string,
+  place: (nm: number, value: number) => Point,
+): SVGElement[] {
   const middle = run.map(({ nm, value }) => place(nm, value));
   const elements: SVGElement[] = [];
   if (run.every(({ sigma }) => Number.isFinite(sigma))) {
@@ -90,7 +106,9 @@ function drawLine(run: Sample[], place: (nm: number, value: number) => Point): S
     const lower = run.map(({ nm, value, sigma }) => place(nm, value - sigma)).reverse();
     elements.push(draw("polygon", { points: joined([...upper, ...lower]), class: "spread" }));
   }
-  elements.push(draw("polyline", { points: joined(middle), class: "line" }));
+  elements.push(
+    draw("polyline", { points: joined(middle), class: "line", "stroke-dasharray": dash || null }),
+  );
   const [cx, cy] = middle[0]!;
   if (run.length === 1) elements.push(draw("circle", { cx, cy, r: 2.2, class: "dot" }));
   return elements;

@@ -5,7 +5,9 @@ import { make } from "../shared/element";
 import { bandNumber, bandsOf, mixNumbers, pictureOf, placeOf, proposeMix } from "./mixing";
 import { Picker } from "./picker";
 import type { Layer, PageRecord } from "./record";
-import type { Choice, Slot, State } from "./state";
+import { SLOTS, type Choice, type Slot, type State } from "./state";
+
+const OTHERS = ["b", "c", "d"] as const;
 
 /** The panel "Layers". Rows choose the layer of A, their small buttons that of B. */
 /** Share of the object that was not checked from which on the reasons are shown. */
@@ -14,19 +16,21 @@ const WORTH_NAMING = 0.1;
 export class LayerList {
   /** Layers that have a picture. */
   readonly layers: Layer[];
-  /** Called when a person put a layer into B. */
+  /** Called when a person put a layer into B, C or D. */
   onCompare: () => void = () => {};
+
+  private readonly pickers: Picker[];
 
   constructor(
     host: HTMLElement,
     record: PageRecord,
     private readonly state: State,
   ) {
+    this.pickers = SLOTS.map((slot) => new Picker(slot, state));
     this.layers = record.layers.filter((layer) => layer.pictures.length);
     host.append(
       make("ol", { class: "layers" }, ...record.layers.map((layer) => this.rowOf(layer))),
-      new Picker("a", state).element,
-      new Picker("b", state).element,
+      ...this.pickers.map(({ element }) => element),
     );
   }
 
@@ -39,6 +43,21 @@ export class LayerList {
         (before && likePicture(layer, before)) ??
         layer.pictures[0]);
     if (picture) this.state[slot].value = { layer, picture };
+  }
+
+  /** Show the spectral angle to the pinned place in A. */
+  showAngle(): void {
+    this.pickers[0]!.showAngle();
+  }
+
+  /** Put something into C and D, where they are empty: the next layers, or further pictures of them. */
+  fillGrid(): void {
+    const count = this.layers.length;
+    for (const [i, slot] of SLOTS.entries()) {
+      const layer = this.layers[i % count];
+      const picture = layer?.pictures[Math.floor(i / count)] ?? layer?.pictures[0];
+      if (layer && picture && !this.state[slot].peek()) this.state[slot].value = { layer, picture };
+    }
   }
 
   private rowOf(layer: Layer): HTMLElement {
@@ -67,32 +86,29 @@ export class LayerList {
       ),
       number > 0 && number < 10 && make("kbd", { "aria-hidden": "true" }, String(number)),
     );
-    const second = make(
-      "button",
-      {
-        type: "button",
-        class: "second",
-        disabled,
-        "aria-label": `Compare with ${layer.name}`,
-        title: "Compare: put into B",
-      },
-      "B",
-    );
-    first.addEventListener("click", () => this.choose("a", layer));
-    second.addEventListener("click", () => {
-      this.choose("b", layer);
-      this.onCompare();
+    const others = OTHERS.map((slot) => {
+      const name = slot.toUpperCase();
+      const label = slot === "b" ? `Compare with ${layer.name}` : `Show ${layer.name} in ${name}`;
+      const title = slot === "b" ? "Compare: put into B" : `Put into ${name}`;
+      const attributes = { type: "button", class: `second into-${slot}`, disabled, title };
+      const button = make("button", { ...attributes, "aria-label": label }, name);
+      button.addEventListener("click", () => {
+        this.choose(slot, layer);
+        this.onCompare();
+      });
+      return button;
     });
-    const row = make("li", { class: "row" }, first, second);
+    first.addEventListener("click", () => this.choose("a", layer));
+    const row = make("li", { class: "row" }, first, ...others);
     if (layer.by_hand) row.append(make("p", { class: "by-hand" }, `${layer.by_hand}.`));
     if (layer.decision !== "accept" || layer.unchecked >= WORTH_NAMING) {
       const reasons = layer.reasons.join(" ");
       if (reasons) row.append(make("p", { class: "reasons" }, reasons));
     }
     effect(() => {
-      const chosen = [this.state.a, this.state.b].map((slot) => slot.value?.layer === layer);
+      const chosen = SLOTS.map((slot) => this.state[slot].value?.layer === layer);
       row.classList.toggle("is-a", chosen[0]);
-      [first, second].forEach((one, i) => one.setAttribute("aria-pressed", String(chosen[i])));
+      [first, ...others].forEach((one, i) => one.setAttribute("aria-pressed", String(chosen[i])));
     });
     return row;
   }
@@ -117,6 +133,7 @@ function likePicture(
   layer: Layer,
   { layer: other, picture }: Choice,
 ): Layer["pictures"][number] | undefined {
+  if (picture.angle) return pictureOf(layer, picture.key);
   if (mixNumbers(picture.key)) return pictureOf(layer, proposeMix(layer) ?? "");
   if (picture.kind !== "band") return pictureOf(layer, picture.key);
   const wanted = placeOf(other, bandNumber(picture));

@@ -168,7 +168,9 @@ export class PinList {
     if (turn !== this.turn) return;
     const { flags } = this.record;
     const curves = spectra.map((spectrum, i) =>
-      source && spectrum ? { layer: source.layer, colour: pinColour(i), spectrum } : null,
+      source && spectrum
+        ? { layer: source.layer, colour: pinColour(i), mark: String(i + 1), spectrum }
+        : null,
     );
     const angles = curves.map((curve) =>
       curve && this.reference ? spectralAngle(samplesOf(curve, flags), this.reference) : null,

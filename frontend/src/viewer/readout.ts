@@ -1,6 +1,7 @@
 // The pixel under the cursor: every camera's spectrum with sigma, and where each camera recorded it.
-import { make, saveFile, swatch } from "../shared/element";
+import { make, saveFile } from "../shared/element";
 import type { Point } from "../shared/pane";
+import { curveSwatch } from "../shared/plot";
 import { saveChart } from "../shared/svgfile";
 import { numbersOf, type Address } from "./address";
 import { describeDoubts, drawChart, type Range } from "./chart";
@@ -135,7 +136,7 @@ export class Readout {
   private keyOf({ layer, colour, native, spectrum, failure }: Reading): HTMLElement {
     const shown = String(!this.hidden.has(layer));
     const curve = { type: "button", class: "curve", "aria-pressed": shown };
-    const button = make("button", curve, swatch(colour), layer.name);
+    const button = make("button", curve, curveSwatch(colour), layer.name);
     button.addEventListener("click", () => {
       if (!this.hidden.delete(layer)) this.hidden.add(layer);
       this.render(this.pixel, this.readings);

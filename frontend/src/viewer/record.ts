@@ -1,5 +1,7 @@
 // What the page of one object says to its script: the JSON in #record.
 
+import type { AngleFacts } from "./angle";
+
 export interface Legend {
   entries: { name: string; colour: string }[];
   least: string;
@@ -9,10 +11,14 @@ export interface Legend {
 export interface Picture {
   key: string;
   label: string;
-  kind: "colour" | "light" | "band" | "map" | "mix" | "analysis";
+  kind: "colour" | "light" | "band" | "map" | "mix" | "analysis" | "angle";
   /** Of a mixture: its red, green and blue part. */
   mixed?: Picture[];
+  /** Of a picture of spectral angles: what it is computed from. */
+  angle?: AngleFacts;
   note: string;
+  /** Of a single band: the value that is shown as white; 0 is black. */
+  white: number | null;
   legend: Legend | null;
   folder: string;
   width: number;
@@ -39,6 +45,8 @@ export interface SpectraFacts {
   bands: number;
   sigma: boolean;
   flags: boolean;
+  /** Whether the sums of whole tiles stand beside them. */
+  sums?: boolean;
   folder: string;
 }
 

@@ -6,6 +6,7 @@ import { saveChart } from "../shared/svgfile";
 import {
   across,
   clipped,
+  dashOf,
   footers,
   joined,
   level,
@@ -27,10 +28,11 @@ import type { Layer, PageRecord } from "./record";
 import { areaOf, fromText, KINDS, toText, type Kind, type Region } from "./shapes";
 import type { LayerSpectra } from "./spectra";
 import type { State } from "./state";
-import { histogram, measure, type Histogram, type Statistics } from "./statistics";
+import { histogram, measure, valuesOf, type Histogram, type Statistics } from "./statistics";
 
 const MOST_REGIONS = 12;
 const BINS = 40;
+const MOST_KEPT = 128_000_000; // bytes of values
 const BOX: Box = { width: 360, height: 136, left: 52, right: 16, top: 8, bottom: 32 };
 
 export class RegionPanel {
@@ -43,6 +45,7 @@ export class RegionPanel {
   private readonly save = make("button", { type: "button", class: "small" }, "Save regions as CSV");
   private readonly files: HTMLButtonElement[] = [];
   private readonly tools: HTMLButtonElement[];
+  private withValues: Statistics[] = [];
   private readonly measured = new Map<string, Promise<Statistics>>();
   private shown: (Histogram & { name: string })[] = [];
   private turn = 0;
@@ -175,6 +178,26 @@ export class RegionPanel {
     return found;
   }
 
+  /** Count the values of the chosen band; those of all bands are kept where they are not too many. */
+  private async count(layer: Layer, region: Region, found: Statistics): Promise<Histogram | null> {
+    const [band, spectra] = [Number(this.band.value), this.spectra.get(layer)!];
+    const marks = this.record.flags;
+    if (found.values) return histogram(found.values[band]!, BINS);
+    if (4 * found.pixels * layer.bands.length > MOST_KEPT) {
+      const [values] = await valuesOf(spectra, region, { bands: [band], marks });
+      return histogram(values!, BINS);
+    }
+    found.values = await valuesOf(spectra, region, { bands: layer.bands.map((_, i) => i), marks });
+    // Of older regions the values go where all take too much memory.
+    let left = MOST_KEPT;
+    this.withValues = [found, ...this.withValues].filter((one) => {
+      left -= one.values?.reduce((sum, { length }) => sum + 4 * length, 0) ?? 0;
+      if (left < 0) one.values = null;
+      return one.values;
+    });
+    return histogram(found.values[band]!, BINS);
+  }
+
   /** Measure all regions and show them; what was asked for before and ends later is dropped. */
   private async refresh(): Promise<void> {
     const turn = ++this.turn;
@@ -182,16 +205,20 @@ export class RegionPanel {
     const { layer } = this;
     if (!layer) return;
     if (regions.length) this.message.textContent = "Measuring …";
-    const facts = { band: Number(this.band.value), bins: BINS, marks: this.record.flags };
+    const band = Number(this.band.value);
     try {
       const found = await Promise.all(regions.map((region) => this.statistics(layer, region)));
+      if (turn !== this.turn) return;
+      this.fill(regions, found, band);
+      this.plot(layer, found);
+      // Histograms need every value: they come later, where a region is large.
       const bars = await Promise.all(
-        regions.map((region) => histogram(this.spectra.get(layer)!, region, facts)),
+        regions.map((region, i) => this.count(layer, region, found[i]!)),
       );
       if (turn !== this.turn) return;
-      this.fill(regions, found, facts.band);
       this.shown = bars.flatMap((one, i) => (one ? [{ ...one, name: regions[i]!.name }] : []));
-      this.plot(layer, found, bars);
+      const drawn = drawHistograms(bars, quantityOf(layer));
+      this.bars.replaceChildren(...(drawn ? [drawn] : []));
       this.message.textContent = regions.length
         ? "Lines are means; the band about them is one standard deviation of the pixels, not of the mean."
         : "";
@@ -200,22 +227,20 @@ export class RegionPanel {
     }
   }
 
-  private plot(layer: Layer, found: Statistics[], bars: (Histogram | null)[]): void {
+  private plot(layer: Layer, found: Statistics[]): void {
     const curves = found.map(({ means, spreads }, i): Curve => ({
       layer,
       colour: pinColour(i),
+      mark: String(i + 1),
       spectrum: {
         values: Float32Array.from(means),
         sigma: Float32Array.from(spreads),
         flags: null,
       },
     }));
-    const quantity = layer.quantity === "reflectance" ? "Reflectance" : "Counts";
-    const options = { quantity, marks: this.record.flags, range: null };
+    const options = { quantity: quantityOf(layer), marks: this.record.flags, range: null };
     const chart = curves.length ? drawChart(curves, options) : null;
     this.plots.replaceChildren(...(chart ? [chart] : []));
-    const drawn = drawHistograms(bars, quantity);
-    this.bars.replaceChildren(...(drawn ? [drawn] : []));
   }
 
   private fill(regions: Region[], found: Statistics[], band: number): void {
@@ -315,6 +340,9 @@ export class RegionPanel {
   }
 }
 
+const quantityOf = ({ quantity }: Layer): string =>
+  quantity === "reflectance" ? "Reflectance" : "Counts";
+
 /** Histograms of one band over each other, as steps; null where there is nothing to draw. */
 function drawHistograms(bars: (Histogram | null)[], quantity: string): SVGElement | null {
   const known = bars.flatMap((one, i) => (one ? [{ ...one, colour: pinColour(i) }] : []));
@@ -335,7 +363,11 @@ function drawHistograms(bars: (Histogram | null)[], quantity: string): SVGElemen
       [x(first + i * width), y(n)],
       [x(first + (i + 1) * width), y(n)],
     ]);
-    const line = draw("polyline", { points: joined(points), class: "line" });
+    const line = draw("polyline", {
+      points: joined(points),
+      class: "line",
+      "stroke-dasharray": dashOf(colour) || null,
+    });
     return draw("g", { stroke: colour, fill: colour }, line);
   });
   chart.append(clipped(BOX, ...steps));

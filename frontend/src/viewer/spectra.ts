@@ -1,4 +1,5 @@
 // Spectra of single pixels, from tiles of script files: the very numbers of the TIFF.
+import type { Point } from "../shared/pane";
 import type { Layer, SpectraFacts } from "./record";
 import type { Bounds } from "./shapes";
 import { inflate, loadScript, toBytes } from "./tiles";
@@ -9,22 +10,25 @@ export interface Spectrum {
   flags: Uint8Array | null;
 }
 
-interface Tile extends Spectrum {
+export interface Tile extends Spectrum {
   columns: number;
   rows: number;
 }
 
-/** A tile and where its first pixel lies on the grid. */
-export interface PlacedTile extends Tile {
-  left: number;
-  top: number;
+/** Sound values of one band of a tile: how many, their mean, and the sum of squared differences from it. */
+export interface Sums {
+  n: number;
+  mean: number;
+  squares: number;
 }
 
 const KEPT = 24; // tiles a layer
+const AHEAD = 12; // of KEPT, while a region is read
 
 /** The spectra of one layer; tiles are loaded when asked for, and the last ones kept. */
 export class Spectra {
   private readonly tiles = new Map<string, Promise<Tile>>();
+  private summed: Promise<Float64Array> | null = null;
 
   constructor(
     private readonly layer: Layer,
@@ -54,15 +58,46 @@ export class Spectra {
     return this.facts.bands;
   }
 
-  /** The tiles that have pixels between `x0`, `y0` and `x1`, `y1`, and where each begins on the grid. */
-  async *tilesWithin([x0, y0, x1, y1]: Bounds): AsyncGenerator<PlacedTile> {
+  /** Columns and rows of the tiles that have pixels of a part of the grid. */
+  placesWithin([x0, y0, x1, y1]: Bounds): Point[] {
     const { columns, rows, width, height } = this.facts;
-    const from = (low: number, side: number): number => Math.floor(Math.max(0, low) / side);
-    const to = (high: number, size: number, side: number): number =>
-      Math.floor(Math.min(size - 1, high) / side);
-    for (let row = from(y0, rows); row <= to(y1, height, rows); row++)
-      for (let column = from(x0, columns); column <= to(x1, width, columns); column++)
-        yield { ...(await this.tile(column, row)), left: column * columns, top: row * rows };
+    const [right, bottom] = [Math.min(width - 1, x1), Math.min(height - 1, y1)];
+    const places: Point[] = [];
+    for (let row = Math.max(0, Math.floor(y0 / rows)); row * rows <= bottom; row++)
+      for (let column = Math.max(0, Math.floor(x0 / columns)); column * columns <= right; column++)
+        places.push([column, row]);
+    return places;
+  }
+
+  /** Where a tile begins on the grid, and its size. */
+  shapeOf([column, row]: Point): [left: number, top: number, columns: number, rows: number] {
+    const { columns, rows, width, height } = this.facts;
+    const [left, top] = [column * columns, row * rows];
+    return [left, top, Math.min(columns, width - left), Math.min(rows, height - top)];
+  }
+
+  /** Read tiles one after the other; some are on their way while one is looked at. */
+  async *readTiles(places: Point[]): AsyncGenerator<Tile> {
+    const coming = places.slice(0, AHEAD).map((place) => this.tile(...place));
+    for (let i = 0; i < places.length; i++) {
+      const next = places[i + AHEAD];
+      if (next) coming.push(this.tile(...next));
+      yield await coming.shift()!;
+    }
+  }
+
+  /** What was published of whole tiles; null where nothing was. */
+  async sums(): Promise<((place: Point, band: number) => Sums) | null> {
+    const { folder, bands, columns, width, sums } = this.facts;
+    if (!sums) return null;
+    this.summed ??= loadScript(`${folder}/sums.js`, `${this.layer.id}/spectra/sums`).then(
+      (text) => new Float64Array(toBytes(String(text)).buffer),
+    );
+    const [table, across] = [await this.summed, Math.ceil(width / columns)];
+    return ([column, row], band) => {
+      const at = 3 * ((row * across + column) * bands + band);
+      return { n: table[at]!, mean: table[at + 1]!, squares: table[at + 2]! };
+    };
   }
 
   private tile(column: number, row: number): Promise<Tile> {
@@ -79,9 +114,8 @@ export class Spectra {
   }
 
   private async load(column: number, row: number): Promise<Tile> {
-    const { width, height, bands, folder, sigma, flags } = this.facts;
-    const columns = Math.min(this.facts.columns, width - column * this.facts.columns);
-    const rows = Math.min(this.facts.rows, height - row * this.facts.rows);
+    const { bands, folder, sigma, flags } = this.facts;
+    const [, , columns, rows] = this.shapeOf([column, row]);
     const text = await loadScript(
       `${folder}/${column}_${row}.js`,
       `${this.layer.id}/spectra/${column}_${row}`,
@@ -90,11 +124,16 @@ export class Spectra {
     const count = columns * rows * bands;
     const restored = (start: number, octets: number): Uint8Array<ArrayBuffer> =>
       restore(data, { start, columns, rows, bands, octets });
+    let spread: Float32Array | null = null;
     return {
       columns,
       rows,
       values: new Float32Array(restored(0, 4).buffer),
-      sigma: sigma ? new Float32Array(restored(4 * count, 4).buffer) : null,
+      // Regions do not need it.
+      get sigma(): Float32Array | null {
+        spread ??= sigma ? new Float32Array(restored(4 * count, 4).buffer) : null;
+        return spread;
+      },
       flags: flags ? restored(sigma ? 8 * count : 4 * count, 1) : null,
     };
   }

@@ -1,16 +1,21 @@
-// What the page of one object shows: a picture in A, one in B, how they are compared, and the pin.
+// What the page of one object shows: pictures in A to D, their levels, pins, regions and measures.
 import { signal } from "@preact/signals-core";
 import type { Point } from "../shared/pane";
 import type { Note } from "./annotations";
+import { plainLevels, whiteOf, type Levels } from "./levels";
 import type { Layer, Picture } from "./record";
 import type { Region, Shape } from "./shapes";
 
-export type Slot = "a" | "b";
+export const SLOTS = ["a", "b", "c", "d"] as const;
+export type Slot = (typeof SLOTS)[number];
 
 export interface Choice {
   layer: Layer;
   picture: Picture;
 }
+
+/** A picture of a layer, as addresses name it. */
+export const nameOf = ({ layer, picture }: Choice): string => `${layer.name}/${picture.key}`;
 
 /** A place that is kept: its name and where it is on the grid, fractions kept. */
 export interface Pin {
@@ -27,6 +32,13 @@ export interface Measure extends Shape {
 export class State {
   readonly a = signal<Choice | null>(null);
   readonly b = signal<Choice | null>(null);
+  /** Pictures beside A and B, where four are shown. */
+  readonly c = signal<Choice | null>(null);
+  readonly d = signal<Choice | null>(null);
+  /** Levels of pictures that a person changed, by `nameOf`. */
+  readonly levels = signal<Record<string, Levels>>({});
+  /** Levels that hold for all pictures alike, in the same values; null where each has its own. */
+  readonly locked = signal<Levels | null>(null);
   /** The pixel whose spectrum is held, fractions kept. */
   readonly pin = signal<Point | null>(null);
   /** Places that are kept. */
@@ -41,6 +53,22 @@ export class State {
   readonly marks = signal(true);
   /** Whether a grid lies over the painting. */
   readonly grid = signal(false);
+
+  /** The levels that a choice is shown with. */
+  levelsOf(choice: Choice): Levels {
+    const own = this.levels.value[nameOf(choice)];
+    return this.locked.value ?? own ?? plainLevels(whiteOf(choice.picture));
+  }
+
+  /** Change the levels of a choice, or of all where they are locked; null takes its own change back. */
+  setLevels(choice: Choice, levels: Levels | null): void {
+    if (this.locked.value && levels) this.locked.value = levels;
+    else {
+      const others = Object.entries(this.levels.value).filter(([name]) => name !== nameOf(choice));
+      if (levels) others.push([nameOf(choice), levels]);
+      this.levels.value = Object.fromEntries(others);
+    }
+  }
 
   swap(): void {
     const { a, b } = this;

@@ -1,8 +1,9 @@
 // Mean, standard deviation and number of sound pixels of a region, band by band; and histograms.
+import type { Point } from "../shared/pane";
 import { marksOf } from "./numbers";
 import type { Mark } from "./record";
 import { boundsOf, contains, type Region } from "./shapes";
-import type { Spectra } from "./spectra";
+import type { Spectra, Sums } from "./spectra";
 
 export interface Statistics {
   /** All pixels of the region on the grid. */
@@ -12,6 +13,8 @@ export interface Statistics {
   means: number[];
   /** Standard deviations, n − 1 in the denominator; NaN of fewer than two. */
   spreads: number[];
+  /** Sound values of each band, once they were read, and while they are kept. */
+  values: Float32Array[] | null;
 }
 
 export interface Histogram {
@@ -27,72 +30,123 @@ function soundness(marks: Mark[]): boolean[] {
   );
 }
 
-/** The sound values of a region in some bands, tile by tile. */
-async function visit(
-  spectra: Spectra,
-  region: Region,
-  { bands, marks }: { bands: number[]; marks: Mark[] },
-  take: (band: number, value: number) => void,
-): Promise<number> {
-  const [inside, sound] = [contains(region), soundness(marks)];
-  let pixels = 0;
-  for await (const tile of spectra.tilesWithin(boundsOf(region))) {
-    const places: number[] = [];
-    for (let row = 0; row < tile.rows; row++)
-      for (let column = 0; column < tile.columns; column++)
-        if (inside(tile.left + column, tile.top + row)) places.push(row * tile.columns + column);
-    pixels += places.length;
-    for (const band of bands) {
-      const plane = band * tile.rows * tile.columns;
-      for (const place of places) {
-        const value = tile.values[plane + place]!;
-        if (sound[tile.flags?.[plane + place] ?? 0] && Number.isFinite(value)) take(band, value);
-      }
-    }
-  }
-  return pixels;
+/** Visit the tiles that a region has pixels in: places of these pixels in the tile, and how many pixels the tile has. */
+function tilesOf(spectra: Spectra, region: Region): Part[] {
+  const inside = contains(region);
+  return spectra.placesWithin(boundsOf(region)).flatMap((place) => {
+    const [left, top, columns, rows] = spectra.shapeOf(place);
+    const places = new Uint32Array(columns * rows);
+    let count = 0;
+    for (let row = 0; row < rows; row++)
+      for (let column = 0; column < columns; column++)
+        if (inside(left + column, top + row)) places[count++] = row * columns + column;
+    const whole = count === places.length;
+    return count ? [{ place, places: places.subarray(0, count), whole }] : [];
+  });
 }
 
-/** Measure a region in every band. */
+interface Part {
+  place: Point;
+  places: Uint32Array;
+  whole: boolean;
+}
+
+/** Visit the sound values of a region in some bands, tile by tile. */
+async function visit(
+  spectra: Spectra,
+  parts: Part[],
+  { bands, marks }: { bands: number[]; marks: Mark[] },
+  take: (band: number, values: Float32Array) => void,
+): Promise<void> {
+  const sound = soundness(marks);
+  let next = 0;
+  for await (const { values, flags, columns, rows } of spectra.readTiles(
+    parts.map((p) => p.place),
+  )) {
+    const { places } = parts[next++]!;
+    const [size, found] = [columns * rows, new Float32Array(places.length)];
+    for (const band of bands) {
+      let n = 0;
+      for (const place of places) {
+        const at = band * size + place;
+        const value = values[at]!;
+        // Of NaN and infinities the difference from itself is not 0.
+        if (value - value === 0 && (!flags || sound[flags[at]!])) found[n++] = value;
+      }
+      take(band, found.subarray(0, n));
+    }
+  }
+}
+
+/** Measure a region in every band; of tiles that lie in it whole the sums were published. */
 export async function measure(
   spectra: Spectra,
   region: Region,
   marks: Mark[],
 ): Promise<Statistics> {
   const bands = Array.from({ length: spectra.bands }, (_, band) => band);
-  const [counts, means, squares] = [0, 1, 2].map(() => new Float64Array(bands.length)) as [
-    Float64Array,
-    Float64Array,
-    Float64Array,
-  ];
-  // Welford (1962), 10.1080/00401706.1962.10490022.
-  const pixels = await visit(spectra, region, { bands, marks }, (band, value) => {
-    const n = (counts[band]! += 1);
-    const step = value - means[band]!;
-    means[band]! += step / n;
-    squares[band]! += step * (value - means[band]!);
-  });
+  const all = bands.map((): Sums => ({ n: 0, mean: 0, squares: 0 }));
+  const parts = tilesOf(spectra, region);
+  const known = parts.some(({ whole }) => whole) ? await spectra.sums() : null;
+  for (const { place, whole } of parts)
+    if (known && whole) for (const band of bands) merge(all[band]!, known(place, band));
+  const others = parts.filter(({ whole }) => !known || !whole);
+  await visit(spectra, others, { bands, marks }, (band, values) =>
+    merge(all[band]!, sumsOf(values)),
+  );
   return {
-    pixels,
-    counts: [...counts],
-    means: bands.map((band) => (counts[band] ? means[band]! : NaN)),
-    spreads: bands.map((band) =>
-      counts[band]! > 1 ? Math.sqrt(squares[band]! / (counts[band]! - 1)) : NaN,
-    ),
+    pixels: parts.reduce((sum, { places }) => sum + places.length, 0),
+    counts: all.map(({ n }) => n),
+    means: all.map(({ n, mean }) => (n ? mean : NaN)),
+    spreads: all.map(({ n, squares }) => (n > 1 ? Math.sqrt(squares / (n - 1)) : NaN)),
+    values: null,
   };
 }
 
-/** Count the values of one band in equal steps from the least to the largest; null without one. */
-export async function histogram(
+/** Number, mean and sum of squared differences from the mean. */
+function sumsOf(values: Float32Array): Sums {
+  let [sum, squares] = [0, 0];
+  for (const value of values) sum += value;
+  const mean = values.length ? sum / values.length : 0;
+  for (const value of values) squares += (value - mean) * (value - mean);
+  return { n: values.length, mean, squares };
+}
+
+/** Add the sums of a part to others (Chan, Golub and LeVeque 1983, 10.1080/00031305.1983.10483115). */
+function merge(all: Sums, { n, mean, squares }: Sums): void {
+  if (!n) return;
+  const total = all.n + n;
+  const apart = mean - all.mean;
+  all.mean += (apart * n) / total;
+  all.squares += squares + (apart * apart * all.n * n) / total;
+  all.n = total;
+}
+
+/** Read the sound values of a region in some bands. */
+export async function valuesOf(
   spectra: Spectra,
   region: Region,
-  { band, bins, marks }: { band: number; bins: number; marks: Mark[] },
-): Promise<Histogram | null> {
-  const values: number[] = [];
-  await visit(spectra, region, { bands: [band], marks }, (_, value) => values.push(value));
+  { bands, marks }: { bands: number[]; marks: Mark[] },
+): Promise<Float32Array[]> {
+  const parts = tilesOf(spectra, region);
+  const most = parts.reduce((sum, { places }) => sum + places.length, 0);
+  const found = new Map(bands.map((band) => [band, { n: 0, all: new Float32Array(most) }]));
+  await visit(spectra, parts, { bands, marks }, (band, values) => {
+    const one = found.get(band)!;
+    one.all.set(values, one.n);
+    one.n += values.length;
+  });
+  return [...found.values()].map(({ n, all }) => all.subarray(0, n));
+}
+
+/** Count values in equal steps from the least to the largest; null without one. */
+export function histogram(values: Float32Array, bins: number): Histogram | null {
   if (!values.length) return null;
   let [low, high] = [Infinity, -Infinity];
-  for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+  for (const value of values) {
+    if (value < low) low = value;
+    if (value > high) high = value;
+  }
   const counts = new Array<number>(bins).fill(0);
   const width = (high - low) / bins || 1;
   for (const value of values) counts[Math.min(bins - 1, Math.floor((value - low) / width))]!++;

@@ -50,6 +50,8 @@ export async function loadPicture(key: string, format: string): Promise<HTMLImag
 
 /** Base64 to bytes. */
 export function toBytes(text: string): Uint8Array<ArrayBuffer> {
+  const quick = Uint8Array as { fromBase64?: (text: string) => Uint8Array<ArrayBuffer> };
+  if (quick.fromBase64) return quick.fromBase64(text);
   const raw = atob(text);
   const bytes = new Uint8Array(raw.length);
   for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
@@ -58,6 +60,9 @@ export function toBytes(text: string): Uint8Array<ArrayBuffer> {
 
 /** Undo zlib. */
 export async function inflate(bytes: Uint8Array<ArrayBuffer>): Promise<Uint8Array<ArrayBuffer>> {
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
+  const { readable, writable } = new DecompressionStream("deflate");
+  const writer = writable.getWriter();
+  const written = writer.write(bytes).then(() => writer.close());
+  const [whole] = await Promise.all([new Response(readable).arrayBuffer(), written]);
+  return new Uint8Array(whole);
 }

@@ -1,71 +1,87 @@
-// The row of ways to compare two layers, and the settings of each.
+// The row of ways to compare pictures, and the settings of each.
 import { effect } from "@preact/signals-core";
 import { GAIN, radioGroup, slider, type Option, type Range } from "../shared/controls";
 import { make } from "../shared/element";
 import { RATES } from "../shared/flicker";
 import type { Mode } from "../shared/stage";
 import { numbersOf, type Address } from "./address";
+import type { LevelPanel } from "./levelpanel";
 import type { PaintingStage } from "./stage";
+import type { State } from "./state";
 
 export const MODES: Option<Mode>[] = [
   { value: "single", label: "One", title: "A alone" },
-  { value: "curtain", label: "Curtain", title: "A left of a line, B right of it" },
-  { value: "flicker", label: "Flicker", title: "A and B in turn" },
-  { value: "side", label: "Side by side", title: "A and B, linked" },
-  { value: "difference", label: "Difference", title: "Where A and B differ is bright" },
+  { value: "curtain", label: "Curtain", title: "A on one side of a line, B on the other (C)" },
+  { value: "opacity", label: "Opacity", title: "B over A, as opaque as you like (O)" },
+  { value: "flicker", label: "Flicker", title: "A and B in turn (K)" },
+  { value: "side", label: "Side by side", title: "A and B, linked (S)" },
+  { value: "grid", label: "Four", title: "A, B, C and D, linked (Q)" },
+  { value: "difference", label: "Difference", title: "Where A and B differ is bright (D)" },
 ];
-const BRIGHTNESS: Range = { min: 0.25, max: 4, step: 0.05, value: 1 };
-const CONTRAST: Range = { min: 0.5, max: 3, step: 0.05, value: 1 };
+const OPACITY: Range = { min: 0, max: 1, step: 0.01, value: 0.5 };
+
+/** What the toolbar works on. */
+interface Parts {
+  stage: PaintingStage;
+  state: State;
+  levels: LevelPanel;
+  address: Address;
+}
 
 /** Fill the toolbar above the picture. */
 export function fillToolbar(
   { modes, settings }: Record<"modes" | "settings", HTMLElement>,
-  stage: PaintingStage,
-  address: Address,
+  { stage, state, levels, address }: Parts,
 ): void {
-  const percent = (value: number): string => `${Math.round(100 * value)} %`;
-  const setTone = (): void => {
-    stage.setTone(bright.value, contrast.value, gain.value);
+  const { curtain, flicker, opacity, gain } = stage;
+  const keep = (change: () => void): void => {
+    change();
     address.remember();
   };
-  const setRate = (hertz: number): void => {
-    stage.flicker.rate = hertz;
-    address.remember();
-  };
-  const rate = slider("Rate", RATES, (hertz) => `${hertz} Hz`, setRate);
-  const gain = slider("Amplify", GAIN, (factor) => `× ${factor}`, setTone);
-  const bright = slider("Brightness", BRIGHTNESS, percent, setTone);
-  const contrast = slider("Contrast", CONTRAST, percent, setTone);
-  const reset = make("button", { type: "button", class: "small" }, "Reset");
-  reset.addEventListener("click", () => {
-    bright.set(1);
-    contrast.set(1);
-  });
-  const tone = make(
-    "details",
-    { class: "tone" },
-    make("summary", { title: "Brightness and contrast" }, "Tone"),
-    make("div", { class: "popover" }, bright.element, contrast.element, reset),
+  const rate = slider("Rate", RATES, hertz, (value) => keep(() => (flicker.rate = value)));
+  const amplify = slider("Amplify", GAIN, times, (value) => keep(() => (gain.value = value)));
+  const cover = slider("B over A", OPACITY, percent, (value) =>
+    keep(() => (opacity.value = value)),
   );
+  const other = pill("Show the other", "Your system asks for less motion: nothing turns by itself");
+  other.addEventListener("click", () => flicker.step());
+  const level = pill("Level line", "A above the line, B below it (Shift C)");
+  level.addEventListener("click", () => curtain.turn(!curtain.level.value));
+  const same = pill("Same levels", "One value is shown alike in all pictures (Shift E)");
+  same.addEventListener("click", () => levels.toggleLock());
   address.addSlider("rate", rate, RATES);
-  address.addSlider("amplify", gain, GAIN);
-  address.addSlider("brightness", bright, BRIGHTNESS);
-  address.addSlider("contrast", contrast, CONTRAST);
+  address.addSlider("amplify", amplify, GAIN);
+  address.addSlider("opacity", cover, OPACITY);
   address.add({
-    signals: [stage.curtain.place],
+    signals: [curtain.place, curtain.level],
     carried: true,
     write: (facts) => {
-      if (stage.mode.value === "curtain") facts.set("curtain", stage.curtain.fraction.toFixed(3));
+      if (stage.mode.value === "curtain") facts.set("curtain", curtain.fraction.toFixed(3));
+      if (curtain.level.value) facts.set("line", "level");
     },
     read: (facts) => {
       const place = numbersOf(facts, "curtain", 1);
-      if (place) stage.curtain.move(place[0]!);
+      if (place) curtain.move(place[0]!);
+      curtain.turn(facts.get("line") === "level");
     },
   });
-  settings.append(rate.element, gain.element, tone);
+  settings.append(rate.element, other, amplify.element, cover.element, level, same);
   radioGroup(modes, MODES, stage.mode, (mode) => stage.setMode(mode));
   effect(() => {
-    rate.element.hidden = stage.mode.value !== "flicker";
-    gain.element.hidden = stage.mode.value !== "difference";
+    const mode = stage.mode.value;
+    rate.element.hidden = mode !== "flicker" || flicker.byHand;
+    other.hidden = mode !== "flicker" || !flicker.byHand;
+    amplify.element.hidden = mode !== "difference";
+    cover.element.hidden = mode !== "opacity";
+    level.hidden = mode !== "curtain";
+    same.hidden = mode === "single";
+    level.setAttribute("aria-pressed", String(curtain.level.value));
+    same.setAttribute("aria-pressed", String(state.locked.value !== null));
   });
 }
+
+const percent = (value: number): string => `${Math.round(100 * value)} %`;
+const hertz = (value: number): string => `${value} Hz`;
+const times = (value: number): string => `× ${value}`;
+const pill = (words: string, title: string): HTMLButtonElement =>
+  make("button", { type: "button", class: "pill", title }, words);

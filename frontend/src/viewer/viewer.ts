@@ -19,8 +19,11 @@ import type { Mode } from "../shared/stage";
 import { startTheme } from "../shared/theme";
 import { watch } from "../shared/watch";
 import { Address, numbersOf } from "./address";
+import { AngleMaps, provideAngles } from "./angle";
 import { Drawing } from "./drawing";
 import { LayerList } from "./layers";
+import { LevelFilters } from "./levelfilters";
+import { LevelPanel } from "./levelpanel";
 import { startCopying } from "./linking";
 import { MeasurePanel } from "./measures";
 import { NotePanel } from "./notes";
@@ -32,8 +35,9 @@ import { RegionPanel } from "./regions";
 import { ScaleBar } from "./scalebar";
 import { openSpectra } from "./spectra";
 import { PaintingStage } from "./stage";
-import { State, type Slot } from "./state";
+import { SLOTS, State, type Slot } from "./state";
 import { fillToolbar, MODES } from "./toolbar";
+import { sayWhatIsShown, ViewBar } from "./viewbar";
 
 const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
@@ -47,16 +51,21 @@ const record = readRecord();
 const { width, height } = record.grid;
 const state = new State();
 const address = new Address();
-const stage = new PaintingStage(find("stage"), [record.grid.width, record.grid.height], state);
+const size: Point = [width, height];
+const stage = new PaintingStage(find("stage"), size, state);
 const layers = new LayerList(find("layers"), record, state);
 const spectra = openSpectra(record.layers);
+const angles = new AngleMaps(spectra, record.flags, () =>
+  SLOTS.map((slot) => state[slot].peek()?.picture.angle),
+);
+provideAngles(angles);
 const readout = new Readout(find("spectrum"), record, spectra, HINT, address);
 const go = (place: Point): void => {
   state.pin.value = place;
   stage.look(...place, stage.heading[2], false);
 };
 const pins = new PinList(find("pins"), record, spectra, state, go, address);
-const drawing = new Drawing([stage.left, stage.right]);
+const drawing = new Drawing(stage.cells.map(({ pane }) => pane));
 const inView = (): [Point, Point] => {
   const box = stage.left.host.getBoundingClientRect();
   const [low, high] = [
@@ -75,23 +84,24 @@ const measures = new MeasurePanel(find("measures"), record, state, drawing, addr
 const scaleBar = new ScaleBar(record.grid.px_per_mm);
 
 startTheme(find<HTMLButtonElement>("theme"));
-find("stage").append(scaleBar.element);
-fillToolbar({ modes: find("modes"), settings: find("settings") }, stage, address);
+find("scale").append(scaleBar.element);
+const filters = new LevelFilters(stage, state);
+const levels = new LevelPanel(find("levels"), stage, state, address);
+const bar = new ViewBar(find("view"), stage, state, { size, address, filters });
+const sections = { modes: find("modes"), settings: find("settings") };
+fillToolbar(sections, { stage, state, levels, address });
 stage.setMode("single");
 layers.onCompare = () => {
   if (stage.mode.value === "single") stage.setMode("curtain");
 };
-
+sayWhatIsShown(find("caption"), stage, state);
 effect(() => {
-  const name = (slot: Slot): string => {
-    const choice = state[slot].value;
-    return choice ? `${choice.layer.name}, ${choice.picture.label}` : "nothing";
-  };
-  const both = stage.mode.value !== "single";
-  find("caption").textContent = both ? `A: ${name("a")} · B: ${name("b")}` : name("a");
   document.body.dataset["mode"] = stage.mode.value;
 });
-watch([state.a, state.b], () => void stage.load());
+watch([stage.mode, state.c, state.d], () => {
+  if (stage.mode.value === "grid") layers.fillGrid();
+});
+watch([state.a, state.b, state.c, state.d], () => void stage.load());
 watch([state.grid], () => {
   measures.scaleGrid(stage.left.scale, scaleBar);
   drawing.render();
@@ -124,8 +134,9 @@ effect(() => {
   else readout.clear();
 });
 
-function movePin(x: number, y: number): void {
+function movePin(right: number, down: number): void {
   const from = state.pin.value ?? stage.left.centre;
+  const [x, y] = stage.left.along([right, down]);
   state.pin.value = within([from[0] + x, from[1] + y]);
 }
 
@@ -156,6 +167,13 @@ const modeKey = (letter: string, mode: Mode, words: string): Key =>
   key(letter, [letter.toLowerCase()], words, () =>
     stage.setMode(stage.mode.value === mode ? "single" : mode),
   );
+/** A letter with Shift; it stands before the letter alone, which takes both cases. */
+const shiftKey = (letter: string, words: string, act: () => void): Key => ({
+  keys: ["Shift", letter],
+  words,
+  match: (event) => event.shiftKey && plain(letter.toLowerCase())(event),
+  act,
+});
 const follow = (id: string) => (): void => document.getElementById(id)?.click();
 
 const keys: Key[] = [
@@ -165,14 +183,32 @@ const keys: Key[] = [
     ...key("Space", [" "], "Hold: flicker between A and B", () => stage.hold(true)),
     release: () => stage.hold(false),
   },
+  shiftKey("C", "Curtain with a level line, or an upright one", () => {
+    if (stage.mode.value === "curtain") stage.curtain.turn(!stage.curtain.level.value);
+    else {
+      stage.curtain.turn(true);
+      stage.setMode("curtain");
+    }
+  }),
   modeKey("C", "curtain", "Curtain"),
-  modeKey("K", "flicker", "Flicker on and off"),
+  modeKey("O", "opacity", "B over A, by opacity"),
+  key("K", ["k"], "Flicker on and off; where less motion is asked for, the other picture", () => {
+    const off = stage.mode.value === "flicker" && !stage.flicker.byHand;
+    stage.setMode(off ? "single" : "flicker");
+  }),
   modeKey("S", "side", "Side by side"),
+  modeKey("Q", "grid", "Four pictures"),
   modeKey("D", "difference", "Difference"),
+  shiftKey("E", "The same levels for all pictures, or each its own", () => levels.toggleLock()),
+  key("E", ["e"], "Levels: black, gamma, white", () => levels.open()),
   key("X", ["x"], "Swap A and B", () => state.swap()),
   key("[", ["["], "Previous object", follow("previous")),
   key("]", ["]"], "Next object", follow("next")),
   key("F", ["f"], "Fit the picture", () => stage.fit()),
+  key("0", ["0"], "One pixel of the picture as one of the screen", () => bar.showPixels()),
+  shiftKey("T", "Turn by 90°, anticlockwise", () => bar.turn(-1)),
+  key("T", ["t"], "Turn by 90°, clockwise", () => bar.turn(1)),
+  key("Z", ["z"], "Small picture of the whole, on and off", () => bar.toggleOverview()),
   key("+ −", ["+", "=", "-", "_"], "Zoom", (event) =>
     stage.zoom("+=".includes(event.key) ? ZOOM_STEP : 1 / ZOOM_STEP),
   ),
@@ -196,6 +232,7 @@ const keys: Key[] = [
     },
   ),
   key("M", ["m"], "Measure a length", () => void measures.start("line")),
+  key("A", ["a"], "Spectral angle of every pixel to the pinned place", () => layers.showAngle()),
   key("G", ["g"], "Grid on and off", () => (state.grid.value = !state.grid.value)),
   key("N", ["n"], "Write a note on the pinned place, or the middle of the view", () =>
     notes.writeHere(),
@@ -215,7 +252,7 @@ const keys: Key[] = [
 ];
 const help = helpDialog(
   keys,
-  "Drag to pan, turn the wheel to zoom, double-click to zoom in. Point at the painting to read every camera's spectrum there; click to pin a place, click it again to let go.",
+  "Drag to pan, turn the wheel to zoom, double-click to zoom in. On a phone two fingers move the picture, and one scrolls the page. Point at the painting to read every camera's spectrum there; click to pin a place, click it again to let go.",
   "Fast flicker can trouble people with photosensitive epilepsy: keep it at 2 Hz or below then.",
 );
 listenToKeys(keys);
@@ -223,7 +260,7 @@ find("help-button").addEventListener("click", () => help.showModal());
 
 // --- the address remembers what is shown ----------------------------------------------------------
 
-for (const [i, slot] of (["a", "b"] as const).entries())
+for (const [i, slot] of SLOTS.entries())
   address.add({
     signals: [state[slot]],
     carried: true,
@@ -234,6 +271,10 @@ for (const [i, slot] of (["a", "b"] as const).entries())
     read: (facts) => {
       const name = facts.get(slot) ?? "";
       const cut = name.lastIndexOf("/");
+      if (i > 1 && !name) {
+        state[slot].value = null; // C and D are filled when they are shown
+        return;
+      }
       const layer = layers.layers.find((one) => one.name === name.slice(0, cut));
       const fallback = layers.layers[i] ?? layers.layers[0];
       layers.choose(slot, layer ?? fallback, layer && name.slice(cut + 1));
@@ -280,6 +321,8 @@ if (layers.layers.length) {
   address.start();
   stage.onMove = () => {
     scaleBar.update(stage.left.scale);
+    bar.update();
+    levels.count();
     measures.scaleGrid(stage.left.scale, scaleBar);
     drawing.render();
     address.remember();
@@ -287,4 +330,4 @@ if (layers.layers.length) {
 }
 
 // For tests and for the curious: the parts by name.
-Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, record } });
+Object.assign(window, { levkasViewer: { stage, layers, state, readout, pins, angles, record } });

@@ -1,6 +1,6 @@
 // What the map of the default method rests on: windows with their shifts, and windows that were searched freely.
 import { effect } from "@preact/signals-core";
-import { make } from "../shared/element";
+import { make, saveFile } from "../shared/element";
 import { ink, onTheme } from "../shared/theme";
 import { placeTurned } from "./figure";
 import type { PlaneMap } from "./maps";
@@ -23,6 +23,9 @@ export class BasisView {
   private readonly words = make("p", { class: "status", id: "basis-words" });
 
   constructor(private readonly store: Store) {
+    const title =
+      "Places, shifts, sigma, held-out errors and weights of the windows that are drawn";
+    const save = make("button", { type: "button", class: "small", title }, "Save as CSV");
     this.root = make(
       "section",
       { class: "card basis", "aria-labelledby": "basis-head", hidden: true },
@@ -31,7 +34,14 @@ export class BasisView {
       this.words,
       this.checks,
       make("p", { class: "soft" }, LEGEND),
+      make("div", { class: "actions" }, save),
     );
+    save.addEventListener("click", () => {
+      const frame = store.frame.peek();
+      if (!frame?.basis) return;
+      const name = [frame.object, frame.camera, frame.sensor, "windows"].filter(Boolean).join("_");
+      saveFile(`${name}.csv`, windowsTable(frame.basis.windows), "text/csv");
+    });
     effect(() => this.draw());
     onTheme(() => this.draw());
   }
@@ -109,6 +119,13 @@ function drawChecks(
     if (checks.found[i]) context.fill();
     context.stroke();
   });
+}
+
+/** Windows as CSV, px of the reference; empty where a number is not known. */
+export function windowsTable(windows: Windows): string {
+  const names = ["x", "y", "shift_x", "shift_y", "sigma", "held_out", "weight"] as const;
+  const lines = windows.x.map((_, i) => names.map((name) => windows[name][i] ?? "").join());
+  return [names.join(), ...lines, ""].join("\n");
 }
 
 /** Whether a window that was searched freely lies where the map puts it. */

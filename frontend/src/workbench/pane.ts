@@ -24,6 +24,7 @@ export class MarkedPane extends Pane {
     this.host.setAttribute("role", "group");
     this.host.setAttribute("aria-label", name);
     const help = `${name}: drag to pan, wheel or + and - to zoom`;
+    this.viewer.canvas.setAttribute("role", "group");
     this.viewer.canvas.setAttribute("aria-label", help);
     this.foot.append(this.label);
     this.host.append(this.canvas, this.foot);

@@ -1,6 +1,7 @@
 // How the outliers of the paper's method left: its Figure 9 as a picture to scrub through, its Figure 10 beneath.
 import { effect, signal } from "@preact/signals-core";
-import { make } from "../shared/element";
+import { make, saveFile } from "../shared/element";
+import { saveChart } from "../shared/svgfile";
 import { onTheme } from "../shared/theme";
 import { Curve } from "./curve";
 import { Figure } from "./figure";
@@ -23,6 +24,8 @@ export class TraceView {
   /** Whether the last round is shown, also when another one becomes the last. */
   private atEnd = true;
   private frame = 0;
+  private readonly saveDrawing = button("Save as SVG", "The largest error by round");
+  private readonly saveRounds = button("Save as CSV", "Every round: largest error, pair removed");
 
   constructor(private readonly store: Store) {
     this.play = make(
@@ -44,15 +47,20 @@ export class TraceView {
       make("div", { class: "scrub" }, this.play, range),
       this.curve.root,
       this.status,
+      make("div", { class: "actions" }, this.saveDrawing, this.saveRounds),
       thresholdSlider(store, "reject", "Cut at the start (reject)", reject),
       thresholdSlider(store, "stop", "Worst error left (stop)", stop),
     );
     range.addEventListener("input", () => this.go(Number(range.value)));
     this.play.addEventListener("click", () => this.toggle());
+    this.saveDrawing.addEventListener("click", () => this.save("svg"));
+    this.saveRounds.addEventListener("click", () => this.save("csv"));
     effect(() => {
       const { frame, session } = store;
       range.max = String(Math.max(lastRound(session.value), -1));
-      range.disabled = this.play.disabled = !session.value?.trace;
+      const missing = !session.value?.trace;
+      range.disabled = this.play.disabled = missing;
+      this.saveDrawing.disabled = this.saveRounds.disabled = missing;
       this.root.hidden = Boolean(frame.value?.basis || frame.value?.is_reference); // nothing was removed
       this.go(this.atEnd ? Infinity : this.round.peek());
     });
@@ -68,6 +76,25 @@ export class TraceView {
     const last = lastRound(this.store.session.peek());
     this.atEnd = round >= last;
     this.round.value = Math.max(-1, Math.min(last, round));
+  }
+
+  /** Save the largest errors by round, as a drawing or as numbers. */
+  private save(kind: "svg" | "csv"): void {
+    const [frame, session] = [this.store.frame.peek(), this.store.session.peek()];
+    const chart = this.curve.root.querySelector("svg");
+    if (!frame || !session?.trace || !chart) return;
+    const name = [frame.object, frame.camera, frame.sensor, "removal"].filter(Boolean).join("_");
+    const title = `${frame.object}, ${frame.camera}: largest error by round, reference px`;
+    if (kind === "csv") saveFile(`${name}.csv`, roundsTable(session), "text/csv");
+    else
+      saveChart(`${name}.svg`, chart, {
+        title,
+        curves: [
+          { colour: "var(--reference)", name: "largest error of a pair" },
+          { colour: "var(--target)", name: `where the removal stops, ${session.stop} px` },
+        ],
+        lines: [title],
+      });
   }
 
   private toggle(): void {
@@ -98,6 +125,19 @@ export class TraceView {
     this.curve.draw(session, round);
     this.status.textContent = session ? describeRound(session, round, rows.length) : "";
   }
+}
+
+function button(words: string, title: string): HTMLButtonElement {
+  return make("button", { type: "button", class: "small", title }, words);
+}
+
+/** Rounds of the removal as CSV: the largest error before each, px, and the number of the pair that left then. */
+export function roundsTable({ trace, number }: Pick<SessionState, "trace" | "number">): string {
+  const lines = Array.from(trace!.largest, (error, round) => {
+    const removed = trace!.removed[round] ?? -1;
+    return [round + 1, error.toFixed(3), removed < 0 ? "" : number[removed]].join();
+  });
+  return ["round,largest_error_px,removed_pair", ...lines, ""].join("\n");
 }
 
 function lastRound(session: SessionState | null): number {

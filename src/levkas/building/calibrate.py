@@ -198,7 +198,7 @@ def develop_mosaic(context: SensorContext) -> Noted:
     exposed = expose(context, shots, darks, noise)
     if exposed.shot.above_dark:
         white = white_of(context, sensor.white, darks, noise=noise, merged=True)
-    notes = [check_scaling(context, exposed, white, (shots, whites), darks)]
+    notes = [check_scaling(context, exposed, white, (shots, whites), darks), exposed.note]
     pattern = sensor.pattern
     note_light(context.told, white, darks, pattern, [b.label for b in sensor.bands])
     defects = defects_of(darks, white, pattern)
@@ -319,7 +319,8 @@ def _band(
     plane = replace_defects(flat.values, flat.flags, flat.variance, pattern=sensor.pattern)
     if sensor.pattern is not None:
         plane = equalise_phases(*plane, sensor.pattern)
-    notes = (*flat.notes, doubt) if doubt else flat.notes
+    said = f"{label}: {exposed.note}" if exposed.note else ""
+    notes = tuple(note for note in (*flat.notes, doubt, said) if note)
     return replace(flat, values=plane[0], flags=plane[1], variance=plane[2], notes=notes)
 
 

@@ -36,10 +36,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Exposed:
-    """An object's frames as one; merged exposures are above dark, and say what moved."""
+    """An object's frames as one; merged exposures are above dark, and say what moved and what did not scale."""
 
     shot: Template
     moved: np.ndarray | None = None
+    note: str = ""
 
 
 def average_shots(context: SensorContext, frames: Sequence[FrameRef]) -> list[Template]:
@@ -68,7 +69,7 @@ def expose(
         return Exposed(shots[0])
     if context.camera.exposures == "merge":
         merged = _merge(context, shots, darks, noise)
-        return Exposed(merged.template, moved=merged.moved)
+        return Exposed(merged.template, moved=merged.moved, note=_describe_choice(merged, shots))
     return Exposed(best_exposure(shots))
 
 
@@ -88,7 +89,26 @@ def _merge(
     pattern = context.sensor.pattern
     more: dict[str, Any] = {"period": (len(pattern), len(pattern[0]))} if pattern else {}
     return merge_exposures(
-        shots, darks, saturation=context.saturation, black=context.black, noise=noise, **more
+        *(shots, darks),
+        saturation=context.saturation,
+        black=context.black,
+        noise=noise,
+        choose=True,
+        **more,
+    )
+
+
+def _describe_choice(merged: Merged, shots: Sequence[Template]) -> str:
+    """Say which exposures do not scale with the others; empty where all were merged."""
+    if not merged.left_out:
+        return ""
+    taken = sorted({s.exposure_s or 0.0 for s in shots} - set(merged.left_out))
+    out = ", ".join(f"{t:g} s" for t in sorted(merged.left_out))
+    if len(taken) == 1:
+        return f"no two exposures scale to within 1 %: {taken[0]:g} s is taken alone, {out} not at all; check times and black level"
+    return (
+        f"the exposures of {out} do not scale with {', '.join(f'{t:g} s' for t in taken)} to within 1 % and are "
+        "left out; check their times"
     )
 
 

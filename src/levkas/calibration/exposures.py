@@ -7,7 +7,7 @@ a dim sensel holds some of a bright neighbour's light until that one is full.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -77,11 +77,14 @@ class Merged:
     moved : ndarray of bool, shape of the frames, or None
         Where the exposures disagree by more than their noise and non-linearity explain; None where
         the noise is not known.
+    left_out : tuple of float, s
+        Exposures that do not scale with the others, and take no part.
     """
 
     template: Template
     linearity: Linearity
     moved: np.ndarray | None = None
+    left_out: tuple[float, ...] = ()
 
 
 def merge_exposures(
@@ -94,6 +97,7 @@ def merge_exposures(
     limit: float = RECIPROCAL,
     fit_offset: bool | None = None,
     period: tuple[int, int] = PERIOD,
+    choose: bool = False,
 ) -> Merged:
     """Merge exposures of one still scene into counts a second.
 
@@ -115,6 +119,9 @@ def merge_exposures(
         clipped at black over more than half of their pixels, and so say little about it.
     period : (rows, columns)
         Of a mosaic's pattern.
+    choose : bool
+        Leave out exposures that do not scale with the others, instead of refusing; where no two
+        scale, take the best one alone.
 
     Returns
     -------
@@ -143,30 +150,39 @@ def merge_exposures(
     if fit_offset is None:
         offered = [darks] if isinstance(darks, Template) else list(darks or ())
         fit_offset = bool(offered) and all(np.mean(dark.black) > 0.5 for dark in offered)
-    scaling = check_linearity(
-        timed, darks, saturation=saturation, black=black, fit_offset=fit_offset, period=period
-    )
+
+    def scales(some: Sequence[Template]) -> Linearity:
+        return check_linearity(
+            some, darks, saturation=saturation, black=black, fit_offset=fit_offset, period=period
+        )
+
+    scaling = scales(timed)
+    kept = timed
     if scaling.points and scaling.rms > limit:
-        raise CalibrationRefused(_does_not_scale(scaling, limit))
+        if not choose:
+            raise CalibrationRefused(_does_not_scale(scaling, limit))
+        kept, scaling = _choose(timed, scaling, scales, limit)
+    left_out = tuple(s.exposure_s or 0.0 for s in timed if all(s is not k for k in kept))
+    timed = kept
     unders = [dark_under(shot, darks, black=black) for shot in timed]
     apart = [_beside_full(shot, USABLE * saturation) for shot in timed]
     levels = [under.mean + np.float32(scaling.offset) for under in unders]
     allowed = noise
-    if noise is not None:
+    if noise is not None and len(timed) > 1:
         read, miss = read_variance_between(timed, levels, apart, noise.gain)
         more = max(read - noise.read_under(unders[0]), 0.0)
         noise = replace(noise, read_variance=noise.read_variance + more)
         allowed = replace(noise, read_variance=noise.read_variance + miss)
     template = _merge(timed, unders, apart, USABLE * saturation, scaling.offset, noise)
     moved = None
-    if allowed is not None:
+    if allowed is not None and len(timed) > 1:
         moved = find_moved_between(
             *(timed, levels, template.mean, allowed),
             reads=[allowed.read_under(under) for under in unders],
             left_out=apart,
             period=period,
         )
-    return Merged(template, scaling, moved)
+    return Merged(template, scaling, moved, left_out)
 
 
 def read_variance_between(
@@ -332,6 +348,32 @@ def _check_series(timed: list[Template]) -> None:
             fix='Average shots of equal exposure first, or set exposures = "one".',
         )
     )
+
+
+def _choose(
+    timed: list[Template],
+    scaling: Linearity,
+    scales: Callable[[Sequence[Template]], Linearity],
+    limit: float,
+) -> tuple[list[Template], Linearity]:
+    """Leave out one exposure after the other, each time the one without which the rest scales best.
+
+    Returns
+    -------
+    kept : list of Template
+        Two or more that scale to within `limit`, or the best one alone.
+    scaling : Linearity
+        Of those; of a single one that of the last pair.
+    """
+    kept = timed
+    while len(kept) > 2:
+        rests = [[*kept[:k], *kept[k + 1 :]] for k in range(len(kept))]
+        found = [scales(rest) for rest in rests]
+        best = min(range(len(rests)), key=lambda k: found[k].rms if found[k].points else np.inf)
+        kept, scaling = rests[best], found[best]
+        if scaling.points and scaling.rms <= limit:
+            return kept, scaling
+    return [best_exposure(timed)], scaling
 
 
 def _does_not_scale(scaling: Linearity, limit: float) -> Problem:

@@ -47,7 +47,7 @@ def render_comparison(comparison: Comparison) -> str:
             "title": "Methods of registration compared",
             "summary": [_summary_cells(one) for one in comparison.summary()],
             "failures": comparison.problems,
-            "keys": [(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],
+            "methods": [(COMPARED[m].title, INKS.get(m, OTHER_INK)) for m in comparison.methods],
             "layers": [_layer(comparison, name) for name in comparison.layers],
             "errors": _chart(comparison, "error_mean", "mean error, px", log="y"),
             "chart": _chart(comparison, "ssim", "SSIM"),

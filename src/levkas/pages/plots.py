@@ -178,8 +178,6 @@ def plot(
     figure = new_figure(max(WIDTH, 46 * len(names)))
     axes = figure.subplots()
     draw_lines(axes, drawn)
-    if names:
-        axes.set_xticks(range(1, len(names) + 1), names, rotation=30, ha="right")
     axes.set(
         xlabel=x,
         ylabel=y,
@@ -190,6 +188,8 @@ def plot(
         if logarithmic:
             axis.set_major_formatter("{x:g}")
             axis.set_minor_formatter("")
+    if names:
+        axes.set_xticks(range(1, len(names) + 1), names, rotation=30, ha="right")
     if from_zero:
         axes.set_ylim(bottom=0)
     if top_axis is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, field, fields, replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from levkas.campaign.edits import FILE_NAME, FrameEdits, Pair
@@ -183,11 +184,11 @@ class HistoryFile:
         """Return the history of a camera of an object."""
         return History.from_dict(_at(self._record(), "objects", name, "cameras", frame))
 
-    def write(self, name: str, frame: str, history: History) -> None:
-        """Keep the history of a camera; in silence where it cannot be written, as edits.toml is what counts."""
+    def write(self, name: str, frame: str, record: dict[str, Any]) -> None:
+        """Keep the history of a camera, of `to_dict`; in silence where it cannot be written: edits.toml is what counts."""
 
         def put(one: dict[str, Any]) -> None:
-            _table(one, "cameras")[frame] = history.to_dict()
+            _table(one, "cameras")[frame] = record
 
         with contextlib.suppress(Refused, OSError):
             self._change(name, put)
@@ -263,13 +264,9 @@ def number_pairs(
     [1, 2, 4, 3]
     """
     taken = set(numbers.values())
-    first: list[int] = []
-    number = 0
-    while len(first) < found:
-        number += 1
-        if number not in taken:
-            first.append(number)
-    following = max([number, *taken])
+    free = (number for number in range(1, found + len(taken) + 1) if number not in taken)
+    first = list(islice(free, found))
+    following = max([0, *first[-1:], *taken])
     for pair in own:
         if pair not in numbers and pair not in origins:
             following += 1

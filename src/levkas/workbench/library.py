@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from levkas.database.registrations import unchecked_share
 from levkas.pages.page import describe_decision
 from levkas.registration.record import COLUMNS, Matches
 from levkas.workbench.frame import RegistrationView, SensorView, id_of, sensor_of
-from levkas.workbench.history import HistoryFile
+from levkas.workbench.history import History, HistoryFile
 from levkas.workbench.pictures import ShownPicture, read_picture
 from levkas.workbench.session import CorrectionSession, RecordedPairs
 
@@ -58,6 +59,8 @@ class Library:
     _frames: dict[str, RegistrationView] = field(default_factory=dict)
     _pictures: dict[tuple[str, str], ShownPicture] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
+    _writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
+    """Keeps histories beside the answers: nobody waits for that."""
 
     @cached_property
     def campaign(self) -> Campaign:
@@ -95,6 +98,14 @@ class Library:
     def history(self) -> HistoryFile:
         """What keeps undo over the end of the server."""
         return HistoryFile(self.campaign.root)
+
+    def remember(self, name: str, frame: str, history: History) -> None:
+        """Keep the history of a camera, soon."""
+        self._writer.submit(self.history.write, name, frame, history.to_dict())
+
+    def settle(self) -> None:
+        """Wait until all histories are kept."""
+        self._writer.submit(int).result()
 
     def turn_of(self, frame: RegistrationView) -> int:
         """Return by how many degrees clockwise the pictures of a camera are turned: as a person did, else upright."""
@@ -230,7 +241,7 @@ class Library:
             self._edits(view),
             partial(self._save, view),
             self.history.read(*place),
-            partial(self.history.write, *place),
+            partial(self.remember, *place),
         )
         main = SensorView(reference, sensor_of(reference, str(ours["band"])))
         return RegistrationView(

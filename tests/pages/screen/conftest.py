@@ -149,6 +149,7 @@ def served(correctable, inspected, tmp_path_factory):
 @pytest.fixture
 def bench(served, browser):
     """The workbench without any correction, opened: (page, server)."""
+    served.library.settle()
     served.edits_path.unlink(missing_ok=True)
     (served.folder / HISTORY_NAME).unlink(missing_ok=True)
     served.library._frames.clear()

@@ -56,7 +56,7 @@ def test_notes_are_written_on_places_and_shapes_kept_and_exported_as_annotations
         opened.mouse.click(*opened.evaluate(f"levkasViewer.stage.left.pageOf({x}, {y})"))
     opened.keyboard.press("Enter")
     opened.wait_for_function("() => document.querySelectorAll('#notes textarea').length === 4")
-    marks = opened.locator(".pane:not([hidden]) .region-number").all_text_contents()
+    marks = opened.locator(".cell-a .region-number").all_text_contents()
     assert marks == ["N1 A loss, filled.", "N2 Overpaint", "N3 ", "N4 "]
     assert "stay in this browser" in opened.locator("#notes").inner_text()
     with opened.expect_download() as download:
@@ -198,15 +198,15 @@ def test_published_notes_are_shown_and_marked_and_those_of_a_reader_beside_them(
     opened = open_object(browser, f"{published.as_uri()}/viewer/objects/icon1/index.html")
     shown = opened.locator(".published-notes .note-text").all_inner_texts()
     assert shown[0].startswith("Gold, = {{7*7}}") and shown[1:] == ["b", "c", "d"]
-    assert opened.locator(".pane:not([hidden]) .region-line.dashed").count() == 4
+    assert opened.locator(".cell-a .region-line.dashed").count() == 4
     opened.locator(".published-notes .note-place").nth(2).click()
     opened.wait_for_selector('.place[data-pixel="90,90"]')
     opened.keyboard.press("n")
     opened.keyboard.type("mine")
-    marks = opened.locator(".pane:not([hidden]) .region-number").all_text_contents()
+    marks = opened.locator(".cell-a .region-number").all_text_contents()
     assert marks[-1] == "N1 mine" and marks[1:4] == ["P2 b", "P3 c", "P4 d"]
     opened.keyboard.press("Escape")
     opened.evaluate("document.activeElement.blur()")
     opened.keyboard.press("h")
-    assert not opened.locator(".pane:not([hidden]) .region-line").first.is_visible()
+    assert not opened.locator(".cell-a .region-line").first.is_visible()
     assert opened.evaluate(EVIL) == {"evil": None, "tags": [], "attributes": []}

@@ -128,6 +128,7 @@ def test_undo_is_there_after_the_server_was_started_anew(bench, browser, inspect
     choose_worst(page)
     page.keyboard.press("Delete")
     told(page, "session.value.version")
+    server.library.settle()
     again = opened(browser, inspected(server.folder))
     assert again.locator("#undo").is_enabled()
     again.keyboard.press("Control+z")
@@ -234,3 +235,20 @@ def test_a_verdict_is_as_of_the_last_registration_only_until_the_next(bench):
     )
     assert "as of" not in page.locator(".verdict").inner_text()
     assert "Your corrections: 1 deleted" in page.locator("#corrections").inner_text()
+
+
+def test_the_errors_by_round_are_saved_as_drawing_and_as_numbers(bench, tmp_path):
+    page, _ = bench
+    for words, suffix in (("Save as SVG", ".svg"), ("Save as CSV", ".csv")):
+        with page.expect_download() as download:
+            page.locator(".trace").get_by_role("button", name=words).click()
+        path = tmp_path / download.value.suggested_filename
+        download.value.save_as(path)
+        assert path.name == f"icon_xray_removal{suffix}"
+        text = path.read_text()
+        if suffix == ".svg":
+            assert "Largest error, px" in text and "where the removal stops" in text
+            assert "var(" not in text
+        else:
+            assert text.splitlines()[0] == "round,largest_error_px,removed_pair"
+            assert float(text.splitlines()[1].split(",")[1]) == pytest.approx(3.96, abs=0.05)

@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from levkas.core.digests import hash_tree
+from levkas.database.regions import TRUSTED
 from levkas.database.tiff_pages import open_pages
 from levkas.publish.viewer import spectra
 from levkas.publish.viewer.pictures import ILLUMINANTS, observer_under, relighting_matrix
@@ -51,9 +52,17 @@ def test_tiles_of_spectra_cover_every_pixel_of_the_file(tmp_path, monkeypatch, m
     tiff = root / "objects/icon/icon_vis.tif"
     files = {}
     *_, facts = write_spectra(files.__setitem__, "here", tiff, key="0/spectra")
+    sums = files.pop("here/sums.js").decode("ascii").removesuffix('");\n').split(',"')
+    assert sums[0] == 'levkasTile("0/spectra/sums"' and facts["sums"]
     whole = open_pages(tiff).read()
     across, down = facts["columns"], facts["rows"]
     seen = np.zeros(whole.shape[:2], int)
+    table = np.frombuffer(b64decode(sums[1]), "<f8").reshape(-1, whole.shape[2], 3)
+    sound = np.isfinite(whole) & (open_pages(tiff.with_suffix(".flags.tif")).read() & ~TRUSTED == 0)
+    np.testing.assert_array_equal(table[..., 0].sum(0), sound.sum((0, 1)))
+    mean = np.average(table[..., 1], axis=0, weights=table[..., 0])
+    wide = whole.astype(float)
+    np.testing.assert_allclose(mean, wide.mean((0, 1), where=sound), rtol=1e-12)
     for name, data in files.items():
         column, row = map(int, name.removeprefix("here/").removesuffix(".js").split("_"))
         head, text = data.decode("ascii").removesuffix('");\n').split(',"')

@@ -25,7 +25,8 @@ class Server:
 
     def __init__(self, folder, port):
         self.origin = f"http://127.0.0.1:{port}"
-        app = make_app(Library(folder), port=port, token=TOKEN)
+        self.library = Library(folder)
+        app = make_app(self.library, port=port, token=TOKEN)
         self.client = TestClient(app, base_url=self.origin, cookies={cookie_of(port): TOKEN})
 
     def edit(self, **body):
@@ -83,6 +84,8 @@ def test_nothing_that_was_acknowledged_is_lost_between_two_servers_and_an_editor
     for thread in threads:
         thread.join()
     assert lost == []
+    for server in servers:
+        server.library.settle()
     added = {tuple(place(n)) for n in range(120)} | {(1.0, 2.0, 3.0, 4.0)}
     assert set(edits_of(folder).added) == added
     text = (folder / "edits.toml").read_text()

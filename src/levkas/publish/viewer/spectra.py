@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from levkas.database.pixel_frames import Frame, FramePixels, MappingRefused, Records
+from levkas.database.regions import TRUSTED
 from levkas.database.tiff_pages import open_pages
 
 if TYPE_CHECKING:
@@ -63,25 +64,34 @@ def write_spectra(write: Write, folder: str, tiff: Path, *, key: str) -> Iterato
     Yields
     ------
     record : dict
-        columns and rows of a tile (px), width, height, bands, sigma and flags (whether they are there).
+        columns and rows of a tile (px), width, height, bands, sigma and flags (whether they are there);
+        sums is true: ``sums.js`` holds what `sum_block` gives of every tile and band, row by row.
     """
     values = open_pages(tiff)
     beside = [tiff.with_name(tiff.stem + kind) for kind in (".sigma.tif", ".flags.tif")]
     sigma, flags = (open_pages(path) if path.is_file() else None for path in beside)
     height, width, bands = values.shape
     across, down = tile_shape(width, height, bands)
+    sums: list[np.ndarray] = []
     for row in range(-(-height // down)):
         rows = (row * down, min(height, (row + 1) * down))
-        parts = [part.read(*rows) if part else None for part in (values, sigma, flags)]
+        whole = values.read(*rows)
+        spread, marks = (part.read(*rows) if part else None for part in (sigma, flags))
         for column in range(-(-width // across)):
             span = slice(column * across, (column + 1) * across)
+            parts = (whole, spread, marks)
             payload = b"".join(encode_block(p[:, span]) for p in parts if p is not None)
+            sums.append(sum_block(whole[:, span], marks[:, span] if marks is not None else None))
             text = base64.b64encode(zlib.compress(payload, ZLIB_LEVEL)).decode("ascii")
             call = f'levkasTile({json.dumps(f"{key}/{column}_{row}")},"{text}");\n'
             write(f"{folder}/{column}_{row}.js", call.encode("ascii"))
+    text = _encode(np.array(sums), "<f8")
+    write(
+        f"{folder}/sums.js", f'levkasTile({json.dumps(f"{key}/sums")},"{text}");\n'.encode("ascii")
+    )
     yield {
         **{"columns": across, "rows": down, "width": width, "height": height, "bands": bands},
-        **{"sigma": sigma is not None, "flags": flags is not None},
+        **{"sigma": sigma is not None, "flags": flags is not None, "sums": True},
     }
 
 
@@ -98,6 +108,33 @@ def tile_shape(width: int, height: int, bands: int) -> tuple[int, int]:
     ):
         down //= 2
     return across, down
+
+
+def sum_block(values: np.ndarray, flags: np.ndarray | None) -> np.ndarray:
+    """Return how many values of each band are sound, their mean, and the sum of squares of their differences from it.
+
+    Parameters
+    ----------
+    values : ndarray, (rows, columns, bands), float32
+    flags : ndarray, (rows, columns, bands), uint8, or None
+
+    Returns
+    -------
+    sums : ndarray, (bands, 3), float64
+
+    Examples
+    --------
+    >>> sum_block(np.array([[[1.0], [3.0], [np.nan]]], np.float32), None).tolist()
+    [[2.0, 2.0, 2.0]]
+    """
+    sound = np.isfinite(values)
+    if flags is not None:
+        sound &= (flags & ~TRUSTED) == 0
+    wide = np.where(sound, values, 0).astype(np.float64)
+    count = sound.sum((0, 1))
+    mean = wide.sum((0, 1)) / np.maximum(count, 1)
+    squares = np.where(sound, wide - mean, 0.0) ** 2
+    return np.stack([count, mean, squares.sum((0, 1))], -1)
 
 
 def encode_block(block: np.ndarray) -> bytes:
@@ -207,5 +244,5 @@ def _largest(apart: np.ndarray) -> float:
     return float(np.max(norms, initial=0.0, where=np.isfinite(norms)))
 
 
-def _encode(table: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(table, "<f4").tobytes()).decode("ascii")
+def _encode(table: np.ndarray, kind: str = "<f4") -> str:
+    return base64.b64encode(np.ascontiguousarray(table, kind).tobytes()).decode("ascii")

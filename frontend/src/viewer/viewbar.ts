@@ -1,0 +1,165 @@
+// The line under the picture: how long a millimetre is, what is on the screen, and how it is looked at.
+import { effect, signal } from "@preact/signals-core";
+import { find, make } from "../shared/element";
+import type { Point } from "../shared/pane";
+import { numbersOf, type Address } from "./address";
+import { isPlain, whiteOf } from "./levels";
+import { Minimap } from "./minimap";
+import type { LevelFilters } from "./levelfilters";
+import type { PaintingStage } from "./stage";
+import type { Choice, Slot, State } from "./state";
+
+const ZOOM_STEP = 1.4;
+const QUARTER = 90;
+const FIELD = "(max-width: 820px)"; // where the page scrolls, as the style sheet has it
+const THUMB = "(pointer: coarse)";
+
+export class ViewBar {
+  readonly minimap: Minimap;
+  private readonly percent = make("button", {
+    type: "button",
+    class: "percent",
+    title: "Show one pixel of the picture as one of the screen (0)",
+  });
+  private readonly overview = signal(!matchMedia(FIELD).matches);
+  private readonly byTouch = signal(false);
+
+  constructor(
+    host: HTMLElement,
+    private readonly stage: PaintingStage,
+    state: State,
+    { size, address, filters }: { size: Point; address: Address; filters: LevelFilters },
+  ) {
+    this.minimap = new Minimap(stage.left, size, (place) => stage.look(...place, stage.heading[2]));
+    find("stage").append(this.minimap.element);
+    const out = quiet("−", "Zoom out", () => stage.zoom(1 / ZOOM_STEP));
+    const closer = quiet("+", "Zoom in", () => stage.zoom(ZOOM_STEP));
+    const fit = quiet("Fit", "Fit the picture (F)", () => stage.fit());
+    const turn = quiet("⟳", "Turn by 90° (T)", () => this.turn(1));
+    const overview = quiet("Overview", "Small picture of the whole (Z)", () =>
+      this.toggleOverview(),
+    );
+    const touch = quiet(
+      "Drag",
+      "Drag with one finger: it moves the picture, and no longer the page",
+      () => {
+        this.byTouch.value = !this.byTouch.value;
+      },
+    );
+    this.percent.addEventListener("click", () => this.showPixels());
+    host.append(out, this.percent, closer, fit, turn, overview, touch);
+    effect(() => {
+      overview.setAttribute("aria-pressed", String(this.overview.value));
+      this.minimap.shown = this.overview.value;
+    });
+    effect(() => {
+      const choice = state.a.value;
+      if (choice) void this.minimap.show(choice.picture, filters.filterOf("a", choice, state));
+    });
+    this.watchFingers(touch);
+    this.register(address);
+  }
+
+  /** Turn the pictures by quarters, clockwise. */
+  turn(quarters: number): void {
+    this.stage.turn(QUARTER * quarters);
+  }
+
+  toggleOverview(): void {
+    this.overview.value = !this.overview.value;
+  }
+
+  /** Show one pixel of the picture as one of the screen. */
+  showPixels(): void {
+    const [x, y] = this.stage.heading;
+    this.stage.look(x, y, 1 / devicePixelRatio, false);
+  }
+
+  /** Bring the figures in line with the view; call it when that has changed. */
+  update(): void {
+    const part = 100 * this.stage.left.scale * devicePixelRatio;
+    const text = `${part < 10 ? part.toFixed(1) : Math.round(part)} %`;
+    if (this.percent.textContent !== text) {
+      this.percent.textContent = text;
+      this.percent.setAttribute("aria-label", `Zoom ${text}; show pixels one to one`);
+    }
+    this.minimap.update();
+  }
+
+  /** On a phone one finger scrolls the page, two move the picture, unless the button says otherwise. */
+  private watchFingers(button: HTMLElement): void {
+    const [field, thumb] = [matchMedia(FIELD), matchMedia(THUMB)];
+    const scrolls = signal(field.matches && thumb.matches);
+    const follow = (): void => void (scrolls.value = field.matches && thumb.matches);
+    for (const one of [field, thumb]) one.addEventListener("change", follow);
+    effect(() => {
+      button.hidden = !scrolls.value;
+      button.setAttribute("aria-pressed", String(this.byTouch.value));
+      this.stage.scrolls = scrolls.value && !this.byTouch.value;
+    });
+  }
+
+  private register(address: Address): void {
+    const { stage } = this;
+    address.add({
+      carried: true,
+      signals: [this.overview],
+      write: (facts) => {
+        if (stage.degrees) facts.set("turn", String(stage.degrees));
+        if (this.overview.value === matchMedia(FIELD).matches)
+          facts.set("overview", String(Number(this.overview.value)));
+      },
+      read: (facts) => {
+        const degrees = numbersOf(facts, "turn", 1)?.[0] ?? 0;
+        if (degrees % QUARTER === 0) stage.turnTo(((degrees % 360) + 360) % 360);
+        const wanted = facts.get("overview");
+        this.overview.value = wanted ? wanted === "1" : !matchMedia(FIELD).matches;
+      },
+    });
+  }
+}
+
+function quiet(text: string, title: string, act: () => void): HTMLButtonElement {
+  const button = make("button", { type: "button", title, "aria-label": title }, text);
+  button.addEventListener("click", act);
+  return button;
+}
+
+/** Say what is on the screen right now, in the line under the picture and above every pane. */
+export function sayWhatIsShown(caption: HTMLElement, stage: PaintingStage, state: State): void {
+  effect(() => {
+    const mode = stage.mode.value;
+    const turning = mode === "flicker" || stage.held.value;
+    const name = (slot: Slot): string => {
+      const choice = state[slot].value;
+      return choice ? describe(choice, state) : "nothing";
+    };
+    for (const { slot, label } of stage.cells) {
+      label.textContent = `${slot.toUpperCase()}: ${name(slot)}`;
+    }
+    caption.setAttribute("aria-live", turning ? "off" : "polite");
+    caption.dataset["now"] = turning ? stage.seen.value : "";
+    const [a, b] = [`A: ${name("a")}`, `B: ${name("b")}`];
+    const [first, second] = stage.curtain.level.value ? ["above", "below"] : ["left", "right"];
+    const share = Math.round(100 * stage.opacity.value);
+    const words: Partial<Record<typeof mode, string>> = {
+      single: name("a"),
+      curtain: `${a} ${first} of the line · ${b} ${second}`.replace("above of", "above"),
+      opacity: `${b}, ${share} % over ${a}`,
+      difference: `Difference × ${stage.gain.value} of ${a} and ${b}`,
+      side: `${a} · ${b}`,
+      grid: stage.slots.value.map((slot) => `${slot.toUpperCase()}: ${name(slot)}`).join(" · "),
+    };
+    caption.textContent = turning ? `Now ${stage.seen.value === "a" ? a : b}` : (words[mode] ?? a);
+  });
+}
+
+/** A choice in words: layer, picture, and its levels where they were changed. */
+function describe(choice: Choice, state: State): string {
+  const { layer, picture } = choice;
+  const levels = state.levelsOf(choice);
+  const words = `${layer.name}, ${picture.label}`;
+  if (picture.kind === "map" || isPlain(levels, whiteOf(picture))) return words;
+  const [black, white] = [levels.black, levels.white].map((value) => Number(value.toPrecision(2)));
+  return `${words} (${levels.inverted ? "inverted, " : ""}${black} to ${white})`;
+}
