@@ -113,7 +113,7 @@ function build(store: Store): void {
   pair.next = () => table.following();
   pair.onNext = () => {
     const chosen = store.selectedPair();
-    if (chosen) stage.flyTo(chosen);
+    if (chosen && !stage.sees(chosen)) stage.flyTo(chosen);
   };
   listenToKeys(keys);
   Object.assign(window, { levkasWorkbench: { store, stage, trace } });
