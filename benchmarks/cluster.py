@@ -1,13 +1,17 @@
 """A build on the workers of dask: what it costs and gains, and what it takes to end it.
 
     python benchmarks/cluster.py speed [CAMPAIGN]
+    python benchmarks/cluster.py kinds [CAMPAIGN]
     python benchmarks/cluster.py kills [CAMPAIGN]
 
-``speed``: two objects in one process with one thread, in one process with all, and on one and two workers;
-the databases must be the same, byte for byte, and no message larger than 64 kB. ``kills``: a scheduler, and
+``speed``: two objects in one process with one thread, in one process with all, and on one and two workers, in
+turns; the databases must be the same, byte for byte, and no message larger than 64 kB. Modules are loaded as
+they are installed, compiled. ``kinds``: two objects of five cameras and two setups, adjusted together, in one
+process, on two and on three workers; then the same with every scan streamed. ``kills``: a scheduler, and
 three workers that are started again whenever they end. While the campaign builds, a worker is killed every
 2 s, thirty in all, one is stopped for 60 s, the scheduler is ended and started again, and so is the client.
-CAMPAIGN is simulated where none is given. Other work on the machine is in the times: see the load.
+CAMPAIGN is simulated where none is given. Other work on the machine is in the times: see the load, and the
+seconds of the processors.
 """
 
 import json
@@ -27,6 +31,8 @@ import psutil
 from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
 from levkas.simulation import simulate_campaign
+
+COMPILED = tempfile.mkdtemp()  # modules, also where PYTHONDONTWRITEBYTECODE is set
 
 PLATES = tuple(f"plate{number:02}" for number in range(6))
 EVERY_KIND = Path(__file__).resolve().parents[1] / "tests/building/every_kind.py"
@@ -64,10 +70,12 @@ def plates(folder):
     return runpy.run_path(str(EVERY_KIND))["make"](folder, PLATES, ("photo", "xray"))
 
 
-def build(campaign, output, *options, threads=None, program=LEVKAS):
-    """Build; return seconds of the wall, of processors, and the last line that it said."""
+def build(campaign, output, *options, threads=None, program=LEVKAS, **more):
+    """Build, with `more` variables; return seconds of the wall, of processors, and the last line that it said."""
     environment = {k: v for k, v in os.environ.items() if k != "LEVKAS_THREADS"}
     environment |= {"LEVKAS_THREADS": str(threads)} if threads else {}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    environment |= {"PYTHONPYCACHEPREFIX": COMPILED, **more}
     started, before = time.monotonic(), os.times()
     done = subprocess.run(
         [*program, "build", str(campaign), "-o", str(output), *options],
@@ -88,22 +96,60 @@ def speed(campaign, folder):
         "2 workers": (("--workers", "2"), None, counted),
     }
     build(campaign, folder / "warm", "--workers", "0")
-    hashes, walls = set(), {}
+    hashes, walls, busies = set(), {}, {}
     for round_ in range(2):
         for name, (options, threads, program) in ways.items():
             output = folder / f"{name} {round_}".replace(" ", "_")
             load = os.getloadavg()[0]
             wall, busy, last = build(campaign, output, *options, threads=threads, program=program)
-            walls[name] = min(wall, walls.get(name, wall))
+            walls.setdefault(name, []).append(wall)
+            busies.setdefault(name, []).append(busy)
             hashes.add(json.dumps(hash_tree(output)))
             print(
                 f"{name}: {wall:.1f} s, load before {load:.1f}, processor {busy:.1f} s; {last}",
                 flush=True,
             )
-    alone = walls["one process, one thread"]
-    print(f"two workers are {alone / walls['2 workers']:.2f} x one process with one thread")
-    print(f"one worker takes {walls['1 worker'] / walls['one process'] - 1:+.1%} of one process")
+    for what, seconds in (("time", walls), ("processor time", busies)):
+        least = {name: min(each) for name, each in seconds.items()}
+        print(
+            f"{what}: one process with one thread {least['one process, one thread'] / least['2 workers']:.2f} x "
+            f"that of two workers; two workers {least['2 workers'] / least['one process'] - 1:+.1%} and "
+            f"one worker {least['1 worker'] / least['one process'] - 1:+.1%} of one process"
+        )
     print("the same bytes" if len(hashes) == 1 else f"{len(hashes)} DIFFERENT DATABASES")
+
+
+STREAMED = """
+from levkas.core.instructions import hold_instructions
+hold_instructions()
+from levkas.building import scans, streaming
+scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 3_000_000
+"""
+
+
+def setups(folder):
+    """Simulate two objects of five cameras and two setups, whose captures are adjusted together."""
+    for _ in simulate_campaign(folder, preset="small", scale=0.15, objects=2, setups=True):
+        pass
+    with (folder / "campaign.toml").open("a") as handle:
+        handle.write("\n[registration]\njoint = true\n")
+    return folder
+
+
+def kinds(campaign, folder):
+    streams = folder / "streams.py"
+    streams.write_text(STREAMED)
+    streamed = [sys.executable, "-c", f"{STREAMED}\nfrom levkas.cli import main; main()"]
+    preload = {"DASK_DISTRIBUTED__WORKER__PRELOAD": json.dumps([str(streams)])}
+    for how, program, more in (("held", LEVKAS, {}), ("streamed", streamed, preload)):
+        expected = None
+        for workers in ("0", "2", "3"):
+            output = folder / f"{how}{workers}"
+            wall, _, last = build(campaign, output, "--workers", workers, program=program, **more)
+            found = hash_tree(output)
+            expected = expected or found
+            same = "the same bytes" if found == expected else "OTHER BYTES"
+            print(f"{how}, {workers} workers: {same}, {wall:.0f} s; {last}", flush=True)
 
 
 class Machines:
@@ -219,6 +265,8 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as place:
         given = Path(sys.argv[2]) if sys.argv[2:] else None
         folder = Path(place) / "campaign"
-        make = simulated if what == "speed" else plates
+        make, measure = {
+            "speed": (simulated, speed), "kinds": (setups, kinds), "kills": (plates, kills)
+        }[what]  # fmt: skip
         chosen = given or make(folder)
-        {"speed": speed, "kills": kills}[what](chosen.resolve(), Path(place))
+        measure(chosen.resolve(), Path(place))

@@ -11,8 +11,6 @@ function tile(spectra: number[][], flags: number[][]) {
   return {
     columns: spectra.length,
     rows: 1,
-    left: 1,
-    top: 1,
     values: Float32Array.from(planes(spectra)),
     sigma: null,
     flags: Uint8Array.from(planes(flags)),
@@ -32,7 +30,7 @@ test("angles are those of the spectra, whatever their length; a flag in a needed
   ];
   const flags = spectra.map((_, i) => [i === 5 ? 2 : 0, 0, 0, i === 6 ? 2 : 0]);
   const angles = new Float32Array(9 * 3).fill(-1);
-  fillAngles(angles, 9, tile(spectra, flags), { bands: [0, 1, 2], values, sound: SOUND });
+  fillAngles(angles, 9, [tile(spectra, flags), 1, 1], { bands: [0, 1, 2], values, sound: SOUND });
   const row = [...angles.slice(10, 17)];
   expect(row.slice(0, 4).map((angle) => Math.round(angle * 100) / 100)).toEqual([0, 45, 90, 180]);
   expect(row[4]).toBeNaN(); // no length, no angle

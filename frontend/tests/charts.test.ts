@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { across, levels, niceTop, ticks, upwards } from "../src/shared/plot";
+import { across, dashOf, levels, niceTop, ticks, upwards } from "../src/shared/plot";
 import { describeDoubts, runs, valueRange } from "../src/viewer/chart";
 import { thinOut } from "../src/workbench/curve";
 
@@ -81,4 +81,9 @@ test("thousands of values are thinned out to their largest, few are all kept", (
   expect(kept.length).toBeLessThanOrEqual(101);
   expect(Math.max(...kept.map(([, value]) => value))).toBe(99);
   expect(kept.at(-1)).toEqual([999, 1]);
+});
+
+test("each colour of a curve has dashes of its own, and a reference in grey another", () => {
+  const colours = Array.from({ length: 8 }, (_, i) => `var(--curve-${i + 1})`);
+  expect(new Set([...colours, "#777"].map(dashOf)).size).toBe(9);
 });

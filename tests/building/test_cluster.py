@@ -1,6 +1,7 @@
 """A build on workers: the database of a build in one process, whatever comes to an end meanwhile."""
 
 import json
+import queue
 import random
 import signal
 import subprocess
@@ -12,13 +13,23 @@ import distributed.comm.tcp
 import psutil
 import pytest
 import tifffile
+from distributed import Nanny, Scheduler, SpecCluster
 from typer.testing import CliRunner
 
-from levkas.building import build, cluster, cluster_executor, summarise
+from levkas.building import (
+    build,
+    cluster,
+    cluster_executor,
+    scans,
+    streaming,
+    summarise,
+    worker,
+)
 from levkas.cli import app
 from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
 from levkas.core.problems import Refused
+from levkas.core.progress import FRAMES
 
 LARGEST_MESSAGE = 64_000
 BUILD = "from levkas.cli import main; main()"
@@ -31,11 +42,12 @@ def no_scheduler(monkeypatch):
 
 @pytest.fixture(scope="module")
 def plates(make_plates, tmp_path_factory):
-    """A campaign of two objects, its database as one process builds it, and the steps of that build."""
+    """A campaign of two objects; its database as one process builds it, the steps, and the frames read."""
+    before = FRAMES.count
     folder = make_plates(tmp_path_factory.mktemp("plates") / "campaign")
     report = summarise(build(folder, workers=0))
     assert report.ok
-    return folder, hash_tree(folder / "database"), report
+    return folder, hash_tree(folder / "database"), report, FRAMES.count - before
 
 
 @pytest.fixture
@@ -71,14 +83,14 @@ def partial_files(folder):
 def test_the_bytes_are_those_of_one_process_in_any_order(
     count, plates, messages, tmp_path, monkeypatch
 ):
-    folder, expected, alone = plates
+    folder, expected, alone, plates_read = plates
     run = cluster_executor.ClusterExecutor.run
 
-    def shuffled(self, tasks):
-        yield from run(self, random.Random(count).sample(tasks, len(tasks)))
+    def shuffled(self, tasks, write_page):
+        yield from run(self, random.Random(count).sample(tasks, len(tasks)), write_page)
 
     monkeypatch.setattr(cluster_executor.ClusterExecutor, "run", shuffled)
-    steps, listening = [], set()
+    steps, listening, frames = [], set(), FRAMES.count
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)  # of a large graph, among others
         for step in build(folder, output=tmp_path / "database", workers=count):
@@ -88,6 +100,7 @@ def test_the_bytes_are_those_of_one_process_in_any_order(
                     held = process.net_connections("inet")
                     listening |= {one.laddr.ip for one in held if one.status == "LISTEN"}
     assert hash_tree(tmp_path / "database") == expected
+    assert FRAMES.count - frames == plates_read
     assert listening == {"127.0.0.1"}
     assert messages and max(messages) < LARGEST_MESSAGE
     report = summarise(steps)
@@ -96,8 +109,71 @@ def test_the_bytes_are_those_of_one_process_in_any_order(
     assert not partial_files(tmp_path) and not [*tmp_path.rglob("*.asked")]
 
 
+@pytest.mark.parametrize("streamed", [False, True], ids=["held", "streamed"])
+def test_setups_scans_and_captures_adjusted_together_are_those_of_one_process(
+    make_every_kind, tmp_path, monkeypatch, streamed
+):
+    folder = make_every_kind(tmp_path / "campaign")
+    keys = (folder / "campaign.toml").read_text()
+    assert "[setups.raking]" in keys and "[cameras.scan]" in keys
+    (folder / "campaign.toml").write_text(
+        keys.replace("[registration]\n", "[registration]\njoint = true\n")
+    )
+    preload = tmp_path / "preload.py"
+    preload.write_text("")
+    if streamed:
+        preload.write_text(
+            "from levkas.building import scans, streaming\n"
+            "scans.STREAMED_SAMPLES, streaming.HELD_BYTES = 0, 100_000\n"
+        )
+        monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
+        monkeypatch.setattr(streaming, "HELD_BYTES", 100_000)
+    alone = summarise(build(folder, output=tmp_path / "alone", workers=0))
+    with dask.config.set({"distributed.worker.preload": [str(preload)]}):
+        report = summarise(build(folder, output=tmp_path / "workers", workers=2))
+    stages = {stage["stage"] for stage in (s.to_dict() for s in report.stages)}
+    assert "measure" in stages
+    assert [s.to_dict() for s in report.stages] == [s.to_dict() for s in alone.stages]
+    assert report.ok, report.text
+    assert hash_tree(tmp_path / "workers") == hash_tree(tmp_path / "alone")
+
+
+def test_the_line_names_what_waits_for_memory_while_a_worker_is_idle(plates, tmp_path, monkeypatch):
+    folder, expected, _, _ = plates
+    monkeypatch.setattr(
+        cluster_executor,
+        "memory_needed",
+        lambda task, _: 2e9 if task.key.camera == "infrared" else 1e8,
+    )
+    each = {"nthreads": 1, "host": "127.0.0.1"}
+    workers = {
+        name: {"cls": Nanny, "options": {**each, "memory_limit": limit}}
+        for name, limit in (("small", "1GB"), ("large", "4GB"))
+    }
+    scheduler = {
+        "cls": Scheduler,
+        "options": {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"},
+    }
+    with SpecCluster(workers, scheduler, silence_logs=50) as machines:
+        address = machines.scheduler_address
+        steps = list(build(folder, output=tmp_path / "database", cluster=address))
+    assert {s.where for s in steps} >= {"2 workers, two/infrared waits for memory"}
+    assert hash_tree(tmp_path / "database") == expected
+
+
+def test_a_task_reports_its_frames_within_the_second(monkeypatch):
+    monkeypatch.setattr(worker, "TOLD_S", 0.0)
+    told = queue.SimpleQueue()
+    with worker.Watch(lambda *said: told.put(said)) as watch:
+        assert told.get(timeout=10)[1] == 0
+        FRAMES.add(3)
+        while (said := told.get(timeout=10))[1] != 3:
+            pass
+    assert watch.frames == 3 and 0 < said[0] <= watch.bytes
+
+
 def test_a_killed_client_and_a_killed_worker_cost_only_what_they_were_doing(plates, tmp_path):
-    folder, expected, _ = plates
+    folder, expected, _, _ = plates
     output = tmp_path / "database"
     command = [sys.executable, "-c", BUILD, "build", str(folder), "-o", str(output)]
     with subprocess.Popen(
@@ -176,12 +252,13 @@ def test_the_command_refuses_as_every_command_does(plates, tmp_path, monkeypatch
     assert run("--cluster", "tcp://127.0.0.1:9", "--workers", "2") == (1, "E_VALUE")
     with dask.config.set({"distributed.comm.timeouts.connect": "200ms"}):
         assert run("--cluster", "tcp://127.0.0.1:9") == (1, "E_CLUSTER")
+    assert run("--cluster", "tls://127.0.0.1:9") == (1, "E_CLUSTER")  # without certificates
     monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", "tcp://10.0.0.7:8786")
     assert run() == (1, "E_INSECURE")
 
 
 def test_unlike_workers_are_said_to_be_so_and_another_levkas_is_refused():
-    one = {"worker": "tcp://a:1", "bytes": 4e9, **cluster.facts()}
+    one = {"worker": "tcp://a:1", "bytes": 4e9, **worker.facts()}
     found = cluster.Cluster("tcp://127.0.0.1:9")
     found.learn(one)
     assert found.warnings == ()

@@ -237,6 +237,12 @@ CELL = [10.0, 20.0, 40.0, 30.0]
         ({"checked": 0.7}, "warn", 0.3),
         ({"off": [CELL], "off_share": 0.05}, "warn", 0.02),
         ({"rival": 0.9}, "warn", 0.02),
+        ({"held_out_px": 0.3, "window_sigma_px": 0.1}, "warn", 0.02),
+        (
+            {"held_out_px": 0.3, "window_sigma_px": 0.4},
+            "accept",
+            0.02,
+        ),  # noise of the windows explains it
         ({"strange": 0.5, "light": "other"}, "warn", 0.02),
         ({"strange": 0.5, "light": "unknown"}, "accept", 0.02),
         ({"off": [CELL], "off_share": 0.3}, "refuse", 0.02),
@@ -246,13 +252,28 @@ CELL = [10.0, 20.0, 40.0, 30.0]
 def test_what_is_contradicted_is_doubtful_and_what_was_not_checked_is_counted(
     change, decision, unchecked
 ):
-    numbers = {**SOUND, **{k: v for k, v in change.items() if k in ("checked", "light")}}
+    numbers = {**SOUND, **{k: v for k, v in change.items() if k not in CONFIRMED or k == "checked"}}
     verdict = judge_windows({"sensor": {**numbers, "borne_out": {**CONFIRMED, **change}}})
     assert verdict.decision == decision
     assert verdict.unchecked == pytest.approx(unchecked, abs=0.01)
     if decision == "accept":
         open_ones = unchecked > 0.1 or "strange" in change
         assert ("othing" in verdict.reasons[-1]) == open_ones  # named where it is much
+
+
+def test_what_stands_in_another_plane_is_named(pictures):
+    """A picture whose middle stands nearer to the camera, and so lies 6 px elsewhere."""
+    reference, (values, valid) = pictures
+    nearer = values.copy()
+    nearer[60:170, 90:210] = values[60:170, 96:216]
+    seen = search_windows(reference, (nearer, valid), STILL)
+    checks = CheckWindows(seen.centres, seen.shift, seen.found, 1.0, 40.0)
+    case = evidence([reference, (nearer, valid)])
+    cells = measure_support(case.overlap, checks, np.empty((0, 2)))
+    assert len(cells["off"]) >= 2 and np.allclose(np.abs(cells["off_shift"]), [6, 0], atol=0.5)
+    verdict = judge_windows({"sensor": {**SOUND, "borne_out": {**CONFIRMED, **cells}}})
+    assert verdict.decision == "warn"
+    assert "px alike: there is more than one plane" in verdict.reasons[0]
 
 
 def test_the_default_method_never_advises_keys_of_the_papers(pictures):

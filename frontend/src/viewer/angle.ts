@@ -4,7 +4,7 @@ import { signal } from "@preact/signals-core";
 import type { Point } from "../shared/pane";
 import { marksOf } from "./numbers";
 import type { Layer, Legend, Mark, Picture } from "./record";
-import type { LayerSpectra, PlacedTile, Spectrum } from "./spectra";
+import type { LayerSpectra, Tile, Spectrum } from "./spectra";
 
 /** Angles at the dark end of the scale, degrees. */
 export const RANGES = [2, 5, 10, 20, 40];
@@ -99,7 +99,7 @@ function trusted(spectrum: Spectrum, marks: Mark[]): number[] {
 export function fillAngles(
   angles: Float32Array,
   width: number,
-  tile: PlacedTile,
+  [tile, left, top]: [Tile, left: number, top: number],
   { bands, values, sound }: { bands: number[]; values: Float32Array; sound: boolean[] },
 ): void {
   const plane = tile.columns * tile.rows;
@@ -115,7 +115,7 @@ export function fillAngles(
         own += value * value;
       }
       const cosine = both / (Math.sqrt(own) * length);
-      angles[(tile.top + row) * width + tile.left + column] =
+      angles[(top + row) * width + left + column] =
         (Math.acos(Math.max(-1, Math.min(1, cosine))) * 180) / Math.PI;
     }
 }
@@ -215,12 +215,13 @@ export class AngleMaps {
         marksOf(bits, this.marks).every((mark) => mark.trusted),
       );
       const needed = { bands, values: spectrum.values, sound };
-      let done = 0;
+      let [done, read] = [0, 0];
       const pixels = facts.width * facts.height;
-      const all: [number, number, number, number] = [0, 0, facts.width - 1, facts.height - 1];
-      for await (const tile of spectra.tilesWithin(all)) {
+      const places = spectra.placesWithin([0, 0, facts.width - 1, facts.height - 1]);
+      for await (const tile of spectra.readTiles(places)) {
         if (!wanted()) throw new GivenUp();
-        fillAngles(angles, facts.width, tile, needed);
+        const [left, top] = spectra.shapeOf(places[read++]!);
+        fillAngles(angles, facts.width, [tile, left, top], needed);
         done += tile.columns * tile.rows;
         progress.value = `Computing the spectral angle: ${Math.floor((100 * done) / pixels)} %.`;
       }

@@ -10,7 +10,7 @@ export interface Spectrum {
   flags: Uint8Array | null;
 }
 
-interface Tile extends Spectrum {
+export interface Tile extends Spectrum {
   columns: number;
   rows: number;
 }

@@ -252,7 +252,7 @@ const keys: Key[] = [
 ];
 const help = helpDialog(
   keys,
-  "Drag to pan, turn the wheel to zoom, double-click to zoom in. Point at the painting to read every camera's spectrum there; click to pin a place, click it again to let go.",
+  "Drag to pan, turn the wheel to zoom, double-click to zoom in. On a phone two fingers move the picture, and one scrolls the page. Point at the painting to read every camera's spectrum there; click to pin a place, click it again to let go.",
   "Fast flicker can trouble people with photosensitive epilepsy: keep it at 2 Hz or below then.",
 );
 listenToKeys(keys);

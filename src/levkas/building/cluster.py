@@ -8,6 +8,7 @@ import queue
 import secrets
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from ipaddress import ip_address
@@ -17,20 +18,14 @@ from urllib.parse import urlsplit
 
 import dask
 from distributed import Client, Future, LocalCluster, WorkerPlugin, get_worker
+from distributed.security import Security
 
 from levkas.building import sources
-from levkas.building.worker import (
-    Job,
-    code_digest,
-    facts,
-    prepare,
-    work,
-)
 from levkas.core.machine import THREADS, count_threads, memory_bound
 from levkas.core.problems import Problem, Refused
 
 if TYPE_CHECKING:
-    pass
+    from levkas.building.worker import Job
 
 SLOT, BYTES = "levkas", "levkas-memory"
 """Resources of a worker: one task of ours at a time, and the memory that it may take, bytes."""
@@ -39,12 +34,20 @@ ALONE = {
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
+    "distributed.worker.profile.enabled": False,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
 }
-"""Of workers of this machine: every loss is heard of, and nothing that could be spilled is held."""
+"""Of workers of this machine: every loss is heard of, nothing that could be spilled is held, no page is served."""
 LIMITS = (
     THREADS, "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )  # fmt: skip
+
+CERTIFICATES = [
+    f"DASK_DISTRIBUTED__COMM__TLS__{part}" for part in ("CA_FILE", "CLIENT__CERT", "CLIENT__KEY")
+]
+"""Variables by which dask's own configuration is told the files of a client."""
 
 
 class ClusterRefused(Refused):
@@ -110,25 +113,45 @@ def connected(address: str | None, workers: int, *, insecure: bool = False) -> I
         check_address(address, insecure=insecure)
     logging.getLogger("distributed").setLevel(logging.ERROR)
     with ExitStack() as stack:
-        here: LocalCluster | None = None
-        if not address:
-            threads = max(1, count_threads() // workers)
-            with dask.config.set(ALONE):
-                here = stack.enter_context(
-                    LocalCluster(
-                        n_workers=workers,
-                        threads_per_worker=threads,
-                        memory_limit=int(memory_bound() / workers),
-                        host="127.0.0.1",
-                        dashboard_address="127.0.0.1:0",
-                        worker_dashboard_address="127.0.0.1:0",
-                        silence_logs=logging.ERROR,
-                        env=dict.fromkeys(LIMITS, str(threads)),
-                    )
-                )
-        cluster = Cluster(here.scheduler_address if here else str(address))
+        if address:
+            cluster = Cluster(str(address))
+        else:
+            with ThreadPoolExecutor(1, thread_name_prefix="starting") as starter:
+                starting = starter.submit(_start_here, workers)
+                stack.callback(lambda: starting.exception() or starting.result().close())
+                _load()  # while the workers load the same
+            here = starting.result()
+            cluster = Cluster(here.scheduler_address, here.security)
         stack.callback(cluster.close)
         yield cluster
+
+
+def _start_here(workers: int) -> LocalCluster:
+    """Start workers that share this machine; every connection is encrypted with a key of its own.
+
+    The loopback interface is open to all who are logged in, and dask runs what it is sent.
+    """
+    threads = max(1, count_threads() // workers)
+    with dask.config.set(ALONE):
+        return LocalCluster(
+            n_workers=workers,
+            threads_per_worker=threads,
+            memory_limit=int(memory_bound() / workers),
+            host="127.0.0.1",
+            security=Security.temporary(),
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.ERROR,
+            env=dict.fromkeys(LIMITS, str(threads)),
+        )
+
+
+def _load() -> None:
+    """Load what a client of a cluster needs, and read the code of the stages."""
+    from levkas.building.worker import code_digest, facts
+
+    code_digest()
+    facts()
 
 
 @dataclass
@@ -138,14 +161,16 @@ class Cluster:
     Parameters
     ----------
     address : str
+    security : Security, optional
+        Certificates; else those of dask's own configuration.
     """
 
     address: str
+    security: Security | None = None
     build: str = field(default_factory=lambda: secrets.token_hex(6))
     sizes: dict[str, float] = field(default_factory=dict)
     """Bytes of every worker that was ever seen, by address."""
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
-    mine: dict[str, Any] = field(default_factory=lambda: facts())
     events: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
     _client: Client | None = None
     _scheduler: str = ""
@@ -156,7 +181,18 @@ class Cluster:
         """The connection, made anew where it was given up; raises ClusterRefused where nobody answers."""
         if self._client is None or self._client.status in ("closed", "closing"):
             try:
-                self._client = Client(self.address, set_as_default=False)
+                self._client = Client(self.address, security=self.security, set_as_default=False)
+            except TypeError as error:
+                raise ClusterRefused(
+                    Problem(
+                        "E_CLUSTER",
+                        "a scheduler behind TLS is reached with certificates, and none are set",
+                        field="--cluster",
+                        found=self.address,
+                        expected=" ".join(CERTIFICATES),
+                        fix="Set these variables to the files; see docs/howto/cluster.md.",
+                    )
+                ) from error
             except (OSError, TimeoutError, ValueError, RuntimeError) as error:
                 raise ClusterRefused(
                     Problem(
@@ -186,11 +222,13 @@ class Cluster:
 
     def learn(self, told: dict[str, Any]) -> None:
         """Take what a worker says of itself; raises ClusterRefused where its code is another one."""
+        from levkas.building.worker import code_digest, facts
+
         worker = told["worker"]
         self.sizes[worker], self.facts[worker] = float(told["bytes"]), told
         self._prepared.add(worker)
         if told["code"] != code_digest():
-            mine = self.mine
+            mine = facts()
             unlike = [n for n in ("levkas", "numpy") if told[n] != mine[n]] or ["levkas"]
             raise ClusterRefused(
                 Problem(
@@ -206,7 +244,9 @@ class Cluster:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What workers and this process differ in, and what they compute may in its last bits."""
-        told, mine = [], self.mine
+        from levkas.building.worker import facts
+
+        told, mine = [], facts()
         for name in ("python", "numpy", "BLAS", "instruction set"):
             kinds = Counter(str(one[name]) for one in self.facts.values())
             if kinds.keys() - {str(mine[name])}:
@@ -221,14 +261,16 @@ class Cluster:
         except (OSError, TimeoutError):
             return []
 
-    def send(self, job: Job, need: float, attempt: int) -> Future:
-        """Send a task; its result is a few words."""
+    def send(self, job: Job, need: float, attempt: int, worker: str) -> Future:
+        """Send a task to a worker, or another where that one is lost; its result is a few words."""
         name = "-".join(part for part in (*job.name, job.build, str(attempt)) if part)
         return self.client.submit(
             _do,
             job,
             key=name,
             resources={SLOT: 1, BYTES: need},
+            workers=[worker],
+            allow_other_workers=True,
             retries=0,
             pure=False,
         )
@@ -249,6 +291,8 @@ class Greeting(WorkerPlugin):  # type: ignore[misc]
 
     async def setup(self, worker: Any) -> None:
         """Prepare a worker that is there, or that has just come."""
+        from levkas.building.worker import facts, prepare
+
         size = prepare(worker.state.nthreads, worker.memory_manager.memory_limit)
         await asyncio.to_thread(sources.remember, Path(self.kept) / sources.CODE)
         told = await asyncio.to_thread(facts)
@@ -257,12 +301,15 @@ class Greeting(WorkerPlugin):  # type: ignore[misc]
 
 
 def _do(job: Job) -> dict[str, Any]:
-    """Do a task on a worker, and say there that it has begun."""
+    """Do a task on a worker, and say there that it has begun and how far it is."""
+    from levkas.building.worker import work
+
     worker = get_worker()
     topic, name = f"levkas-{job.build}", list(job.name)
 
-    def say(peak: int) -> None:
-        worker.log_event(topic, {"begun": name, "on": worker.address, "peak": peak})
+    def say(peak: int, frames: int) -> None:
+        told = {"begun": name, "on": worker.address, "peak": peak, "frames": frames}
+        worker.log_event(topic, told)
 
-    say(0)
+    say(0, 0)
     return {**work(job, say), "on": worker.address}

@@ -1,18 +1,21 @@
 """The executor of a graph on a cluster: a task is sent when all that it reads has ended.
 
-It is sent with the memory that it needs as a resource, and dask decides which worker does it; the worker
-leaves a receipt, and this process alone records what was made.
+It is sent with the memory that it needs as a resource, to the idle worker that holds most of what it reads;
+dask finds another one where that is lost. The worker leaves a receipt, and this process alone records
+what was made. Frames are hashed ahead, and pages written, in a thread each.
 """
 
 from __future__ import annotations
 
-import heapq
 import queue
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future as Running
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,10 +26,11 @@ from distributed.scheduler import KilledWorker
 from levkas.building import sources
 from levkas.building.cluster import Cluster
 from levkas.building.endings import OF_THE_MACHINES, Due, Endings
-from levkas.building.fingerprints import digest
+from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
 from levkas.building.scans import is_streamed
+from levkas.building.task_queue import TaskQueue, hash_key
 from levkas.building.worker import (
     ASKED,
     PARTS,
@@ -44,6 +48,7 @@ from levkas.building.worker import (
 from levkas.core.disk import DISK_CODES
 from levkas.core.files import make_folder, remove, write_text
 from levkas.core.problems import Problem, Refused
+from levkas.core.progress import FRAMES
 from levkas.core.sweeping import sweep
 
 if TYPE_CHECKING:
@@ -77,7 +82,7 @@ def memory_needed(task: Task, campaign: Campaign) -> float:
 
 @dataclass
 class Flight:
-    """A task that was sent, and its attempts: worker, peak of private memory, why it was not the last.
+    """A task that is sent, or waits for memory, and its attempts: worker, peak of private memory, reason.
 
     Parameters
     ----------
@@ -92,8 +97,13 @@ class Flight:
     need: float
     part: tuple[int, ...] = ()
     future: Future | None = None
+    to: str = ""
+    """The worker that it was sent to; dask may have taken another one."""
     on: str = ""
+    """The worker that has begun it."""
     peak: int = 0
+    frames: int = 0
+    sent: int = 0
     since: float = 0.0
     attempts: list[dict[str, Any]] = field(default_factory=list)
     failed: int = 0
@@ -107,22 +117,22 @@ class Flight:
     def ended(self, why: str) -> None:
         """Log an attempt."""
         self.attempts.append({"worker": self.on, "peak": self.peak, "why": why})
-        self.on, self.peak = "", 0
+        self.on, self.peak, self.frames = "", 0, 0
+
+    def is_of(self, name: Iterable[str]) -> bool:
+        """Tell whether it is the task of which a worker speaks."""
+        key = self.key
+        return [key.object, key.camera, key.setup, key.stage] == [*name]
 
 
 class ClusterExecutor:
     """Runs the tasks of captures on a cluster, and says how each ends; as `Executor` does in one process."""
 
-    takes_all = True
-
     def __init__(self, endings: Endings, cluster: Cluster, path: Path, *, verify: bool) -> None:
         self._endings, self._records, self._cluster = endings, endings.records, cluster
         self._graph, self._places = endings.graph, endings.places
         self._path, self._verify = path, verify
-        self._tasks: list[Task] = []
-        self._ahead: dict[Key, set[Key]] = {}
-        self._behind: dict[Key, list[Key]] = {}
-        self._ready: list[int] = []
+        self._queue = TaskQueue(self._graph)
         self._flying: dict[Key, Flight] = {}
         self._sent = count(1)
         self._redone: Counter[Key] = Counter()
@@ -132,19 +142,38 @@ class ClusterExecutor:
         self._untidy = False
         self._counted = 0.0
 
-    def run(self, tasks: Sequence[Task]) -> Iterator[Step]:
-        """Yield each task of captures as it begins and as it ends; `tasks` has all of them."""
-        self._lay(tasks)
-        try:
-            sources.keep(self._places.kept / sources.CODE)
-            self._cluster.greet(self._places.kept)
-            while self._ready or self._flying:
-                for step in (*self._send_ready(), *self._heard()):
-                    yield replace(self._endings.note(step), where=self.where)
-        finally:
-            if futures := [f.future for f in self._flying.values() if f.future is not None]:
-                with suppress(Exception):  # the scheduler may have gone
-                    self._cluster.client.cancel(futures)
+    def run(
+        self, tasks: Sequence[Task], write_page: Callable[[Task], Iterable[Step]]
+    ) -> Iterator[Step]:
+        """Yield each task as it begins and as it ends; `tasks` are all, but for the catalogue.
+
+        `write_page` writes the page of an object or of a camera.
+        """
+        self._write_page = write_page
+        with (
+            ThreadPoolExecutor(1, thread_name_prefix="pages") as self._pages,
+            ThreadPoolExecutor(1, thread_name_prefix="hashing") as self._hasher,
+        ):
+            try:
+                sources.keep(self._places.kept / sources.CODE)
+                self._lay(tasks)
+                self._cluster.greet(self._places.kept)
+                said = ""
+                while self._queue.open:
+                    for step in (*self._send_ready(), *self._heard()):
+                        said = self.where
+                        of_capture = step.key.object and step.key.camera
+                        yield replace(step, where=said) if of_capture else step
+                    if said != self.where and self._flying:
+                        said = self.where
+                        first = next(iter(self._flying.values())).due
+                        yield Step(first.task.key, "running", first.why, where=said)
+            finally:
+                for pool in (self._hasher, self._pages):
+                    pool.shutdown(wait=False, cancel_futures=True)
+                if futures := [f.future for f in self._flying.values() if f.future is not None]:
+                    with suppress(Exception):  # the scheduler may have gone
+                        self._cluster.client.cancel(futures)
         if self._untidy:
             for folder in (self._places.output, self._places.kept):
                 sweep(folder)
@@ -159,69 +188,76 @@ class ClusterExecutor:
 
     @property
     def where(self) -> str:
-        """How many workers there are, and how many tasks wait for memory while one of them is idle."""
+        """How many workers there are, and which task waits for memory while one of them is idle."""
         count = len(self._there)
         told = f"{count} worker{'' if count == 1 else 's'}"
-        room = self._room(self._idle())
-        waiting = [f for f in self._flying.values() if not f.on and 0 < room < f.need]
-        verb = "waits" if len(waiting) == 1 else "wait"
-        return f"{told}, {len(waiting)} {verb} for memory" if waiting else told
+        idle = self._idle()
+        if not idle:
+            return told
+        room = max(self._cluster.sizes[worker] for worker in idle)
+        names = [
+            f"{f.key.object}/{f.key.layer}"
+            for f in self._flying.values()
+            if f.future is None and f.need > room
+        ]
+        more = f" and {len(names) - 1} more wait" if len(names) > 1 else " waits"
+        return f"{told}, {names[0]}{more} for memory" if names else told
 
-    def _idle(self) -> set[str]:
-        return {*self._there} - {flight.on for flight in self._flying.values()}
-
-    def _room(self, workers: Iterable[str]) -> float:
-        """Return the bytes of the largest of some workers; 0 where there is none."""
-        return max((self._cluster.sizes[worker] for worker in workers), default=0.0)
+    def _idle(self) -> list[str]:
+        """Return the workers that are there and have no task."""
+        busy = {f.on or f.to for f in self._flying.values() if f.future is not None}
+        return [worker for worker in self._there if worker not in busy]
 
     def _lay(self, tasks: Sequence[Task]) -> None:
-        """Note what each task waits for: what it reads, and what comes before it of its object's reference.
-
-        Where the reference is lost nothing else of its object is begun, as in one process.
-        """
-        self._tasks = list(tasks)
-        known = {task.key for task in tasks}
-        places = {key: number for number, key in enumerate(self._graph)}
-        of_layer: dict[tuple[str, str], list[Key]] = {}
+        """Queue the tasks; a calibration waits until its frames are hashed."""
+        for key in self._queue.lay(tasks):
+            self._let_go(key)
         for task in tasks:
-            of_layer.setdefault((task.key.object, task.key.layer), []).append(task.key)
-        for number, task in enumerate(tasks):
-            first = [k for c in captures_of(task) for k in of_layer.get((c.object, c.layer), ())]
-            ahead = {k for k in first if places[k] < places[task.key]}
-            ahead |= {k for k in (*task.needs, *task.uses) if k in known}
-            self._ahead[task.key] = ahead
-            for key in ahead:
-                self._behind.setdefault(key, []).append(task.key)
-            if not ahead:
-                heapq.heappush(self._ready, number)
-        self._numbers = {task.key: number for number, task in enumerate(tasks)}
+            if task.key.stage == "calibrate":
+                capture, hashes = captures_of(task)[0], self._records.hashes
+                job = self._hasher.submit(of_calibration, self._endings.campaign, capture, hashes)
+                job.add_done_callback(partial(self._report, {"hashed": hash_key(task.key)}))
+
+    def _report(self, event: dict[str, Any], ended: Running[Any]) -> None:
+        """Wake the thread that runs the graph."""
+        self._cluster.events.put({**event, "ended": ended})
 
     # --- sending --------------------------------------------------------------------------------
 
     def _send_ready(self) -> Iterator[Step]:
-        """Send what is due of the tasks that wait for none, a few more than there are workers."""
-        most = 2 * len(self._there) + 2
-        while self._ready and len(self._flying) < most:
-            task = self._tasks[heapq.heappop(self._ready)]
-            layer = (task.key.object, task.key.layer)
-            if layer in self._endings.lost:
-                self._release(task.key)
+        """Give every idle worker a task of those that wait for none; what is fresh ends at once."""
+        for flight in self._flying.values():
+            if flight.future is None:
+                self._resend(flight)
+        while self._queue.is_ready and self._held() <= 2 * len(self._there):
+            idle = self._idle()
+            if not idle and self._flying:
+                return
+            worker, key = self._queue.take(idle, self._there)
+            task = self._graph[key]
+            if (key.object, key.layer) in self._endings.lost:
+                self._release(key)
                 continue
             if (step := self._endings.without_reference(task)) is not None:
-                yield step
-                self._release(task.key)
+                yield self._endings.note(step)
+                self._release(key)
                 continue
             due = self._endings.due(task)
             if due.why:
-                yield from self._begin(due)
+                yield from self._begin(due, worker)
             else:
-                yield from self._end(task, self._endings.fresh(task.key))
+                yield from self._end(task, self._endings.fresh(key))
 
-    def _begin(self, due: Due) -> Iterator[Step]:
+    def _held(self) -> int:
+        """Count the tasks, without parts of one, that wait for a worker with the memory."""
+        return sum(f.future is None and not f.part for f in self._flying.values())
+
+    def _begin(self, due: Due, worker: str) -> Iterator[Step]:
         """Send a task, or refuse it where no worker has the memory."""
         task = due.task
+        attempts = self._tried.pop(task.key, [])
         need = memory_needed(task, self._endings.campaign)
-        flight = Flight(due, need, attempts=self._tried.pop(task.key, []))
+        flight = Flight(due, need, to=worker, attempts=attempts)
         self._endings.begin(task)
         if refused := self._too_large(flight):
             yield from self._end(task, self._endings.refuse(task, refused))
@@ -249,23 +285,26 @@ class ClusterExecutor:
         )
 
     def _resend(self, flight: Flight) -> None:
-        """Send a task, or wait where no worker that is there has the memory.
+        """Send a task to an idle worker that has the memory, or wait for one.
 
         dask looks for a worker when a task comes, and when a worker does, which then has no resources yet.
         """
         if flight.future is not None:
             flight.future.release()
             flight.future = None
-        if flight.need <= self._room(self._there):
+        sizes = self._cluster.sizes
+        if fit := [worker for worker in self._idle() if flight.need <= sizes[worker]]:
+            flight.to = flight.to if flight.to in fit else min(fit, key=sizes.__getitem__)
             self._send(flight)
 
     def _is_stuck(self, flight: Flight) -> bool:
         """Tell whether a task that was sent is not begun though it could be, or its worker is gone."""
-        if flight.future is None or time.monotonic() - flight.since < STUCK_S:
+        waited = time.monotonic() - flight.since
+        if flight.future is None or waited < STUCK_S:
             return False
         if flight.on:
             return flight.on not in self._there
-        return flight.need <= self._room(self._idle())
+        return waited > STUCK_S * flight.sent
 
     def _send(self, flight: Flight) -> None:
         due = flight.due
@@ -291,8 +330,9 @@ class ClusterExecutor:
             part=flight.part,
             cuts=() if flight.part else self._cuts.get(key, ()),
         )
-        flight.since = time.monotonic()
-        flight.future = self._cluster.send(job, flight.need, next(self._sent))
+        flight.sent, flight.since = flight.sent + 1, time.monotonic()
+        self._queue.note(flight.to, key)
+        flight.future = self._cluster.send(job, flight.need, next(self._sent), flight.to)
         flight.future.add_done_callback(lambda _: self._cluster.events.put({"done": flight.key}))
 
     # --- hearing --------------------------------------------------------------------------------
@@ -300,7 +340,7 @@ class ClusterExecutor:
     def _heard(self) -> Iterator[Step]:
         """Take what workers say and what has ended; wait a second at most for the first of it."""
         try:
-            told = [self._cluster.events.get(timeout=LOOK_S if self._flying else 0)]
+            told = [self._cluster.events.get(timeout=LOOK_S)]
         except queue.Empty:
             told = []
         while not self._cluster.events.empty():
@@ -310,6 +350,11 @@ class ClusterExecutor:
                 self._cluster.learn(one)
             elif "begun" in one:
                 self._note_begun(one)
+            elif "hashed" in one:
+                self._release(one["hashed"])
+            elif "page" in one:
+                yield from one["ended"].result()
+                self._release(one["page"])
         now = time.monotonic()
         if now - self._counted > LOOK_S or any("bytes" in one for one in told):
             self._cluster.greet(self._places.kept)  # where the scheduler was started again
@@ -337,12 +382,19 @@ class ClusterExecutor:
 
     def _note_begun(self, told: dict[str, Any]) -> None:
         for key, flight in self._flying.items():
-            if [key.object, key.camera, key.setup, key.stage] == list(told["begun"]):
+            if flight.is_of(told["begun"]):
                 if flight.on and flight.on != told["on"]:
                     flight.ended("its worker was lost")
                 if flight.on != told["on"]:
                     flight.since = time.monotonic()
                 flight.on, flight.peak = told["on"], max(flight.peak, told["peak"])
+                self._queue.note(flight.on, key)
+                self._count_frames(flight, told["frames"])
+
+    def _count_frames(self, flight: Flight, frames: int) -> None:
+        """Count the frames that a worker has read since it was last heard of."""
+        FRAMES.add(max(0, frames - flight.frames))
+        flight.frames = max(frames, flight.frames)
 
     def _landed(self, flight: Flight) -> Iterator[Step]:
         """Take the result of a task, or send it again."""
@@ -359,6 +411,7 @@ class ClusterExecutor:
             self._divide(flight, tuple(told["cuts"]))
         elif status == "finished":
             flight.on, flight.peak = told["on"], told["peak"]
+            self._count_frames(flight, told["frames"])
             yield from self._commit(flight)
         elif refused := self._give_up(flight, error):
             yield from self._end(task, self._endings.refuse(task, refused))
@@ -373,8 +426,7 @@ class ClusterExecutor:
         for rows in pairwise(cuts):
             part = Flight(flight.due, flight.need, rows)
             self._flying[part.key] = part
-            self._ahead[key].add(part.key)
-            self._behind[part.key] = [key]
+            self._queue.wait(key, part.key)
             self._resend(part)
 
     def _give_up(self, flight: Flight, error: BaseException | None) -> Refused | None:
@@ -414,14 +466,13 @@ class ClusterExecutor:
             problem = Problem("E_DAMAGED", "a file is damaged whenever it is written", found=name)
             yield from self._end(task, self._endings.refuse(task, Refused(problem)))
             return
-        self._ahead[task.key].add(key)
-        self._behind.setdefault(key, []).append(task.key)
+        self._queue.wait(task.key, key)
         del self._flying[flight.key]
         if flight.part:  # what it lacks is made when all are joined
             self._release(flight.key)
         if key not in self._flying:
             due = self._endings.due(self._graph[key])
-            yield from self._begin(due._replace(why=f"{name} was damaged"))
+            yield from self._begin(due._replace(why=f"{name} was damaged"), "")
 
     def _commit(self, flight: Flight) -> Iterator[Step]:
         """Record what a task made, as its receipt says."""
@@ -464,7 +515,7 @@ class ClusterExecutor:
         yield from self._end(task, step)
 
     def _end(self, task: Task, step: Step) -> Iterator[Step]:
-        yield self._endings.end(task, step)
+        yield self._endings.note(self._endings.end(task, step))
         self._cuts.pop(task.key, None)
         mine = [flight for flight in self._flying.values() if flight.due.task.key == task.key]
         for flight in mine:  # parts too, where one of them was refused
@@ -482,7 +533,14 @@ class ClusterExecutor:
 
     def _release(self, key: Key) -> None:
         """Let go what waited for a task."""
-        for other in self._behind.pop(key, ()):
-            self._ahead[other].discard(key)
-            if not self._ahead[other]:
-                heapq.heappush(self._ready, self._numbers[other])
+        for other in self._queue.release(key):
+            self._let_go(other)
+
+    def _let_go(self, key: Key) -> None:
+        """Have a task done when there is a worker; a page is written at once."""
+        task = self._graph[key]
+        if task.capture is not None:
+            self._queue.put(key)
+            return
+        page = self._pages.submit(lambda: list(self._write_page(task)))
+        page.add_done_callback(partial(self._report, {"page": key}))

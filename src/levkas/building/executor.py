@@ -30,8 +30,6 @@ class Executor:
     written in a thread each.
     """
 
-    takes_all = False
-    """Whether `run` is to have the tasks of all objects at once."""
     warnings: tuple[str, ...] = ()
 
     def __init__(self, endings: Endings, templates: TemplateCache) -> None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -185,11 +185,12 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
     address = cluster or (os.environ.get(SCHEDULER, "") if workers is None else "")
     if not address and not workers:
         return None
-    if find_spec("distributed") is None:
+    needed = {"distributed": "dask.distributed", "cryptography": "cryptography"}
+    if missing := [name for module, name in needed.items() if find_spec(module) is None]:
         raise Refused(
             Problem(
                 "E_MISSING",
-                "the library dask.distributed is not installed",
+                f"the library {missing[0]} is not installed",
                 field="--cluster" if address else "--workers",
                 fix='Install it: pip install "levkas[cluster]".',
             )
@@ -210,9 +211,10 @@ def _executor(
         yield Executor(endings, templates)
         return
     from levkas.building.cluster import connected
-    from levkas.building.cluster_executor import ClusterExecutor
 
     with connected(where.address, where.workers, insecure=where.insecure) as cluster:
+        from levkas.building.cluster_executor import ClusterExecutor  # loaded beside the workers
+
         yield ClusterExecutor(endings, cluster, endings.campaign.path, verify=verify)
 
 
@@ -234,19 +236,23 @@ def _steps(
     for name in plan.names:
         if Key(name, stage="report") not in plan.graph:
             put_away_stage(Key(name, stage="report"), records)
-    in_order = [*plan.graph.values()]
-    if executor.takes_all:
-        in_order.sort(key=lambda task: task.capture is None)
-    for of_captures, tasks in groupby(in_order, lambda task: task.capture is not None):
-        if of_captures:
-            yield from executor.run(list(tasks))
-            continue
-        for task in tasks:
-            if task.key.stage == "report":
-                steps = [*lost[task.key.object], *endings.of(task.key.object)]
-                yield from _report(plan, places, records, endings.inputs, task, steps)
-            elif task.key.stage == "camera":
-                yield from _camera(plan, places, records, templates, task)
+    places_in_graph = {key: place for place, key in enumerate(plan.graph)}
+
+    def write_page(task: Task) -> Iterator[Step]:
+        if task.key.stage == "camera":
+            return _camera(plan, places, records, templates, task)
+        name = task.key.object
+        ended = sorted(endings.of(name), key=lambda step: places_in_graph[step.key])
+        return _report(plan, places, records, endings.inputs, task, [*lost[name], *ended])
+
+    tasks = [task for task in plan.graph.values() if task.key != CATALOGUE]
+    if isinstance(executor, Executor):
+        for of_captures, group in groupby(tasks, lambda task: task.capture is not None):
+            mine = list(group)
+            pages = chain.from_iterable(map(write_page, mine))
+            yield from executor.run(mine) if of_captures else pages
+    else:
+        yield from executor.run(tasks, write_page)
     yield from removal(gone, records)
     step = write_catalogue_of(campaign, places, records, plan.captures, plan.names, whole=whole)
     warnings = (*campaign.without_effect, *executor.warnings, *step.warnings)

@@ -43,7 +43,7 @@ RIM = frozenset(
     "levkas.building." + name
     for name in (
         *("run", "plan", "executor", "stages", "endings", "worker", "graph"),
-        *("cluster", "cluster_executor", "build_records", "fingerprints", "sources"),
+        *("cluster", "cluster_executor", "task_queue", "build_records", "fingerprints", "sources"),
         *("removal", "claiming", "build_index"),
     )
 ) | {"levkas.campaign.campaign", "levkas.campaign.discovery.find_captures", "levkas.core.ownership"}

@@ -11,7 +11,7 @@ import os
 import platform
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -30,8 +30,9 @@ from levkas.building.template_cache import TemplateCache
 from levkas.core.digests import hash_file, stamp_of
 from levkas.core.files import make_folder, write_json
 from levkas.core.instructions import describe_instructions
-from levkas.core.machine import MEMORY, THREADS, memory_bytes
+from levkas.core.machine import MEMORY, THREADS, keep_memory, memory_bytes
 from levkas.core.problems import Problem, Refused
+from levkas.core.progress import FRAMES
 from levkas.core.text import read_json
 from levkas.database.layout import Places
 
@@ -44,8 +45,8 @@ PARTS = ".parts"
 """Suffix of the folder of what several workers make of one task until it is joined."""
 PATIENCE_S, PAUSE_S = 60.0, 0.2
 """How long a shared file system may take to show what another machine wrote (NFS: up to 60 s)."""
-SAMPLED_S = 0.05
-"""Between two looks at the memory of a task."""
+SAMPLED_S, TOLD_S = 0.05, 1.0
+"""Between two looks at the memory of a task, and at most so often its frames are reported."""
 
 
 class NotShared(Exception):
@@ -128,6 +129,7 @@ def digest_of(task: Task) -> str:
     return hashlib.sha256(repr(task).encode()).hexdigest()
 
 
+@cache
 def facts() -> dict[str, Any]:
     """Return what the numbers of this process rest on, and the bytes that it may take."""
     used = describe_instructions()
@@ -150,6 +152,7 @@ def _numpy_version() -> str:
 
 def prepare(threads: int, memory: float | None) -> float:
     """Set threads and memory of this process, where the machine's own variables do not; return its bytes."""
+    keep_memory()
     os.environ.setdefault(THREADS, str(max(1, threads)))
     if memory:
         os.environ.setdefault(MEMORY, f"{memory / 1e9:.6f}")
@@ -162,20 +165,21 @@ _alone = threading.Lock()
 _workplaces: dict[str, Workplace] = {}
 
 
-def work(job: Job, say: Callable[[int], object]) -> dict[str, Any]:
+def work(job: Job, say: Callable[[int, int], object]) -> dict[str, Any]:
     """Do a task and leave a receipt, unless that is there already.
 
     Parameters
     ----------
     job : Job
     say : callable
-        Called with the peak of private memory, bytes, whenever that has grown by a quarter.
+        Called with the peak of private memory, bytes, and the number of frames that were read: whenever
+        the first has grown by a quarter, or the second at all within the last second.
 
     Returns
     -------
     told : dict
-        ``peak``: private bytes; ``cuts``: the rows at which it is cut into parts that are to be done first;
-        ``damaged``: the key of a task whose products must be made anew, and
+        ``peak``: private bytes; ``frames`` that were read; ``cuts``: the rows at which it is cut into parts
+        that are to be done first; ``damaged``: the key of a task whose products must be made anew, and
         the name of the file, where one was.
 
     Raises
@@ -183,7 +187,7 @@ def work(job: Job, say: Callable[[int], object]) -> dict[str, Any]:
     NotShared, NoLongerAsked, OSError
         Where another attempt may do.
     """
-    with _alone, Peak(say) as peak:
+    with _alone, Watch(say) as watch:
         if job.code != code_digest():
             raise _other_version(job)
         workplace = _workplace(job)
@@ -191,7 +195,7 @@ def work(job: Job, say: Callable[[int], object]) -> dict[str, Any]:
             cuts = workplace.do(job)
         except Damaged as error:
             return {"damaged": _tuple(error.key), "name": str(error.problems[0].found)}
-        return {"peak": peak.bytes, "cuts": cuts}
+        return {"peak": watch.bytes, "frames": watch.frames, "cuts": cuts}
 
 
 def _workplace(job: Job) -> Workplace:
@@ -212,6 +216,8 @@ class Workplace:
     stages: Stages
     sound: set[tuple[Key, str]]
     """Tasks, by key and record, whose products were read whole here and are what was written."""
+    written: dict[Key, dict[str, str]] = field(default_factory=dict)
+    """Products that were written here, by name, and their hashes: what is held of them need not be read."""
 
     @classmethod
     def open(cls, job: Job) -> Workplace:
@@ -247,6 +253,7 @@ class Workplace:
             if job.divides and (cuts := self.stages.cuts(task)):
                 return cuts
             receipt = refused or self._made(job, task)
+            self.written[task.key] = {n: e[-1] for n, e in receipt.get("files", {}).items()}
         except Damaged:
             raise
         except MemoryError as error:
@@ -280,6 +287,9 @@ class Workplace:
                 time.sleep(PAUSE_S)
                 self.records.reread(key)
             if (key, check) not in self.sound:
+                here = self.written.get(key)
+                if here and here == self.records.products(key):
+                    continue
                 if damaged := self.records.damaged(key):
                     raise Damaged(key, Problem("E_DAMAGED", "a file was damaged", found=damaged))
                 self.sound.add((key, check))
@@ -361,15 +371,21 @@ def _other_version(job: Job) -> NotShared:
     return NotShared(f"levkas {__version__} or its libraries differ from those of the client")
 
 
-class Peak:
-    """The most private memory, bytes, that this process had while the block ran, looked at every 50 ms."""
+class Watch:
+    """Looks every 50 ms how much private memory, bytes, this process has and how many frames it has read."""
 
-    def __init__(self, say: Callable[[int], object]) -> None:
+    def __init__(self, say: Callable[[int, int], object]) -> None:
         self.bytes = 0
+        self._before = FRAMES.count
         self._say = say
         self._ended = threading.Event()
 
-    def __enter__(self) -> Peak:
+    @property
+    def frames(self) -> int:
+        """How many were read since the block began."""
+        return FRAMES.count - self._before
+
+    def __enter__(self) -> Watch:
         self._thread = threading.Thread(target=self._look, name="memory", daemon=True)
         self._thread.start()
         return self
@@ -379,12 +395,13 @@ class Peak:
         self._thread.join()
 
     def _look(self) -> None:
-        process, said = psutil.Process(), 0
+        process, said, counted, when = psutil.Process(), 0, 0, time.monotonic()
         while True:
             found = process.memory_info()
             self.bytes = max(self.bytes, found.rss - getattr(found, "shared", 0))
-            if self.bytes > 1.25 * said:
-                said = self.bytes
-                self._say(said)
+            frames, now = self.frames, time.monotonic()
+            if self.bytes > 1.25 * said or (frames > counted and now - when >= TOLD_S):
+                said, counted, when = max(said, self.bytes), frames, now
+                self._say(self.bytes, frames)
             if self._ended.wait(SAMPLED_S):
                 return

@@ -172,6 +172,7 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
 
     What was fresh is no work: it is left out of both numbers. No time left is shown, for stages differ
     by a hundredfold; the time of the stage and of all, and the frames that were read, move meanwhile.
+    Workers do several stages at a time: their frames are counted from the beginning.
     """
     from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.table import Column
@@ -182,9 +183,11 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
 
         def render(self, task: Task) -> Text:
             frames = FRAMES.count - task.fields["frames"]
-            read = f", {frames} frame{'' if frames == 1 else 's'}" if frames else ""
-            stage = _clock(time.monotonic() - task.fields["since"])
-            return Text(f"{stage}{read}; {_clock(task.elapsed or 0)} in all")
+            since = task.fields["since"]
+            within = [] if since is None else [_clock(time.monotonic() - since)]
+            within += [f"{frames} frame{'' if frames == 1 else 's'}"] if frames else []
+            so_far = f"{_clock(task.elapsed or 0)} in all"
+            return Text("; ".join([part for part in (", ".join(within), so_far) if part]))
 
     one_line = Column(no_wrap=True)
     told = TextColumn("{task.completed} of at most {task.fields[most]}", table_column=one_line)
@@ -192,13 +195,16 @@ def draw_bar(steps: Iterable[Any], console: Console) -> list[Any]:
     columns = (name, BarColumn(10), told, Within(one_line))
     done, fresh = [], 0
     with Progress(*columns, console=console, transient=True) as progress:
-        start: dict[str, Any] = {"since": time.monotonic(), "frames": FRAMES.count}
+        first = FRAMES.count
+        start: dict[str, Any] = {"since": time.monotonic(), "frames": first}
         task = progress.add_task("starting", total=None, most="?", **start)
         for step in steps:
             done.append(step)
             fresh += step.finished and getattr(step, "state", "") == "fresh"
             completed, total = step.done - fresh, max(step.total - fresh, 0)
-            if not step.finished:
+            if getattr(step, "where", ""):
+                start = {"since": None, "frames": first}
+            elif not step.finished:
                 start = {"since": time.monotonic(), "frames": FRAMES.count}
             progress.update(
                 task,

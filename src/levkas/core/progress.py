@@ -1,4 +1,4 @@
-"""Frames that this process has decoded, for whoever draws how far a stage has come."""
+"""Frames that this process and its workers have decoded, for whoever draws how far a stage has come."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Tally:
         self._lock = threading.Lock()
         self._count = 0
 
-    def add(self) -> None:
-        """Count one more."""
+    def add(self, count: int = 1) -> None:
+        """Count some more."""
         with self._lock:
-            self._count += 1
+            self._count += count
 
     @property
     def count(self) -> int:
@@ -31,4 +31,4 @@ class Tally:
 
 
 FRAMES = Tally()
-"""Frames decoded by `levkas.readers.frames.read_frame`."""
+"""Frames decoded by `levkas.readers.frames.read_frame`, here or by a worker."""

@@ -28,6 +28,7 @@ from levkas.registration.verdict import ONLY, judge_windows
 
 if TYPE_CHECKING:
     from levkas.campaign.methods import LevkasOptions
+    from levkas.registration.model_selection import SelectedModel
     from levkas.registration.request import Request
 
 
@@ -118,6 +119,7 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
     selected = found.selected if found else None
     return {
         "held_out_px": selected.held_out_error if selected else None,
+        "window_sigma_px": _window_sigma(selected) if selected else None,
         "windows": len(selected.weights) if selected else None,
         "share_above_chance": evidence.get("share_above_chance"),
         "cover": evidence.get("cover"),
@@ -133,6 +135,13 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "terms": selected.spec.coefficients if selected and selected.spec else None,
         "borne_out": verification,
     }
+
+
+def _window_sigma(selected: SelectedModel) -> float | None:
+    """Return the median sigma of the windows' shifts, either axis, reference px; None where none is known."""
+    known = np.trace(selected.observations.information, axis1=1, axis2=2) / 2
+    known = known[known > 0]
+    return float(np.median(known) ** -0.5) if known.size else None
 
 
 def _basis(sensor: RegisteredSensor) -> dict[str, Any]:

@@ -67,6 +67,9 @@ class VerdictSettings:
     good_steps, bad_px, bad_steps : float
         Held-out error: px of the compared grid that are a warning; reference px, and px of the grid,
         that are refused. Where the target is coarse, single windows scatter more than the map is off.
+    scatter : float
+        Held-out error over the sigma of single windows up to which their own noise explains it: 0.6 to 1.05
+        of right maps of infrared pictures, 0.8 to 11 of maps that are wrong somewhere.
     least_cover, least_checked : float
         Share of the reference below which it is said how little could be compared; share of what both show
         below which a map only reaches over too much, and is doubtful.
@@ -75,6 +78,8 @@ class VerdictSettings:
     strange : Limits
         Share of detail that only one of two pictures has. Views of one painting in light of the same
         wavelengths: 0.01 to 0.17; copies by one pattern: 0.30 to 0.55 (`benchmarks/replicas.py`).
+    alike : float
+        Cells in one plane differ in how far they are off by at most this share of it.
     most_found_of_a_copy : float
         Share of windows that are found. Of copies by one pattern 0.6 to 0.91 are.
     """
@@ -97,10 +102,12 @@ class VerdictSettings:
     good_steps: float = 0.25
     bad_px: float = 1.0
     bad_steps: float = 0.3
+    scatter: float = 1.0
     least_cover: float = 0.5
     least_checked: float = 0.75
     most_sigmas: float = 3.0
     strange: Limits = STRANGE
+    alike: float = 0.5
     most_found_of_a_copy: float = 0.95
 
 
@@ -280,9 +287,12 @@ def better_than_chance(n: Numbers) -> Objection | None:
 
 
 def predicts_windows(n: Numbers) -> Objection | None:
-    """Refuse or warn where blocks of windows that were not fitted are off."""
+    """Refuse or warn where blocks of windows that were not fitted are off by more than their own noise."""
     error, step = n["held_out_px"], n["step"]
     if error is None or error < SETTINGS.good_steps * step:
+        return None
+    scatter = n.get("window_sigma_px") or 0.0
+    if error < SETTINGS.bad_px and error < SETTINGS.scatter * scatter:
         return None
     bad = not error < max(SETTINGS.bad_px, SETTINGS.bad_steps * step)
     return Objection(
@@ -453,7 +463,7 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
     if n["off"]:
         return Objection(
             "warn",
-            f"The map is off in {percent(n['off_share'])} of what both pictures show {_places(n['off'])}.",
+            f"The map is off in {percent(n['off_share'])} of what both pictures show {_places(n['off'])}{_plane(n)}.",
             REGION,
         )
     if n["coverage"] >= SETTINGS.coverage.warn:
@@ -464,6 +474,19 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
         f"{_places(n['unsupported'])}.",
         REGION,
     )
+
+
+def _plane(n: Numbers) -> str:
+    """Say that cells which are off lie off alike, as what stands in another plane does; empty where they do not."""
+    shifts = np.array(n.get("off_shift") or np.empty((0, 2)), float)
+    if len(shifts) < 2:
+        return ""
+    middle = np.median(shifts, 0)
+    length = float(np.hypot(*middle))
+    apart = np.hypot(*(shifts - middle).T)
+    if not (apart <= max(n["tolerance"], SETTINGS.alike * length)).all():
+        return ""
+    return f", by {length:.1f} px alike: there is more than one plane, or a part has moved, and the map follows the larger one"
 
 
 def is_checked(n: Numbers) -> Objection | None:

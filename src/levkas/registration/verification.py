@@ -465,7 +465,7 @@ def measure_cells(
         ``coverage`` 0..1: of the cells that both pictures show and that have structure, the share
         that is confirmed; ``unsupported``, ``off``, ``outside``: lists of (x, y, width, height),
         reference px, of the cells where nothing confirms it, where windows lie off it, and that the
-        target does not show. ``checked`` 0..1: of all that both pictures show, with structure or
+        target does not show; ``off_shift``: by how much windows lie off, (dx, dy) px, in each cell of ``off``. ``checked`` 0..1: of all that both pictures show, with structure or
         without, the share that is no farther than a window's side from windows that confirm the map;
         ``checked_box``: the rectangle about that, ``unchecked``: the rectangles about connected parts
         of the rest, the largest first, each with its share of all at the end.
@@ -480,6 +480,7 @@ def measure_cells(
     home = _cell_of(checks.centres, box)
     structured = np.bincount(home, minlength=count) > 0
     agreeing, off = np.zeros(count, bool), np.zeros(count, bool)
+    moved = np.zeros((count, 2))
     for cell in np.unique(home[checks.found]):
         here = checks.shift[checks.found & (home == cell)]
         middle = np.median(here, 0)
@@ -487,6 +488,7 @@ def measure_cells(
         alike = (np.hypot(*(here - middle).T) <= checks.tolerance).mean() >= 0.5
         agreeing[cell] = alike and np.hypot(*middle) <= checks.tolerance
         off[cell] = alike and len(here) >= SETTINGS.least_found and not agreeing[cell]
+        moved[cell] = middle
     judged = in_view & (structured | matched)
     support = (matched | agreeing) & ~off
     centres, size = grid_points(box, SETTINGS.cells), (box[2] / columns, box[3] / rows)
@@ -500,6 +502,7 @@ def measure_cells(
         "off_share": float(off[judged].mean()) if judged.any() else 0.0,
         "unsupported": rectangles(judged & ~support & ~off),
         "off": rectangles(judged & off),
+        "off_shift": np.round(moved[judged & off], 2).tolist(),
         "outside": rectangles(~in_view),
         **_measure_checked(box, shown, checks.beyond(fine) == 0),
     }

@@ -492,7 +492,7 @@ def files_of_other_case(index: FileIndex) -> dict[tuple[str, str, str], tuple[Pa
         object is spelled as the campaign knows it, else as the file does.
     """
     campaign = index.campaign
-    targets = (*declared_targets(campaign), *index.objects)
+    targets = dict.fromkeys((*declared_targets(campaign), *index.objects))
     setups = {name.lower() for name in campaign.setups}
     ways = ways_to_read({"target": {name.lower() for name in targets}, "setup": setups})
     fitting = {f.path for frames in index.frames.values() for f in frames if f.target in targets}
