@@ -89,7 +89,7 @@ def test_marks_go_and_come_and_only_those_that_the_table_lists_are_there(bench):
 
 def test_residuals_are_drawn_as_arrows_as_long_as_is_said(bench):
     page, _ = bench
-    page.keyboard.press("a")
+    page.keyboard.press("Shift+H")
     assert page.locator("#times").input_value() == "20"
     page.wait_for_timeout(200)
     long = pixels(page, ".marks")
@@ -97,7 +97,7 @@ def test_residuals_are_drawn_as_arrows_as_long_as_is_said(bench):
     page.wait_for_timeout(200)
     assert np.abs(pixels(page, ".marks") - long).max() > 60
     page.evaluate("() => document.activeElement.blur()")
-    page.keyboard.press("a")
+    page.keyboard.press("Shift+H")
     assert page.locator("#times").input_value() == "1"
 
 
