@@ -1,5 +1,7 @@
 // Two preloaded pictures in turn. The rate is of whole turns: at 2 Hz each is seen for a quarter second.
 
+import { signal } from "@preact/signals-core";
+
 export const RATES = { min: 0.5, max: 8, step: 0.5, value: 2 };
 const STILL = "(prefers-reduced-motion: reduce)";
 
@@ -8,6 +10,8 @@ export class Flicker {
   rate = RATES.value;
   shown: "a" | "b" = "a";
   running = false;
+  /** Whether it waits for a person to start it: nothing turns because a link was followed. */
+  readonly waits = signal(false);
   private began = 0;
   private frame = 0;
   private readonly still = matchMedia(STILL);
@@ -22,14 +26,14 @@ export class Flicker {
 
   /** Whether a person turns from one picture to the other, by `step`. */
   get byHand(): boolean {
-    return this.still.matches;
+    return this.still.matches || this.waits.value;
   }
 
   start(): void {
     if (this.running) return;
     this.running = true;
     if (this.byHand) {
-      this.show("b");
+      if (!this.waits.peek()) this.show("b");
       return;
     }
     this.began = performance.now();
@@ -40,6 +44,14 @@ export class Flicker {
       this.frame = requestAnimationFrame(tick);
     };
     this.frame = requestAnimationFrame(tick);
+  }
+
+  /** Wait for a person to start it, or start what waits. */
+  wait(on: boolean): void {
+    this.waits.value = on;
+    if (!this.running) return;
+    this.stop();
+    this.start();
   }
 
   /** Show the other picture. */

@@ -123,9 +123,11 @@ export abstract class Stage<P extends Pane> {
 
   setMode(mode: Mode): void {
     if (mode === "flicker" && mode === this.mode.value && this.flicker.byHand) {
-      this.flicker.step();
+      if (this.flicker.waits.value) this.flicker.wait(false);
+      else this.flicker.step();
       return;
     }
+    this.flicker.waits.value = false;
     this.arrival ??= !this.left.layers.length || this.left.isFitted ? "fit" : this.left.aim;
     const mine = ++this.changes;
     this.mode.value = mode;

@@ -53,7 +53,7 @@ async function drawView(stage: HTMLElement, legend: Legend): Promise<HTMLCanvasE
   pen.fillRect(0, 0, box.width, box.height);
   pen.translate(-box.left, -box.top);
   for (const part of stage.querySelectorAll<HTMLElement>(".pane canvas, .amplifier"))
-    if (isShown(part) && !drawPart(pen, part, ratio)) return null;
+    if (isShown(part) && !drawPart(pen, part, { ratio, origin: box })) return null;
   for (const sheet of stage.querySelectorAll<SVGSVGElement>(".regions-sheet"))
     if (isShown(sheet)) await drawSheet(pen, sheet);
   for (const mark of stage.querySelectorAll<HTMLElement>(
@@ -79,9 +79,21 @@ function groundOf(stage: HTMLElement): string {
 }
 
 /** Draw a canvas as the style sheet shows it: filter, opacity, blending, clip; or amplify what is there. */
-function drawPart(pen: CanvasRenderingContext2D, part: HTMLElement, ratio: number): boolean {
+function drawPart(
+  pen: CanvasRenderingContext2D,
+  part: HTMLElement,
+  { ratio, origin }: { ratio: number; origin: DOMRect },
+): boolean {
   const style = getComputedStyle(part);
-  const box = part.getBoundingClientRect();
+  const found = part.getBoundingClientRect();
+  // Whole pixels: half ones at an edge would shine where pictures are subtracted.
+  const whole = (at: number): number => Math.round(at * ratio) / ratio;
+  const box = new DOMRect(
+    origin.left + whole(found.left - origin.left),
+    origin.top + whole(found.top - origin.top),
+    part.offsetWidth,
+    part.offsetHeight,
+  );
   const own = part instanceof HTMLCanvasElement;
   const wanted = own ? style.filter : style.getPropertyValue("backdrop-filter");
   if (wanted !== "none" && wanted !== "" && !("filter" in pen)) return false;
@@ -150,7 +162,8 @@ function drawMark(pen: CanvasRenderingContext2D, mark: HTMLElement): void {
   } else if (mark.matches(".curtain-name, .cell-label")) {
     pen.fillStyle = "#000b";
     pen.fillRect(left, top, width, height);
-    drawWords(pen, mark, x, y, "#fff");
+    if (style.textAlign === "center") drawWords(pen, mark, x, y, "#fff");
+    else drawWords(pen, mark, left + parseFloat(style.paddingLeft), y, "#fff", "left");
   } else {
     pen.beginPath();
     pen.arc(x, y, height / 2 - 1, 0, 2 * Math.PI);
@@ -174,10 +187,11 @@ function drawWords(
   x: number,
   y: number,
   ink: string,
+  align: CanvasTextAlign = "center",
 ): void {
   const { fontSize, fontWeight } = getComputedStyle(mark);
   pen.font = `${fontWeight} ${fontSize} ${FONT}`;
-  [pen.fillStyle, pen.textAlign, pen.textBaseline] = [ink, "center", "middle"];
+  [pen.fillStyle, pen.textAlign, pen.textBaseline] = [ink, align, "middle"];
   pen.fillText(mark.textContent, x, y);
 }
 

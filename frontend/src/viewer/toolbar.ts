@@ -45,6 +45,8 @@ export function fillToolbar(
   );
   const other = pill("Show the other", "Your system asks for less motion: nothing turns by itself");
   other.addEventListener("click", () => flicker.step());
+  const begin = pill("Start", "A link led here: the flicker starts when you say so (K)");
+  begin.addEventListener("click", () => flicker.wait(false));
   const level = pill("Level line", "A above the line, B below it (Shift C)");
   level.addEventListener("click", () => curtain.turn(!curtain.level.value));
   const same = pill("Same levels", "One value is shown alike in all pictures (Shift E)");
@@ -65,12 +67,13 @@ export function fillToolbar(
       curtain.turn(facts.get("line") === "level");
     },
   });
-  settings.append(rate.element, other, amplify.element, cover.element, level, same);
+  settings.append(begin, rate.element, other, amplify.element, cover.element, level, same);
   radioGroup(modes, MODES, stage.mode, (mode) => stage.setMode(mode));
   effect(() => {
     const mode = stage.mode.value;
     rate.element.hidden = mode !== "flicker" || flicker.byHand;
     other.hidden = mode !== "flicker" || !flicker.byHand;
+    begin.hidden = mode !== "flicker" || !flicker.waits.value;
     amplify.element.hidden = mode !== "difference";
     cover.element.hidden = mode !== "opacity";
     level.hidden = mode !== "curtain";

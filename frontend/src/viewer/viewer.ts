@@ -41,10 +41,11 @@ import { sayWhatIsShown, ViewBar } from "./viewbar";
 
 const ZOOM_STEP = 1.4;
 const NEAR_PX = 6; // of the screen
-// Of what addresses carry: what the words above them say, and what changes no picture.
-const NO_SETTINGS = "a b c d mode curtain rate grid marks measured histogram spectra range".split(
-  " ",
-);
+// Of what addresses carry: what the caption says, and what changes no picture.
+const NO_SETTINGS =
+  "a b c d mode curtain line amplify opacity rate overview grid marks measured histogram spectra range".split(
+    " ",
+  );
 const HINT = "Point at the painting to read its spectrum; click to pin a place.";
 
 const record = readRecord();
@@ -286,7 +287,9 @@ address.add({
   write: (facts) => facts.set("mode", stage.mode.value),
   read: (facts) => {
     const mode = MODES.find(({ value }) => value === facts.get("mode"))?.value ?? "single";
-    if (mode !== stage.mode.value) stage.setMode(mode);
+    if (mode === stage.mode.value) return;
+    stage.setMode(mode);
+    stage.flicker.wait(mode === "flicker"); // until a person starts it
   },
 });
 address.add({
@@ -303,13 +306,14 @@ address.add({
 const say = (sentence: string): void => void (find("said").textContent = sentence);
 startCopying(find<HTMLButtonElement>("copy-link"), address, say);
 find("save-picture").addEventListener("click", () => {
-  const choices = [state.a, state.b].flatMap(({ value }) => value ?? []);
-  const shown = stage.mode.value === "single" ? choices.slice(0, 1) : choices;
-  const notes = shown.map(({ layer, picture }) => picture.note && `${layer.name}: ${picture.note}`);
+  const choices = stage.slots.value.flatMap((slot) => state[slot].value ?? []);
+  const notes = choices.map(
+    ({ layer, picture }) => picture.note && `${layer.name}: ${picture.note}`,
+  );
   const settings = address.settings(NO_SETTINGS);
   const lines = [
     find("caption").textContent,
-    `${MODES.find(({ value }) => value === stage.mode.value)?.label ?? ""}${settings && `; ${settings}`}.`,
+    settings && `Shown with ${settings}.`,
     ...new Set(notes),
     ...record.credits,
   ];

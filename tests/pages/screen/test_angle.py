@@ -105,3 +105,12 @@ def test_a_place_of_which_nothing_is_to_be_trusted_gives_no_map_and_that_is_said
     assert "there is no angle" in status.inner_text()
     assert np.isfinite(show_angle(page, 25, 25)).any()
     assert status.inner_text() == ""
+
+
+def test_one_picture_has_one_pin(browser, address):
+    page = open_object(browser, address("file", fragment="#a=vis/colour&pin=25,25"))
+    page.wait_for_timeout(300)
+    seen = "[...document.querySelectorAll('.pin')].filter(e => e.checkVisibility()).length"
+    assert page.evaluate(seen) == 1
+    page.keyboard.press("s")
+    page.wait_for_function(f"() => {seen} === 2")

@@ -305,6 +305,33 @@ def test_where_less_motion_is_asked_for_nothing_turns_by_itself(browser, address
     assert page.evaluate("levkasViewer.stage.mode.value") == "flicker"
 
 
+def test_a_link_to_the_flicker_waits_for_a_person_to_start_it(browser, address):
+    fragment = "#a=vis/colour&b=nir/colour&mode=flicker&rate=8"
+    page = open_object(browser, address("file", fragment=fragment))
+    settle(page)
+    turns = """async () => {
+      const seen = new Set(), from = performance.now();
+      while (performance.now() - from < 1500) {
+        seen.add(levkasViewer.stage.seen.value);
+        await new Promise(requestAnimationFrame);
+      }
+      return seen.size;
+    }"""
+    assert page.evaluate(turns) == 1
+    assert page.locator("#caption").inner_text() == "Now A: vis, Colour"
+    page.get_by_role("button", name="Start", exact=True).click()
+    assert page.evaluate(turns) == 2
+    assert page.get_by_role("button", name="Start", exact=True).is_hidden()
+    page.keyboard.press("k")
+    assert page.evaluate("levkasViewer.stage.mode.value") == "single"
+    # A link that is pasted over this one, with both pictures there already, waits as well.
+    page.evaluate(f"location.hash = '{fragment}'")
+    page.wait_for_function("() => levkasViewer.stage.mode.value === 'flicker'")
+    assert page.evaluate(turns) == 1
+    page.keyboard.press("k")
+    assert page.evaluate(turns) == 2
+
+
 # --- looking --------------------------------------------------------------------------------------
 
 

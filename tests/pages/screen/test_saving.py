@@ -31,7 +31,7 @@ def picture_of(page):
     return np.asarray(Image.open(path).convert("RGB"), int), np.asarray(screen, int), name
 
 
-MODES = ["single", "curtain", "side", "difference", "flicker"]
+MODES = ["single", "curtain", "opacity", "side", "grid", "difference", "flicker"]
 
 
 @pytest.mark.parametrize("how", ["file", pytest.param("http", marks=pytest.mark.slow)])
@@ -50,7 +50,9 @@ def test_the_saved_picture_is_what_the_screen_shows_in_every_mode(browser, addre
         inner = (slice(40, height - 90), slice(30, width - 30))
         apart = np.abs(picture[:height][inner] - screen[inner]).max(-1)
         # Handles of the curtain and other controls are not in the picture.
-        assert (apart > 24).mean() < 0.01, mode
+        # Pictures beside one another may lie half a pixel off the screen's own: edges differ there.
+        beside = mode in ("side", "grid")
+        assert (apart > 24).mean() < (0.05 if beside else 0.01) and apart.mean() < 4, mode
         legend = picture[height:]
         assert (legend[2] == 255).all() and 0.005 < (legend < 128).mean() < 0.2
     assert np.abs(found["single"][100:500] - found["difference"][100:500]).mean() > 20
