@@ -12,6 +12,9 @@ import pytest
 import tifffile
 
 from levkas.building import build, calibrate, scan_parts, scans, streaming, summarise
+from levkas.building.build_records import key_of
+from levkas.building.cluster_executor import memory_needed
+from levkas.building.graph import graph_of
 from levkas.building.scan_parts import cuts_of, part_of, write_part
 from levkas.building.template_cache import TemplateCache
 from levkas.campaign.campaign import load_campaign
@@ -93,6 +96,18 @@ def pairwise_of(cuts):
 
 def same(one, other):
     return np.array_equal(one.values, other.values) and np.array_equal(one.valid, other.valid)
+
+
+def test_a_part_is_sent_with_less_memory_than_their_joining(opened):
+    campaign, capture, open_it = opened
+    graph = graph_of(campaign, find_captures(campaign)[0])
+    task = graph[key_of(capture, "calibrate")]
+    scan = open_it()
+    half = memory_needed(task, campaign, (0, scan.shape[0] // 2))
+    whole = memory_needed(task, campaign)
+    pictures = sum(image.values.nbytes for image in scan.images())
+    assert 0.4 * pictures < whole - half < 1.2 * pictures
+    assert memory_needed(graph[key_of(capture, "resample")], campaign) > 1.5e9
 
 
 def test_room_for_parts_and_their_joining_is_foreseen(opened, tmp_path, monkeypatch):

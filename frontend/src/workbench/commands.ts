@@ -109,12 +109,15 @@ function viewKeys({ store, stage, step, help }: Parts): Key[] {
     key("T", ["t"], "turn the pictures by 90°, with Shift back; kept for this object", (event) =>
       store.turn(event.shiftKey ? -90 : 90),
     ),
-    key("H", ["h"], "hide the marks, and show them again", () => {
-      stage.marks.value = !stage.marks.value;
-    }),
-    key("A", ["a"], `arrows: residuals × ${ARROW_TIMES}, and as long as they are`, () => {
-      stage.times.value = stage.times.value === 1 ? ARROW_TIMES : 1;
-    }),
+    key(
+      "H",
+      ["h"],
+      `marks on and off; with Shift residuals as arrows × ${ARROW_TIMES}`,
+      (event) => {
+        if (event.shiftKey) stage.times.value = stage.times.value === 1 ? ARROW_TIMES : 1;
+        else stage.marks.value = !stage.marks.value;
+      },
+    ),
     key("L", ["l"], "loupe: while placing, always, never", () => {
       const at = LOUPES.findIndex(({ value }) => value === stage.loupe.value);
       stage.loupe.value = LOUPES[(at + 1) % LOUPES.length]!.value;

@@ -113,7 +113,7 @@ function build(store: Store): void {
   pair.next = () => table.following();
   pair.onNext = () => {
     const chosen = store.selectedPair();
-    if (chosen) stage.flyTo(chosen);
+    if (chosen && !stage.sees(chosen)) stage.flyTo(chosen);
   };
   listenToKeys(keys);
   Object.assign(window, { levkasWorkbench: { store, stage, trace } });
@@ -179,7 +179,11 @@ function fillBar(bar: HTMLElement, store: Store, stage: PairStage): void {
     store.map.value = map.value === "built" ? "built" : "pairs";
   });
   const times = choice(
-    { id: "times", "aria-label": "Length of the residuals", title: "Residuals as arrows (A)" },
+    {
+      id: "times",
+      "aria-label": "Length of the residuals",
+      title: "Residuals as arrows (Shift-H)",
+    },
     TIMES.map((value) => ({ value: String(value), label: `Residuals × ${value}` })),
     (value) => (stage.times.value = Number(value)),
   );

@@ -139,6 +139,14 @@ export class PairStage extends Stage<MarkedPane> {
     return this.findPartner(0, this.left.centre, false);
   }
 
+  /** Whether the reference's place of a pair is in view, not only just. */
+  sees([x, y]: Pair): boolean {
+    const [left, top] = this.left.placeOf(x, y);
+    const { clientWidth, clientHeight } = this.left.host;
+    const inside = (at: number, size: number): boolean => at > HIT_PX && at < size - HIT_PX;
+    return inside(left, clientWidth) && inside(top, clientHeight);
+  }
+
   /** Show a pair in the middle of both pictures. */
   flyTo(pair: Pair): void {
     const { map, right } = this;

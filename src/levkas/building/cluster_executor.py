@@ -29,7 +29,7 @@ from levkas.building.endings import OF_THE_MACHINES, Due, Endings
 from levkas.building.fingerprints import digest, of_calibration
 from levkas.building.graph import Step, Task, captures_of
 from levkas.building.native_cubes import CUBE_BYTES, TooLarge, count_values
-from levkas.building.scans import is_streamed
+from levkas.building.scans import bytes_of_pass, is_streamed
 from levkas.building.task_queue import TaskQueue, hash_key
 from levkas.building.worker import (
     ASKED,
@@ -60,20 +60,20 @@ RETRIES, LOSSES = 3, 20
 NEAR = 0.8
 """Share of a worker's memory from which its end is put down to want of memory; dask ends it at 0.95."""
 BASE, STREAMED = 200e6, 1.5e9
-"""Bytes that a process takes before it reads a frame, and those of a scan that is passed through."""
+"""Bytes that a process takes before it reads a frame, and those of a scan whose rows are resampled."""
 MENDED_ELSEWHERE = DISK_CODES | {*OF_THE_MACHINES}
 """Codes of refusals that leave the parts of a task to the next build."""
 LOOK_S, STUCK_S = 1.0, 15.0
 """How long to wait for news before the workers are counted, and for a worker that is idle to begin."""
 
 
-def memory_needed(task: Task, campaign: Campaign) -> float:
-    """Return the bytes that a task takes at least: its cube, and that of its reference beside it."""
-    captures = {id(c): c for c in captures_of(task)}
-    if task.key.stage == "calibrate":
-        captures = {0: captures_of(task)[0]}
+def memory_needed(task: Task, campaign: Campaign, part: tuple[int, ...] = ()) -> float:
+    """Return the bytes that a task, or a part, takes at least: its cube, and that of its reference beside it."""
+    calibrates = task.key.stage == "calibrate"
+    captures = {id(c): c for c in captures_of(task)[: 1 if calibrates else 2]}
+    least = 0.0 if calibrates else STREAMED
     return BASE + sum(
-        STREAMED
+        max(least, bytes_of_pass(c, (part[0], part[1]) if part else None))
         if is_streamed(c, campaign)
         else CUBE_BYTES * count_values(c, campaign.cameras[c.camera].kind)
         for c in captures.values()
@@ -424,7 +424,8 @@ class ClusterExecutor:
         del self._flying[key]
         self._cuts[key] = cuts
         for rows in pairwise(cuts):
-            part = Flight(flight.due, flight.need, rows)
+            need = memory_needed(flight.due.task, self._endings.campaign, rows)
+            part = Flight(flight.due, need, rows)
             self._flying[part.key] = part
             self._queue.wait(key, part.key)
             self._resend(part)

@@ -35,7 +35,7 @@ PART_SAMPLES = 500_000_000
 """Of a part, about: 1 GB of codes, some seconds of work."""
 MOST_PARTS = 100
 """Of a scan, which are open at once when they are joined."""
-PARTS, PICTURES = "calibrate.parts", "pictures.npz"
+PARTS, PICTURES = "calibrate.parts", "pictures.raw"
 
 
 def cuts_of(scan: Scan) -> tuple[int, ...]:
@@ -70,13 +70,20 @@ def write_part(
     """
     part, noisy = part_of(places, capture, lines), scan.has_sigma
     make_folder(part.base.parent)
-    there = sum(path.stat().st_size for path in part.base.parent.iterdir())
+    there = sum(_size_of(path) for path in part.base.parent.iterdir())
     least = least_bytes(prod(scan.shape), scan.quantity, noisy=noisy)
     require_space(places.kept, max(least, 2 * least - there))
     seen = LinesSeen(scan, lines)
     with together(before):
         part.write(seen.blocks(), scan.shape, sigma=noisy, more=seen.arrays)
     return Written((), {}, aside=part.files(sigma=noisy))
+
+
+def _size_of(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # another worker's, which has its name now
+        return 0
 
 
 def write_scan(

@@ -66,6 +66,8 @@ records end in the same bytes either way but for the last bits of resampled valu
 page is then that of every sixteenth pixel. A constant, so that results do not hang on the machine's memory."""
 LOOKED_AT_PX = 1_000_000
 """Most pixels of a band as registration sees it."""
+PASSING_BYTES, STRIPS_BYTES, PICTURE_BYTES = 1e8, 8e5, 7
+"""Of what passes by at a time, of strips of a band that are gathered, and of a pixel of a band's picture."""
 Lines = tuple[int, int]
 """First line, and the one behind the last."""
 
@@ -86,6 +88,19 @@ def is_streamed(capture: Capture, campaign: Campaign) -> bool:
     facts = [read_facts(frame.path) for frame in frames]
     samples = int(np.prod(facts[0].shape, dtype=object)) * (3 if camera.scan == "mirror" else 1)
     return all(one.kind == "envi" for one in facts) and samples > STREAMED_SAMPLES
+
+
+def factor_of(shape: tuple[int, int, int]) -> int:
+    """Return how many px a side of a scan, (lines, samples, bands), make a pixel of its pictures."""
+    return max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / LOOKED_AT_PX))))
+
+
+def bytes_of_pass(capture: Capture, lines: Lines | None = None) -> float:
+    """Return the bytes that a pass over lines of a streamed scan takes at least, default all: pictures above all."""
+    whole, samples, bands = (int(n) for n in read_facts(capture.sensors[0].object[0].path).shape)
+    start, stop = lines or (0, whole)
+    pixels = (stop - start) * samples / factor_of((whole, samples, bands)) ** 2
+    return PASSING_BYTES + bands * (STRIPS_BYTES + PICTURE_BYTES * pixels)
 
 
 class FlatLines(NamedTuple):
@@ -252,8 +267,7 @@ class Scan:
     @property
     def factor(self) -> int:
         """Side, px, of the blocks that make a pixel of the pictures that registration sees."""
-        lines, samples, _ = self.shape
-        return max(1, int(np.ceil(np.sqrt(lines * samples / LOOKED_AT_PX))))
+        return factor_of(self.shape)
 
     @property
     def learnt(self) -> dict[str, dict[str, Any]]:
@@ -328,19 +342,23 @@ class Scan:
 
     def keep_pictures(self, path: Path) -> None:
         """Write `images` to a file, so that they need no pass; raises WriteRefused."""
-        values = np.stack([image.values for image in self.images()])
-        valid = np.packbits(np.stack([image.valid for image in self.images()]))
         with replacing(path) as handle:
-            np.savez(handle, values=values, valid=valid)
+            for image in self.images():
+                handle.write(np.ascontiguousarray(image.values, np.float32).data)
+                handle.write(np.packbits(image.valid).data)
 
     @cached_property
     def _kept(self) -> list[BandImage]:
         assert self.pictures is not None
-        with np.load(self.pictures) as found:
-            values = found["values"]
-            valid = np.unpackbits(found["valid"], count=values.size).astype(bool)
-        pairs = zip(self.bands, values, valid.reshape(values.shape), strict=True)
-        return [BandImage(band.label, band.wavelength, *planes) for band, *planes in pairs]
+        shape = (self.shape[0] // self.factor, self.shape[1] // self.factor)
+        made, count = [], shape[0] * shape[1]
+        with self.pictures.open("rb") as handle:
+            for band in self.bands:
+                values = np.fromfile(handle, np.float32, count).reshape(shape)
+                bits = np.fromfile(handle, np.uint8, -(-count // 8))
+                valid = np.unpackbits(bits, count=count).astype(bool).reshape(shape)
+                made.append(BandImage(band.label, band.wavelength, values, valid))
+        return made
 
     def _flat_blocks(self, start: int, stop: int) -> Iterator[FlatLines]:
         step = block_lines(self.shape)
@@ -475,17 +493,12 @@ class Pictures:
         self._sums[:, rows], self._counts[:, rows] = arrays["sums"], arrays["counts"]
 
     def images(self) -> list[BandImage]:
-        """Return the pictures."""
-        least = self._factor**2 / 2
-        return [
-            BandImage(
-                band.label,
-                band.wavelength,
-                (sums / np.maximum(counts, 1)).astype(np.float32),
-                counts >= least,
-            )
-            for band, sums, counts in zip(self._bands, self._sums, self._counts, strict=True)
-        ]
+        """Return the pictures, in the memory of the sums: nothing can be added any more."""
+        made, least = [], self._factor**2 / 2
+        for band, sums, counts in zip(self._bands, self._sums, self._counts, strict=True):
+            values = np.divide(sums, np.maximum(counts, 1), out=sums)
+            made.append(BandImage(band.label, band.wavelength, values, counts >= least))
+        return made
 
 
 def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Scan:
