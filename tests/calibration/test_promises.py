@@ -78,7 +78,7 @@ STEPS = {
         [template(100, exposure_s=1.0), template(200, exposure_s=2.0)],
         saturation=4095,
         noise=NOISE,
-        limit=1.0,
+        choose=True,
     ),
     "join strips": lambda: join_strips(strips(), blend=True),
     "denoise": lambda: denoise(spectra()),
