@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from levkas.campaign.campaign import campaign_of
+from levkas.campaign.chart_names import CHARTS
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.guess.appearance import find_warmth, infer_roles
@@ -25,7 +26,7 @@ from levkas.campaign.guess.groups import CameraGroup, group_cameras
 from levkas.campaign.guess.listing import Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
-from levkas.campaign.guess.words import CHARTS, GENERIC
+from levkas.campaign.guess.words import GENERIC
 from levkas.campaign.schema.cross_checks import find_contradictions, is_safe_name
 from levkas.campaign.schema.tables import Document
 from levkas.campaign.schema.toml import to_inline_toml, to_toml_key

@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from levkas.campaign.chart_names import CHARTS
+
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
@@ -17,17 +19,6 @@ DARK = _words(
 WHITE = _words(
     "white whites whiteref whiteboard flat flats flatfield ff spectralon weiss blanc blanche"
 )
-CHARTS = {
-    **dict.fromkeys(
-        _words("""
-            chart charts colorchecker colourchecker colorchart colourchart macbeth passport xrite calibrite farbkarte
-            farbtafel farbkontrollkarte charte mire nuancier cartacolori scalacolori cartadecolor kleurenkaart
-        """),
-        "ColorChecker24",
-    ),
-    **dict.fromkeys(_words("ccsg digitalsg colorcheckersg colourcheckersg"), "ColorCheckerSG"),
-}
-"""Names of charts, and the reference that each most likely is."""
 IMAGES = _words("""
     photo photograph foto vis visible rgb color colour uv uvf uvl uvr ir irr irrgb irfc nir swir xray xr
     xrr radiograph radiography raking transmitted reflected fluorescence thermal reflectogram

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.campaign.guess.words import CHARTS as WORDS
+from levkas.campaign.chart_names import CHARTS as WORDS
 from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Homography
 from levkas.readers.spectra import are_spectra, parse_spectra
