@@ -113,14 +113,17 @@ def test_bands_of_the_reference_camera_stay_where_they_are(reference):
     assert own.verdict.decision == "accept"
 
 
-def test_a_half_seen_object_is_accepted_with_a_warning(studio, painting, reference):
+def test_a_half_seen_object_is_accepted_and_what_is_not_seen_is_counted(
+    studio, painting, reference
+):
     size = (150, 230)
     seen = bands(studio.photograph(painting, STILL, size, seed=3))
     found = register(
         reference, seen, reference_band="b0", method="mirhashemi2019",
         region=(0, 0, *SIZE), target_region=(0, 0, *SIZE),
     )  # fmt: skip
-    assert found.verdict.decision == "warn", found.verdict.reasons
+    assert found.verdict.decision == "accept", found.verdict.reasons
+    assert found.verdict.unchecked == pytest.approx(0.5, abs=0.05)
     assert found.verdict.numbers["overlap"] == pytest.approx(0.5, abs=0.03)
     assert found.verdict.numbers["outside"] and "nothing is known of the rest" in str(
         found.verdict.reasons

@@ -55,6 +55,7 @@ export class LevelPanel {
     viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
     preserveAspectRatio: "none",
     role: "img",
+    "aria-label": "Histogram of what is in view",
   });
   private readonly handles = new Map<Handle, HTMLElement>();
   private readonly field = make("div", { class: "level-field" });

@@ -12,7 +12,7 @@ STATE = """() => ({
   title: document.title,
   head: document.querySelector('h1').textContent,
   told: [...document.querySelectorAll('.picker-a option, .reasons')].map(e => e.textContent),
-  tags: Object.entries([...document.querySelectorAll('*')].reduce((all, e) => {
+  tags: Object.entries([...document.querySelectorAll('*:not(script[async])')].reduce((all, e) => {
     const name = e.tagName.toLowerCase(); all[name] = (all[name] ?? 0) + 1; return all; }, {})).sort(),
   attributes: [...document.querySelectorAll('*')].flatMap(e => [...e.attributes])
     .filter(a => /^on|^srcdoc$/i.test(a.name) || (/^(href|src|action|data|.*:href)$/i.test(a.name)

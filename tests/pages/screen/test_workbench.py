@@ -300,7 +300,8 @@ def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
         "() => document.querySelector('#build-status').textContent === 'Registered again.'",
         timeout=1_200_000,
     )
-    assert page.locator(".verdict .badge").inner_text() in ("accepted", "doubtful, please check")
+    words = page.locator(".verdict .badge").inner_text()
+    assert words.startswith("accepted") or words == "doubtful, please check"
     report = status(folder)
     assert {s.state for s in report.stages if s.key.layer == "xray"} == {"fresh"} and report.ok
 
