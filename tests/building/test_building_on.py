@@ -156,12 +156,9 @@ QUICK = ("date, region", "frames cut short and lost, whites swapped")
 
 def differences(one, other):
     """Return the files of two databases that differ; of provenance what differs in it."""
-    names = [
-        n for n in {**(a := hash_tree(one)), **(b := hash_tree(other))} if a.get(n) != b.get(n)
-    ]
-    return sorted(
-        [*names, *(line for name in names for line in lines_that_differ(one, other, name))]
-    )
+    ours, theirs = hash_tree(one), hash_tree(other)
+    names = sorted(n for n in {**ours, **theirs} if ours.get(n) != theirs.get(n))
+    return [*names, *(line for name in names for line in lines_that_differ(one, other, name))]
 
 
 def lines_that_differ(one, other, name):
