@@ -16,7 +16,8 @@ from levkas.registration.joint import JointResult, SensorObservations, adjust_jo
 from levkas.registration.manual_points import measure_checks, nearest_rows
 from levkas.registration.record import Matches, Sigma, describe_windows
 from levkas.registration.uncertainty import measure_sigma, with_chromatic
-from levkas.registration.verdict import ONLY, judge_windows
+from levkas.registration.verdict import judge_windows
+from levkas.registration.verdict_rules import ONLY
 from levkas.registration.verification import SETTINGS as VERIFICATION
 from levkas.registration.verification import (
     grid_points,

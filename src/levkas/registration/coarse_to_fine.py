@@ -30,10 +30,11 @@ from levkas.registration.local_shifts import WindowShifts, highpass
 from levkas.registration.manual_points import ManualPoints
 from levkas.registration.model_selection import SelectedModel, SelectionTerms, select_model
 from levkas.registration.models import Observations
+from levkas.registration.orientation_correlation import match_blocks
 from levkas.registration.predictors import ReferenceStack, cell_px, measure_shifts, resample_band
 from levkas.registration.record import RegistrationRefused, Sigma
 from levkas.registration.uncertainty import measure_sigma
-from levkas.registration.verdict import BY_HAND, POINTS
+from levkas.registration.verdict_rules import BY_HAND, POINTS
 from levkas.registration.verification import (
     PermutationTest,
     coarsening,
@@ -85,6 +86,8 @@ class RefinementSettings:
         which a map is judged, about as fine as the picture.
     least_colour_bands : int
         Bands of a colour camera.
+    sure_coverage : float
+        Share of cells that windows confirm; below, blocks are compared by their outlines too.
     grey_correlation : float
         Correlation of the detail of two channels that are one grey picture.
     """
@@ -101,6 +104,7 @@ class RefinementSettings:
     finest_sampling: float = 0.45
     plain_sampling: float = 0.9
     least_colour_bands: int = 3
+    sure_coverage: float = 0.5
     grey_correlation: float = 0.98
 
 
@@ -313,12 +317,17 @@ def register_sensor(
     labels = [band.label for band in bands]
     mask = np.ones(reference.shape, bool) if ours.within is None else ours.within
     found = refine_map(SensorTask(bands, images, reference, mask, initial, by_hand))
+    unsure, coarse = found.verification["coverage"] < SETTINGS.sure_coverage, None
+    if unsure or np.isinf(found.selected.held_out_error):
+        blocks = match_blocks(ours.greys[:], theirs.greys[:], found.base, ours.within)
+        found.verification["outlines"] = blocks.to_dict()
+        coarse = blocks.tolerance
     transforms: dict[str, Transform] = {
         label: Composed(found.chromatic.transform(i), found.base) for i, label in enumerate(labels)
     }
     sigma = measure_sigma(
         reference.shape, labels, found.chromatic, found.selected, reference_sigma,
-        checks=found.checks,
+        checks=found.checks, coarse=coarse,
     )  # fmt: skip
     windows = dict(zip(labels, found.windows, strict=True))
     return RegisteredSensor(

@@ -31,6 +31,7 @@ from levkas.registration.matching import (
     unique_rows,
 )
 from levkas.registration.models import Observations, fit_similarity
+from levkas.registration.orientation_correlation import match_by_directions
 from levkas.registration.pose_clustering import REACH, find_pose_cluster
 
 if TYPE_CHECKING:
@@ -91,6 +92,8 @@ class InitialTransform:
     mirrored : bool
     reason : ndarray of str, (n,), optional
         `HandMark` of each match.
+    by_outlines : bool
+        Whether no key points agreed, and blocks were matched by the directions of their edges.
     """
 
     transform: Transform
@@ -99,6 +102,7 @@ class InitialTransform:
     kept: np.ndarray
     mirrored: bool
     reason: np.ndarray | None = None
+    by_outlines: bool = False
 
     @property
     def count(self) -> int:
@@ -130,7 +134,19 @@ def find_initial_transform(
                 return found
         if max(max(pictures.greys[0].shape) for pictures in (reference, target)) <= side:
             break
-    return _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
+    found = _search_widely(reference.at(SETTINGS.long_side), target.at(SETTINGS.long_side))
+    return found or _by_directions(reference, target)
+
+
+def _by_directions(reference: CameraFeatures, target: CameraFeatures) -> InitialTransform | None:
+    """Return the affine map on which blocks agree by the directions of their edges, or None."""
+    matched = match_by_directions(reference.greys[:], target.greys[:], reference.within)
+    if matched is None:
+        return None
+    return InitialTransform(
+        matched.transform, matched.reference, matched.target, matched.kept, matched.mirrored,
+        by_outlines=True,
+    )  # fmt: skip
 
 
 def _other_pairs(ours: int, theirs: int) -> list[tuple[int, int]]:

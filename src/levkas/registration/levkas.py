@@ -24,7 +24,8 @@ from levkas.registration.record import (
     describe_windows,
 )
 from levkas.registration.reference_bands import register_own_bands
-from levkas.registration.verdict import ONLY, judge_windows
+from levkas.registration.verdict import judge_windows
+from levkas.registration.verdict_rules import ONLY
 
 if TYPE_CHECKING:
     from levkas.campaign.methods import LevkasOptions
@@ -126,6 +127,7 @@ def _numbers(sensor: RegisteredSensor) -> dict[str, Any]:
         "step": found.step if found else 1,
         "key_points_kept": int(initial.kept.sum()) if initial else None,
         "key_points": len(initial.kept) if initial else None,
+        "by_outlines": bool(initial and initial.by_outlines),
         "rounds": course.get("rounds"),
         "settled": course.get("settled"),
         "moved": course.get("moved"),

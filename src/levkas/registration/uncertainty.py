@@ -67,6 +67,7 @@ def measure_sigma(
     reference: Mapping[str, Sigma] | None = None,
     shared: SelectedModel | None = None,
     checks: CheckWindows | None = None,
+    coarse: float | None = None,
 ) -> dict[str, Sigma]:
     """Return the sigma of every band of a sensor.
 
@@ -84,6 +85,8 @@ def measure_sigma(
         A map behind the base map, fitted to what other captures saw too.
     checks : CheckWindows, optional
         Windows that confirm the base map; away from them it is known the less the farther.
+    coarse : float, reference px, optional
+        Sigma of a map that outlines alone confirm, where too little was seen to leave some of it out.
     """
     x, y = (
         np.round(np.linspace(0, n - 1, k), 2)
@@ -101,6 +104,8 @@ def measure_sigma(
         )
         if checks is not None:
             common += _beyond(selected, points, checks.beyond(points), checks.side, shape)
+    if coarse is not None:
+        common = np.where(np.isfinite(common), common, coarse**2)
     if shared is not None:
         common += shared.sigma(points) ** 2
     if reference:

@@ -42,6 +42,8 @@ class WindowSettings:
         Share of a window that has to be valid.
     chance_percent : float
         Percentile of peaks of windows that cannot match above which a window is found.
+    least_chances : int
+        Windows that cannot match by which chance is measured.
     least_near : int
         Confirmed windows that have to be near a place: one may be found by chance.
     reach_cells : float
@@ -58,6 +60,7 @@ class WindowSettings:
     band: tuple[float, float] = (1.0, 5.0)
     least_cover: float = 0.9
     chance_percent: float = 99.0
+    least_chances: int = 20
     least_near: int = 2
     reach_cells: float = 2.0
 
@@ -353,7 +356,12 @@ def _chance(a: np.ndarray, b: np.ndarray, places: np.ndarray) -> float:
             other = places[(i + n // part + i % 7) % n]
             if np.abs(other - places[i]).max() > SETTINGS.window + SETTINGS.reach:
                 peaks.append(float(_correlations(a, b, places[i], other).max()))
-    return float(np.percentile(peaks, SETTINGS.chance_percent)) if len(peaks) >= 8 else 1.0
+    if len(peaks) < SETTINGS.least_chances:
+        # In a small picture no two windows are far apart: it is turned and mirrored instead.
+        for turned in (b[::-1, ::-1], b[::-1], b[:, ::-1]):
+            c = np.ascontiguousarray(turned)
+            peaks += [float(_correlations(a, c, place, place).max()) for place in places]
+    return float(np.percentile(peaks, SETTINGS.chance_percent))
 
 
 def _strength(detail: np.ndarray) -> np.ndarray:

@@ -1,0 +1,570 @@
+"""Rules of the verdict: what each piece of evidence on a registration says, in a user's words.
+
+A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it; what only was not checked is
+``"unchecked"``. No rule looks at the residuals of the matches that were kept: the removal of outliers makes those
+small whether the map is right or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+Finding = Literal["refuse", "warn", "unchecked"]
+"""What one rule says: refused, contradicted somewhere, or not checked somewhere."""
+
+
+class Limits(NamedTuple):
+    """Value beyond which a rule warns, and beyond which it refuses."""
+
+    warn: float
+    refuse: float
+
+    def exceeded_by(self, *values: float) -> Finding | None:
+        """Return the decision on the largest of `values`."""
+        largest = max(values)
+        return "refuse" if largest > self.refuse else "warn" if largest > self.warn else None
+
+
+ANISOTROPY, AREA_RATIO, RIVAL = Limits(1.5, 2.0), Limits(1.8, 3.0), Limits(0.85, 0.95)
+OVERLAP, COVERAGE, PREDICTED = Limits(0.8, 0.1), Limits(0.9, 0.6), Limits(0.5, 0.2)
+STRANGE = Limits(0.22, 0.28)
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Limits of the rules.
+
+    Parameters
+    ----------
+    matches_per_term, sure_matches_per_term : int
+        Matches for each coefficient of a polynomial that are needed; that make up for missing windows.
+    chance_factor : float
+        Matches that are kept, over those kept of places that are paired at random.
+    scales : (float, float)
+        Target px per reference px that a camera can have.
+    anisotropy, area_ratio, rival : Limits
+        Stretch one way over across; largest to smallest local area; correlation of the pictures at the
+        best place elsewhere, relative to here.
+    overlap : Limits
+        Least share of the reference that the target shows.
+    coverage : Limits
+        Least share of the cells that matches or windows confirm, of a map on matches.
+    least_coverage, off_share : float
+        Share of cells confirmed by windows below which, and share of cells off above which, a dense map
+        is refused.
+    least_found, least_found_share, least_agreeing_share : float
+        Windows that have to be found, in number and as a share; share of them that have to agree.
+    predicted : Limits
+        Least share of windows that are predicted better than 19 of 20 windows that cannot match.
+    good_steps, bad_px, bad_steps : float
+        Held-out error: px of the compared grid that are a warning; reference px, and px of the grid,
+        that are refused. Where the target is coarse, single windows scatter more than the map is off.
+    scatter : float
+        Held-out error over the sigma of single windows up to which their own noise explains it: 0.6 to 1.05
+        of right maps of infrared pictures, 0.8 to 11 of maps that are wrong somewhere.
+    least_cover, least_checked : float
+        Share of the reference below which it is said how little could be compared; share of what both show
+        below which a map only reaches over too much, and is doubtful.
+    most_sigmas : float
+        By so many of its sigmas others may move a band: three of a normal error are one in three hundred.
+    strange : Limits
+        Share of detail that only one of two pictures has. Views of one painting in light of the same
+        wavelengths: 0.01 to 0.17; copies by one pattern: 0.30 to 0.55 (`benchmarks/replicas.py`).
+    alike : float
+        Cells in one plane differ in how far they are off by at most this share of it.
+    least_outlines, least_outlines_share : int, float
+        Large blocks that have to agree by their outlines, in number and as a share, where windows are not
+        recognised.
+    most_found_of_a_copy : float
+        Share of windows that are found. Of copies by one pattern 0.6 to 0.91 are.
+    """
+
+    matches_per_term: int = 4
+    sure_matches_per_term: int = 10
+    chance_factor: float = 2
+    scales: tuple[float, float] = (0.15, 6.7)
+    anisotropy: Limits = ANISOTROPY
+    area_ratio: Limits = AREA_RATIO
+    rival: Limits = RIVAL
+    overlap: Limits = OVERLAP
+    coverage: Limits = COVERAGE
+    least_coverage: float = 0.15
+    off_share: float = 0.2
+    least_found: int = 6
+    least_found_share: float = 0.05
+    least_agreeing_share: float = 0.6
+    predicted: Limits = PREDICTED
+    good_steps: float = 0.25
+    bad_px: float = 1.0
+    bad_steps: float = 0.3
+    scatter: float = 1.0
+    least_cover: float = 0.5
+    least_checked: float = 0.75
+    most_sigmas: float = 3.0
+    strange: Limits = STRANGE
+    alike: float = 0.5
+    least_outlines: int = 14
+    least_outlines_share: float = 0.75
+    most_found_of_a_copy: float = 0.95
+
+
+SETTINGS = VerdictSettings()
+#: Name among the numbers of a sensor without one.
+ONLY = "sensor"
+
+OTHER = "Check that both pictures show the same object, the same way up and framed alike"
+POINTS = "run `levkas inspect CAMPAIGN`, open this camera and click four places that you see in both pictures"
+BY_HAND = f"{OTHER}; if they do, {POINTS}."
+LOOK = "Look at both pictures in the report with the flicker before you rely on this camera."
+REGION = "Use nothing from there, or add pairs there in `levkas inspect CAMPAIGN`."
+
+Numbers = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Objection:
+    """One rule's objection to a registration.
+
+    Parameters
+    ----------
+    decision : {"refuse", "warn", "unchecked"}
+    reason, next_step : str
+    on_matches : str
+        The next step for a map on matches, where its method has options that a dense map has not.
+    lacks_evidence : bool
+        Whether nothing contradicts the map, and little could be compared.
+    """
+
+    decision: Finding
+    reason: str
+    next_step: str
+    on_matches: str = ""
+    lacks_evidence: bool = False
+
+
+def percent(share: float) -> str:
+    """Return a share as text, never rounded up to all or down to nothing of it.
+
+    >>> percent(1.0), percent(0.998), percent(0.375), percent(0.002), percent(0.0)
+    ('100 %', '99 %', '38 %', 'less than 1 %', '0 %')
+    """
+    if 0 < share < 0.005:
+        return "less than 1 %"
+    return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
+
+
+def _off(error: float) -> str:
+    """Return how far off something is, as text.
+
+    >>> _off(0.5), _off(float("inf"))
+    ('0.50 px off', 'not predicted at all')
+    """
+    return f"{error:.2f} px off" if np.isfinite(error) else "not predicted at all"
+
+
+def _places(cells: Sequence[Sequence[float]]) -> str:
+    """Return the first four of (x, y, width, height) as text."""
+    where = "; ".join(", ".join(f"{v:.0f}" for v in cell) for cell in cells[:4])
+    return f"(x, y, width, height: {where}{'; …' if len(cells) > 4 else ''})"
+
+
+# --- rules; each returns an objection, or None
+
+
+def enough_matches(n: Numbers) -> Objection | None:
+    """Refuse a polynomial on few matches for each coefficient."""
+    least = SETTINGS.matches_per_term * n["terms"]
+    if n["kept"] >= least:
+        return None
+    return Objection(
+        "refuse",
+        f"Only {n['kept']} matches are left for a map with {n['terms']} coefficients for each of "
+        f"x and y; at least {least} are needed.",
+        f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
+    )
+
+
+def more_than_chance(n: Numbers) -> Objection | None:
+    """Refuse matches that are hardly more than random pairs give."""
+    if n["kept"] > SETTINGS.chance_factor * n["chance_kept"]:
+        return None
+    return Objection(
+        "refuse",
+        f"{n['kept']} matches are kept, but {n['chance_kept']} are kept too when places are paired "
+        "at random: the map may be chance.",
+        f"{OTHER}; if they do, lower `reject` or try the method `levkas`.",
+    )
+
+
+def begins_with_key_points(n: Numbers) -> Objection | None:
+    """Warn of a map that was begun from outlines alone."""
+    if not n.get("by_outlines"):
+        return None
+    return Objection(
+        "warn",
+        "No key points of the two pictures agree; the map was begun from the outlines of whole pictures.",
+        LOOK,
+    )
+
+
+def better_than_chance(n: Numbers) -> Objection | None:
+    """Refuse or warn where windows are predicted hardly better than windows that cannot match."""
+    share = n["share_above_chance"]
+    if share is None or share >= SETTINGS.predicted.warn:
+        return None
+    refused = share < SETTINGS.predicted.refuse
+    return Objection(
+        "refuse" if refused else "warn",
+        f"Only {percent(share)} of the windows are predicted better than windows that cannot match.",
+        BY_HAND if refused else LOOK,
+        lacks_evidence=refused,
+    )
+
+
+def predicts_windows(n: Numbers) -> Objection | None:
+    """Refuse or warn where blocks of windows that were not fitted are off by more than their own noise."""
+    error, step = n["held_out_px"], n["step"]
+    if error is None or error < SETTINGS.good_steps * step:
+        return None
+    scatter = n.get("window_sigma_px") or 0.0
+    if error < SETTINGS.bad_px and error < SETTINGS.scatter * scatter:
+        return None
+    if np.isinf(error):
+        return Objection(
+            "refuse",
+            "Too little was recognised to leave some of it out of the fit and predict it.",
+            BY_HAND,
+            lacks_evidence=True,
+        )
+    bad = not error < max(SETTINGS.bad_px, SETTINGS.bad_steps * step)
+    return Objection(
+        "refuse" if bad else "warn",
+        f"Windows that the model did not see are {_off(error)}: no one map fits all of them.",
+        f"{OTHER}; what has been bent or cut has no one map." if bad else LOOK,
+    )
+
+
+def does_not_fold(n: Numbers) -> Objection | None:
+    """Refuse a map that folds over, has no answer, or leads wholly outside."""
+    if n["overlap"] == 0:
+        return Objection(
+            "refuse",
+            "The map puts the reference wholly outside the other picture.",
+            BY_HAND,
+        )
+    if n["folded"] == 0:
+        return None
+    return Objection(
+        "refuse",
+        f"The map folds over or has no answer in {percent(n['folded'])} of the overlap.",
+        BY_HAND,
+        f"{OTHER}; if they do, lower the order of the polynomial.",
+    )
+
+
+def has_plausible_shape(n: Numbers) -> Objection | None:
+    """Refuse or warn of scales and stretches that no camera makes."""
+    if "area_ratio" not in n:
+        return None
+    low, high = SETTINGS.scales
+    if n["scale_min"] < low or n["scale_max"] > high:
+        return Objection(
+            "refuse",
+            f"The map scales by {n['scale_min']:.2g} to {n['scale_max']:.2g}, beyond "
+            f"{low:g} to {high:g}.",
+            BY_HAND,
+        )
+    decisions = (
+        SETTINGS.anisotropy.exceeded_by(n["anisotropy"]),
+        SETTINGS.area_ratio.exceeded_by(n["area_ratio"]),
+    )
+    if decisions == (None, None):
+        return None
+    refused = "refuse" in decisions
+    return Objection(
+        "refuse" if refused else "warn",
+        f"The map stretches one way {n['anisotropy']:.2f} times as much as across, and "
+        f"areas {n['area_ratio']:.2f} times as much in one place as in another.",
+        f"{OTHER}; a camera that looks very aslant should be set up anew." if refused else LOOK,
+    )
+
+
+def predicts_matches(n: Numbers) -> Objection | None:
+    """Refuse or warn where blocks of matches that were not fitted are off."""
+    miss = n["held_out_median"]
+    if miss > n["tolerance"]:
+        text = f"off by {miss:.2f} px in the median" if np.isfinite(miss) else "not predicted"
+        return Objection(
+            "refuse",
+            f"Blocks of matches that are left out of the fit are {text}: the map fits its matches "
+            "and says nothing of the rest.",
+            f"{OTHER}; if they do, lower the order of the polynomial.",
+        )
+    if n["held_out_p90"] > 3 * n["tolerance"]:
+        return Objection(
+            "warn",
+            f"One match in ten that is left out of the fit is off by more than "
+            f"{n['held_out_p90']:.1f} px.",
+            LOOK,
+        )
+    return None
+
+
+def windows_agree(n: Numbers) -> Objection | None:
+    """Refuse a map at which windows are not found, or not where it puts them."""
+    least = max(SETTINGS.least_found, SETTINGS.least_found_share * n["windows"])
+    if n["found"] < least:
+        sure = n["kept"] >= SETTINGS.sure_matches_per_term * n["terms"]
+        return Objection(
+            "warn" if sure else "refuse",
+            f"Of {n['windows']} windows of the reference only {n['found']} are recognised where "
+            "the map puts them: there is nothing to check the map by.",
+            LOOK if sure else BY_HAND,
+            lacks_evidence=not sure,
+        )
+    few = n["agreeing"] < SETTINGS.least_agreeing_share * n["found"]
+    if few or n["window_median"] > n["tolerance"]:
+        off = n["window_median"] > n["tolerance"]
+        median = f"; they are {n['window_median']:.1f} px off in the median" if off else ""
+        return Objection(
+            "refuse",
+            f"Of {n['found']} windows of the reference that are recognised, only {n['agreeing']} lie "
+            f"where the map puts them{median}.",
+            BY_HAND,
+            f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
+        )
+    return None
+
+
+def fits_nowhere_else(n: Numbers) -> Objection | None:
+    """Refuse or warn where the pictures agree as well when shifted elsewhere."""
+    if n["rival"] > 1:
+        return Objection(
+            "refuse",
+            "Shifted elsewhere, the pictures agree better than here: this is not the place.",
+            BY_HAND,
+            f"{OTHER}; if they do, try the method `levkas`, or {POINTS}.",
+        )
+    decision = SETTINGS.rival.exceeded_by(n["rival"])
+    if decision is None:
+        return None
+    return Objection(
+        decision,
+        f"Shifted elsewhere, the pictures agree {100 * n['rival']:.0f} % as well as here: "
+        "the picture repeats itself.",
+        "Give `region` so that something that does not repeat is in it, or control points.",
+    )
+
+
+def shows_the_reference(n: Numbers) -> Objection | None:
+    """Refuse or warn where the target shows little of the reference."""
+    if n["overlap"] >= SETTINGS.overlap.warn:
+        return None
+    refused = n["overlap"] < SETTINGS.overlap.refuse
+    return Objection(
+        "refuse" if refused else "unchecked",
+        f"This camera shows {percent(n['overlap'])} of the reference; nothing is known "
+        "of the rest.",
+        f"{OTHER}." if refused else "Use nothing outside the overlap.",
+    )
+
+
+def matches_cover(n: Numbers) -> Objection | None:
+    """Refuse or warn where neither matches nor windows confirm parts of a map on matches."""
+    if n["off_share"] > SETTINGS.off_share:
+        return Objection(
+            "refuse",
+            f"The map is off in {percent(n['off_share'])} of what both pictures show.",
+            f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
+        )
+    if n["coverage"] < SETTINGS.coverage.refuse:
+        return Objection(
+            "refuse",
+            f"Only {percent(n['coverage'])} of what both pictures show is confirmed by matches "
+            "or by comparison.",
+            BY_HAND,
+        )
+    return _off_or_unconfirmed(n)
+
+
+def windows_cover(n: Numbers) -> Objection | None:
+    """Refuse or warn where windows do not confirm parts of a dense map."""
+    if "coverage" not in n or not (n["off"] or n["coverage"] < SETTINGS.coverage.warn):
+        return None
+    if n["off_share"] > SETTINGS.off_share or n["coverage"] < SETTINGS.least_coverage:
+        return Objection(
+            "refuse",
+            f"Comparison confirms the map in only {percent(n['coverage'])} of what both pictures show"
+            + (f", and shows it off in {percent(n['off_share'])}." if n["off_share"] else "."),
+            BY_HAND,
+            lacks_evidence=n["off_share"] <= SETTINGS.off_share,
+        )
+    return _off_or_unconfirmed(n)
+
+
+def _off_or_unconfirmed(n: Numbers) -> Objection | None:
+    """Doubt a map that is off in cells, or not confirmed in more than a quarter of them; else say what was not checked."""
+    if n["off"]:
+        return Objection(
+            "warn",
+            f"The map is off in {percent(n['off_share'])} of what both pictures show {_places(n['off'])}{_plane(n)}.",
+            REGION,
+        )
+    if n["coverage"] >= SETTINGS.coverage.warn:
+        return None
+    return Objection(
+        "warn" if n["coverage"] < SETTINGS.least_checked else "unchecked",
+        f"Nothing confirms the map in {percent(1 - n['coverage'])} of what both pictures show "
+        f"{_places(n['unsupported'])}.",
+        REGION,
+    )
+
+
+def _plane(n: Numbers) -> str:
+    """Say that cells which are off lie off alike, as what stands in another plane does; empty where they do not."""
+    shifts = np.array(n.get("off_shift") or np.empty((0, 2)), float)
+    if len(shifts) < 2:
+        return ""
+    middle = np.median(shifts, 0)
+    length = float(np.hypot(*middle))
+    apart = np.hypot(*(shifts - middle).T)
+    if not (apart <= max(n["tolerance"], SETTINGS.alike * length)).all():
+        return ""
+    return f", by {length:.1f} px alike: there is more than one plane, or a part has moved, and the map follows the larger one"
+
+
+def is_checked(n: Numbers) -> Objection | None:
+    """Warn where the map reaches over more than a quarter of what both pictures show."""
+    share = n.get("checked", 1.0)
+    if share >= SETTINGS.least_checked or not n["unchecked"]:
+        return None
+    *box, part = n["unchecked"][0]
+    return Objection(
+        "warn",
+        (
+            f"Blocks left out of the fit are predicted to {n['held_out_px']:.2f} px over the {percent(share)} of "
+            "the object that could be checked"
+            if np.isfinite(n["held_out_px"])
+            else f"Only {percent(share)} of the object could be checked"
+        )
+        + f"; nothing confirms the map in {percent(part)} of it (x, y, width, "
+        f"height: {', '.join(f'{v:.0f}' for v in box)}), where it only reaches over.",
+        REGION,
+    )
+
+
+def shows_the_same_painting(n: Numbers) -> Objection | None:
+    """Refuse or warn where outlines agree and the detail between them does not.
+
+    Where nobody says what light a picture was taken in, as with an X-ray, such detail contradicts nothing.
+    """
+    strange = n.get("strange")
+    if strange is None or strange < SETTINGS.strange.warn:
+        return None
+    found = n["found"] / max(n["windows"], 1)
+    seen = f"Where windows are recognised, {percent(strange)} of their detail (strokes, cracks) is not in the reference"
+    copied = strange >= SETTINGS.strange.refuse and found < SETTINGS.most_found_of_a_copy
+    if n["alike"] and copied:
+        return Objection(
+            "refuse",
+            f"{seen}, which sees the same light: it is another painting by the same pattern.",
+            BY_HAND,
+        )
+    unknown = n.get("light") == "unknown"
+    return Objection(
+        "unchecked" if unknown else "warn",
+        f"{seen}: another light shows other detail, and so does another painting by the same pattern; nothing "
+        "here can tell them apart."
+        if unknown
+        else f"{seen}: it may be another painting by the same pattern, or one seen in quite another light.",
+        LOOK,
+    )
+
+
+def stays_within_its_sigma(n: Numbers) -> Objection | None:
+    """Warn where captures that a band was adjusted with move it by more than its own windows allow."""
+    excess = n.get("joint_excess")
+    if excess is None or excess["sigmas"] < SETTINGS.most_sigmas:
+        return None
+    return Objection(
+        "warn",
+        f"Adjusted with other captures, {excess['band']} moves by {excess['px']:.2f} px in the mean, "
+        f"{excess['sigmas']:.0f} times what its own windows leave open.",
+        "Look at the other captures of this camera, or build without `joint`.",
+    )
+
+
+def is_compared(n: Numbers) -> Objection | None:
+    """Say where less than half of the reference could be compared."""
+    if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
+        return None
+    return Objection(
+        "unchecked", f"Only {percent(n['cover'])} of the reference could be compared.", LOOK
+    )
+
+
+def has_converged(n: Numbers) -> Objection | None:
+    """Warn where the map still moved in the last round."""
+    if n["settled"] is not False:
+        return None
+    return Objection(
+        "warn",
+        f"The map had not come to rest in the last of {n['rounds']} rounds: it still moved by {n['moved']:.2f} px.",
+        LOOK,
+    )
+
+
+Rule = Callable[[Numbers], Objection | None]
+MATCHES, WINDOWS = frozenset({"matches"}), frozenset({"windows"})
+BOTH = MATCHES | WINDOWS
+
+#: Rules in the order of their reasons, and whether the maps that they judge rest on matches or windows.
+RULES: dict[Rule, frozenset[str]] = {
+    enough_matches: MATCHES,
+    more_than_chance: MATCHES,
+    begins_with_key_points: WINDOWS,
+    better_than_chance: WINDOWS,
+    predicts_windows: WINDOWS,
+    does_not_fold: BOTH,
+    has_plausible_shape: BOTH,
+    predicts_matches: MATCHES,
+    windows_agree: BOTH,
+    fits_nowhere_else: BOTH,
+    shows_the_reference: BOTH,
+    matches_cover: MATCHES,
+    windows_cover: WINDOWS,
+    is_checked: WINDOWS,
+    shows_the_same_painting: WINDOWS,
+    stays_within_its_sigma: WINDOWS,
+    is_compared: WINDOWS,
+    has_converged: WINDOWS,
+}
+
+
+def objections_to(numbers: Numbers, basis: frozenset[str]) -> list[Objection]:
+    """Return the objections of the rules on maps that rest on `basis`, in the order of the rules.
+
+    Where little could be compared window by window, and outlines agree all over, want of evidence makes a
+    map doubtful only.
+    """
+    found = [one for rule, on in RULES.items() if basis <= on and (one := rule(numbers))]
+    lacking = [one for one in found if one.lacks_evidence and one.decision == "refuse"]
+    outlines = numbers.get("outlines")
+    if not lacking or not outlines or not _agree(outlines):
+        return found
+    text = (
+        f"{outlines['agreeing']} of {outlines['blocks']} large blocks lie, by their outlines, within "
+        f"{outlines['px']:.1f} px of where the map puts them; closer than that it could not be checked."
+    )
+    doubted = [replace(one, decision="warn") if one in lacking else one for one in found]
+    return [Objection("warn", text, LOOK), *doubted]
+
+
+def _agree(outlines: Numbers) -> bool:
+    """Whether enough blocks lie where the map puts them, in number and as a share."""
+    least = max(SETTINGS.least_outlines, SETTINGS.least_outlines_share * outlines["blocks"])
+    return bool(outlines["agreeing"] >= least)
