@@ -401,3 +401,18 @@ def test_edges_that_are_declared_wrongly_are_refused(tmp_path, old, new, message
     (tmp_path / "campaign.toml").write_text(EDGE_KEYS.replace(old, new, 1))
     with pytest.raises(Refused, match=message):
         measure_charts(tmp_path)
+
+
+def test_edges_of_a_finished_photograph_are_said_to_be_encoded(tmp_path):
+    from scipy.special import ndtr
+
+    y, x = np.mgrid[:100, :64].astype(float)
+    lean = np.deg2rad(5)
+    light = 0.1 + 0.7 * ndtr(((x - 32) * np.cos(lean) - (y - 50) * np.sin(lean)) / 0.8)
+    codes = np.round(255 * encode_srgb(light)).astype(np.uint8)
+    Image.fromarray(np.repeat(codes[..., None], 3, 2)).save(tmp_path / "photo.png")
+    told = CliRunner().invoke(
+        app, ["chart", str(tmp_path / "photo.png"), "--kind", "edges", "--edge", "0,0,64,100"]
+    )
+    assert told.exit_code == 0 and "as they are encoded" in told.stdout
+    assert "colour misregistration, largest" in told.stdout and ": 0.00 px" in told.stdout

@@ -29,6 +29,7 @@ from levkas.quality.targets.charts import (
     reference_of,
 )
 from levkas.quality.targets.edges import (
+    EdgeFindings,
     EdgePlace,
     EdgeTargetMeasure,
     join_findings,
@@ -49,6 +50,11 @@ if TYPE_CHECKING:
 
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
+
+ENCODED = (
+    "a finished photograph: the response is that of its values as they are encoded, for no grey scale tells "
+    "their curve; ISO 12233 wants linear values"
+)
 
 # --- charts of a campaign, or in files ------------------------------------------------------------
 
@@ -154,8 +160,10 @@ def _measure_subject(
     """Measure the chart of one subject; of a kept one by the edges that its campaign named, where none are given."""
     places = {sensor: edges or subject.edges.get(sensor, ()) for sensor in subject.files}
     if subject.chart is None:
-        cubes = {sensor: subject.read(path).cube for sensor, path in subject.files.items()}
-        return measure_edges_of(subject.name, cubes, places)
+        files = {sensor: subject.read(path) for sensor, path in subject.files.items()}
+        encoded = any(file.top is not None for file in files.values())
+        cubes = {sensor: file.cube for sensor, file in files.items()}
+        return measure_edges_of(subject.name, cubes, places, encoded=encoded)
     spectra = _reference(subject.chart, reference)
     seen: list[Sighting] = []
     notes: tuple[str, ...] = ()
@@ -173,8 +181,12 @@ def measure_edges_of(
     cubes: Mapping[str, Cube],
     places: Mapping[str, Sequence[EdgePlace]],
     patterns: Mapping[str, np.ndarray] = MappingProxyType({}),
+    *,
+    encoded: bool = False,
 ) -> EdgeTargetMeasure:
-    """Measure the slanted edges of a target without a colour chart; `patterns` are mosaics by sensor.
+    """Measure the slanted edges of a target without a colour chart.
+
+    `patterns` are mosaics by sensor; `encoded` says that the values are those of a finished photograph.
 
     Raises
     ------
@@ -194,6 +206,8 @@ def measure_edges_of(
         measure_named(cube, places.get(sensor, ()), period=periods.get(sensor, 1))
         for sensor, cube in cubes.items()
     ]
+    if encoded:
+        found.append(EdgeFindings(notes=(ENCODED,)))
     return EdgeTargetMeasure(name, dict(cubes), join_findings(found))
 
 
@@ -388,7 +402,8 @@ def measure_capture(
 ) -> ChartMeasure | EdgeTargetMeasure:
     """Find the chart in every sensor's cube, and measure it; without a chart, its slanted edges."""
     if chart is None:
-        return measure_edges_of(name, made.cubes, made.edges, made.patterns)
+        encoded = made.top is not None
+        return measure_edges_of(name, made.cubes, made.edges, made.patterns, encoded=encoded)
     seen: list[Sighting] = []
     for sensor, cube in made.cubes.items():
         near = seen[0].located.corners if seen else None
