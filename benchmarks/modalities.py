@@ -1,6 +1,6 @@
 """Pairs with little in common: real captures in light far apart, coarse, blurred and noisy, and impostors of them.
 
-    python benchmarks/modalities.py [--pairs 120] [--impostors 120] [--seed 51] [--json OUT]
+    python benchmarks/modalities.py [--pairs 100] [--impostors 200] [--seed 51] [--json OUT]
     python benchmarks/modalities.py --again OUT
 
 Two lenses of one camera at opposite ends of its spectrum (blue or green with red edge and near infrared), a colour
@@ -156,8 +156,8 @@ def tell(rows: list[dict]) -> None:
 def main() -> None:
     """Register pairs, or judge those of an earlier run again."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--pairs", type=int, default=120)
-    parser.add_argument("--impostors", type=int, default=120)
+    parser.add_argument("--pairs", type=int, default=100)
+    parser.add_argument("--impostors", type=int, default=200)
     parser.add_argument("--seed", type=int, default=51)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--again", type=Path)
