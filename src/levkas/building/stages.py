@@ -236,6 +236,7 @@ class Stages:
             raise Damaged(key, problem) from error
 
     def _resample(self, task: Task) -> Write:
+        from levkas.building.chart_white import LIGHT_SIGMA
         from levkas.building.reference import record_of
         from levkas.building.resample import (
             flag_glare_in,
@@ -251,7 +252,8 @@ class Stages:
         capture, _ = captures_of(task)
         frame = self.held.frame(task, self.graph)
         native = self.held.native(capture)
-        captured = self.records.notes(key_of(capture, "calibrate")).get("captured", "")
+        notes = self.records.notes(key_of(capture, "calibrate"))
+        captured = notes.get("captured", "")
         target = target_of(capture, native, frame, record_of(self.places, capture), captured)
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
@@ -260,6 +262,7 @@ class Stages:
         sigmas = self.held.sigmas(capture)
         mosaics = mosaics_of(capture, self.campaign.cameras[capture.camera])
         self.held.let_go()
-        cube = resample(native, target.transforms, target.grid, sigmas, mosaics)
+        lights = {name: one.get(LIGHT_SIGMA, {}) for name, one in notes.get("learnt", {}).items()}
+        cube = resample(native, target.transforms, target.grid, sigmas, mosaics, lights)
         del native
         return partial(write_resampled, cube, flag_glare_in(cube, target), target, frame)
