@@ -14,9 +14,9 @@ import numpy as np
 import tifffile
 
 from levkas.building.calibrate import develop
-from levkas.building.chart_white import KEY
 from levkas.building.hashes import HASHES, Hashes
 from levkas.building.template_cache import TemplateCache
+from levkas.calibration.chart_light import CHART_WHITE as KEY
 from levkas.campaign.campaign import load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.quality.targets.charts import CHARTS, reference_of

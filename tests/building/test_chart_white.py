@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 
 from levkas.building import build, status, summarise
 from levkas.building.calibrate import develop
-from levkas.building.chart_white import KEY
 from levkas.building.charts import measure_charts
 from levkas.building.hashes import HASHES, Hashes
 from levkas.building.template_cache import TemplateCache
+from levkas.calibration.chart_light import CHART_WHITE as KEY
 from levkas.campaign.campaign import CampaignInvalid, load_campaign
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.guess import look

@@ -10,8 +10,7 @@ import numpy as np
 
 from levkas.building.build_records import Written
 from levkas.building.capture_statistics import focus_of, note_light, note_sensels
-from levkas.building.chart_white import KEY as CHART_WHITE
-from levkas.building.chart_white import LIGHT_SIGMA, lights_by_chart
+from levkas.building.chart_white import lights_by_chart
 from levkas.building.exposures import (
     average_shots,
     check_scaling,
@@ -36,7 +35,7 @@ from levkas.building.native_cubes import (
 from levkas.building.scan_parts import PARTS, pictures_of, write_scan
 from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
 from levkas.building.spectra import broad_centroids, white_reflectance
-from levkas.calibration.chart_light import light_variance
+from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated

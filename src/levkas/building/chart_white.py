@@ -52,10 +52,6 @@ HIDDEN = 0.2
 NOT_SEEN = ("E_CHART_MISSING", "E_CHART_ORDER")
 DOUBTFUL = 0.05
 """Held-out error of a patch, reflectance, rms, from which the report warns."""
-KEY = "chart_white"
-"""Of the record among what is learnt of a sensor."""
-LIGHT_SIGMA = "chart_light_sigma"
-"""Likewise, of maps of the light's sigma, which resampling needs."""
 
 
 class KnownReflectance(NamedTuple):

@@ -236,7 +236,6 @@ class Stages:
             raise Damaged(key, problem) from error
 
     def _resample(self, task: Task) -> Write:
-        from levkas.building.chart_white import LIGHT_SIGMA
         from levkas.building.reference import record_of
         from levkas.building.resample import (
             flag_glare_in,
@@ -247,6 +246,7 @@ class Stages:
             write_resampled,
         )
         from levkas.building.scans import Scan
+        from levkas.calibration.chart_light import LIGHT_SIGMA
         from levkas.core.files import make_folder
 
         capture, _ = captures_of(task)

@@ -19,6 +19,8 @@ import numpy as np
 from levkas.calibration.patterns import channel_table
 from levkas.calibration.templates import Template
 
+CHART_WHITE, LIGHT_SIGMA = "chart_white", "chart_light_sigma"
+"""Names, among what is learnt of a sensor, of the record of its chart and of maps of the light's sigma."""
 HIGHEST_ORDER = 3
 """Of the polynomial; ten terms."""
 PATCHES_A_TERM = 2

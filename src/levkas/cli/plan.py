@@ -108,6 +108,17 @@ def exposure(
         bool,
         typer.Option("--object", help="The frames show the object: gold may outshine a white."),
     ] = False,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the setup file, whose white the frames show: its regulating filter is computed from it."
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", "-o", help="HTML page of the setup file, with that filter."),
+    ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Which exposure to set: from frames, channel by channel or band by band, with SNR and ISO.
@@ -116,10 +127,19 @@ def exposure(
     """
     if not frames and setup is None:
         raise typer.BadParameter("give frames of a white, --setup FILE, or both")
+    if camera and (not frames or setup is None or of_object):
+        raise typer.BadParameter("--camera needs frames of a white and --setup FILE")
+    if report is not None:
+        from levkas.core.ownership import require_free
+
+        if setup is None:
+            raise typer.BadParameter("--report needs --setup FILE")
+        require_free(report, overwrite=overwrite)
+    white = None
     record: dict[str, Any] = {}
     texts = []
     if frames:
-        from levkas.planning.exposure_advice import advice_text, advise_frames
+        from levkas.planning.exposure_advice import advice_text, advise_frames, white_levels
 
         found = advise_frames(
             frames,
@@ -133,12 +153,20 @@ def exposure(
         )
         record["bands"] = [c.to_dict() for c in found]
         texts.append(advice_text(found))
+        if camera:
+            white = white_levels(found, camera)
     if setup is not None:
         from levkas.planning.text_report import exposure_record, exposure_text
 
-        planned = exposure_record(setup, name)
+        planned = exposure_record(setup, name, white)
         record.update(planned)
         texts.append(exposure_text(planned))
+        if report is not None:
+            from levkas.pages.plan import write_report
+            from levkas.planning.loading import load_setup
+
+            record["report"] = str(write_report(report, load_setup(setup), name, white=white))
+            texts.append(f"Written: {report}")
     print_report("plan exposure", as_json, True, [], **record)
     if not as_json:
         typer.echo("\n\n".join(texts))

@@ -26,6 +26,7 @@ from levkas.campaign.schema.values import (
     Names,
     Number,
     Orcid,
+    Rectangles,
     Reflectance,
     Region,
     Size,
@@ -261,6 +262,7 @@ class TargetKeys(Table):
     dark: Names = ()
     white: Annotated[White, BeforeValidator(_white)] | None = None
     charts: dict[str, Text] = {}
+    edges: dict[str, dict[str, Rectangles]] = {}
     objects: Names | None = None
 
 
