@@ -260,7 +260,7 @@ class Stages:
         if isinstance(native, Scan):
             return partial(stream_resampled, native, target, frame)
         sigmas = self.held.sigmas(capture)
-        mosaics = mosaics_of(capture, self.campaign.cameras[capture.camera])
+        mosaics = mosaics_of(capture, self.campaign)
         self.held.let_go()
         lights = {name: one.get(LIGHT_SIGMA, {}) for name, one in notes.get("learnt", {}).items()}
         cube = resample(native, target.transforms, target.grid, sigmas, mosaics, lights)
