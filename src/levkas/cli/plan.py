@@ -108,14 +108,44 @@ def exposure(
         bool,
         typer.Option("--object", help="The frames show the object: gold may outshine a white."),
     ] = False,
+    snr: Annotated[
+        float,
+        typer.Option(
+            help="With --object: that one sensel of the darkest paint is to reach, linear."
+        ),
+    ] = 20.0,
+    quantile: Annotated[
+        float,
+        typer.Option(help="Share of the object darker than what is called its darkest paint."),
+    ] = 0.01,
+    longest: Annotated[
+        float | None, typer.Option(help="Longest exposure in s that can be set.")
+    ] = None,
+    region: Annotated[
+        str | None, typer.Option(help="x,y,width,height of the object, native pixels.")
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(help="Of the setup file: its noise and full well choose times and ISO."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", "-o", help="HTML page of the series to write.")
+    ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Which exposure to set: from frames, channel by channel or band by band, with SNR and ISO.
 
-    From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
+    From frames of the object (--object) also the series that brings its darkest paint to an SNR. From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
     """
     if not frames and setup is None:
         raise typer.BadParameter("give frames of a white, --setup FILE, or both")
+    if (report or camera) and not (frames and of_object):
+        raise typer.BadParameter("--report and --camera go with frames of the object and --object")
+    if report is not None:
+        from levkas.core.ownership import require_free
+
+        require_free(report, overwrite=overwrite)
     record: dict[str, Any] = {}
     texts = []
     if frames:
@@ -133,7 +163,21 @@ def exposure(
         )
         record["bands"] = [c.to_dict() for c in found]
         texts.append(advice_text(found))
-    if setup is not None:
+        if of_object and all(c.shot.exposure_s for c in found):
+            from levkas.planning.exposure_series import SeriesWish
+            from levkas.planning.series_report import series_record, series_text
+
+            wish = SeriesWish(snr, quantile, longest, _four(region) if region else None)
+            series, refused = series_record(found, wish, setup, camera)
+            record["series"] = [plan.to_dict() for plan in series]
+            record["series_refused"] = refused
+            texts.append(series_text(series, refused))
+            if report is not None:
+                from levkas.pages.series import write_series
+
+                record["report"] = str(write_series(report, series, refused))
+                texts.append(f"Written: {report}")
+    if setup is not None and camera is None:
         from levkas.planning.text_report import exposure_record, exposure_text
 
         planned = exposure_record(setup, name)
