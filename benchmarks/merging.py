@@ -1,6 +1,7 @@
 """Whole builds of merged exposures against truth and the Cramér–Rao bound, over three and a half decades.
 
     python benchmarks/merging.py [--side 256] [--read 2.0] [--whites 16] [--darks 8]
+    python benchmarks/motion.py   # what is flagged as moved, of cameras as they are
 
 A sensor of 12 bits in 16-bit files (black 50, 2 electrons a count) takes one shot of twelve patches,
 0.0003 to 0.95, at four exposures 4x apart, and a stack of a white at one of them. `levkas build` makes

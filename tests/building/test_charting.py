@@ -298,3 +298,121 @@ def test_a_target_may_be_chart_and_object_at_once(tmp_path):
     layer = measure_charts(tmp_path / "database", objects=["macbeth"], corners=corners)
     assert [m.name for m in layer.measures] == ["macbeth/photo"] and layer.ok
     assert layer.measures[0].colours.difference.mean() < 1  # decoded, as the photograph itself
+
+
+EDGE_KEYS = """
+[campaign]
+title = "An edge"
+reference = { camera = "vis", band = "540 nm" }
+[cameras.vis]
+kind = "bands"
+files = "raw/{target}/{wavelength}nm_{shot}.tif"
+bits = 12
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 1.0 }
+charts = { sfr = "edges" }
+edges = { sfr = { vis = [[40, 20, 60, 100], [130, 60, 100, 50]] } }
+"""
+SHIFTS = {420: 0.0, 540: 0.3, 660: 0.0}
+
+
+@pytest.fixture(scope="module")
+def edged(tmp_path_factory):
+    """A black square on white that leans by 5 degrees, its middle band 0.3 px to the right of the others."""
+    from scipy.special import ndtr
+
+    folder, rng = tmp_path_factory.mktemp("edges"), np.random.default_rng(4)
+    y, x = np.mgrid[:180, :260].astype(float)
+    lean, sigma = np.deg2rad(5), 0.7
+    for name in ("dark", "white", "sfr"):
+        (folder / "raw" / name).mkdir(parents=True)
+        for nm, shift in SHIFTS.items():
+            across = (x - 70 - shift) * np.cos(lean) + (y - 85) * np.sin(lean)
+            down = (y - 85) * np.cos(lean) - (x - 70 - shift) * np.sin(lean)
+            square = ndtr(across / sigma) * ndtr(down / sigma)
+            scene = {"dark": 0.0, "white": 1.0, "sfr": 0.9 - 0.8 * square}[name]
+            for shot in range(2):
+                level = 60 + 3200 * scene * np.ones(x.shape)
+                noisy = level + np.sqrt(4 + 0.05 * (level - 60)) * rng.standard_normal(x.shape)
+                frame = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
+                tifffile.imwrite(folder / "raw" / name / f"{nm}nm_{shot}.tif", frame)
+    (folder / "campaign.toml").write_text(EDGE_KEYS.replace("40, 20, 60, 100", "45, 90, 60, 85"))
+    return folder
+
+
+def test_edges_that_a_campaign_names_are_measured_reported_and_kept(edged):
+    built = summarise(build(edged))
+    assert built.ok, built.problems
+    report = measure_charts(edged)
+    assert report.ok, report.problems
+    (made,) = report.measures
+    upright, level = made.edges.tables
+    assert (upright.axis, level.axis) == ("x", "y")
+    expected = 0.3 * np.cos(np.deg2rad(5))
+    assert upright.largest_shift == pytest.approx(expected, abs=0.02)
+    assert upright.shift[1] > upright.shift[0]
+    # The Gaussian alone: the scene was sampled at points.
+    assert upright.sfr50 == pytest.approx(np.sqrt(np.log(2) / 2) / np.pi / 0.7, rel=0.02)
+    html = (edged / "database/cameras/vis/report.html").read_text(encoding="utf-8")
+    assert "colour misregistration" in html and "Spatial frequency response" in html
+    assert html.count("modulation over cycles/px") == 2
+    again = measure_charts(edged / "database")
+    (kept,) = again.measures
+    assert kept.edges.tables[0].sfr50 == pytest.approx(upright.sfr50, rel=1e-5)
+    told = CliRunner().invoke(app, ["chart", str(edged), "--json"])
+    record = json.loads(told.stdout)
+    assert told.exit_code == 0 and record["charts"][0]["chart"] == "edges"
+    assert record["charts"][0]["edges"][0]["bands"][0]["sampling_efficiency"] > 0.5
+
+
+def test_edges_of_a_cube_are_named_on_the_command_line_and_refused_by_name(edged, tmp_path):
+    build(edged)
+    cube = str(next((edged / "database/charts/sfr").glob("*vis.tif")))
+    page = tmp_path / "edge.html"
+    good = ["chart", cube, "--kind", "edges", "--edge", "45,90,60,85", "-o", str(page)]
+    told = CliRunner().invoke(app, good)
+    assert told.exit_code == 0, told.output
+    assert "edge 1 (45,90,60,85): 5.0 degrees, along x: SFR50" in told.stdout
+    assert "FADGI" in told.stdout and "Chart: sfr_vis.tif" in page.read_text(encoding="utf-8")
+    for box, code in (
+        ("200,100,40,40", "E_EDGE_CONTRAST"),
+        ("0,0,999,10", "E_REGION"),
+        ("5,5", "E_VALUE"),
+    ):
+        told = CliRunner().invoke(app, ["chart", cube, "--kind", "edges", "--edge", box, "--json"])
+        assert told.exit_code == 1
+        assert [p["code"] for p in json.loads(told.stdout)["problems"]] == [code]
+    told = CliRunner().invoke(app, ["chart", cube, "--kind", "edges", "--json"])
+    assert json.loads(told.stdout)["problems"][0]["code"] == "E_EDGE_MISSING"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("{ vis = ", "{ nir = ", "there is no such camera"),
+        ("edges = { sfr", "edges = { square", "not among targets.charts"),
+        ("[[40, 20, 60, 100]", "[[40, 20, 60]", "x, y, width, height"),
+        ("{ vis = ", '{ "vis@soft" = ', "there is no such setup"),
+    ],
+)
+def test_edges_that_are_declared_wrongly_are_refused(tmp_path, old, new, message):
+    assert old in EDGE_KEYS
+    (tmp_path / "campaign.toml").write_text(EDGE_KEYS.replace(old, new, 1))
+    with pytest.raises(Refused, match=message):
+        measure_charts(tmp_path)
+
+
+def test_edges_of_a_finished_photograph_are_said_to_be_encoded(tmp_path):
+    from scipy.special import ndtr
+
+    y, x = np.mgrid[:100, :64].astype(float)
+    lean = np.deg2rad(5)
+    light = 0.1 + 0.7 * ndtr(((x - 32) * np.cos(lean) - (y - 50) * np.sin(lean)) / 0.8)
+    codes = np.round(255 * encode_srgb(light)).astype(np.uint8)
+    Image.fromarray(np.repeat(codes[..., None], 3, 2)).save(tmp_path / "photo.png")
+    told = CliRunner().invoke(
+        app, ["chart", str(tmp_path / "photo.png"), "--kind", "edges", "--edge", "0,0,64,100"]
+    )
+    assert told.exit_code == 0 and "as they are encoded" in told.stdout
+    assert "colour misregistration, largest" in told.stdout and ": 0.00 px" in told.stdout

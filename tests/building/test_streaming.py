@@ -301,7 +301,7 @@ def test_strips_are_calibrated_and_joined(tmp_path):
     native = write_scan(tmp_path, cubes)
     assert native.cubes[""].values.shape == paint.shape
     assert np.abs(native.cubes[""].values - paint).max() < 0.02
-    assert any("share 20 samples (shift 0 lines)" in text for text in native.warnings)
+    assert any("share 20.00 samples (shift 0.00 lines" in text for text in native.warnings)
 
 
 @pytest.mark.slow

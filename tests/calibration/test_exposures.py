@@ -170,6 +170,64 @@ def test_what_moved_between_exposures_is_flagged_and_nothing_else(sensor):
     assert unknown.moved is None
 
 
+@pytest.mark.parametrize(
+    ("bent", "flicker", "hot"),
+    [(0.0, 0.0, 0.0), (0.02, 0.0, 0.0), (0.0, 0.008, 0.0), (0.01, 0.008, 1e-3)],
+)
+def test_what_linearity_lamp_and_hot_sensels_leave_is_no_movement(sensor, bent, flicker, hot):
+    rng, noise = np.random.default_rng(4), NoiseModel(sensor.gain, sensor.read**2 + 1 / 12)
+    current = np.where(rng.random(rates().shape) < hot, 3000.0, 0.0)  # electrons a second
+    fly, shots = np.zeros(rates().shape, bool), []
+    fly[140:160, 100:120] = True
+    for t, lamp in zip(TIMES, 1 + flicker * np.array([0, -1, 1, 0]), strict=True):
+        scene = np.where(fly & (t == 1.6), 0.85, 1.0) * rates() * lamp + current
+        (raw,) = np.array(sensor.shots(scene * t, 1, rng), float)
+        raw = np.rint(raw - bent * (raw - 64).clip(0) ** 2 / 4095).clip(0, 4095)
+        shots.append(average([raw.astype(np.uint16)], saturation=4095, exposure_s=t))
+    found = merge_exposures(shots, black=64.0, saturation=4095, noise=noise)
+    away = np.ones(fly.shape, bool)
+    away[130:170, 90:130] = False
+    assert found.left_out == ()
+    assert found.moved[away].mean() < 0.001
+    assert found.moved[fly].mean() > 0.95
+
+
+def test_a_sensel_that_is_full_before_others_counts_where_it_is_not(sensor):
+    rng, noise = np.random.default_rng(5), NoiseModel(sensor.gain, sensor.read**2 + 1 / 12)
+    rate = np.tile([[20_000.0, 500.0], [500.0, 500.0]], (30, 30))
+    shots = []
+    for t in (0.1, 0.4, 1.6, 6.4):
+        (raw,) = sensor.shots(rate * t, 1, rng)
+        raw[30, 30] = min(raw[30, 30], 3900)  # of 4095: below 98 % of saturation
+        shots.append(average([raw], saturation=4095, exposure_s=t))
+    merged = merge_exposures(shots, black=64.0, saturation=4095, noise=noise)
+    whole = merged.template.mean
+    assert whole[30, 30] == pytest.approx(np.median(whole[::2, ::2]), rel=0.1)
+    assert not merged.moved[30, 30]
+
+
+def test_a_sensel_that_blinks_marks_itself_alone(sensor):
+    rng, noise = np.random.default_rng(6), NoiseModel(sensor.gain, sensor.read**2 + 1 / 12)
+    shots = []
+    for t in (0.1, 0.4, 1.6):
+        (raw,) = sensor.shots(np.full((60, 60), 5000.0) * t, 1, rng)
+        raw[20, 20] += 900 if t == 0.4 else 0
+        shots.append(average([raw], saturation=4095, exposure_s=t))
+    moved = merge_exposures(shots, black=64.0, saturation=4095, noise=noise).moved
+    assert np.argwhere(moved).tolist() == [[20, 20]]
+
+
+def test_a_scene_of_which_a_twentieth_moved_still_scales(sensor):
+    rng = np.random.default_rng(8)
+    shots = []
+    for t in TIMES:
+        scene = rates().copy()
+        if t == 1.6:
+            scene[40:55] = rng.permuted(scene[40:55], axis=1)
+        shots.append(average(sensor.shots(scene * t, 1, rng), saturation=4095, exposure_s=t))
+    assert check_linearity(shots, black=64.0, saturation=4095).rms < 0.01
+
+
 def test_groups_are_not_chosen_by_their_own_noise(sensor):
     # One brightness and much noise: groups ranked by it would come back to the mean, 5 % off.
     rng = np.random.default_rng(7)

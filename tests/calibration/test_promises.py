@@ -8,10 +8,10 @@ from levkas.calibration.defects import find_defects, replace_defects
 from levkas.calibration.denoising import denoise
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.exposures import merge_exposures
-from levkas.calibration.flatfield import Calibrated, flat_field
+from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
 from levkas.calibration.noise_fit import NoiseModel, fit_noise
-from levkas.calibration.pushbroom import average_lines, join_strips
+from levkas.calibration.pushbroom import average_lines
 from levkas.calibration.templates import Template, average
 from levkas.calibration.whites import WhiteBoard
 
@@ -52,13 +52,6 @@ def spectra():
     return frozen((smooth + 0.01 * rng.standard_normal(smooth.shape)).astype(np.float32))
 
 
-def strips():
-    rng = np.random.default_rng(4)
-    scene = rng.random((60, 80, 2)).astype(np.float32)
-    parts = (frozen(scene[:, :50].copy()), frozen(scene[:, 35:].copy()))
-    return [Calibrated(p, frozen(np.zeros(p.shape, np.uint8)), p, "reflectance") for p in parts]
-
-
 STEPS = {
     "average codes": lambda: average(frames(np.uint16), saturation=199),
     "average reals": lambda: average(frames(np.float32), saturation=199),
@@ -80,7 +73,6 @@ STEPS = {
         noise=NOISE,
         choose=True,
     ),
-    "join strips": lambda: join_strips(strips(), blend=True),
     "denoise": lambda: denoise(spectra()),
 }
 

@@ -3,11 +3,16 @@
 import json
 import re
 
+import numpy as np
+import pytest
+import tifffile
 from typer.testing import CliRunner
 
 from levkas.cli import app
 from levkas.pages.plan import write_report
 from levkas.planning import plan_light
+from levkas.planning.exposure_advice import advise_frames, white_levels
+from levkas.planning.regulating_filters import regulating_filter
 
 
 def run(*words):
@@ -123,3 +128,122 @@ def test_of_a_matte_panel_nothing_is_said_of_varnish_and_gold(rewritten):
     page = path.with_name("plan.html")
     CliRunner().invoke(app, ["plan", "light", str(path), "--report", str(page)])
     assert "varnish and leaf facets" not in page.read_text(encoding="utf-8")
+
+
+GAINS = {"R": 1.3, "G": 0.8, "B": 1.15}
+
+
+def write_white(folder, bench, *, full=0.8):
+    """Two 12-bit RGGB shots of an even white by the d80 of the bench, its channels off by `GAINS`, and two darks."""
+    from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
+
+    rng = np.random.default_rng(9)
+    lighting, seen = bench.lighting(), bench.cameras["d80"]
+    rates = electron_rates(bench, seen, lighting, irradiance_spectrum(bench, lighting))
+    rates = rates * [GAINS[c] for c in seen.labels]
+    counts = dict(zip(seen.labels, full * 4000 * rates / rates.max(), strict=True))
+    rows = np.array([["R", "G"], ["G", "B"]])
+    level = np.vectorize(counts.get)(np.tile(rows, (100, 140))).astype(float)
+    for name, scene in (("white", level), ("dark", 0 * level)):
+        (folder / name).mkdir(parents=True)
+        for shot in range(2):
+            noisy = 64 + scene + np.sqrt(4 + 0.1 * scene) * rng.standard_normal(scene.shape)
+            frame = np.clip(np.rint(noisy), 0, 4095).astype(np.uint16)
+            tifffile.imwrite(folder / name / f"{shot}_250ms.tif", frame)
+    return folder / "white", folder / "dark"
+
+
+def test_a_captured_white_regulates_the_filter_on_the_command_line(bench, rewritten, tmp_path):
+    path = rewritten()
+    white, dark = write_white(tmp_path / "raw", bench)
+    page = tmp_path / "plan.html"
+    asked = [
+        *("exposure", white, "--dark", dark, "--pattern", "RGGB", "--bits", "12"),
+        *("--setup", path, "--camera", "d80"),
+    ]
+    told = run(*asked, "-o", page)
+    assert told.exit_code == 0, told.output
+    assert "From the captured white" in told.output and "model alone" in told.output
+    record = json.loads(run(*asked, "--json").stdout)
+    sheet = record["regulating_filters"]["d80"]
+    mean = np.prod(list(GAINS.values())) ** (1 / 3)
+    for name, gain in GAINS.items():
+        assert sheet["measured"]["factors"][name] == pytest.approx(gain / mean, rel=0.01)
+    # The camera as it is behind that filter: its channels are even within 1 %.
+    from levkas.planning.exposure_plan import electron_rates, irradiance_spectrum
+    from levkas.planning.spectra import GRID
+
+    spectrum = irradiance_spectrum(bench, bench.lighting())
+    spectrum = spectrum * np.interp(GRID, sheet["wavelengths"], sheet["transmittance"])
+    behind = electron_rates(bench, bench.cameras["d80"], bench.lighting(), spectrum)
+    behind = behind * [GAINS[c] for c in bench.cameras["d80"].labels]
+    assert behind.min() / behind.max() > 0.98
+    assert sheet["measured"]["smallest_with_modelled_filter"] < 0.75
+    assert "measured" not in record["regulating_filters"]["msbs"]
+    html = page.read_text(encoding="utf-8")
+    assert "captured white" in html and "dashed" in html
+
+
+def test_whites_that_cannot_regulate_are_refused(bench, rewritten, tmp_path):
+    path = rewritten()
+    white, dark = write_white(tmp_path / "raw", bench)
+    given = ("exposure", white, "--dark", dark, "--bits", "12", "--setup", path)
+    assert run(*given, "--pattern", "RGGB", "--camera", "lctf-vis").exit_code == 1
+    told = run(*given, "--camera", "d80", "--json")  # no pattern: one channel
+    assert [p["code"] for p in json.loads(told.stdout)["problems"]] == ["E_CHANNELS"]
+    of_object = run(*given, "--pattern", "RGGB", "--camera", "d80", "--object", "--json")
+    assert "regulating_filters" not in json.loads(
+        of_object.stdout
+    )  # its noise plans a series instead
+    clipped, _ = write_white(tmp_path / "over", bench, full=1.4)
+    told = run(
+        "exposure",
+        clipped,
+        "--pattern",
+        "RGGB",
+        "--bits",
+        "12",
+        "--setup",
+        path,
+        "--camera",
+        "d80",
+        "--json",
+    )
+    assert json.loads(told.stdout)["problems"][0]["code"] == "E_WHITE_SATURATED"
+
+
+def test_sensors_of_a_beam_splitter_are_read_by_their_campaign(bench, tmp_path):
+    rng = np.random.default_rng(2)
+    levels = {"ccd1": (900, 1800, 700), "ccd2": (1500, 1200, 400), "ccd3": (2600, 2600, 2600)}
+    for target, on in (("white", 1), ("dark", 0)):
+        (tmp_path / "raw" / target).mkdir(parents=True)
+        for i, (sensor, (r, g, b)) in enumerate(levels.items()):
+            tile = np.tile([[r, g], [g, b]], (60, 80)) * on + 50.0 + 10 * i
+            for shot in range(2):
+                frame = np.rint(tile + 3 * rng.standard_normal(tile.shape)).astype(np.uint16)
+                tifffile.imwrite(tmp_path / "raw" / target / f"{sensor}_{shot}.tif", frame)
+    sensors = "".join(
+        f'[[cameras.msbs.sensors]]\nname = "{name}"\nfiles = "raw/{{target}}/{name}_{{shot}}.tif"\n{keys}\n'
+        for name, keys in (
+            ("ccd1", 'pattern = "RGGB"\nbands = ["R1", "G1", "B1"]'),
+            ("ccd2", 'pattern = "RGGB"\nbands = ["R2", "G2", "B2"]'),
+            ("ccd3", 'bands = ["IR"]'),
+        )
+    )
+    (tmp_path / "campaign.toml").write_text(
+        '[campaign]\nreference = { camera = "msbs" }\n[cameras.msbs]\nkind = "sensors"\nbits = 12\n'
+        f'{sensors}[targets]\ndark = "dark"\nwhite = "white"\n'
+    )
+    found = advise_frames([tmp_path / "raw/white"], [tmp_path / "raw/dark"])
+    assert [band.shot.name for band in found] == ["white ccd1", "white ccd2", "white ccd3"]
+    white = white_levels(found, "msbs")
+    wanted = dict(
+        zip(
+            ("R1", "G1", "B1", "R2", "G2", "B2", "IR"),
+            (900, 1800, 700, 1500, 1200, 400, 2600),
+            strict=True,
+        )
+    )
+    assert white.levels == pytest.approx(wanted, rel=0.005)  # each sensor's own dark is taken off
+    assert "taken to be the same" in white.notes[0]
+    assert regulating_filter(bench, "msbs", levels=white.levels).after.min() > 0.9

@@ -11,6 +11,7 @@ from levkas import __version__
 from levkas.building import fingerprints
 from levkas.building.build_records import BuildRecords, Key, Written, key_of
 from levkas.building.capture_statistics import FEW_BANDS, SENSELS, levels_of
+from levkas.building.charts import edges_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
 from levkas.building.sources import code_version
@@ -18,6 +19,7 @@ from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
 from levkas.core.problems import Problem, Refused
+from levkas.quality.targets.indicators import WhiteEvenness, lightness_spread
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from levkas.campaign.discovery.file_index import FileIndex
     from levkas.core.cube import Band
     from levkas.database.layout import Places
+    from levkas.quality.targets.edges import EdgeTargetMeasure
     from levkas.quality.targets.measuring import ChartMeasure
 
 
@@ -117,6 +120,8 @@ def prints_of_page(page: CameraPage, campaign: Campaign, records: BuildRecords) 
         made = fingerprints.of_calibration(campaign, capture, records.hashes)
         prints[name] = digest(made)
         prints[f"{name} kind"] = campaign.targets.charts[capture.object]
+        if named := edges_of(campaign, capture):
+            prints[f"{name} edges"] = [[s, [list(p.box) for p in e]] for s, e in named.items()]
     return fingerprints.plain(prints)
 
 
@@ -141,21 +146,24 @@ def _measured(
     places: Places,
     templates: TemplateCache,
     learnt: Mapping[str, Mapping[str, Any]],
-) -> tuple[list[ChartMeasure], list[Problem], list[Path]]:
+) -> tuple[list[ChartMeasure | EdgeTargetMeasure], list[Problem], list[Path]]:
     """Measure the charts that a camera saw, and write them."""
     from levkas.building.charts import develop_chart, measure_capture, problems_of, write_chart
-    from levkas.quality.targets.charts import chart_of, reference_of
+    from levkas.quality.targets.charts import kind_of, reference_of
 
     files: list[Path] = []
-    measures, problems = [], list(page.refused)
+    measures: list[ChartMeasure | EdgeTargetMeasure] = []
+    problems = list(page.refused)
     for capture in page.charts:
         name = f"{capture.object}/{capture.layer}"
-        light = _uniformity(learnt.get(capture.setup, {}))
+        light = _evenness(learnt.get(capture.setup, {}))
         try:
-            chart = chart_of(campaign.targets.charts[capture.object])
+            chart = kind_of(campaign.targets.charts[capture.object])
             made = develop_chart(capture, campaign, templates)
-            found = measure_capture(name, made, chart, reference_of(chart), uniformity=light)
+            spectra = reference_of(chart) if chart else None
+            found = measure_capture(name, made, chart, spectra, evenness=light)
             measures.append(found)
+            problems += problems_of(name, capture, Refused(*found.edges.problems))
             files += write_chart(places, campaign, capture, made, found)
         except WriteRefused:
             raise
@@ -164,17 +172,20 @@ def _measured(
     return measures, problems, files
 
 
-def _uniformity(learnt: Mapping[str, Any]) -> float | None:
-    """Return least over greatest light of the worst channel."""
+def _evenness(learnt: Mapping[str, Any]) -> WhiteEvenness | None:
+    """Return how even the white is in its worst channel, from the maps that captures of objects left."""
     fields = [light for told in learnt.values() for light in told.get("light", {}).values()]
-    return min((f["uniformity"] for f in fields if "uniformity" in f), default=None)
+    drawn = [lightness_spread(levels_of(field)) for field in fields if "levels" in field]
+    if not drawn:
+        return None
+    return WhiteEvenness(min(f["uniformity"] for f in fields if "uniformity" in f), max(drawn))
 
 
 def _page(
     camera: str,
     campaign: Campaign,
     learnt: Mapping[str, Mapping[str, Any]],
-    measures: Sequence[ChartMeasure],
+    measures: Sequence[ChartMeasure | EdgeTargetMeasure],
     problems: Sequence[Problem],
 ) -> str:
     """Return the HTML of a camera's page."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from glob import escape
 from math import prod
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,8 @@ import numpy as np
 from levkas.core.cube import Band, Cube, Flag
 from levkas.core.problems import Problem
 from levkas.database.containment import check_inside
-from levkas.quality.targets.charts import Chart, ChartRefused, chart_of
+from levkas.quality.targets.charts import Chart, ChartRefused, kind_of
+from levkas.quality.targets.edges import EdgePlace
 from levkas.readers.frames import read_facts, read_frame
 
 if TYPE_CHECKING:
@@ -27,16 +29,19 @@ NOTE = "one cube: the noise is the spread in each patch, its texture included"
 class Subject(NamedTuple):
     """Where a chart may be.
 
-    A name for people, the chart, cubes sensor by sensor, whether it must be there, the quantity of the
-    cubes, and the greatest code where they hold those of a finished photograph.
+    A name for people, the chart (None where only its slanted edges are measured), cubes sensor by sensor,
+    whether it must be there, the quantity of the cubes, the greatest code where they hold those of a finished
+    photograph, slanted edges by sensor, and whether the cube is a layer on the grid.
     """
 
     name: str
-    chart: Chart
+    chart: Chart | None
     files: dict[str, Path]
     certain: bool
     quantity: str = "reflectance"
     top: float | None = None
+    edges: Mapping[str, tuple[EdgePlace, ...]] = MappingProxyType({})
+    on_grid: bool = False
 
     def read(self, path: Path) -> CubeFile:
         """Read one of its cubes."""
@@ -99,8 +104,9 @@ def subjects_of(
         file = database / f"{entry.layer.path}.tif"
         check_inside(database, file, database / f"{entry.layer.path}.flags.tif")
         name = f"{entry.object}/{entry.layer.name}"
-        chart, top = chart_of(kind), _code_of_layer(database, entry, file)
-        yield Subject(name, chart, {"": file}, bool(objects), entry.quantity, top)
+        chart, top = kind_of(kind), _code_of_layer(database, entry, file)
+        layer = Subject(name, chart, {"": file}, bool(objects), entry.quantity, top, on_grid=True)
+        yield layer
         native = _native_files(database, entry) if objects and not corners else {}
         if native:
             name = f"{name}, native pixels"
@@ -164,12 +170,24 @@ def _kept(database: Path) -> Iterator[tuple[str, Subject]]:
                 camera,
                 Subject(
                     name,
-                    chart_of(str(told["chart"])),
+                    kind_of(str(told["chart"])),
                     files,
                     True,
                     top=top if isinstance(top, (int, float)) and top > 0 else None,
+                    edges=_kept_edges(told),
                 ),
             )
+
+
+def _kept_edges(told: Mapping[str, Any]) -> dict[str, tuple[EdgePlace, ...]]:
+    """Return the slanted edges that the campaign of a kept chart named, by sensor."""
+    named: dict[str, tuple[EdgePlace, ...]] = {}
+    for sensor, places in dict(told.get("named_edges", {})).items():
+        named[str(sensor)] = tuple(
+            EdgePlace(str(label), (int(x), int(y), int(w), int(h)))
+            for label, (x, y, w, h) in dict(places).items()
+        )
+    return named
 
 
 def _check(database: Path, option: str, wanted: Sequence[str], known: set[str]) -> None:

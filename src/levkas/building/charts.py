@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,13 +19,24 @@ from levkas.building.chart_files import (
 )
 from levkas.core.cube import Cube
 from levkas.core.problems import Problem, Refused
+from levkas.quality.image_quality.slanted_edge import EdgeRefused
 from levkas.quality.targets.charts import (
+    EDGES,
     Chart,
     ChartReference,
     ChartRefused,
-    chart_of,
+    kind_of,
     reference_of,
 )
+from levkas.quality.targets.edges import (
+    EdgeFindings,
+    EdgePlace,
+    EdgeTargetMeasure,
+    join_findings,
+    layer_rows,
+    measure_named,
+)
+from levkas.quality.targets.indicators import IndicatorRow, WhiteEvenness
 from levkas.quality.targets.locating import locate_in_cube
 from levkas.quality.targets.measuring import ChartMeasure, Sighting, decode_sighting, measure
 from levkas.readers.frames import read_facts
@@ -39,6 +51,11 @@ if TYPE_CHECKING:
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
 
+ENCODED = (
+    "a finished photograph: the response is that of its values as they are encoded, for no grey scale tells "
+    "their curve; ISO 12233 wants linear values"
+)
+
 # --- charts of a campaign, or in files ------------------------------------------------------------
 
 
@@ -50,6 +67,7 @@ def measure_charts(
     corners: np.ndarray | None = None,
     reference: str | Path | None = None,
     objects: Sequence[str] = (),
+    edges: Sequence[EdgePlace] = (),
 ) -> ChartReport:
     """Measure the charts of a campaign or of a published database, or one in a calibrated cube.
 
@@ -60,7 +78,7 @@ def measure_charts(
         (the charts that it keeps, or objects that are charts); or a cube: a TIFF or ENVI file of
         reflectance.
     kind : str
-        Of the chart in a cube; a campaign says it in `targets.charts`.
+        Of the chart in a cube, "edges" for slanted edges alone; a campaign says it in `targets.charts`.
     cameras : sequence of str
         Only these cameras of a campaign or database.
     corners : (4, 2), optional
@@ -69,6 +87,8 @@ def measure_charts(
         CSV of the chart's spectra; default the published average.
     objects : sequence of str
         Objects of a database that are charts.
+    edges : sequence of EdgePlace
+        Slanted edges, px of the cube; of a database, of the grid. A campaign says them in `targets.edges`.
 
     Raises
     ------
@@ -79,17 +99,17 @@ def measure_charts(
     path = Path(subject)
     report = ChartReport()
     if path.is_file() and path.name != "campaign.toml":
-        files = [Subject(path.name, chart_of(kind), {"": path}, True)]
-        return _measure_cubes(files, report, corners, reference)
+        files = [Subject(path.name, kind_of(kind), {"": path}, True)]
+        return _measure_cubes(files, report, corners, reference, edges)
     if is_database(path):
-        known = corners is not None
+        known = corners is not None or bool(edges)
         layers = subjects_of(path, kind, cameras=cameras, objects=objects, corners=known)
-        found = _measure_cubes(layers, report, corners, reference)
+        found = _measure_cubes(layers, report, corners, reference, edges)
         if not found.measures and not found.problems:
             found.problems.append(
                 Problem(
                     "E_CHART_MISSING",
-                    f"no layer of the database shows a {chart_of(kind).name}",
+                    f"no layer of the database shows {kind}",
                     str(path),
                     fix="Name the object that is one with --object, or give --corners.",
                 )
@@ -101,6 +121,7 @@ def measure_charts(
         try:
             measured = measure_capture(name, made, chart, spectra, corners=corners)
             report.measures.append(measured)
+            report.problems.extend(problems_of(name, capture, Refused(*measured.edges.problems)))
         except Refused as refused:
             report.problems.extend(problems_of(name, capture, refused))
     return report
@@ -111,27 +132,83 @@ def _measure_cubes(
     report: ChartReport,
     corners: np.ndarray | None,
     reference: str | Path | None,
+    edges: Sequence[EdgePlace] = (),
 ) -> ChartReport:
     """Measure charts in calibrated cubes; a layer that need not hold one is passed over without."""
+    on_grid: list[ChartMeasure | EdgeTargetMeasure] = []
     for subject in subjects:
-        spectra = _reference(subject.chart, reference)
-        seen: list[Sighting] = []
-        notes: tuple[str, ...] = ()
+        file = str(next(iter(subject.files.values())))
         try:
-            for sensor, path in subject.files.items():
-                cube, notes, top = subject.read(path)
-                near = seen[0].located.corners if seen else None
-                found = locate_in_cube(cube, subject.chart, spectra, corners=corners, near=near)
-                sighting = Sighting(sensor, found, cube)
-                seen.append(decode_sighting(sighting, subject.chart, top) if top else sighting)
-            made = measure(subject.name, subject.chart, seen, spectra, notes=notes)
+            made = _measure_subject(subject, corners, reference, tuple(edges))
             report.measures.append(made)
+            on_grid += [made] * subject.on_grid
+            report.problems.extend(replace(p, file=p.file or file) for p in made.edges.problems)
         except Refused as refused:
             if not subject.certain and all(p.code in UNSEEN for p in refused.problems):
                 continue
-            file = str(next(iter(subject.files.values())))
             report.problems.extend(replace(p, file=p.file or file) for p in refused.problems)
+    report.between_layers.extend(layer_rows(on_grid))
     return report
+
+
+def _measure_subject(
+    subject: Subject,
+    corners: np.ndarray | None,
+    reference: str | Path | None,
+    edges: tuple[EdgePlace, ...],
+) -> ChartMeasure | EdgeTargetMeasure:
+    """Measure the chart of one subject; of a kept one by the edges that its campaign named, where none are given."""
+    places = {sensor: edges or subject.edges.get(sensor, ()) for sensor in subject.files}
+    if subject.chart is None:
+        files = {sensor: subject.read(path) for sensor, path in subject.files.items()}
+        encoded = any(file.top is not None for file in files.values())
+        cubes = {sensor: file.cube for sensor, file in files.items()}
+        return measure_edges_of(subject.name, cubes, places, encoded=encoded)
+    spectra = _reference(subject.chart, reference)
+    seen: list[Sighting] = []
+    notes: tuple[str, ...] = ()
+    for sensor, path in subject.files.items():
+        cube, notes, top = subject.read(path)
+        near = seen[0].located.corners if seen else None
+        found = locate_in_cube(cube, subject.chart, spectra, corners=corners, near=near)
+        sighting = Sighting(sensor, found, cube, edges=places[sensor])
+        seen.append(decode_sighting(sighting, subject.chart, top) if top else sighting)
+    return measure(subject.name, subject.chart, seen, spectra, notes=notes)
+
+
+def measure_edges_of(
+    name: str,
+    cubes: Mapping[str, Cube],
+    places: Mapping[str, Sequence[EdgePlace]],
+    patterns: Mapping[str, np.ndarray] = MappingProxyType({}),
+    *,
+    encoded: bool = False,
+) -> EdgeTargetMeasure:
+    """Measure the slanted edges of a target without a colour chart.
+
+    `patterns` are mosaics by sensor; `encoded` says that the values are those of a finished photograph.
+
+    Raises
+    ------
+    EdgeRefused
+        ``E_EDGE_MISSING`` where none is named.
+    """
+    if not any(places.values()):
+        raise EdgeRefused(
+            Problem(
+                "E_EDGE_MISSING", f"{name}: no slanted edge is named", None, "targets.edges",
+                expected="a rectangle round one edge, which leans by about 5 degrees",
+                fix="Write edges = { TARGET = { CAMERA = [x, y, width, height] } }, or give --edge x,y,width,height.",
+            )
+        )  # fmt: skip
+    periods = {sensor: max(pattern.shape) for sensor, pattern in patterns.items()}
+    found = [
+        measure_named(cube, places.get(sensor, ()), period=periods.get(sensor, 1))
+        for sensor, cube in cubes.items()
+    ]
+    if encoded:
+        found.append(EdgeFindings(notes=(ENCODED,)))
+    return EdgeTargetMeasure(name, dict(cubes), join_findings(found))
 
 
 def problems_of(name: str, capture: Capture, refused: Refused) -> list[Problem]:
@@ -145,7 +222,7 @@ def problems_of(name: str, capture: Capture, refused: Refused) -> list[Problem]:
 
 def _of_campaign(
     path: Path, cameras: Sequence[str], report: ChartReport
-) -> Iterator[tuple[Capture, Chart, Developed]]:
+) -> Iterator[tuple[Capture, Chart | None, Developed]]:
     """Develop every chart of a campaign; what cannot be is told in the report."""
     from levkas.building.hashes import HASHES, Hashes
     from levkas.building.template_cache import TemplateCache
@@ -154,7 +231,7 @@ def _of_campaign(
     from levkas.database.layout import Places
 
     campaign = load_campaign(path)
-    kinds = {name: chart_of(kind) for name, kind in campaign.targets.charts.items()}
+    kinds = {name: kind_of(kind) for name, kind in campaign.targets.charts.items()}
     if not kinds:
         raise ChartRefused(
             Problem(
@@ -190,7 +267,9 @@ def _of_campaign(
                 )
 
 
-def _reference(chart: Chart, path: str | Path | None) -> ChartReference | None:
+def _reference(chart: Chart | None, path: str | Path | None) -> ChartReference | None:
+    if chart is None:
+        return None
     from levkas.core.text import read_text
     from levkas.quality.targets.charts import parse_reference
 
@@ -218,6 +297,8 @@ class Developed:
     """Shots that the values are the mean of, in the band of fewest."""
     top: float | None = None
     """Greatest code of a finished photograph, which is not calibrated; else None."""
+    edges: dict[str, tuple[EdgePlace, ...]] = field(default_factory=dict)
+    """Slanted edges that the campaign names, by sensor."""
 
 
 def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Developed:
@@ -231,13 +312,16 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         if s.pattern is not None
     }
     kind = campaign.cameras[capture.camera].kind
+    edges = edges_of(campaign, capture)
     top = greatest_code(read_facts(capture.sensors[0].object[0].path)) if kind == "image" else None
     parts = None if kind == "cube" else _halves(capture)
     if parts is None:
         whole = develop(capture, campaign, templates)
         most = min(_shots_of(capture))
         steps = _steps_of(whole)
-        return Developed(dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, top)
+        return Developed(
+            dict(whole.cubes), {}, patterns, whole.captured or "", steps, most, top, edges
+        )
     first, second = (develop(part, campaign, templates) for part in parts)
     cubes, shots = {}, {}
     for name, a in first.cubes.items():
@@ -246,7 +330,28 @@ def develop_chart(capture: Capture, campaign: Campaign, templates: TemplateCache
         cubes[name] = Cube((a.values + b.values) / 2, a.flags | b.flags, sigma, a.bands, a.quantity)
         shots[name] = (a.values, b.values)
     count = 2 * min(_shots_of(parts[0]))
-    return Developed(cubes, shots, patterns, first.captured or "", _steps_of(first), count, top)
+    steps = _steps_of(first)
+    return Developed(cubes, shots, patterns, first.captured or "", steps, count, top, edges)
+
+
+def edges_of(campaign: Campaign, capture: Capture) -> dict[str, tuple[EdgePlace, ...]]:
+    """Return the slanted edges that a campaign names in a capture of a chart, by sensor.
+
+    A frame is CAMERA, CAMERA@SETUP, or either with :BAND, which is the sensor that records that band.
+    """
+    found: dict[str, list[EdgePlace]] = {}
+    for frame, boxes in campaign.targets.edges.get(capture.object, {}).items():
+        layer, _, band = frame.partition(":")
+        if layer != capture.layer:
+            continue
+        for sensor in capture.sensors:
+            if not band or any(b.label == band for b in sensor.bands):
+                named = found.setdefault(sensor.name, [])
+                named += [
+                    EdgePlace(f"edge {len(named) + i} ({x},{y},{w},{h})", (x, y, w, h))
+                    for i, (x, y, w, h) in enumerate(boxes, 1)
+                ]
+    return {sensor: tuple(places) for sensor, places in found.items()}
 
 
 def _steps_of(made: Native) -> dict[str, tuple[float, ...]]:
@@ -289,30 +394,36 @@ def _halves(capture: Capture) -> tuple[Capture, Capture] | None:
 def measure_capture(
     name: str,
     made: Developed,
-    chart: Chart,
+    chart: Chart | None,
     reference: ChartReference | None,
     *,
     corners: np.ndarray | None = None,
-    uniformity: float | None = None,
-) -> ChartMeasure:
-    """Find the chart in every sensor's cube, and measure it."""
+    evenness: WhiteEvenness | None = None,
+) -> ChartMeasure | EdgeTargetMeasure:
+    """Find the chart in every sensor's cube, and measure it; without a chart, its slanted edges."""
+    if chart is None:
+        encoded = made.top is not None
+        return measure_edges_of(name, made.cubes, made.edges, made.patterns, encoded=encoded)
     seen: list[Sighting] = []
     for sensor, cube in made.cubes.items():
         near = seen[0].located.corners if seen else None
         found = locate_in_cube(cube, chart, reference, corners=corners, near=near)
         shots, steps = made.shots.get(sensor), made.steps.get(sensor)
         pattern = made.patterns.get(sensor)
-        sighting = Sighting(sensor, found, cube, shots, steps, made.count, pattern)
+        edges = made.edges.get(sensor, ())
+        sighting = Sighting(sensor, found, cube, shots, steps, made.count, pattern, edges=edges)
         seen.append(decode_sighting(sighting, chart, made.top) if made.top else sighting)
-    return measure(name, chart, seen, reference, uniformity=uniformity)
+    return measure(name, chart, seen, reference, evenness=evenness)
 
 
 @dataclass(frozen=True)
 class ChartReport:
     """All charts of a run: what was measured, and what was refused."""
 
-    measures: list[ChartMeasure] = field(default_factory=list)
+    measures: list[ChartMeasure | EdgeTargetMeasure] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
+    between_layers: list[IndicatorRow] = field(default_factory=list)
+    """Shifts between the layers of an object on the grid, at edges that were given."""
 
     @property
     def ok(self) -> bool:
@@ -322,11 +433,15 @@ class ChartReport:
     @property
     def text(self) -> str:
         """What a person wants to know."""
-        return "\n".join(line for m in self.measures for line in _lines(m))
+        lines = [line for m in self.measures for line in _lines(m)]
+        return "\n".join(lines + [_row_line(row) for row in self.between_layers])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of `chart --json`."""
-        return {"charts": [m.to_dict() for m in self.measures]}
+        return {
+            "charts": [m.to_dict() for m in self.measures],
+            "between_layers": [row.to_dict() for row in self.between_layers],
+        }
 
     def page(self, title: str) -> str:
         """Return a report page as HTML."""
@@ -338,14 +453,18 @@ class ChartReport:
             CameraReport(
                 title=title,
                 subtitle="Charts: signal, noise and colour",
-                charts=[describe_chart(m) for m in self.measures],
+                charts=[describe_chart(m, self.between_layers) for m in self.measures],
                 problems=[{"code": p.code, "text": str(p)} for p in self.problems],
                 footer=f"Levkas {__version__}. Places are in native pixels.",
             )
         )
 
 
-def _lines(measure: ChartMeasure) -> list[str]:
+def _lines(measure: ChartMeasure | EdgeTargetMeasure) -> list[str]:
+    if isinstance(measure, EdgeTargetMeasure):
+        count = len(measure.edges.tables)
+        lines = [f"{measure.name}: {count} slanted edge{'s' * (count != 1)}"]
+        return lines + _edge_lines(measure)
     greys = list(measure.chart.greys)
     white, black = (measure.snr_db[g] for g in (greys[0], greys[-1]))
     agreement = min(s.located.agreement for s in measure.sightings)
@@ -360,11 +479,27 @@ def _lines(measure: ChartMeasure) -> list[str]:
         lines.append(
             f"  noise of neighbours is alike in {', '.join(blurred)} (a camera that blurs, or demosaicing): SNR corrected"
         )
-    lines += [
-        f"  {row.name}: {row.value:.2f} {row.unit} (FADGI {row.fadgi}, ISO 19264-1 {row.iso}; indicators only)"
-        for row in measure.rows
-    ]
+    return lines + _edge_lines(measure)
+
+
+def _edge_lines(measure: ChartMeasure | EdgeTargetMeasure) -> list[str]:
+    """Return what edges, indicators and notes say."""
+    lines = []
+    for table in measure.edges.tables:
+        found = "; ".join(
+            f"{name} {np.nanmin(values):.3f} to {np.nanmax(values):.3f}"
+            for name, values in (("SFR50", table.sfr50), ("SFR10", table.sfr10))
+        )
+        lines.append(
+            f"  {table.label}: {abs(table.angle_deg):.1f} degrees, along {table.axis}: {found} cycles/px"
+        )
+    lines += [_row_line(row) for row in measure.rows]
     return lines + [f"  note: {note}" for note in measure.notes]
+
+
+def _row_line(row: IndicatorRow) -> str:
+    value = f"{row.value:.2f} {row.unit}".rstrip()
+    return f"  {row.name}: {value} (aim {row.aim}; FADGI {row.fadgi}, ISO 19264-1 {row.iso}; indicators only)"
 
 
 def _span(values: np.ndarray) -> str:
@@ -373,7 +508,11 @@ def _span(values: np.ndarray) -> str:
 
 
 def write_chart(
-    places: Places, campaign: Campaign, capture: Capture, made: Developed, measure: ChartMeasure
+    places: Places,
+    campaign: Campaign,
+    capture: Capture,
+    made: Developed,
+    measure: ChartMeasure | EdgeTargetMeasure,
 ) -> list[Path]:
     """Write charts/CHART/: calibrated cubes in native pixels, one a sensor, and what was measured."""
     from levkas.building.spectra import broad_centroids
@@ -384,7 +523,7 @@ def write_chart(
     chart, described = capture.object, campaign.campaign
     folder = places.output / "charts" / chart
     credits = Credits(
-        title=f"{measure.chart.name}, {capture.layer}",
+        title=f"{_kind(measure)}, {capture.layer}",
         creator=described.creator,
         date=made.captured or described.date or "",
         rights=described.licence,
@@ -397,8 +536,16 @@ def write_chart(
         written += write_tiffs(folder / stem, layer, cube)
     record = folder / f"{layer.stem}.json"
     codes = {"greatest_code": made.top} if made.top else {}
-    write_json(record, {"chart": measure.chart.name, **codes, **measure.to_dict()})
+    named = {
+        sensor: {label: list(box) for label, box in places} for sensor, places in made.edges.items()
+    }
+    edges = {"named_edges": named} if named else {}
+    write_json(record, {"chart": _kind(measure), **codes, **edges, **measure.to_dict()})
     return [*written, record]
+
+
+def _kind(measure: ChartMeasure | EdgeTargetMeasure) -> str:
+    return EDGES if isinstance(measure, EdgeTargetMeasure) else measure.chart.name
 
 
 def joined_sigma(one: np.ndarray | None, other: np.ndarray | None) -> np.ndarray | None:

@@ -259,8 +259,8 @@ def require_memory(capture: Capture, kind: str) -> None:
             field=f"cameras.{capture.camera}",
             found=f"{free / 1e9:.1f} GB free",
             expected=f"at least {needed / 1e9:.1f} GB",
-            fix="Build on a machine with more memory, or cut or bin the frames. Only a line scan in one "
-            "ENVI file, of another camera than the reference, is built line by line.",
+            fix="Build on a machine with more memory, or cut or bin the frames. Only a line scan in "
+            "ENVI files, of another camera than the reference, is built line by line.",
         )
     )
 

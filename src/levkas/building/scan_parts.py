@@ -16,6 +16,7 @@ import numpy as np
 from levkas.building.build_records import Written
 from levkas.building.native_cubes import least_bytes
 from levkas.building.scans import LinesSeen
+from levkas.building.strips import JoinedStrips
 from levkas.core.disk import require_space
 from levkas.core.files import make_folder, together
 from levkas.database.layers import Layer
@@ -41,10 +42,11 @@ PARTS, PICTURES = "calibrate.parts", "pictures.raw"
 def cuts_of(scan: Scan) -> tuple[int, ...]:
     """Return the lines at which a scan is cut into parts, the first and the last included; () for one part.
 
-    A denoised scan is one: its subspace is found in a sum over all lines, in their order.
+    A denoised scan is one: its subspace is found in a sum over all lines, in their order. So are joined strips, which
+    every part would have to look at whole.
     """
     lines, samples, _ = scan.shape
-    if scan.context.camera.denoise:
+    if scan.context.camera.denoise or isinstance(scan.source, JoinedStrips):
         return ()
     # Neither pixels of the pictures nor strips of the values are cut.
     unit = lcm(scan.factor, strip_rows(samples, np.float32))

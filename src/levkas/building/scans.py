@@ -10,53 +10,24 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from levkas.building.capture_statistics import Middle
-from levkas.building.exposures import cube_of, flatten, mark_glare_in
-from levkas.building.scan_templates import (
-    FrameLines,
-    ScanFile,
-    ScanTemplates,
-    block_lines,
-    gaps_marked,
-    lines_of,
-    templates_of_scan,
-)
-from levkas.building.spectra import white_reflectance
+from levkas.building.exposures import cube_of, mark_glare_in
+from levkas.building.scan_lines import FlatLines, Strip, describe_loss
+from levkas.building.scan_templates import block_lines
+from levkas.building.strips import JoinedStrips, lines_of_scan
 from levkas.calibration.denoising import Projecting, Subspace, describe_removed, find_subspace
-from levkas.calibration.flatfield import Calibrated, describe_darks
-from levkas.calibration.pushbroom import join_strips
-from levkas.calibration.sensor_context import (
-    SensorContext,
-    by_exposure,
-    doubt_scaling,
-    doubts_of,
-    placed,
-    require_exposures,
-    timed,
-    times_in,
-    times_of,
-)
-from levkas.calibration.templates import (
-    CalibrationRefused,
-    Template,
-    describe_lost,
-    gaps_of,
-    no_values,
-    single_shot,
-)
-from levkas.calibration.whites import WhiteBoard
+from levkas.calibration.flatfield import Calibrated
+from levkas.calibration.sensor_context import SensorContext, doubts_of, require_exposures
 from levkas.core.cube import UNRELIABLE, Band, Cube
 from levkas.core.files import replacing
-from levkas.core.problems import Problem
 from levkas.core.rounding import round_root
 from levkas.readers.frames import read_facts
 from levkas.registration.bands import BandImage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from levkas.building.template_cache import TemplateCache
-    from levkas.calibration.pushbroom import Seam
     from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
 
@@ -73,20 +44,19 @@ Lines = tuple[int, int]
 
 
 def is_streamed(capture: Capture, campaign: Campaign) -> bool:
-    """Tell whether a capture is a line scan in one ENVI file that is larger than is held in memory.
+    """Tell whether a capture is a line scan in ENVI files that is larger than is held in memory.
 
     Dark and white of a mirror scanner are as large, and have to be ENVI files too.
     """
     camera, sensor = campaign.cameras[capture.camera], capture.sensors[0]
     if camera.kind != "cube" or capture.camera == campaign.reference.camera:
         return False
-    if len(sensor.object) != 1:
-        return False
     frames = [*sensor.object]
     if camera.scan == "mirror":
         frames += [*sensor.dark, *sensor.white]
     facts = [read_facts(frame.path) for frame in frames]
-    samples = int(np.prod(facts[0].shape, dtype=object)) * (3 if camera.scan == "mirror" else 1)
+    samples = sum(int(np.prod(one.shape, dtype=object)) for one in facts[: len(sensor.object)])
+    samples *= 3 if camera.scan == "mirror" else 1
     return all(one.kind == "envi" for one in facts) and samples > STREAMED_SAMPLES
 
 
@@ -97,97 +67,12 @@ def factor_of(shape: tuple[int, int, int]) -> int:
 
 def bytes_of_pass(capture: Capture, lines: Lines | None = None) -> float:
     """Return the bytes that a pass over lines of a streamed scan takes at least, default all: pictures above all."""
-    whole, samples, bands = (int(n) for n in read_facts(capture.sensors[0].object[0].path).shape)
+    facts = [read_facts(frame.path) for frame in capture.sensors[0].object]
+    whole, bands = int(facts[0].shape[0]), int(facts[0].shape[2])
+    samples = sum(int(one.shape[1]) for one in facts)
     start, stop = lines or (0, whole)
     pixels = (stop - start) * samples / factor_of((whole, samples, bands)) ** 2
     return PASSING_BYTES + bands * (STRIPS_BYTES + PICTURE_BYTES * pixels)
-
-
-class FlatLines(NamedTuple):
-    """Flat-fielded lines, and how many values of each band, (bands,), a frame had lost."""
-
-    flat: Calibrated
-    lost: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Strip:
-    """One file of a line scan, with what its lines are flat-fielded by."""
-
-    context: SensorContext
-    file: ScanFile
-    templates: ScanTemplates
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(lines, samples, bands)."""
-        return self.file.shape
-
-    @cached_property
-    def reflectance(self) -> Any:
-        """Of the white, a number or one a band."""
-        return white_reflectance(self.context.campaign, self.context.sensor.bands)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What exposures leave in doubt, known before a line is calibrated."""
-        context, times = self.context, times_of(self.file.frame)
-        darks = [lines_of(dark, 0, 1) for dark in self.templates.darks]
-        white = None if self.templates.white is None else lines_of(self.templates.white, 0, 1)
-        doubt = doubt_scaling(context, times, times_in(white)) if white is not None else ""
-        none = np.zeros((1, 1, len(context.sensor.bands)), bool)
-        shot = timed(Template(none.astype(np.float32), None, 1, none, none), times)
-        notes = (doubt, *describe_darks(shot, darks, white, context.black))
-        return tuple(note for note in notes if note)
-
-    def flat(self, start: int, stop: int) -> FlatLines:
-        """Flat-field lines `start` to `stop`; the same values for any block that they are part of."""
-        context, frame = self.context, self.file.frame
-        codes = context.checked(self.file.read(start, stop), frame)
-        shape = codes.shape
-        shot = single_shot(codes, saturation=context.saturation)
-        del codes
-        shot = timed(gaps_marked(shot), times_of(frame))
-        darks = [lines_of(dark, start, stop) for dark in self.templates.darks]
-        white = self.templates.white
-        lit = None if white is None else lines_of(white, start, stop)
-        flat = flatten(
-            context,
-            shot,
-            darks,
-            lit,
-            board=WhiteBoard(
-                self.reflectance,
-                labels=[band.label for band in context.sensor.bands],
-                checked=start > 0 or isinstance(white, FrameLines),
-            ),
-            noise=self.templates.noise,
-        )
-        lost = gaps_of(shot, *darks, lit)
-        if lost is None:
-            return FlatLines(flat, np.zeros(shape[2], np.int64))
-        return FlatLines(flat, np.broadcast_to(lost, shape).sum((0, 1)))
-
-
-@dataclass(frozen=True, eq=False)
-class JoinedStrips:
-    """Strips of one scan that were flat-fielded and joined, in memory."""
-
-    whole: Calibrated
-    notes: tuple[str, ...]
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(lines, samples, bands)."""
-        lines, samples, bands = self.whole.values.shape
-        return int(lines), int(samples), int(bands)
-
-    def flat(self, start: int, stop: int) -> FlatLines:
-        """Return lines `start` to `stop`; what was lost is in the notes already."""
-        rows, whole = slice(start, stop), self.whole
-        variance = None if whole.variance is None else whole.variance[rows].copy()
-        parts = whole.values[rows].copy(), whole.flags[rows].copy(), variance
-        return FlatLines(Calibrated(*parts, whole.quantity), np.zeros(self.shape[2], np.int64))
 
 
 class ScanSummary(NamedTuple):
@@ -400,21 +285,6 @@ class ScanPass:
         return tuple(notes)
 
 
-def describe_loss(
-    context: SensorContext, lost: np.ndarray, shape: tuple[int, int, int]
-) -> list[str]:
-    """Say how many values of a scan are no finite numbers, of counts by band; nothing where all are.
-
-    Raises CalibrationRefused where a band has no finite value at all.
-    """
-    every = shape[0] * shape[1]
-    if (empty := np.flatnonzero(lost == every)).size:
-        refused = no_values(int(empty[0]), shape)
-        raise CalibrationRefused(*(placed(p, context.sensor.object) for p in refused.problems))
-    count = int(lost.sum())
-    return [describe_lost(count, every * shape[2], context.camera.name)] if count else []
-
-
 class LinesSeen:
     """What lines of a scan show while they pass by: values that were lost, pictures, the middle.
 
@@ -502,7 +372,7 @@ class Pictures:
 
 
 def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) -> Scan:
-    """Open a line scan of one file: dark, white and noise are prepared, no line of the object is read.
+    """Open a line scan: dark, white and noise are prepared; of the object only strips that are to be joined are read.
 
     Raises Refused as `calibrate.develop` does.
     """
@@ -512,7 +382,7 @@ def open_scan(capture: Capture, campaign: Campaign, templates: TemplateCache) ->
     context = SensorContext(campaign, camera, sensor, facts, templates)
     require_exposures(context)
     where, aligns = f"{capture.object}/{capture.layer}", {sensor.name: sensor.align}
-    return Scan(context, _strips_of(context)[0], where, facts.captured, aligns)
+    return Scan(context, lines_of_scan(context), where, facts.captured, aligns)
 
 
 def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:
@@ -523,50 +393,5 @@ def develop_scan(context: SensorContext) -> tuple[Cube, list[str]]:
     CalibrationRefused
         As `flat_field` does, and where strips cannot be joined.
     """
-    strips = _strips_of(context)
-    _require_one_time(context, strips[0].templates)
-    source: Strip | JoinedStrips = strips[0]
-    if len(strips) > 1:
-        source = _joined(strips)
-    cube, notes = Scan(context, source).whole()
+    cube, notes = Scan(context, lines_of_scan(context)).whole()
     return cube, [*notes]
-
-
-def _strips_of(context: SensorContext) -> list[Strip]:
-    files = [ScanFile.open(frame) for frame in context.sensor.object]
-    templates = templates_of_scan(context, files[0].shape)
-    return [Strip(context, file, templates) for file in files]
-
-
-def _joined(strips: Sequence[Strip]) -> JoinedStrips:
-    """Flat-field strips and join them from left to right."""
-    made = [strip.flat(0, strip.shape[0]) for strip in strips]
-    whole, seams = join_strips([block.flat for block in made])
-    notes = []
-    for strip, block in zip(strips, made, strict=True):
-        notes += [*strip.notes, *describe_loss(strip.context, block.lost, strip.shape)]
-    notes += [_describe_seam(number, seam) for number, seam in enumerate(seams, 1)]
-    return JoinedStrips(whole, tuple(dict.fromkeys(notes)))
-
-
-def _require_one_time(context: SensorContext, templates: ScanTemplates) -> None:
-    """Refuse strips of several exposures where there is no white: their counts cannot be joined."""
-    strips = by_exposure(context.sensor.object)
-    if templates.white is None and len(strips) > 1:
-        problem = Problem(
-            "E_EXPOSURES",
-            f"{context.camera.name}: strips of several exposures, and no white",
-            field="targets.white",
-            found=", ".join(frames[0].path.name for _, frames in strips),
-            expected="strips of one exposure, or a white",
-            fix="Capture a white, or leave the other exposures out of `files`.",
-        )
-        raise CalibrationRefused(placed(problem, context.sensor.object))
-
-
-def _describe_seam(number: int, seam: Seam) -> str:
-    worst = float(np.nanmax(np.abs(seam.difference)))
-    return (
-        f"strips {number} and {number + 1} share {seam.overlap} samples (shift {seam.shift} lines); "
-        f"the seam differs by {100 * seam.rms:.1f} % rms, by {100 * worst:.1f} % in its worst band"
-    )

@@ -30,6 +30,10 @@ from levkas.core.problems import Problem
 
 TOLERATED = 1e-4  # share of clipped pixels that the best exposure may have: hot pixels, a glint
 USABLE = 0.98  # of saturation: beyond it the response bends
+NEARLY, BEYOND = (
+    0.9,
+    1.1,
+)  # of saturation: shown at most, and foretold, by a sensel that is full before others
 ROUNDS = 3
 GROUPS = 24  # of pixels of like rate, whose noise two exposures tell
 FEWEST = 200  # pixels of a group: their variance is known to 10 %
@@ -161,8 +165,9 @@ def merge_exposures(
     left_out = tuple(s.exposure_s or 0.0 for s in timed if all(s is not k for k in kept))
     timed = kept
     unders = [dark_under(shot, darks, black=black) for shot in timed]
-    apart = [_beside_full(shot, USABLE * saturation) for shot in timed]
     levels = [under.mean + np.float32(scaling.offset) for under in unders]
+    early = _full_early(timed, levels, saturation)
+    apart = [_beside_full(s, USABLE * saturation) | e for s, e in zip(timed, early, strict=True)]
     allowed = noise
     if noise is not None and len(timed) > 1:
         read, miss = read_variance_between(timed, levels, apart, noise.gain)
@@ -287,6 +292,20 @@ def _middle(values: np.ndarray) -> tuple[float, float]:
             break
         kept = inside
     return float(kept.mean()), float(kept.var())
+
+
+def _full_early(
+    timed: Sequence[Template], levels: Sequence[np.ndarray], saturation: float
+) -> list[np.ndarray]:
+    """Return where a sensel is full below the others' saturation, as a shorter exposure foretells."""
+    full = [np.zeros(timed[0].mean.shape, bool)]
+    rate = (timed[0].mean - levels[0]) / np.float32(timed[0].exposure_s or 1.0)
+    for shot, level in zip(timed[1:], levels[1:], strict=True):
+        time = np.float32(shot.exposure_s or 1.0)
+        bright = shot.mean > NEARLY * saturation
+        full.append(bright & (rate * time > BEYOND * saturation))
+        rate = np.where(bright, rate, (shot.mean - level) / time)
+    return full
 
 
 def _beside_full(shot: Template, full: float) -> np.ndarray:

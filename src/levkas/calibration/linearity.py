@@ -183,13 +183,23 @@ def _points(
         parts = np.array_split(pixels, max(1, round(GROUPS * len(pixels) / key.size)))
         for members in (part for part in parts if len(part) >= FEWEST):
             group = len(rows)
-            means = signal[:n].reshape(n, -1)[:, members].mean(1, dtype=float)
+            means = _middle_means(signal[:n].reshape(n, -1)[:, members])
             rows += [
                 (group, float(t), float(mean))
                 for t, mean in zip(times, means, strict=False)
                 if low <= mean <= high
             ]
     return rows
+
+
+def _middle_means(values: np.ndarray) -> np.ndarray:
+    """Return the means without the tenth at either end, exposure by exposure: what moved is left out.
+
+    Scaling commutes with it, as with the mean itself; a median would be one code of coarse ones.
+    """
+    ordered = np.sort(values, axis=1)
+    cut = values.shape[1] // 10
+    return np.asarray(ordered[:, cut : values.shape[1] - cut].mean(1, dtype=float))
 
 
 def _fit(rows: list[tuple[int, float, float]], fit_offset: bool) -> Linearity:

@@ -6,7 +6,7 @@ channel; in still places nine times (shots − 1) of it follows chi-squared.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from levkas.calibration.templates import Template, as_marks, as_rows, read_only
 from levkas.core.compiled import njit, prange
 
 BY_CHANCE = 1e-10  # of one pixel: a false one in a thousand frames of 10 megapixels
+BESIDE = 1e-3  # of one pixel beside others that moved
 NONLINEAR = 0.01  # of the signal, from exposure to exposure: `linearity` allows as much
 MISFIT = 1.5  # of the variance: what a fitted noise model may be off by
 
@@ -131,22 +132,42 @@ def find_moved_between(
         total += np.where(lost, 0, (shot.mean - level - expected) ** 2 / spread)
         used += ~lost
     total[used < 2] = 0
-    freedom = len(shots) - 1  # one went into the rate; where fewer took part the limit is safe
-    depth = shape[2] if len(shape) == 3 else 1
-    still, none = np.zeros(shape, bool), np.zeros((1, 1), np.float32)
-    planes = as_rows(still, np.float32), as_rows(total), as_marks(still), none
-    model = 0.0, 1.0, freedom * _limit(freedom)
-    size = period[0], period[1] * depth
-    mean, spread, full, level = map(read_only, planes)
-    marked = _find(mean, spread, full, level, tuple(map(np.float32, model)), size)
-    return marked.reshape(shape) > 0
+    return _disagree(total, len(shots) - 1, period)  # where fewer took part the limit is safe
 
 
-def _limit(freedom: int) -> float:
-    """Return the sum of nine variance ratios that is not exceeded by chance."""
+def _disagree(total: np.ndarray, freedom: int, period: tuple[int, int]) -> np.ndarray:
+    """Return where sums of squared deviations over noise do not come by chance, bool like `total`.
+
+    One sensel may make up half of what a neighbourhood deviates by: one that blinks or is hot marks itself alone.
+    Beside what is marked, less marks a pixel: the edge of a movement.
+    """
+    rows, columns = period
+
+    def around(values: np.ndarray) -> Iterator[np.ndarray]:
+        padded = np.pad(values, [(rows, rows), (columns, columns), (0, 0)][: values.ndim])
+        height, width = values.shape[:2]
+        for y in (0, rows, 2 * rows):
+            for x in (0, columns, 2 * columns):
+                yield padded[y : y + height, x : x + width]
+
+    summed, most = np.zeros_like(total), np.zeros_like(total)
+    for part in around(total):
+        summed += part
+        np.maximum(most, part, out=most)
+    limit = freedom * _limit(freedom)
+    marked = (summed > limit) & (summed - most > limit / 2)
+    marked |= total > freedom * _limit(freedom, 1)
+    beside = np.zeros_like(marked)
+    for part in around(marked):
+        beside |= part
+    return marked | (beside & (total > freedom * _limit(freedom, 1, BESIDE)))
+
+
+def _limit(freedom: int, pixels: int = 9, chance: float = BY_CHANCE) -> float:
+    """Return the sum of the variance ratios of some pixels that is not exceeded by chance."""
     from scipy.special import gammainccinv
 
-    return MISFIT * 2 * float(gammainccinv(9 * freedom / 2, BY_CHANCE)) / freedom
+    return MISFIT * 2 * float(gammainccinv(pixels * freedom / 2, chance)) / freedom
 
 
 @njit(parallel=True, cache=True)

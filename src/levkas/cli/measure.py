@@ -23,7 +23,10 @@ def chart(
         typer.Argument(help="A campaign that declares charts, a database, or a calibrated cube."),
     ],
     kind: Annotated[
-        str, typer.Option(help="Of the chart in a cube: ColorChecker24 or ColorCheckerSG.")
+        str,
+        typer.Option(
+            help="Of the chart in a cube: ColorChecker24, ColorCheckerSG, or edges: no colours."
+        ),
     ] = "ColorChecker24",
     cameras: Annotated[
         list[str] | None, typer.Option("--camera", help="Only this camera; may be repeated.")
@@ -38,6 +41,13 @@ def chart(
             help="Centres of the corner patches, x,y,x,y,x,y,x,y, clockwise from the first patch."
         ),
     ] = None,
+    edges: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--edge",
+            help="Slanted edge in a cube: x,y,width,height of a rectangle; may be repeated.",
+        ),
+    ] = None,
     reference: Annotated[
         Path | None, typer.Option(help="CSV of the chart's spectra: wavelength, a column a patch.")
     ] = None,
@@ -47,10 +57,11 @@ def chart(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Find colour charts and measure signal-to-noise, blur, colour, tone and white balance."""
+    """Find colour charts; measure signal-to-noise, colour, tone, spatial frequency response, misregistration."""
     from levkas.building.charts import measure_charts
     from levkas.core.ownership import require_free
     from levkas.quality.targets.charts import parse_corners
+    from levkas.quality.targets.edges import parse_edges
 
     if output is not None:
         require_free(output, overwrite=overwrite)
@@ -61,6 +72,7 @@ def chart(
         corners=parse_corners(corners) if corners else None,
         reference=reference,
         objects=objects or (),
+        edges=parse_edges(edges or ()),
     )
     if output is not None:
         from levkas.core.files import write_text

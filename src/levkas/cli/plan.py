@@ -126,10 +126,18 @@ def exposure(
     ] = None,
     camera: Annotated[
         str | None,
-        typer.Option(help="Of the setup file: its noise and full well choose times and ISO."),
+        typer.Option(
+            help="Of the setup file, whose white the frames show: its regulating filter is computed from it. With "
+            "--object: whose noise and full well choose times and ISO."
+        ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", "-o", help="HTML page of the series to write.")
+        Path | None,
+        typer.Option(
+            "--report",
+            "-o",
+            help="HTML page of the setup file, with that filter; with --object of the series.",
+        ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -140,16 +148,22 @@ def exposure(
     """
     if not frames and setup is None:
         raise typer.BadParameter("give frames of a white, --setup FILE, or both")
-    if (report or camera) and not (frames and of_object):
-        raise typer.BadParameter("--report and --camera go with frames of the object and --object")
+    if camera and (not frames or setup is None):
+        raise typer.BadParameter("--camera needs frames and --setup FILE")
+    series_wanted = bool(frames) and of_object
     if report is not None:
         from levkas.core.ownership import require_free
 
+        if setup is None and not series_wanted:
+            raise typer.BadParameter(
+                "--report needs --setup FILE, or frames of the object and --object"
+            )
         require_free(report, overwrite=overwrite)
+    white = None
     record: dict[str, Any] = {}
     texts = []
     if frames:
-        from levkas.planning.exposure_advice import advice_text, advise_frames
+        from levkas.planning.exposure_advice import advice_text, advise_frames, white_levels
 
         found = advise_frames(
             frames,
@@ -163,29 +177,50 @@ def exposure(
         )
         record["bands"] = [c.to_dict() for c in found]
         texts.append(advice_text(found))
-        if of_object and all(c.shot.exposure_s for c in found):
+        if series_wanted:
             from levkas.planning.exposure_series import SeriesWish
-            from levkas.planning.series_report import series_record, series_text
 
             wish = SeriesWish(snr, quantile, longest, _four(region) if region else None)
-            series, refused = series_record(found, wish, setup, camera)
-            record["series"] = [plan.to_dict() for plan in series]
-            record["series_refused"] = refused
-            texts.append(series_text(series, refused))
-            if report is not None:
-                from levkas.pages.series import write_series
-
-                record["report"] = str(write_series(report, series, refused))
-                texts.append(f"Written: {report}")
-    if setup is not None and camera is None:
+            told, words = _series(found, wish, (setup, camera), report)
+            record.update(told)
+            texts += words
+        elif camera:
+            white = white_levels(found, camera)
+    if setup is not None and not (series_wanted and camera):
         from levkas.planning.text_report import exposure_record, exposure_text
 
-        planned = exposure_record(setup, name)
+        planned = exposure_record(setup, name, white)
         record.update(planned)
         texts.append(exposure_text(planned))
+        if report is not None and not series_wanted:
+            from levkas.pages.plan import write_report
+            from levkas.planning.loading import load_setup
+
+            record["report"] = str(write_report(report, load_setup(setup), name, white=white))
+            texts.append(f"Written: {report}")
     print_report("plan exposure", as_json, True, [], **record)
     if not as_json:
         typer.echo("\n\n".join(texts))
+
+
+def _series(
+    found: list[Any], wish: Any, sensor: tuple[Path | None, str | None], report: Path | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Plan the exposure series of an object; `sensor` is a setup file and its camera."""
+    from levkas.planning.series_report import series_record, series_text
+
+    plans, refused = series_record(found, wish, *sensor)
+    record: dict[str, Any] = {
+        "series": [plan.to_dict() for plan in plans],
+        "series_refused": refused,
+    }
+    texts = [series_text(plans, refused)]
+    if report is not None:
+        from levkas.pages.series import write_series
+
+        record["report"] = str(write_series(report, plans, refused))
+        texts.append(f"Written: {report}")
+    return record, texts
 
 
 @refusing("plan fit")

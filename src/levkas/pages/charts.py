@@ -10,10 +10,14 @@ import numpy as np
 from levkas.pages.page import Figure
 from levkas.pages.plots import Line, picture_with_areas, plot
 from levkas.pages.radiometry import channel_colours
+from levkas.quality.targets.edges import EdgeTargetMeasure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from levkas.core.cube import Cube
+    from levkas.quality.targets.edges import EdgeTable
+    from levkas.quality.targets.indicators import IndicatorRow
     from levkas.quality.targets.measuring import ChartMeasure, Sighting
 
 LONGEST = 640
@@ -42,19 +46,29 @@ class ChartSection:
     columns: Sequence[str]
     patches: Sequence[Sequence[str]]
     swatches: Sequence[Swatch] = ()
+    edges: Sequence[Sequence[str]] = ()
 
 
-def describe_chart(measure: ChartMeasure) -> ChartSection:
-    """Return the section of a chart that was measured."""
+def describe_chart(
+    measure: ChartMeasure | EdgeTargetMeasure, between_layers: Sequence[IndicatorRow] = ()
+) -> ChartSection:
+    """Return the section of a chart that was measured, or of a target of slanted edges.
+
+    `between_layers` are shifts between the layers of objects; those of the measure's own object are shown.
+    """
+    thing = measure.name.partition("/")[0]
+    rows = [*measure.rows, *(r for r in between_layers if r.name.startswith(f"{thing}, "))]
+    indicators = [
+        [row.name, f"{row.value:.2f} {row.unit}", row.aim, row.fadgi, row.iso] for row in rows
+    ]
+    if isinstance(measure, EdgeTargetMeasure):
+        return _describe_edges(measure, indicators)
     agreement = min(s.located.agreement for s in measure.sightings)
     noise = "the difference of two shots" if measure.table.temporal else "the spread in each patch"
     summary = (
         f"{measure.chart.name}, rank correlation with the published patches {agreement:.3f}; "
         f"noise from {noise}, {int(measure.table.pixels.min())} pixels a patch or more."
     )
-    indicators = [
-        [row.name, f"{row.value:.2f} {row.unit}", row.fadgi, row.iso] for row in measure.rows
-    ]
     if measure.colours is not None:
         summary += f" Colours (D65, 2°) {measure.colours.how}."
     return ChartSection(
@@ -62,12 +76,84 @@ def describe_chart(measure: ChartMeasure) -> ChartSection:
         summary,
         [*_blur_notes(measure), *measure.notes],
         [_sampled(seen, measure) for seen in measure.sightings],
-        [f for f in (_over_signal(measure), _over_wavelength(measure)) if f is not None],
+        [
+            *(f for f in (_over_signal(measure), _over_wavelength(measure)) if f is not None),
+            *draw_responses(measure.edges.tables),
+        ],
         indicators,
         ("mean", "SNR, median band", "dB", "ΔE2000"),
         _patch_rows(measure),
         _swatches(measure),
+        _edge_rows(measure.edges.tables),
     )
+
+
+def _describe_edges(measure: EdgeTargetMeasure, indicators: list[list[str]]) -> ChartSection:
+    """Return the section of slanted edges without a colour chart."""
+    tables = measure.edges.tables
+    count = len(tables)
+    return ChartSection(
+        measure.name,
+        f"{count} slanted edge{'s' * (count != 1)}.",
+        list(measure.notes),
+        [
+            _picture(
+                sensor,
+                cube,
+                _boxes(tables, cube),
+                [t.label for t in tables if t.bands == cube.bands],
+            )
+            for sensor, cube in measure.cubes.items()
+        ],
+        draw_responses(tables),
+        indicators,
+        (),
+        (),
+        edges=_edge_rows(tables),
+    )
+
+
+def draw_responses(tables: Sequence[EdgeTable]) -> list[Figure]:
+    """Return the spatial frequency response of every band, a plot an edge."""
+    figures = []
+    for table in tables:
+        labels = [band.label for band in table.bands]
+        colours = channel_colours(labels)
+        step = max(1, -(-len(labels) // MOST_LINES))
+        shown = slice(0, 3 * table.response.shape[1] // 4, 8)  # to 3/4 cycles/px: noise beyond
+        lines = [
+            Line(labels[i], table.frequencies[shown], table.response[i, shown], colours[i])
+            for i in range(0, len(labels), step)
+        ]
+        half = Line("half the sampling frequency", [0.5, 0.5], [0.0, 1.0], "soft", dashed=True)
+        if svg := plot([*lines, half], x="cycles/px", y="modulation", from_zero=True):
+            caption = (
+                f"Spatial frequency response, {table.label}, {abs(table.angle_deg):.1f} degrees, along "
+                f"{table.axis} (ISO 12233, e-SFR; the pixel's aperture included)."
+            )
+            figures.append(Figure(svg, caption))
+    return figures
+
+
+def _edge_rows(tables: Sequence[EdgeTable]) -> list[list[str]]:
+    """Return a row a band and edge: band, edge, SFR50, SFR10, efficiency, largest modulation, shift."""
+    rows = []
+    for table in tables:
+        for i, band in enumerate(table.bands):
+            if np.isfinite(table.most[i]):
+                sfr10 = f"{table.sfr10[i]:.3f}" if np.isfinite(table.sfr10[i]) else "above 1"
+                numbers = [f"{table.sfr50[i]:.3f}", sfr10, f"{100 * table.efficiency[i]:.0f} %"]
+                ends = [f"{table.most[i]:.2f}", f"{table.shift[i]:+.2f}"]
+                rows.append([band.label, f"{table.label}, {table.axis}", *numbers, *ends])
+    return rows
+
+
+def _boxes(tables: Sequence[EdgeTable], cube: Cube) -> np.ndarray:
+    """Return the rectangles of the edges in one sensor's cube, (n, 4, 2) px."""
+    boxes = np.array([box for t in tables if t.bands == cube.bands for box in t.boxes], float)
+    low, size = boxes.reshape(-1, 4)[:, :2], boxes.reshape(-1, 4)[:, 2:]
+    turns = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    return low[:, None] - 0.5 + turns * size[:, None]
 
 
 def _swatches(measure: ChartMeasure) -> list[Swatch]:
@@ -109,13 +195,19 @@ def _blur_notes(measure: ChartMeasure) -> list[str]:
 
 
 def _sampled(seen: Sighting, measure: ChartMeasure) -> Figure:
+    """Draw the sampled areas, and the rectangles of edges, which have no names where they are many."""
+    boxes = _boxes(measure.edges.tables, seen.cube)
+    names = [*measure.chart.patches, *[""] * len(boxes)]
+    return _picture(seen.sensor, seen.cube, np.concatenate([seen.located.areas, boxes]), names)
+
+
+def _picture(sensor: str, cube: Cube, areas: np.ndarray, names: Sequence[str]) -> Figure:
     from levkas.quality.targets.locating import pictures_of
 
-    shown = pictures_of(seen.cube.values)[-1][..., 0]
+    shown = pictures_of(cube.values)[-1][..., 0]
     step = max(1, -(-max(shown.shape) // LONGEST))
-    areas = (seen.located.areas + 0.5) / step - 0.5
-    svg = picture_with_areas(shown[::step, ::step] / 255, areas, measure.chart.patches)
-    where = f"sensor {seen.sensor}: " if seen.sensor else ""
+    svg = picture_with_areas(shown[::step, ::step] / 255, (areas + 0.5) / step - 0.5, names)
+    where = f"sensor {sensor}: " if sensor else ""
     return Figure(svg, f"{where}the sampled areas, on the root of the mean of all bands.")
 
 

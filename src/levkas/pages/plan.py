@@ -34,13 +34,19 @@ from levkas.planning.spectra import GRID, colour_temperature, unevenness
 from levkas.planning.tables import PlanRefused
 
 if TYPE_CHECKING:
+    from levkas.planning.exposure_advice import WhiteLevels
     from levkas.planning.light import LightPlan
     from levkas.planning.optimisation import Optimum
     from levkas.planning.setup import StudioLamp, StudioSetup
 
 
 def write_report(
-    path: str | Path, setup: StudioSetup, name: str | None = None, *, seed: int = 1
+    path: str | Path,
+    setup: StudioSetup,
+    name: str | None = None,
+    *,
+    seed: int = 1,
+    white: WhiteLevels | None = None,
 ) -> Path:
     """Write the report of one lighting, beside all others of the setup file.
 
@@ -53,19 +59,25 @@ def write_report(
         Of the lighting; the first without one.
     seed : int
         Of the search's random starts.
+    white : WhiteLevels, optional
+        Of a camera, from which its regulating filter is computed.
 
     Raises
     ------
     PlanRefused
         Where there is no such lighting.
     """
-    page = report_facts(setup, name, rng=np.random.default_rng(seed))
+    page = report_facts(setup, name, rng=np.random.default_rng(seed), white=white)
     write_text(path, render_page("plan.html", page=page))
     return Path(path)
 
 
 def report_facts(
-    setup: StudioSetup, name: str | None, *, rng: np.random.Generator
+    setup: StudioSetup,
+    name: str | None,
+    *,
+    rng: np.random.Generator,
+    white: WhiteLevels | None = None,
 ) -> dict[str, Any]:
     """Return everything on the page: words, numbers and drawings."""
     plan = plan_light(setup, name)
@@ -101,10 +113,10 @@ def report_facts(
         "spectra": _spectra(plan),
         "spectra_words": _spectra_words(plan),
     }
-    return {**facts, **_light_facts(setup, plan)}
+    return {**facts, **_light_facts(setup, plan, white)}
 
 
-def _light_facts(setup: StudioSetup, plan: LightPlan) -> dict[str, Any]:
+def _light_facts(setup: StudioSetup, plan: LightPlan, white: WhiteLevels | None) -> dict[str, Any]:
     """Exposure, filter and dose, or the reason why there are none."""
     if not setup.cameras:
         return {"exposures": [], "dose": None, "no_light": ""}
@@ -115,17 +127,30 @@ def _light_facts(setup: StudioSetup, plan: LightPlan) -> dict[str, Any]:
         return {"exposures": [], "dose": None, "no_light": str(refused)}
     facts = {"exposures": exposures, "dose": dose, "snr": draw_snr(exposures), "no_light": ""}
     shared = [e for e in exposures if setup.cameras[e.camera].keys.exposure == "one"]
+    if white is not None:
+        shared = [e for e in shared if e.camera == white.camera]
     uneven = max(shared, key=lambda e: e.evenness, default=None)
     if uneven is not None and len(uneven.channels) > 1:
-        from levkas.planning.exposure_plan import regulating_filter
+        from levkas.planning.regulating_filters import regulating_filter
 
-        found = regulating_filter(setup, uneven.camera, plan.lighting.name)
+        levels = white.levels if white else None
+        found = regulating_filter(setup, uneven.camera, plan.lighting.name, levels=levels)
         facts["filter"] = draw_filter(found, uneven.camera)
-        facts["filter_words"] = (
+        words = (
             f"For {uneven.camera} the weakest channel gets {100 * found.before.min():.0f} % of the "
             f"fullest one's light. The filter below brings all to "
             f"{100 * found.after.min():.0f} % or more, at {found.time_factor:.1f} times the exposure."
         )
+        if found.factors is not None and found.model_alone is not None:
+            told = ", ".join(
+                f"{name} {factor:.2f}"
+                for name, factor in zip(found.channels, found.factors, strict=True)
+            )
+            words += (
+                f" It is computed from a captured white, which has {told} times what sensitivities and light say; "
+                f"the filter from the model alone (dashed) would bring all to {100 * found.model_alone:.0f} %."
+            )
+        facts["filter_words"] = words
     return facts
 
 

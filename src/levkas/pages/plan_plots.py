@@ -13,9 +13,10 @@ from levkas.planning.optimisation import MEANINGS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from levkas.planning.exposure_plan import CameraExposure, RegulatingFilter
+    from levkas.planning.exposure_plan import CameraExposure
     from levkas.planning.light import BrightField, LightPlan
     from levkas.planning.optimisation import TradeOff
+    from levkas.planning.regulating_filters import RegulatingFilter
     from levkas.planning.setup import StudioLamp, StudioSetup
 
 INKS = ("c1", "c2", "c3", "c4", "c5", "c6")
@@ -215,6 +216,8 @@ def draw_filter(found: RegulatingFilter, camera: str) -> str:
     figure = new_figure(720, 270)
     left, right = figure.subplots(1, 2)
     left.plot(found.wavelengths, found.transmittance, color=themed("c1"))
+    if found.modelled is not None:
+        left.plot(found.wavelengths, found.modelled, "--", color=themed("c2"))
     left.set(xlabel="wavelength, nm", ylabel=f"transmittance for {camera}", ylim=(0, 1.02))
     places = np.arange(len(found.channels))
     right.bar(places - 0.2, found.before, 0.38, color=themed("c2"), label="without")

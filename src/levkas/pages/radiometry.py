@@ -250,7 +250,9 @@ def channel_colours(labels: Sequence[str]) -> list[str]:
     """Return a colour for every channel."""
     places, axis = _places(labels)
     known = axis.startswith("wavelength")
+    # B1 to B9 are numbers of bands, not nine blues.
+    alike = len(labels) > 2 and len({label.rstrip("0123456789") for label in labels}) == 1
     return [
-        colour_of(label, i, len(labels), places[i] if known else float("nan"))
+        colour_of("" if alike else label, i, len(labels), places[i] if known else float("nan"))
         for i, label in enumerate(labels)
     ]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isnan, log10, nan
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,13 @@ from levkas.planning.exposure_levels import (
     safe_mean,
     snr_at,
 )
-from levkas.planning.full_scale import FullScale, files_of, find_full_scale, not_known
+from levkas.planning.full_scale import (
+    FullScale,
+    files_of,
+    find_full_scale,
+    not_known,
+    split_sensors,
+)
 from levkas.quality.emva1288.blocks import block_statistics
 from levkas.readers.frames import Facts, read_facts, read_frame
 
@@ -187,21 +193,85 @@ def advise_frames(
                 "E_NO_FRAMES", "there is no frame", expected="frames of a white, or of the object"
             )
         )
+    given = _Given(pattern, black, bits, saturation, exposure_s, is_white)
+    dim = files_of(darks)
+    groups = split_sensors(files)
+    dark_of = split_sensors(dim) if dim else {}
+    found = []
+    for sensor, (members, rows) in groups.items():
+        own = (
+            dark_of[sensor][0]
+            if sensor in dark_of
+            else ([] if sensor and dark_of.keys() - {""} else dim)
+        )
+        for band in _advise_sensor(members, own, rows, given):
+            named = f"{band.shot.name} {sensor}".strip()
+            found.append(replace(band, shot=replace(band.shot, name=named)))
+    return found
+
+
+class _Given(NamedTuple):
+    """What is known of frames beside themselves."""
+
+    pattern: str | Sequence[Sequence[str]] | None
+    black: float | None
+    bits: int | None
+    saturation: float | None
+    exposure_s: float | None
+    is_white: bool
+
+
+def _advise_sensor(
+    files: list[Path], darks: list[Path], rows: Sequence[Sequence[str]] | None, given: _Given
+) -> list[BandAdvice]:
+    """Advise from the frames of one sensor; `rows` are the channels that its campaign names."""
     facts = read_facts(files[0])
-    dim = gather_shots(files_of(darks), np.inf, None)
-    scale = find_full_scale(files, facts, bits=bits, saturation=saturation)
+    dim = gather_shots(darks, np.inf, None)
+    scale = find_full_scale(files, facts, bits=given.bits, saturation=given.saturation)
     if scale is None:
         raise NoAdvice(not_known(files[0], facts))
-    level = next((b for b in (black, scale.black, facts.black) if b is not None), 0.0)
-    pattern = pattern or facts.pattern
+    level = next((b for b in (given.black, scale.black, facts.black) if b is not None), 0.0)
+    pattern = given.pattern or rows or facts.pattern
     bands: dict[tuple[float, str], list[Shot]] = {}
-    for shot in gather_shots(files, scale.counts, exposure_s):
+    for shot in gather_shots(files, scale.counts, given.exposure_s):
         _check_bits(shot, scale, str(files[0]))
         bands.setdefault((shot.wavelength, shot.name), []).append(shot)
     order = sorted(
         bands, key=lambda key: (isnan(key[0]), key[0] if key[0] == key[0] else 0, key[1])
     )
-    return [_coach_band(bands[key], dim, level, scale, pattern, is_white) for key in order]
+    return [_coach_band(bands[key], dim, level, scale, pattern, given.is_white) for key in order]
+
+
+class WhiteLevels(NamedTuple):
+    """Signal of each channel of a camera on a captured white: counts above black a second, by name, and doubts."""
+
+    camera: str
+    levels: dict[str, float]
+    notes: tuple[str, ...] = ()
+
+
+def white_levels(bands: Sequence[BandAdvice], camera: str) -> WhiteLevels:
+    """Return what every channel of a camera recorded of a captured white.
+
+    Raises
+    ------
+    NoAdvice
+        E_EXPOSURE where the times of some frames are known and of others not.
+    """
+    times = [found.shot.exposure_s for found in bands]
+    if None in times and set(times) != {None}:
+        unknown = next(b.shot.name for b in bands if b.shot.exposure_s is None)
+        raise NoAdvice(
+            Problem("E_EXPOSURE", f"{unknown}: the exposure of this white is not known", None, "--time",
+                    "times of other frames alone", "all of them, or none where they are the same")
+        )  # fmt: skip
+    levels = {
+        advice.reading.channel or found.shot.name: advice.reading.mean / (time or 1.0)
+        for found, time in zip(bands, times, strict=True)
+        for advice in found.advices
+    }
+    same = "the times of the whites are not known, and taken to be the same"
+    return WhiteLevels(camera, levels, (same,) if None in times and len(bands) > 1 else ())
 
 
 def _check_bits(shot: Shot, scale: FullScale, file: str) -> None:

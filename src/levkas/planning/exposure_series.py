@@ -289,7 +289,8 @@ def _scene(found: BandAdvice, wish: SeriesWish, lowest: SensorAt, shown: float) 
 
 def _level(found: BandAdvice) -> float:
     """Return the counts without light of the exposure that was read."""
-    return next(v for s, v in zip(found.shots, found.levels, strict=True) if s is found.shot)
+    time = found.shot.exposure_s
+    return next(v for s, v in zip(found.shots, found.levels, strict=True) if s.exposure_s == time)
 
 
 def _rate(shot: Shot, level: float) -> np.ndarray:

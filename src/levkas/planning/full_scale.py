@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from levkas.calibration.patterns import channel_table
 from levkas.core.problems import Problem, Refused
 from levkas.readers.frames import Facts, read_frame
 
@@ -93,6 +94,48 @@ def not_known(file: Path, facts: Facts) -> Problem:
         "the bits of the camera's converter, or the code at which it saturates",
         "Give --bits 12 (10, 14, ...) or --saturation 4095, or `bits` of the camera in campaign.toml.",
     )
+
+
+Rows = tuple[tuple[str, ...], ...]
+
+
+def split_sensors(files: Sequence[Path]) -> dict[str, tuple[list[Path], Rows | None]]:
+    """Return files by the sensor that their campaign declares, with the names of its channels as rows of a mosaic.
+
+    One group without a name where no campaign above the first file has several sensors for them.
+    """
+    found = _frames_of_campaign(files[0])
+    groups: dict[str, tuple[list[Path], Rows | None]] = {}
+    for file in files:
+        camera, sensor = found.get(file.resolve(), (None, ""))
+        keys = next((s for s in camera.sensors if s.name == sensor), None) if camera else None
+        if keys is None or camera is None:
+            return {"": (list(files), None)}
+        names = tuple(keys.bands or (sensor,))
+        table = channel_table(keys.pattern) if keys.pattern else np.zeros((1, 1), int)
+        rows = tuple(tuple(names[i] for i in row) for row in table.tolist())
+        groups.setdefault(sensor, ([], rows))[0].append(file)
+    return groups
+
+
+def _frames_of_campaign(file: Path) -> dict[Path, tuple[Camera, str]]:
+    """Return camera and sensor of every frame of the campaign above a file; nothing without one."""
+    from levkas.campaign.campaign import load_campaign
+    from levkas.campaign.discovery.file_index import scan_folders
+
+    above = next((p for p in file.resolve().parents if (p / "campaign.toml").is_file()), None)
+    if above is None:
+        return {}
+    try:
+        campaign = load_campaign(above)
+        frames = scan_folders(campaign).frames
+    except Refused:
+        return {}
+    return {
+        f.path.resolve(): (campaign.cameras[camera], f.sensor)
+        for (camera, _), found in frames.items()
+        for f in found
+    }
 
 
 def _declared(file: Path) -> tuple[Camera | None, Path | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from levkas.planning.framing import Framing, plan_framing
 from levkas.planning.light import compare_lightings, plan_light
 from levkas.planning.loading import load_setup
 from levkas.planning.setup import StudioSetup
+
+if TYPE_CHECKING:
+    from levkas.planning.exposure_advice import WhiteLevels
 
 
 class LightRecord(dict[str, Any]):
@@ -137,30 +140,32 @@ def framing_text(found: list[Framing]) -> str:
     return "\n".join(lines) or "no camera is declared"
 
 
-def exposure_record(path: str | Path, name: str | None = None) -> dict[str, Any]:
-    """Return exposures, filters and dose of one lighting.
+def exposure_record(
+    path: str | Path, name: str | None = None, white: WhiteLevels | None = None
+) -> dict[str, Any]:
+    """Return exposures, filters and dose of one lighting; the filter of a camera from its captured white.
 
     Raises
     ------
     PlanRefused
         Where the setup file cannot be planned, or the strength of the light is not given.
     """
-    from levkas.planning.exposure_plan import regulating_filter
+    from levkas.planning.regulating_filters import check_filtered, regulating_filter
 
     setup = load_setup(path)
     exposures = plan_exposure(setup, name)
     filters = {}
+    if white is not None:
+        check_filtered(setup, white.camera)
     for found in exposures:
         several = len(found.channels) > 1
         if several and setup.cameras[found.camera].keys.exposure == "one":
-            sheet = regulating_filter(setup, found.camera, name)
-            filters[found.camera] = {
-                "wavelengths": sheet.wavelengths.tolist(),
-                "transmittance": sheet.transmittance.round(4).tolist(),
-                "smallest_before": float(sheet.before.min()),
-                "smallest_after": float(sheet.after.min()),
-                "time_factor": sheet.time_factor,
-            }
+            levels = white.levels if white and white.camera == found.camera else None
+            filters[found.camera] = regulating_filter(
+                setup, found.camera, name, levels=levels
+            ).to_dict()
+            if white and levels:
+                filters[found.camera]["measured"]["notes"] += white.notes
     return {
         "cameras": [e.to_dict() for e in exposures],
         "regulating_filters": filters,
@@ -188,5 +193,20 @@ def exposure_text(record: dict[str, Any]) -> str:
                 f"to {100 * sheet['smallest_after']:.0f} % of the fullest, at {sheet['time_factor']:.1f} times "
                 f"the exposure."
             )
+            lines += _measured_lines(sheet)
     lines += ["", *record["dose"]["sentences"]]
     return "\n".join(lines)
+
+
+def _measured_lines(sheet: dict[str, Any]) -> list[str]:
+    """Return what a captured white says of a filter's camera."""
+    if "measured" not in sheet:
+        return []
+    measured = sheet["measured"]
+    factors = ", ".join(f"{name} {factor:.2f}" for name, factor in measured["factors"].items())
+    alone = 100 * measured["smallest_with_modelled_filter"]
+    return [
+        f"  From the captured white: channels over what sensitivities and light say, {factors}. The filter from the "
+        f"model alone would bring the smallest to {alone:.0f} %.",
+        *(f"  {note}" for note in measured["notes"]),
+    ]

@@ -336,7 +336,7 @@ def test_a_folder_without_captures_is_refused_with_what_there_is(tmp_path):
         look(tmp_path)
     assert "bad.tif" in refused.value.problems[0].found
     Folder(tmp_path).dark("dark/1.tif")
-    with pytest.raises(LookRefused, match="darks, whites or charts"):
+    with pytest.raises(LookRefused, match="all captures here are darks or whites"):
         look(tmp_path)
 
 

@@ -79,7 +79,8 @@ def camera():
     chart = ChartSection(
         "panel", "ColorChecker Classic, rank correlation 0.998.", ["Mind the glare."],
         [Figure(picture_with_areas(grey, areas, names), "the sampled areas")], [Figure(svg, "SNR")],
-        [["ΔE2000, mean", "1.3", "4 stars", "A"]], ("mean", "SNR"), [["white", "0.9", "90"]], swatches,
+        [["ΔE2000, mean", "1.3", "0", "4 stars", "level A"]], ("mean", "SNR"), [["white", "0.9", "90"]], swatches,
+        [["550 nm", "2 borders of grey patches, x", "0.211", "0.402", "80 %", "1.00", "+0.12"]],
     )  # fmt: skip
     return render_camera(
         CameraReport(

@@ -12,6 +12,7 @@ from levkas.quality.targets.charts import (
     place_patches,
     reference_of,
 )
+from levkas.quality.targets.indicators import WhiteEvenness
 from levkas.quality.targets.locating import locate_chart, locate_in_cube
 from levkas.quality.targets.measuring import (
     Sighting,
@@ -192,10 +193,15 @@ def test_colours_of_the_reference_itself_differ_by_nothing_and_a_gain_shows():
     same = compare_colours(means, nm, reference)
     assert same.difference.max() < 0.6  # bands end at 720 nm, the eye a little later
     darker = compare_colours(0.8 * means, nm, reference)
-    rows = {row.name: row for row in rate(darker, CLASSIC, uniformity=0.9)}
+    rows = {row.name: row for row in rate(darker, CLASSIC, evenness=WhiteEvenness(0.9, 0.012))}
     assert rows["tone, worst grey"].value > 5 and rows["tone, worst grey"].iso == "none"
     assert rows["white balance, worst grey"].value < 1
     assert rows["ΔE2000, mean over patches"].value > 3
+    bright = "gain modulation, brightest step of grey"
+    assert rows[bright].value == pytest.approx(0.8 ** (1 / 3), rel=0.01)  # L* is a cube root
+    assert rows[bright].fadgi == "4 stars" and rows[bright].iso == "level A"
+    light = rows["lightness non-uniformity of the white before its flat field"]
+    assert light.value == pytest.approx(1.2) and light.fadgi == "below 4 stars" and light.iso == "–"
 
 
 def test_delta_e_and_lab_agree_with_colour_science():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from levkas.campaign.guess.pixels import (
 
 DARK_SHARE = 0.08
 """A dark's 99th percentile is below this share of the brightest level that any target reaches."""
+EVEN_DARK = 0.04
+"""Share of the brightest level that the percentiles 1 and 99 of a dark may be apart."""
 EVEN, SMOOTH = 0.6, 0.04
 """A white's illumination may fall off by this share; from sensel to sensel it hardly differs."""
 MOST_TARGETS = 200
@@ -38,7 +40,7 @@ NEAR_NM = 25.0
 
 
 def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
-    """Give targets of a camera the roles that their frames show, where no name has any.
+    """Give targets of a camera the roles that their frames show, where no name has them.
 
     Parameters
     ----------
@@ -54,19 +56,15 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     frames = group.of_role("object")
     plain = all(f.file.channels == 1 or f.facts.kind == "envi" for f in frames)
     by_target = group.by_target(frames)
-    if group.of_role("dark", "white") or not plain or len(by_target) < 2:
+    named = {f.role for f in group.of_role("dark", "white")}
+    if len(named) == 2 or not plain or len(by_target) < 2:
         return []
     found: dict[str, Statistics] = {}
     for target in spread(list(by_target), MOST_TARGETS):
-        mine, first = by_target[target], frames[0]
-        like = [
-            f
-            for f in mine
-            if f.sensor == first.sensor and f.number("wavelength") == first.number("wavelength")
-        ]
-        if statistics := samples.of_some(like or mine, 1):
+        if statistics := samples.of_some(_like(by_target[target], frames[0]), 1):
             found[target] = statistics[0]
-    roles, reasons = _roles_of(found)
+    white = samples.of_some(_like(group.of_role("white"), frames[0]), 1)
+    roles, reasons = _roles_of(found, white[0] if white else None, named)
     group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
     if len(by_target) > MOST_TARGETS:
         reasons.append(
@@ -76,17 +74,33 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     return reasons
 
 
-def _roles_of(found: Mapping[str, Statistics]) -> tuple[dict[str, str], list[str]]:
-    """Return the darks and whites among targets by their statistics, and the reasons."""
-    brightest = max((s.high for s in found.values()), default=0.0)
+def _like(frames: Sequence[NamedFile], first: NamedFile) -> Sequence[NamedFile]:
+    """Return the frames of the sensor and wavelength of another; all where there is none."""
+    nm = first.number("wavelength")
+    return [f for f in frames if (f.sensor, f.number("wavelength")) == (first.sensor, nm)] or frames
+
+
+def _roles_of(
+    found: Mapping[str, Statistics], white: Statistics | None, named: Container[str]
+) -> tuple[dict[str, str], list[str]]:
+    """Return the darks and whites among targets by their statistics, and the reasons.
+
+    Roles that are `named` are not looked for. Beside a `white` that is named a dark must be even, too: a
+    painting may be dark all over.
+    """
+    seen = [*found.values(), *([white] if white else [])]
+    brightest = max((s.high for s in seen), default=0.0)
     darks = {t: s for t, s in found.items() if s.high < DARK_SHARE * brightest}
+    if white is not None:
+        darks = {t: s for t, s in darks.items() if s.high - s.low < EVEN_DARK * brightest}
+    darks = {} if "dark" in named else darks
     reasons = [
         f"{t} is taken for a dark: 99 % of it are below {s.high:.4g} counts"
         for t, s in darks.items()
     ]
     rest = {t: s for t, s in found.items() if t not in darks}
     whites = []
-    for target, s in rest.items():
+    for target, s in ({} if "white" in named else rest).items():
         others = [o.texture for t, o in rest.items() if t != target]
         even = s.unevenness < EVEN and s.texture < SMOOTH and s.mean > 0.3 * brightest
         if even and others and max(others) > STRUCTURED * max(s.texture, 1e-6):
@@ -105,7 +119,7 @@ def _bright_and_dark(
 ) -> tuple[Statistics | None, float]:
     """Return a bright frame, a white or else an object, and the level without light."""
     dark = samples.of_some([f for f in frames if f.role == "dark"], 1)
-    for role in ("white", "object"):
+    for role in ("white", "object", "chart"):
         found = samples.of_some([f for f in frames if f.role == role], 3)
         usable = [s for s in found if s.high < 0.98 * s.top or s.top_count < CLIPPED] or found
         if usable:

@@ -307,7 +307,7 @@ def _scale_keys(group: CameraGroup, samples: Samples, notes: CameraNotes) -> dic
 def _exposure_keys(group: CameraGroup, files: FilePatterns) -> dict[str, Guess]:
     times: dict[tuple[str, str | None, str], set[object]] = {}
     sensors = files.sensor_of()
-    for frame in group.of_role("object"):
+    for frame in group.objects:
         exposure = frame.number("exposure") or frame.facts.exposure_s
         key = (frame.target, frame.number("wavelength"), sensors.get(frame.path, ""))
         times.setdefault(key, set()).add(exposure)

@@ -47,8 +47,8 @@ class CameraGroup:
 
     @property
     def objects(self) -> list[NamedFile]:
-        """Frames of objects; all frames where there is none."""
-        return self.of_role("object") or self.frames
+        """Frames of objects; of charts where there is none; else all frames."""
+        return self.of_role("object") or self.of_role("chart") or self.frames
 
     @property
     def folders(self) -> tuple[str, ...]:
@@ -80,6 +80,7 @@ def group_cameras(
         alike[above, tuple(t.word for t in stem if t.word)].append(frame)
     groups = [CameraGroup(part) for group in alike.values() for part in _of_one_size(group)]
     groups, left_out = _attach_templates(groups)
+    left_out += [line for group in groups for line in _without_bandless(group)]
     groups = _joined_pictures(_attach_setups(groups))
     _give_names(groups, root_name)
     return groups, left_out
@@ -105,12 +106,22 @@ def _are_pictures(frames: Sequence[NamedFile]) -> bool:
     )
 
 
+def _without_bandless(group: CameraGroup) -> list[str]:
+    """Take objects without a wavelength in their names from a camera whose other objects have one."""
+    banded = {f.target for f in group.objects if f.number("wavelength")}
+    if not banded:
+        return []
+    lost = [f for f in group.of_role("object") if not f.number("wavelength")]
+    group.frames = [f for f in group.frames if f not in lost]
+    return [f"{f.file.name}: no wavelength in its name, as its camera's others have" for f in lost]
+
+
 # --- darks and whites that lie apart ----------------------------------------------------------
 
 
 def _attach_templates(groups: list[CameraGroup]) -> tuple[list[CameraGroup], list[str]]:
     """Give groups of darks and whites alone to the camera whose frames have their size."""
-    owners = [g for g in groups if g.of_role("object")]
+    owners = [g for g in groups if g.of_role("object")] or [g for g in groups if g.of_role("chart")]
     left_out = []
     for group in groups:
         if group in owners:
@@ -126,6 +137,10 @@ def _attach_templates(groups: list[CameraGroup]) -> tuple[list[CameraGroup], lis
             fits[0].frames += group.frames
         elif fits:
             left_out.append(f"{shown}: {what}, and several cameras have frames of its size")
+        elif group.of_role("chart"):
+            left_out.append(
+                f"{shown}: {what} of a camera that saw no object; `levkas chart FILE` measures one alone"
+            )
         else:
             sides = "x".join(str(n) for n in reversed(group.frames[0].facts.shape[:2]))
             left_out.append(f"{shown}: {what} of {sides}, and no object's frame has this size")
@@ -293,7 +308,8 @@ def find_patterns(frames: Sequence[NamedFile]) -> FilePatterns:
     for frame in frames:
         key = tuple(tuple((_literal(t), t.kind) for t in s) for s in frame.segments)
         skeletons[key, frame.path.suffix.lower()].append(frame)
-    made = [_Columns(group) for group in skeletons.values()]
+    shown = {"object"} if any(f.role == "object" for f in frames) else {"chart"}
+    made = [_Columns(group, shown) for group in skeletons.values()]
     sensors: dict[str, list[NamedFile]] = defaultdict(list)
     bands: set[str] = set()
     centres: set[float] = set()
@@ -301,7 +317,7 @@ def find_patterns(frames: Sequence[NamedFile]) -> FilePatterns:
         for frame, values in zip(one.frames, one.values(), strict=True):
             if "sensor" in values:
                 sensors[values["sensor"]].append(frame)
-            if frame.role == "object":
+            if frame.role in shown:
                 bands |= {values["band"]} if "band" in values else set()
                 centres |= {float(values["wavelength"])} if "wavelength" in values else set()
     return FilePatterns(
@@ -323,9 +339,9 @@ def _literal(token: Token) -> str:
 class _Columns:
     """Files whose names differ in numbers only: a column for each part of their names, and its field."""
 
-    def __init__(self, frames: list[NamedFile]) -> None:
+    def __init__(self, frames: list[NamedFile], shown: set[str]) -> None:
         self.frames = frames
-        self.roles = {frame.role for frame in frames}
+        self.of_objects = not shown.isdisjoint(frame.role for frame in frames)
         self.reasons: list[str] = []
         self.segments = frames[0].segments
         places = [(i, j) for i, s in enumerate(self.segments) for j in range(len(s))]
@@ -343,7 +359,7 @@ class _Columns:
         for n, frame in enumerate(self.frames):
             groups[frame.target, tuple(self.columns[p][n].text for p in typed)].append(n)
         self.fields |= dict.fromkeys(places, ANY)
-        if "object" not in self.roles:
+        if not self.of_objects:
             return  # darks and whites are averaged, whatever their number counts
         for place in reversed(places):
             column = self.columns[place]
@@ -446,17 +462,15 @@ def _are_wavelengths(texts: Sequence[str], frames: Sequence[NamedFile]) -> bool:
 def _merged(made: Sequence[_Columns]) -> tuple[str, ...]:
     """Return the patterns, objects' first; templates that only have a number more share theirs by a ``*``."""
     texts = [(one, one.text) for one in made]
-    texts.sort(key=lambda pair: ("object" not in pair[0].roles, pair[1]))
-    roles: dict[str, set[str]] = defaultdict(set)
+    texts.sort(key=lambda pair: (not pair[0].of_objects, pair[1]))
+    of_objects: dict[str, bool] = {}
     for one, text in texts:
-        roles[text] |= one.roles
-    merged = list(roles)
+        of_objects[text] = of_objects.get(text, False) or one.of_objects
+    merged = list(of_objects)
     for short in list(merged):
         stem, dot, suffix = short.rpartition(".")
         more = re.compile(re.escape(stem) + r"[-_ .]*(\{shot\}|\*|\d+)" + re.escape(dot + suffix))
-        longer = {
-            t for t in merged if t != short and more.fullmatch(t) and "object" not in roles[t]
-        }
+        longer = {t for t in merged if t != short and more.fullmatch(t) and not of_objects[t]}
         if longer and short in merged:
             merged[merged.index(short)] = f"{stem}*{dot}{suffix}"
             merged = [t for t in merged if t not in longer]

@@ -132,7 +132,8 @@ def _in_folder(capture: CaptureFile, tokens: tuple[Token, ...], place: int) -> N
     """Name a capture after the folder at `place`, or the root."""
     if place == PARENT:
         target = capture.path.parent.resolve().name
-        return NamedFile(capture, target, "object", ("..", TARGET), tokens)
+        role = "chart" if role_in(target) == "chart" else "object"
+        return NamedFile(capture, target, role, ("..", TARGET), tokens)
     target = capture.folders[place]
     folders = tuple(TARGET if i == place else name for i, name in enumerate(capture.folders))
     marked = _with_target(tokens, target)
@@ -201,7 +202,13 @@ def _beside(
         for t in templates
         if 0 <= (level := places[t.path]) < len(folders) and t.folders[:level] == folders[:level]
     }
+    at_level = defaultdict(set)
+    for t in templates:
+        if 0 <= places[t.path] == len(t.folders) - 1:
+            at_level[places[t.path]].add(t.path.stem.casefold())
     for level in sorted(levels, reverse=True):
+        if folders[level].casefold() in at_level[level]:
+            return STEM  # flats/camera.tif beside camera/object.tif
         while level < len(folders) and folders[level].lower() in GENERIC:
             level += 1
         if level < len(folders):

@@ -50,7 +50,7 @@ class Statistics:
     unevenness : float
         Spread of block means (5th to 95th percentile) over their median.
     texture : float
-        Median spread inside blocks over the median level, neighbours of one phase compared.
+        Median spread beside that of the light over the median level, sensels of one phase compared.
     phases : dict
         Tile side p → (p, p) means, for sides 2 to 5.
     thumbnail : ndarray, (n, m), float64
@@ -176,9 +176,13 @@ def block_means(values: np.ndarray, side: int) -> np.ndarray:
 
 
 def _texture(values: np.ndarray) -> float:
-    """Return the median absolute difference of sensels 60 apart, a multiple of every tile's side, within a block."""
+    """Return the median absolute difference of sensels 60 apart, a multiple of every tile's side.
+
+    That of the columns' means is taken off: the light's fall, which a white shows as well.
+    """
     step = 60 if min(values.shape) > 180 else 2
-    across = np.abs(values[:, step:] - values[:, :-step])
+    light = values.mean(axis=0, keepdims=True)
+    across = np.abs(values[:, step:] - values[:, :-step] - (light[:, step:] - light[:, :-step]))
     return float(np.median(across)) if across.size else 0.0
 
 

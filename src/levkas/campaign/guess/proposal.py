@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from levkas.campaign.campaign import campaign_of
-from levkas.campaign.chart_names import CHARTS
 from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.discovery.patterns import natural
 from levkas.campaign.guess.appearance import find_warmth, infer_roles
@@ -23,10 +22,11 @@ from levkas.campaign.guess.describe import (
     with_sensitivity,
 )
 from levkas.campaign.guess.groups import CameraGroup, group_cameras
+from levkas.campaign.guess.leftovers import leave_out_leftovers
 from levkas.campaign.guess.listing import Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
-from levkas.campaign.guess.words import GENERIC
+from levkas.campaign.guess.words import GENERIC, chart_in
 from levkas.campaign.schema.cross_checks import find_contradictions, is_safe_name
 from levkas.campaign.schema.tables import Document
 from levkas.campaign.schema.toml import to_inline_toml, to_toml_key
@@ -104,8 +104,10 @@ class Proposal:
 def propose(listing: Listing) -> Proposal:
     """Make a proposal of a listing that holds at least one capture."""
     samples = Samples()
-    named = name_targets(listing.captures, same_scene=samples.same_scene)
-    groups, left_out = group_cameras(named, listing.root.resolve().name)
+    captures, left_out = leave_out_leftovers(listing.captures)
+    named = name_targets(captures, same_scene=samples.same_scene)
+    groups, without_camera = group_cameras(named, listing.root.resolve().name)
+    left_out += without_camera
     if not groups:
         raise LookRefused(_no_object(listing, left_out))
     by_eye = [f"{g.name}: {reason}" for g in groups for reason in infer_roles(g, samples)]
@@ -122,6 +124,8 @@ def propose(listing: Listing) -> Proposal:
         )
     shapes = [group.frames[0].facts.shape for group in groups]
     reference, why = _reference(cameras, [shape[0] * shape[1] for shape in shapes])
+    cameras, strangers = _without_strangers(cameras, reference)
+    left_out += strangers
     how = "by their histograms" if by_eye else "by their names"
     targets, objects, more = _targets(listing, cameras, reference.name, how)
     unknown += [text for camera in cameras for text in camera.unknown] + more
@@ -149,10 +153,10 @@ def propose(listing: Listing) -> Proposal:
 def _no_object(listing: Listing, left_out: Sequence[str]) -> Problem:
     return Problem(
         "E_NO_FRAMES",
-        "all captures here are darks, whites or charts",
+        "all captures here are darks or whites",
         file=str(listing.root),
         found="; ".join(left_out[:MOST_LISTED]),
-        expected="frames of an object",
+        expected="frames of an object or a chart",
         fix="Give the folder that holds the objects' frames too.",
     )
 
@@ -197,7 +201,7 @@ def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[Ca
 
     def worth(i: int) -> tuple[float, ...]:
         camera = cameras[i]
-        objects = sum(role == "object" for role in camera.targets.values())
+        objects = len(_shown(camera))
         visible = [w for w in camera.centres if VISIBLE_NM[0] <= w <= VISIBLE_NM[1]]
         near = bool(visible) and min(abs(w - GREEN_NM) for w in visible) <= NEAR_NM
         plain = camera.kind == "image" and bool(re.fullmatch(PHOTOGRAPHS, camera.name.lower()))
@@ -207,6 +211,33 @@ def _reference(cameras: Sequence[CameraGuess], sizes: Sequence[int]) -> tuple[Ca
     best = max(range(len(cameras)), key=worth)
     why = "the only camera" if len(cameras) == 1 else "a guess: what all else is registered to"
     return cameras[best], why
+
+
+def _shown(camera: CameraGuess) -> set[str]:
+    """Return the objects that a camera saw, the charts of one that saw no object."""
+    objects = {target for target, role in camera.targets.items() if role == "object"}
+    return objects or {target for target, role in camera.targets.items() if role == "chart"}
+
+
+def _without_strangers(
+    cameras: Sequence[CameraGuess], reference: CameraGuess
+) -> tuple[list[CameraGuess], list[str]]:
+    """Leave out cameras that saw no object of the reference camera: nothing of them can be registered."""
+    known, kept, left_out = _shown(reference), [], []
+    for camera in cameras:
+        own = sorted(_shown(camera), key=natural)
+        charts_alone = "object" not in {*reference.targets.values(), *camera.targets.values()}
+        if charts_alone or not known.isdisjoint(own):
+            kept.append(camera)
+            continue
+        shown = ", ".join(own[:MOST_LISTED]) + ", …" * (len(own) > MOST_LISTED)
+        files = camera.keys["files"].value
+        where = files if isinstance(files, str) else files[0]
+        left_out.append(
+            f"{where}: {shown} by a camera that saw nothing of what {reference.name} saw; name frames of one object "
+            "alike, or look at a folder that holds these alone"
+        )
+    return kept, left_out
 
 
 def _band(camera: CameraGuess) -> str:
@@ -274,8 +305,11 @@ def _hints(targets: dict[str, Guess]) -> tuple[str, ...]:
 
 
 def _chart(target: str) -> str:
-    word = next((w for w in re.split(r"[\W_\d]+", target.lower()) if w in CHARTS), "chart")
-    return CHARTS[word]
+    words = re.split(r"[\W_]+", target)
+    named = (
+        chart_in("".join(words[i:j])) for i in range(len(words)) for j in range(len(words), i, -1)
+    )
+    return next((chart for chart in named if chart), "ColorChecker24")
 
 
 def _with_own_templates(camera: CameraGuess, targets: dict[str, Guess]) -> CameraGuess:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from levkas.campaign.chart_names import CHARTS
 
@@ -14,11 +16,16 @@ def _words(text: str) -> frozenset[str]:
 
 
 DARK = _words(
-    "dark darks darkframe darkref darkfield black blackref bias lenscap dunkel schwarz noir noire"
+    "dark darks darkframe darkframes darkref darkreference darkfield darkcurrent black blackref blackframe bias "
+    "offset lenscap dunkel dunkelbild dunkelbilder dunkelfeld dunkelstrom dunkelreferenz schwarz schwarzbild "
+    "schwarzreferenz noir noire campooscuro camponero donkerbeeld"
 )
 WHITE = _words(
-    "white whites whiteref whiteboard flat flats flatfield ff spectralon weiss blanc blanche"
+    "white whites whiteref whitereference whiteboard whitecard whitefield whiteframe whitebalance flat flats "
+    "flatfield flatframe ff brightfield spectralon fluorilon ptfe weiss weissbild weissbilder weissabgleich "
+    "weissreferenz weisskarte hellbild hellbilder hellfeld blanc blanche campochiaro campobianco campopiatto witbeeld"
 )
+"""Not the bare colours of languages in which paintings bear them (Madonna nera, Bianca): pixels show those."""
 IMAGES = _words("""
     photo photograph foto vis visible rgb color colour uv uvf uvl uvr ir irr irrgb irfc nir swir xray xr
     xrr radiograph radiography raking transmitted reflected fluorescence thermal reflectogram
@@ -43,6 +50,8 @@ PREFIXES = _words(
     "img dsc dscf dscn p mg im image frame capture scan shot pict cimg sam raw file pic"
 )
 """Prefixes that cameras write before their running number."""
+SG = ("digitalsg", "sg140", "checkersg")
+"""Parts of longer names of the chart with 140 patches."""
 TARGET = "{target}"
 TYPED = ("time", "wavelength", "exposure")
 """Kinds of tokens with a unit or a date."""
@@ -100,6 +109,31 @@ class Token:
         return self.kind == "numbered" and self.before.lower() in SENSORS | BANDS
 
 
+def plain(text: str) -> str:
+    """Return the letters and digits of a name, lower case and without accents.
+
+    >>> plain("Weißbild"), plain("Color-Checker SG")
+    ('weissbild', 'colorcheckersg')
+    """
+    apart = unicodedata.normalize("NFKD", text.casefold())
+    return "".join(c for c in apart if c.isalnum())
+
+
+def chart_in(text: str) -> str:
+    """Return the reference of the chart that a name stands for: ``ColorChecker24``, …; "" for none.
+
+    A long word may go on: ``ColorCheckerClassicMini``.
+
+    >>> chart_in("Color Checker"), chart_in("colorchecker digital sg"), chart_in("artist")
+    ('ColorChecker24', 'ColorCheckerSG', '')
+    """
+    word = plain(text)
+    known = CHARTS.get(word.rstrip("0123456789")) or next(
+        (chart for name, chart in CHARTS.items() if len(name) > 6 and word.startswith(name)), ""
+    )
+    return "ColorCheckerSG" if known and any(part in word for part in SG) else known
+
+
 def role_of(text: str) -> str:
     """Return ``"dark"``, ``"white"`` or ``"chart"`` where a single word says so, else "".
 
@@ -108,18 +142,19 @@ def role_of(text: str) -> str:
     >>> role_of("Dark01"), role_of("whites"), role_of("macbeth"), role_of("darkness")
     ('dark', 'white', 'chart', '')
     """
-    word = re.sub(r"[\d\W_]+$", "", text.lower())
+    word = plain(text).rstrip("0123456789")
     if word in DARK:
         return "dark"
     if word in WHITE:
         return "white"
-    return "chart" if word in CHARTS else ""
+    return "chart" if chart_in(text) else ""
 
 
 def role_in(text: str) -> str:
-    """Return the role of the first word of a name that has one: ``"white board"`` is a white."""
-    roles = (role_of(word) for word in re.split(r"[\W_]+", text))
-    return next((role for role in roles if role), "")
+    """Return the role of the first word, or two, of a name that has one: ``"white board"`` is a white."""
+    words = re.split(r"[\W_]+", text)
+    pairs = [" ".join(pair) for pair in pairwise(words)]
+    return next((role for role in map(role_of, [*words, *pairs]) if role), "")
 
 
 def tokens_of(stem: str) -> tuple[Token, ...]:
@@ -142,7 +177,21 @@ def tokens_of(stem: str) -> tuple[Token, ...]:
             tokens += apart
         else:
             tokens.append(_typed(text, gap))
-    return tuple(tokens)
+    return tuple(_with_pairs(tokens))
+
+
+def _with_pairs(tokens: Sequence[Token]) -> list[Token]:
+    """Make one of two words that have a role together alone: ``Color Checker``, ``lens cap``."""
+    made: list[Token] = []
+    for token in tokens:
+        last = made[-1] if made else None
+        pair = Token(last.text + token.gap + token.text, last.gap) if last else token
+        words = last is not None and last.kind == token.kind == "word"
+        if words and last and pair.role and not (last.role or token.role):
+            made[-1] = pair
+        else:
+            made.append(token)
+    return made
 
 
 def joined(tokens: Sequence[Token]) -> str:

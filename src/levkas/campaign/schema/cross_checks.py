@@ -176,6 +176,7 @@ def _targets(document: Document) -> Iterator[Problem]:
                 yield value_problem(
                     f"targets.{role}", f"{name!r} is declared twice", name, f"{other} or {role}"
                 )
+    yield from _edges(document)
     known = tuple(targets.objects or ())
     # What is like none of them waits for another build.
     for name in islice(
@@ -189,6 +190,40 @@ def _targets(document: Document) -> Iterator[Problem]:
                 listed(known),
                 near,
             )
+
+
+def _edges(document: Document) -> Iterator[Problem]:
+    """Yield rectangles of slanted edges of a target that is no chart, or of an unknown camera."""
+    targets = document.targets
+    for target, frames in targets.edges.items():
+        if target not in targets.charts:
+            yield value_problem(
+                f"targets.edges.{target}",
+                "slanted edges of a target that is not among targets.charts",
+                target,
+                listed(tuple(targets.charts))
+                or f'charts = {{ {target} = "edges" }}, which has no colour chart',
+            )
+        for frame in frames:
+            layer, _, _ = frame.partition(":")
+            camera, _, setup = layer.partition("@")
+            if camera not in document.cameras:
+                cameras = tuple(document.cameras)
+                near = closest_match(camera, cameras)
+                yield value_problem(
+                    f"targets.edges.{target}",
+                    "there is no such camera",
+                    frame,
+                    listed(cameras),
+                    near,
+                )
+            elif setup and setup not in document.setups:
+                yield value_problem(
+                    f"targets.edges.{target}",
+                    "there is no such setup",
+                    frame,
+                    listed(tuple(document.setups)),
+                )
 
 
 # --- setups, registration, files ---------------------------------------------------------------
@@ -355,6 +390,14 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
                 expected=" or ".join(f'kind = "{kind}"' for kind in kinds),
                 fix="Write it in each [[sensors]] table." if per_sensor else "Take it out.",
             )
+    if camera.demosaic == "wiener" and camera.sensitivity is None:
+        yield value_problem(
+            f"{where}.demosaic",
+            "weights for a camera's own channels follow from its sensitivities",
+            "no sensitivity",
+            'sensitivity = "CSV of wavelength and a column a channel"',
+            'Name the table, or use demosaic = "bilinear".',
+        )
     if camera.kind == "sensors":
         yield from _sensors(where, camera)
     elif not camera.files:

@@ -26,6 +26,7 @@ from levkas.campaign.schema.values import (
     Names,
     Number,
     Orcid,
+    Rectangles,
     Reflectance,
     Region,
     Size,
@@ -191,7 +192,7 @@ class CameraKeys(Table):
     sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     denoise: Literal["hysime"] | None = None
-    demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
+    demosaic: Literal["malvar", "bilinear", "normalised", "wiener"] | None = None
     dark: Names | None = None
     white: Names | None = None
     registration: RegistrationKeys = RegistrationKeys()
@@ -222,6 +223,7 @@ class TargetKeys(Table):
     dark: Names = ()
     white: Annotated[White, BeforeValidator(_white)] | None = None
     charts: dict[str, Text] = {}
+    edges: dict[str, dict[str, Rectangles]] = {}
     objects: Names | None = None
 
 

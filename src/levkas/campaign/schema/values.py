@@ -144,6 +144,20 @@ MosaicPattern = Annotated[tuple[tuple[str, ...], ...], PlainValidator(_pattern)]
 Align = Annotated[
     Literal["measure"] | tuple[tuple[float, float, float], ...], PlainValidator(_align)
 ]
+
+
+def _rectangles(value: Any) -> tuple[tuple[int, int, int, int], ...]:
+    several = value if isinstance(value, list) and value and isinstance(value[0], list) else [value]
+    for one in several:
+        fits = isinstance(one, list) and len(one) == 4 and all(type(v) is int for v in one)
+        if not fits or min(one[:2]) < 0 or min(one[2:]) < 1:
+            raise ValueError(
+                "must be [x, y, width, height] in whole native pixels, or a list of such"
+            )
+    return tuple((int(x), int(y), int(w), int(h)) for x, y, w, h in several)
+
+
+Rectangles = Annotated[tuple[tuple[int, int, int, int], ...], PlainValidator(_rectangles)]
 Region = Annotated[Literal["auto"] | tuple[float, float, float, float], PlainValidator(_region)]
 Date = Annotated[str, BeforeValidator(_date)]
 MuseumDate = Annotated[str, BeforeValidator(_museum_date)]

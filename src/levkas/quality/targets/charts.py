@@ -107,10 +107,19 @@ def chart_of(name: str) -> Chart:
             "there is no such chart",
             field="targets.charts",
             found=name,
-            expected=", ".join(CHARTS),
+            expected=", ".join((*CHARTS, EDGES)),
             fix="Name one of these; others may be measured by hand as objects.",
         )
     )
+
+
+EDGES = "edges"
+"""Kind of a target that has slanted edges and no colour chart."""
+
+
+def kind_of(name: str) -> Chart | None:
+    """Return a chart by its name, None for a target of slanted edges alone; raises as `chart_of`."""
+    return None if name.strip().lower() == EDGES else chart_of(name)
 
 
 class ChartReference(NamedTuple):

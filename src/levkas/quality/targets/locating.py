@@ -346,6 +346,8 @@ def _detected(picture: np.ndarray, side: int, chart: Chart) -> np.ndarray | None
     if len(quads) != len(chart.patches):
         return None
     centres = quads.mean(1)
+    if len(np.unique(centres.round(), axis=0)) < len(centres):
+        return None  # some of its finds have every patch in one place
     last = chart.columns * (chart.rows - 1)
     corners = centres[[0, chart.columns - 1, last + chart.columns - 1, last]]
     return (corners + 0.5) / scale - 0.5

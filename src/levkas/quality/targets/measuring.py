@@ -5,7 +5,7 @@ standards require their own targets, densities and whole systems."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,9 +16,30 @@ from levkas.core.cube import Band, Cube, Flag
 from levkas.quality.targets.charts import (
     Chart,
     ChartReference,
+    pixels_of,
+)
+from levkas.quality.targets.edges import (
+    EdgeFindings,
+    EdgePlace,
+    join_findings,
+    measure_borders,
+    measure_named,
+)
+from levkas.quality.targets.indicators import (
+    LEAST_NOISE,
+    IndicatorRow,
+    WhiteEvenness,
+    indicator,
+    lightness_slope,
 )
 from levkas.quality.targets.locating import LEAST_AGREEMENT, Located, seen_instead
-from levkas.quality.targets.patches import SATURATED, PatchTable, measure_patches, noise_planes
+from levkas.quality.targets.patches import (
+    SATURATED,
+    PatchTable,
+    measure_patches,
+    noise_planes,
+    spread_about_plane,
+)
 from levkas.quality.targets.photographs import Curve, find_curve
 
 if TYPE_CHECKING:
@@ -41,6 +62,8 @@ class Sighting:
     pattern: np.ndarray | None = None
     curve: Curve | None = None
     """Of a finished photograph, whose values are light by it."""
+    edges: tuple[EdgePlace, ...] = ()
+    """Slanted edges that were named; without them the borders of grey patches are looked at."""
 
 
 def decode_sighting(seen: Sighting, chart: Chart, top: float) -> Sighting:
@@ -92,6 +115,8 @@ class ChartMeasure:
     rows : tuple of Row
         Indicators.
     notes : tuple of str
+    edges : EdgeFindings
+        Spatial frequency response and shifts of the bands.
     """
 
     name: str
@@ -103,6 +128,7 @@ class ChartMeasure:
     colours: Colours | None = None
     rows: tuple[IndicatorRow, ...] = ()
     notes: tuple[str, ...] = ()
+    edges: EdgeFindings = field(default_factory=EdgeFindings)
 
     @property
     def wavelengths(self) -> np.ndarray:
@@ -157,6 +183,7 @@ class ChartMeasure:
             ],
             "colours": None if self.colours is None else self.colours.how,
             "indicators": [row.to_dict() for row in self.rows],
+            "edges": [table.to_dict() for table in self.edges.tables],
             "patches": patches,
             "notes": list(self.notes),
         }
@@ -174,7 +201,7 @@ def measure(
     seen: Sequence[Sighting],
     reference: ChartReference | None,
     *,
-    uniformity: float | None = None,
+    evenness: WhiteEvenness | None = None,
     notes: Sequence[str] = (),
 ) -> ChartMeasure:
     """Measure a chart where it was seen."""
@@ -216,9 +243,14 @@ def measure(
     elif visible.sum() >= 3 and clean:
         means = table.mean[:, ~unfit]
         colours = compare_colours(means, wavelengths[~unfit], reference, srgb=photograph)
-        rows = rate(colours, chart, uniformity=uniformity)
+        weights = np.zeros(len(bands))
+        weights[~unfit] = colours.weights
+        noise_row, remark = rate_noise(seen, weights, table.mean @ weights, chart)
+        rows = [*rate(colours, chart, evenness=evenness), *noise_row]
+        remarks += remark
     elif not clean:
         remarks.append("colours are not compared where patches saturate")
+    edges = join_findings([_edges(one, chart) for one in seen])
     return ChartMeasure(
         name,
         chart,
@@ -227,9 +259,17 @@ def measure(
         table,
         tuple(preblurs),
         colours,
-        tuple(rows),
-        tuple(remarks),
+        (*rows, *edges.rows),
+        (*remarks, *edges.notes),
+        edges,
     )
+
+
+def _edges(seen: Sighting, chart: Chart) -> EdgeFindings:
+    period = 1 if seen.pattern is None else max(seen.pattern.shape)
+    if seen.edges:
+        return measure_named(seen.cube, seen.edges, period=period)
+    return measure_borders(seen.cube, seen.located, chart, period=period)
 
 
 INFRARED = 690.0
@@ -302,39 +342,17 @@ def _warnings(table: PatchTable, bands: Sequence[Band], seen: Sequence[Sighting]
     return doubts
 
 
-LEVELS = {
-    "colour": ((2.0, 3.5, 5.0, 6.5), (4.0, 5.0, 5.0)),
-    "worst": ((), (10.0, 15.0, 15.0)),
-    "tone": ((1.5, 3.0, 4.5, 6.0), (2.0, 3.0, 4.0)),
-    "white": ((2.0, 4.0, 6.0, 8.0), (3.0, 4.0, 5.0)),
-}
-"""FADGI 2023 (4 to 1 stars) and ISO 19264-1:2021 (levels A, B, C): largest values."""
-
-
 LEAST_COVERAGE = 0.9
 
 
-class IndicatorRow(NamedTuple):
-    """One indicator: what, how much, and the level that the value alone would reach."""
-
-    name: str
-    value: float
-    unit: str
-    fadgi: str
-    iso: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the row for `--json`."""
-        return self._asdict()
-
-
 class Colours(NamedTuple):
-    """CIELAB (D65, 2°) of every patch as measured and as referred to, and ΔE2000 between them."""
+    """CIELAB (D65, 2°) of every patch as measured and as referred to, ΔE2000, and the bands' weights in luminance Y."""
 
     measured: np.ndarray
     wanted: np.ndarray
     difference: np.ndarray
     how: str
+    weights: np.ndarray
 
 
 def compare_colours(
@@ -363,17 +381,20 @@ def compare_colours(
     wanted = spectra @ observer_under_d65()[1]
     narrow = np.isfinite(wavelengths)
     covered = narrow.sum() >= 8 and visible_coverage(wavelengths[narrow]) >= LEAST_COVERAGE
+    weights = np.zeros(means.shape[1])
     if srgb:
-        measured = means @ SRGB_TO_XYZ.T
+        measured, weights = means @ SRGB_TO_XYZ.T, SRGB_TO_XYZ[1]
         how = "as the photograph shows them, in sRGB"
     elif covered:
         measured = means[:, narrow] @ xyz_weights(wavelengths[narrow])
+        weights[narrow] = xyz_weights(wavelengths[narrow])[:, 1]
         how = f"integrated over {int(narrow.sum())} bands"
     else:
         measured = _left_out(means, wanted)
+        weights = np.linalg.lstsq(means, wanted[:, 1], rcond=1e-6)[0]
         how = f"by a matrix from {means.shape[1]} channels, each patch left out in turn"
     a, b = lab_of(measured), lab_of(wanted)
-    return Colours(a, b, delta_e_2000(a, b), how)
+    return Colours(a, b, delta_e_2000(a, b), how, weights)
 
 
 def _left_out(means: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -404,38 +425,90 @@ def delta_e_2000(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(deltaE_ciede2000(a, b), float)
 
 
-def rate(colours: Colours, chart: Chart, *, uniformity: float | None = None) -> list[IndicatorRow]:
-    """Return the indicator rows of a chart.
-
-    Parameters
-    ----------
-    colours : Colours
-    chart : Chart
-    uniformity : float, optional
-        Least over greatest level of the light on the white, 0 … 1.
-    """
+def rate(
+    colours: Colours, chart: Chart, *, evenness: WhiteEvenness | None = None
+) -> list[IndicatorRow]:
+    """Return the rows of colour, tone, white balance and light of a chart."""
     greys = list(chart.greys)
-    tone = colours.measured[greys, 0] - colours.wanted[greys, 0]
+    measured, wanted = colours.measured[greys], colours.wanted[greys]
+    tone = measured[:, 0] - wanted[:, 0]
     # White balance: what grey gained in colour, over what the reference's own grey has.
-    cast = np.linalg.norm(colours.measured[greys, 1:] - colours.wanted[greys, 1:], axis=1)
+    cast = np.linalg.norm(measured[:, 1:] - wanted[:, 1:], axis=1)
+    gains = np.diff(measured[:, 0]) / np.diff(wanted[:, 0])
+    farthest = gains[1:][np.argmax(np.abs(gains[1:] - 1))]
+    off, unit = colours.difference, "ΔE2000"
     rows = [
-        _row("colour", "ΔE2000, mean over patches", float(np.mean(colours.difference)), "ΔE2000"),
-        _row("worst", "ΔE2000, worst patch", float(np.max(colours.difference)), "ΔE2000"),
-        _row("tone", "tone, worst grey", float(np.abs(tone).max()), "ΔL*"),
-        _row("white", "white balance, worst grey", float(cast.max()), "Δ(a*, b*)"),
-    ]
-    if uniformity is not None:
-        rows.append(
-            IndicatorRow(
-                "uniformity of the light, least over greatest", 100 * uniformity, "%", "–", "–"
-            )
-        )
+        indicator("colour", "ΔE2000, mean over patches", float(np.mean(off)), unit),
+        indicator(
+            "colour 90", "ΔE2000, 90th percentile of patches", float(np.quantile(off, 0.9)), unit
+        ),
+        indicator("worst", "ΔE2000, worst patch", float(np.max(off)), unit),
+        indicator("tone", "tone, worst grey", float(np.abs(tone).max()), "ΔL*"),
+        indicator("gain bright", "gain modulation, brightest step of grey", float(gains[0]), ""),
+        indicator("gain", "gain modulation, other step of grey farthest from 1", float(farthest), ""),
+        indicator("white", "white balance, worst grey", float(cast.max()), "Δ(a*, b*)"),
+    ]  # fmt: skip
+    if evenness is not None:
+        name = "uniformity of the light, least over greatest"
+        rows.append(IndicatorRow(name, 100 * evenness.least, "%", "100", "–", "–"))
+        name = "lightness non-uniformity of the white before its flat field"
+        rows.append(indicator("light", name, 100 * evenness.spread, "%"))
     return rows
 
 
-def _row(key: str, name: str, value: float, unit: str) -> IndicatorRow:
-    stars, levels = LEVELS[key]
-    reached = [f"{4 - i} stars" for i, most in enumerate(stars) if value < most]
-    level = [f"level {'ABC'[i]}" for i, most in enumerate(levels) if value <= most]
-    fadgi = "–" if not stars else (reached[0].replace("1 stars", "1 star") if reached else "none")
-    return IndicatorRow(name, value, unit, fadgi, level[0] if level else "none")
+def noise_of_lightness(
+    seen: Sequence[Sighting], weights: np.ndarray, luminances: np.ndarray, patches: Sequence[int]
+) -> np.ndarray:
+    """Return the standard deviation of L* in patches.
+
+    Parameters
+    ----------
+    seen : sequence of Sighting
+        A sensor each; their noise is independent.
+    weights : ndarray, (bands,)
+        Luminance Y of the values, over the bands of all sensors.
+    luminances : ndarray, (patches,)
+        Y of those patches as measured, white 1.
+    patches : sequence of int
+
+    Returns
+    -------
+    noise : ndarray, (patches,)
+        About a fitted plane, of the values as they are delivered: mean of shots, demosaiced, the chart's
+        texture included; NaN where a patch saturates. Sensors see the patch on pixels of their own, so that
+        σ(Y) is propagated: σ(L*) = σ(Y)·dL*/dY.
+    """
+    variance = np.zeros(len(patches))
+    first = 0
+    for one in seen:
+        bands = one.cube.values.shape[2]
+        part = weights[first : first + bands]
+        first += bands
+        for i, patch in enumerate(patches):
+            rows, columns = pixels_of(one.located.areas[patch])
+            full = (one.cube.flags[rows, columns] & Flag.SATURATED) != 0
+            light = one.cube.values[rows, columns].astype(float) @ part
+            if full.mean(0).max() > SATURATED or not np.isfinite(light).all():
+                variance[i] = np.nan
+                continue
+            variance[i] += spread_about_plane(light, rows, columns) ** 2
+    return np.sqrt(variance) * lightness_slope(luminances)
+
+
+def rate_noise(
+    seen: Sequence[Sighting], weights: np.ndarray, luminances: np.ndarray, chart: Chart
+) -> tuple[list[IndicatorRow], list[str]]:
+    """Return the row of the noise of L* in the grey patches, none where they saturate, and a remark."""
+    greys = list(chart.greys)
+    noise = noise_of_lightness(seen, weights, luminances[greys], greys)
+    if not np.isfinite(noise).any():
+        return [], []
+    worst = int(np.nanargmax(noise))
+    name = f"noise of L*, worst grey ({chart.patches[greys[worst]]})"
+    remarks = []
+    if noise[worst] <= LEAST_NOISE:
+        remarks.append(
+            f"the noise of L* is below {LEAST_NOISE:g}, where FADGI suspects that noise was filtered away; means of "
+            "shots and large pixels have as little"
+        )
+    return [indicator("noise", name, float(noise[worst]), "L*")], remarks

@@ -134,13 +134,13 @@ def measure_patches(
                 use = use & (pattern[rows % height, columns % width] == band)
             if np.count_nonzero(use) < LEAST_PIXELS:
                 continue
-            spread = _spread(noisy[use, band], rows[use], columns[use])
+            spread = spread_about_plane(noisy[use, band], rows[use], columns[use])
             noise[i, band], quantised[i, band] = _rounded(spread, coarse[i, band], count)
     return PatchTable(mean, noise, saturated, pixels, shots is not None, quantised)
 
 
-def _spread(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> float:
-    """Standard deviation about a fitted plane."""
+def spread_about_plane(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> float:
+    """Return the standard deviation of pixels about a fitted plane."""
     basis = np.column_stack([np.ones(len(values)), rows - rows.mean(), columns - columns.mean()])
     left = values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
     return float(np.sqrt(left @ left / (len(values) - 3)))

@@ -1,0 +1,301 @@
+"""Strips of a line scan of a known scene: joined to a twentieth of a pixel, streamed or held, or refused by name."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+import levkas
+from levkas.building import build, scan_templates, scans, summarise
+from levkas.building.calibrate import develop
+from levkas.building.native_cubes import Native
+from levkas.building.scans import open_scan
+from levkas.building.template_cache import TemplateCache
+from levkas.calibration.templates import CalibrationRefused
+from levkas.campaign.campaign import load_campaign
+from levkas.campaign.discovery.find_captures import find_captures
+from levkas.core.cube import Flag
+from levkas.core.digests import hash_tree
+from levkas.core.problems import Refused
+
+LINES, SAMPLES, BANDS = 260, 150, 6
+WHITE, DARK = 3000.0, 100.0
+KEYS = """
+[campaign]
+reference = "REFERENCE"
+[cameras.scan]
+kind = "cube"
+files = "{target}_*.hdr"
+MORE
+[targets]
+dark = "dark"
+white = { names = "white", reflectance = 0.9 }
+objects = ["panel"]
+"""
+
+
+def paint(seed=0, soft=1.2):
+    """Return a scene of 3 x finer sampling than the scanner's, (3·lines, wide, bands), 0.1 to 0.8."""
+    rng = np.random.default_rng(seed)
+    base = rng.standard_normal((3 * LINES + 120, 1500, 4))
+    layers = [cv2.GaussianBlur(base[..., k], (0, 0), 3 * soft * (k + 1)) for k in range(4)]
+    layers = np.stack([layer / layer.std() for layer in layers], -1)
+    mixed = layers @ rng.uniform(-1, 1, (4, BANDS)) + 0.5 * layers[..., :1]
+    return np.clip(0.42 + 0.09 * mixed, 0.05, 0.85)
+
+
+def look(scene, x, y):
+    """Return the scene at places in px of the first strip, (…, bands)."""
+    places = [3 * y + 40.0, 3 * x + 40.0]
+    return np.stack([map_coordinates(scene[..., b], places, order=3) for b in range(BANDS)], -1)
+
+
+def strip(scene, x0, y0, course=None, lines=LINES):
+    """Return what a pass sees that begins at (x0, y0); `course` moves its lines, (line) → (dx, dy)."""
+    y, x = np.mgrid[:lines, :SAMPLES].astype(float)
+    dx, dy = course(y) if course else (0, 0)
+    return look(scene, x + x0 + dx, y + y0 + dy)
+
+
+def write_cube(path, cube):
+    lines, samples, bands = cube.shape
+    path.with_suffix(".raw").write_bytes(cube.transpose(0, 2, 1).tobytes())
+    path.with_suffix(".hdr").write_text(
+        f"ENVI\nsamples = {samples}\nlines = {lines}\nbands = {bands}\ninterleave = bil\n"
+        f"data type = 12\nbyte order = 0\n"
+        f"wavelength = {{{', '.join(str(450 + 40 * b) for b in range(bands))}}}\n"
+    )
+
+
+def write_campaign(folder, strips, *, more="", reference="scan", light=1.0, seed=1):
+    """Write strips of reflectance as codes with noise, a white and a dark; `light` dims the last pass."""
+    rng = np.random.default_rng(seed)
+    sensels = 1 + 0.05 * rng.standard_normal((1, SAMPLES, BANDS))
+
+    def coded(reflectance, gain=1.0):
+        signal = gain * WHITE * sensels * reflectance / 0.9
+        noisy = DARK + signal + rng.normal(0, np.sqrt(9 + 0.05 * signal))
+        return np.clip(noisy.round(), 0, 65535).astype(np.uint16)
+
+    folder.mkdir(exist_ok=True)
+    for number, cube in enumerate(strips, 1):
+        gain = light if number == len(strips) else 1.0
+        write_cube(folder / f"panel_{number}", coded(cube, gain))
+    write_cube(folder / "white_1", coded(np.full((150, SAMPLES, BANDS), 0.9)))
+    write_cube(folder / "dark_1", coded(np.zeros((150, SAMPLES, BANDS))))
+    text = KEYS.replace("MORE", more).replace("REFERENCE", reference)
+    (folder / "campaign.toml").write_text(text)
+    return folder
+
+
+def developed(folder) -> Native:
+    campaign = load_campaign(folder)
+    capture = next(c for c in find_captures(campaign)[0] if c.camera == "scan")
+    return develop(capture, campaign, TemplateCache(folder, None, shared=False))
+
+
+def miss(cube, scene):
+    """Return reflectance less the truth, in px of the first strip."""
+    y, x = np.mgrid[: cube.values.shape[0], : cube.values.shape[1]].astype(float)
+    return cube.values - look(scene, x, y), look(scene, x, y)
+
+
+def shift_of(left, truth):
+    """Return the (x, y) by which a residual shows the truth moved, px: least squares on its slopes."""
+    inner = np.s_[6:-6, 6:-6]
+    slopes = np.stack([np.gradient(truth, axis=a)[inner].ravel() for a in (1, 0)], 1)
+    return np.linalg.lstsq(slopes, -left[inner].ravel(), rcond=None)[0]
+
+
+@pytest.mark.parametrize("x, y", [(120.37, 0.0), (111.5, 2.5), (129.8, -3.21), (118.0, 4.0)])
+def test_strips_are_joined_to_a_twentieth_of_a_pixel(tmp_path, x, y):
+    scene = paint()
+    folder = write_campaign(tmp_path / "c", [strip(scene, 0, 4), strip(scene, x, 4 + y)])
+    native = developed(folder)
+    (seam,) = native.learnt[""]["strips"]
+    assert np.hypot(seam["offset_px"][0] - x, seam["offset_px"][1] - y) < 0.05
+    assert 0.9 < seam["difference_over_sigma"] < 1.4, "fine detail leaves a little"
+    cube = native.cubes[""]
+    left, truth = miss(cube, np.roll(scene, -12, 0))
+    beyond = np.s_[8:-8, SAMPLES + 2 : 250]
+    assert np.abs(shift_of(left[beyond], truth[beyond])).max() < 0.05
+    assert sum("strips 1 and 2" in text for text in native.warnings) == 1
+
+
+def test_no_seam_is_seen_and_sigma_of_the_overlap_holds(tmp_path):
+    scene = paint(soft=3.0)
+    folder = write_campaign(tmp_path / "c", [strip(scene, 0, 0), strip(scene, 110.37, 0.4)])
+    cube = developed(folder).cubes[""]
+    left, _ = miss(cube, scene)
+    rows = np.s_[8:-8]
+    steps = left[rows].mean((0, 2))
+    assert np.abs(steps[4:-4]).max() < 1e-3, "of 1; that of noise is 1e-4"
+    pull = left[rows] / cube.sigma[rows]
+    for columns in (np.s_[4:105], np.s_[115:145], np.s_[155:250]):
+        assert pull[:, columns].std() == pytest.approx(1, abs=0.06)
+    alone, shared = cube.sigma[rows, 20:100].mean(), cube.sigma[rows, 122:138].mean()
+    assert shared / alone < 0.75, "two strips know more than one"
+    assert not cube.flags[rows, 4:-4].any()
+
+
+def test_strips_whole_pixels_apart_keep_their_values(tmp_path):
+    scene = paint()
+    parts = [strip(scene, 0, 2), strip(scene, 118, 6)]
+    joined = developed(write_campaign(tmp_path / "c", parts)).cubes[""]
+    for number, (columns, rows) in enumerate([(np.s_[:118], 0), (np.s_[150:268], 4)]):
+        alone = tmp_path / f"alone_{number}"
+        write_campaign(alone, parts)
+        for kind in ("raw", "hdr"):
+            (alone / f"panel_{2 - number}.{kind}").unlink()
+        single = developed(alone).cubes[""]
+        inside = np.s_[: columns.stop] if number == 0 else np.s_[32:]
+        height = LINES - rows
+        for name in ("values", "sigma"):
+            here, there = (getattr(c, name) for c in (joined, single))
+            assert np.array_equal(here[rows:, columns], there[:height, inside]), name
+    assert (joined.flags[:4, 150:] & Flag.OUTSIDE).all()
+
+
+@pytest.mark.parametrize("kind, most", [("slope", 0.03), ("wobble", 0.05)])
+def test_a_stage_that_runs_askew_or_wobbles_is_followed(tmp_path, kind, most):
+    scene = paint(3)
+
+    def course(line):
+        if kind == "slope":
+            return 0.006 * line, 0 * line
+        return 0.4 * np.sin(2 * np.pi * line / 170), 0.2 * np.cos(2 * np.pi * line / 170)
+
+    strips = [strip(scene, 0, 2), strip(scene, 108.3, 2.1, course)]
+    native = developed(write_campaign(tmp_path / "c", strips))
+    (seam,) = native.learnt[""]["strips"]
+    assert seam["course"] == kind
+    left, truth = miss(native.cubes[""], np.roll(scene, -6, 0))
+    beyond = np.s_[20:-20, SAMPLES + 2 : 250]
+    rows = np.array_split(np.arange(len(left[beyond])), 6)
+    found = [shift_of(left[beyond][r], truth[beyond][r]) for r in rows]
+    assert np.sqrt(np.mean(np.square(found), 0)).max() < most
+
+
+def test_three_strips_are_joined_and_streamed_to_the_same_bytes(tmp_path, monkeypatch):
+    scene = paint(4)
+    places = [(0, 0), (112.37, 1.3), (223.9, -0.6)]
+    folder = write_campaign(tmp_path / "c", [strip(scene, x, 4 + y) for x, y in places])
+    native = developed(folder)
+    offsets = [seam["offset_px"] for seam in native.learnt[""]["strips"]]
+    np.testing.assert_allclose(offsets, np.diff(places, axis=0), atol=0.05)
+    campaign = load_campaign(folder)
+    (capture,), _ = find_captures(campaign)
+    cube = native.cubes[""]
+    monkeypatch.setattr(scan_templates, "BLOCK_SAMPLES", 7 * SAMPLES * BANDS)
+    scan = open_scan(capture, campaign, TemplateCache(folder, None, shared=False))
+    assert scan.shape == cube.values.shape
+    for name in ("values", "flags", "sigma"):
+        some = np.concatenate([getattr(block, name) for block in scan.blocks(30, 200)])
+        assert np.array_equal(some, getattr(cube, name)[30:200], equal_nan=name != "flags"), name
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A photograph of the whole scene as reference, and a scan of two strips 0.37 samples askew."""
+    folder, scene = tmp_path_factory.mktemp("built") / "c", paint(5)
+    more = '[cameras.photo]\nkind = "image"\nfiles = "{target}.png"'
+    strips = [strip(scene, 0, 4), strip(scene, 114.37, 5.6)]
+    write_campaign(folder, strips, more=more, reference="photo")
+    y, x = np.mgrid[:LINES, :270].astype(float)
+    photo = look(scene, x, y + 4)[..., :3]
+    cv2.imwrite(str(folder / "panel.png"), (photo * 65535).round().astype(np.uint16))
+    return folder, scene
+
+
+def test_a_build_registers_both_strips(built):
+    folder, scene = built
+    assert not summarise(build(folder)).problems
+    layer = levkas.open(folder / "database")["panel"]["scan"]
+    values = np.asarray(layer)
+    y, x = np.mgrid[: values.shape[0], : values.shape[1]].astype(float)
+    truth = look(scene, x, y + 4)
+    for columns in (np.s_[8:105], np.s_[156:255]):
+        part = np.s_[10:-10, columns]
+        assert np.abs(shift_of((values - truth)[part], truth[part])).max() < 0.05
+    kept = [*(folder / "database").rglob("report.html")]
+    assert any("share 35.63 samples" in path.read_text() for path in kept)
+
+
+def test_a_streamed_build_has_the_same_bytes(built, tmp_path, monkeypatch):
+    folder, _ = built
+    summarise(build(folder, output=tmp_path / "held"))
+    monkeypatch.setattr(scans, "STREAMED_SAMPLES", 0)
+    monkeypatch.setenv("LEVKAS_TILE", "13")
+    summarise(build(folder, output=tmp_path / "streamed"))
+    one, two = (hash_tree(tmp_path / n / "objects/panel/native") for n in ("held", "streamed"))
+    assert one and one == two
+
+
+def test_light_that_changed_between_passes_is_warned_of(tmp_path):
+    scene = paint()
+    strips = [strip(scene, 0, 0), strip(scene, 115.37, 0)]
+    native = developed(write_campaign(tmp_path / "c", strips, light=0.94))
+    (seam,) = native.learnt[""]["strips"]
+    assert seam["difference_over_sigma"] > 1.5
+    assert any("times what their sigma predicts" in text for text in native.warnings)
+    assert np.abs(seam["offset_px"][0] - 115.37) < 0.05
+
+
+@pytest.mark.parametrize(
+    "second, found",
+    [
+        ((200, 0), "at best|look alike|known to"),
+        ((-119.6, 1.2), "panel_2.hdr lies to the left of panel_1.hdr"),
+    ],
+    ids=["no overlap", "the other way round"],
+)
+def test_strips_that_do_not_match_are_refused_by_name(tmp_path, second, found):
+    scene = np.roll(paint(), 600, 1)
+    folder = write_campaign(
+        tmp_path, [strip(scene, 200, 4), strip(scene, 200 + second[0], 4 + second[1])]
+    )
+    with pytest.raises(
+        CalibrationRefused, match=r"panel_1.hdr and panel_2.hdr, cannot be joined"
+    ) as refused:
+        developed(folder)
+    (problem,) = refused.value.problems
+    assert problem.code == "E_STRIPS" and problem.file.endswith("panel_2.hdr")
+    assert problem.field == "cameras.scan.files"
+    assert re.search(found, f"{problem.found} {problem.fix}")
+
+
+@pytest.mark.parametrize("kind", ["bare board", "repeats", "lines alone"])
+def test_an_overlap_that_does_not_tell_the_offset_is_refused(tmp_path, kind):
+    y, x = np.mgrid[:LINES, :SAMPLES].astype(float)
+    grey = {
+        "bare board": 0.5 + 0 * x,
+        "repeats": 0.5 + 0.2 * np.sin(2 * np.pi * x / 15) * np.sin(2 * np.pi * y / 20),
+        "lines alone": 0.5 + 0.2 * np.sin(2 * np.pi * y / 37) * np.sin(y / 11),
+    }[kind]
+    cube = np.repeat(grey[..., None], BANDS, 2)
+    with pytest.raises(Refused) as refused:
+        developed(write_campaign(tmp_path, [cube, cube]))
+    assert refused.value.problems[0].code == "E_STRIPS"
+
+
+def test_strips_of_other_bands_are_refused(tmp_path):
+    scene = paint()
+    write_campaign(tmp_path, [strip(scene, 0, 0), strip(scene, 110, 0)])
+    write_cube(tmp_path / "panel_2", np.full((LINES, SAMPLES, BANDS - 1), 900, np.uint16))
+    captures, refused = find_captures(load_campaign(tmp_path))
+    assert not captures
+    assert "there are 5 in panel_2.hdr" in str(next(iter(refused.values())))
+
+
+def test_what_one_strip_lost_the_other_one_shows(tmp_path):
+    scene = paint()
+    folder = write_campaign(tmp_path, [strip(scene, 0, 0), strip(scene, 110.4, 0)])
+    codes = np.fromfile(folder / "panel_1.raw", np.uint16).reshape(LINES, BANDS, SAMPLES)
+    codes[100:104, :, 125:128] = 65535
+    codes.tofile(folder / "panel_1.raw")
+    cube = developed(folder).cubes[""]
+    left, _ = miss(cube, scene)
+    assert not (cube.flags[100:104, 125:128] & Flag.SATURATED).any()
+    assert np.abs(left[100:104, 125:128]).max() < 6 * cube.sigma[100:104, 125:128].max()
