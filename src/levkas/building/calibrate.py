@@ -33,7 +33,7 @@ from levkas.building.native_cubes import (
 )
 from levkas.building.scan_parts import PARTS, pictures_of, write_scan
 from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
-from levkas.building.spectra import broad_centroids, white_reflectance
+from levkas.building.spectra import broad_centroids, read_sensitivity, white_reflectance
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
@@ -48,6 +48,7 @@ from levkas.calibration.sensor_context import (
 )
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
 from levkas.calibration.whites import WhiteBoard
+from levkas.calibration.wiener_mosaic import correlate_channels, wiener_method
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
 from levkas.core.files import remove, together
@@ -57,9 +58,10 @@ from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 if TYPE_CHECKING:
     from levkas.building.template_cache import TemplateCache
+    from levkas.calibration.mosaic import Method
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.campaign.campaign import Camera, Campaign
-    from levkas.campaign.discovery.captures import Capture, FrameRef
+    from levkas.campaign.discovery.captures import Capture, FrameRef, SensorFrames
     from levkas.database.layout import Places
 
 MOST_PROBLEMS = 50
@@ -228,15 +230,22 @@ def develop_mosaic(context: SensorContext) -> Noted:
         flags,
         variance,
         pattern,
-        method=demosaicing_of(camera, pattern),
+        method=demosaicing_of(context.campaign, camera, sensor),
         channels=[b.label for b in sensor.bands],
     )
     return cube_of(context, *made, flat.quantity), notes
 
 
-def demosaicing_of(camera: Camera, pattern: Sequence[Sequence[str]]) -> str | None:
-    """Return the method that is declared, or the kind's own; None for the pattern's own."""
-    beam_splitter = camera.kind == "sensors" and len(pattern) == 2
+def demosaicing_of(campaign: Campaign, camera: Camera, sensor: SensorFrames) -> str | Method | None:
+    """Return the method that is declared for a mosaic, or the kind's own; None for the pattern's own.
+
+    Raises Refused where sensitivities are needed and cannot be read.
+    """
+    if camera.demosaic == "wiener" and camera.sensitivity:
+        path = campaign.root / camera.sensitivity
+        wavelengths, table = read_sensitivity(path, [band.label for band in sensor.bands])
+        return wiener_method(correlate_channels(wavelengths, table))
+    beam_splitter = camera.kind == "sensors" and len(sensor.pattern or ()) == 2
     return camera.demosaic or ("bilinear" if beam_splitter else None)
 
 

@@ -40,7 +40,8 @@ from levkas.quality.image_quality.glare import setup_gains
 
 if TYPE_CHECKING:
     from levkas.building.scans import Scan
-    from levkas.campaign.campaign import Camera
+    from levkas.calibration.mosaic import Method
+    from levkas.campaign.campaign import Campaign
     from levkas.campaign.discovery.captures import Capture
     from levkas.database.catalogue import Entry
 
@@ -56,7 +57,7 @@ class Mosaic(NamedTuple):
     """What `calibration.mosaic.demosaic` made a cube of: pattern, method, order of the channels."""
 
     pattern: Sequence[Sequence[str]]
-    method: str | None
+    method: str | Method | None
     channels: Sequence[str]
 
 
@@ -113,12 +114,13 @@ def target_of(
     return GridTarget(capture, layer, grid, maps_of(record), verdict, encoded, default)
 
 
-def mosaics_of(capture: Capture, camera: Camera) -> dict[str, Mosaic]:
+def mosaics_of(capture: Capture, campaign: Campaign) -> dict[str, Mosaic]:
     """Return the sensors of a capture whose values were demosaiced."""
+    camera = campaign.cameras[capture.camera]
     if camera.kind not in ("mosaic", "sensors"):
         return {}
     return {
-        s.name: Mosaic(s.pattern, demosaicing_of(camera, s.pattern), [b.label for b in s.bands])
+        s.name: Mosaic(s.pattern, demosaicing_of(campaign, camera, s), [b.label for b in s.bands])
         for s in capture.sensors
         if s.pattern is not None
     }

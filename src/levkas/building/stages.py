@@ -258,7 +258,7 @@ class Stages:
         if isinstance(native, Scan):
             return partial(stream_resampled, native, target, frame)
         sigmas = self.held.sigmas(capture)
-        mosaics = mosaics_of(capture, self.campaign.cameras[capture.camera])
+        mosaics = mosaics_of(capture, self.campaign)
         self.held.let_go()
         cube = resample(native, target.transforms, target.grid, sigmas, mosaics)
         del native

@@ -3,7 +3,9 @@
 Where a sensel differs from the mean of its two neighbours of the same phase, the scene has detail that
 interpolation between sensels cannot know. How much such disagreement means for a method is tried on the
 scene itself: of every period of the pattern one sensel a channel makes a smaller picture of which all
-channels are known; it is made a mosaic again, interpolated, and compared.
+channels are known; it is made a mosaic again, interpolated, and compared. A method that compares channels, as Malvar's, is tried
+on every so-many-th pixel of what it made itself, where all channels lie at one place: sensels of a period lie apart, which
+would spoil what it gains.
 """
 
 from __future__ import annotations
@@ -62,23 +64,24 @@ def disagreement(values: np.ndarray, variance: np.ndarray, period: tuple[int, in
     return np.maximum(smooth[0] / np.maximum(smooth[1], 1e-6), 0.0)
 
 
+Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Values, flags and variance."""
+
+
 def interpolation_variance(
-    values: np.ndarray,
-    flags: np.ndarray,
-    variance: np.ndarray,
-    table: np.ndarray,
-    interpolate: Interpolate,
+    mosaic: Planes, table: np.ndarray, interpolate: Interpolate, *, whole: Planes | None = None
 ) -> np.ndarray:
     """Return the variance by which interpolated values miss the scene, beside their noise.
 
     Parameters
     ----------
-    values, flags, variance : ndarray, (h, w)
-        Of a mosaic.
+    mosaic : (values, flags, variance), ndarray, (h, w)
     table : ndarray, (rows, columns), int
         Channel at each place of the pattern.
     interpolate : callable
         (values, flags, variance) of a mosaic → (h, w, c) of each.
+    whole : (values, flags, variance), ndarray, (h, w, c), optional
+        What `interpolate` made of the mosaic, where it compares channels.
 
     Returns
     -------
@@ -91,9 +94,11 @@ def interpolation_variance(
     (interpolated − true)² less the noise of both in groups of like d², rising; in proportion beyond
     the last. Where the picture is too small for a trial, E² = d².
     """
-    rough = disagreement(values, variance, (table.shape[0], table.shape[1]))
-    curves = _trial(values, flags, variance, table, interpolate)
-    found = np.empty((*values.shape, len(curves)), np.float32)
+    rough = disagreement(mosaic[0], mosaic[2], (table.shape[0], table.shape[1]))
+    curves = _trial(
+        _smaller(mosaic, table) if whole is None else _thinned(whole, table), table, interpolate
+    )
+    found = np.empty((*rough.shape, len(curves)), np.float32)
     _follow(np.ascontiguousarray(rough), np.ascontiguousarray(table, np.int64), curves, found)
     return found
 
@@ -134,24 +139,33 @@ def _follow(rough, table, curves, found):  # type: ignore[no-untyped-def]
                     found[y, x, k] = mean[low] + max(part, 0.0) * (mean[g] - mean[low])
 
 
-def _trial(
-    values: np.ndarray,
-    flags: np.ndarray,
-    variance: np.ndarray,
-    table: np.ndarray,
-    interpolate: Interpolate,
-) -> np.ndarray:
-    """Return d² and E² of groups for each channel, (c, 2, groups), from the smaller picture."""
+def _smaller(mosaic: Planes, table: np.ndarray) -> Planes:
+    """Return one sensel a channel of every period as a picture, (h, w, c) of each."""
     rows, columns = table.shape
-    high, wide = (n // p for n, p in zip(values.shape, table.shape, strict=True))
-    channels = int(table.max()) + 1
+    high, wide = (n // p for n, p in zip(mosaic[0].shape, table.shape, strict=True))
+    first = [tuple(np.argwhere(table == channel)[0]) for channel in range(int(table.max()) + 1)]
+    values, flags, variance = (
+        np.stack([a[y::rows, x::columns][:high, :wide] for y, x in first], -1) for a in mosaic
+    )
+    return values, flags, variance
+
+
+def _thinned(whole: Planes, table: np.ndarray) -> Planes:
+    """Return one pixel of every period of what was interpolated."""
+    rows, columns = table.shape
+    high, wide = (n // p for n, p in zip(whole[0].shape[:2], table.shape, strict=True))
+    values, flags, variance = (
+        np.ascontiguousarray(a[::rows, ::columns][:high, :wide]) for a in whole
+    )
+    return values, flags, variance
+
+
+def _trial(known: Planes, table: np.ndarray, interpolate: Interpolate) -> np.ndarray:
+    """Return d² and E² of groups for each channel, (c, 2, groups), from a picture of which all channels are known."""
+    rows, columns = table.shape
+    high, wide, channels = known[0].shape
     if high < 2 * EDGE * rows + rows or wide < 2 * EDGE * columns + columns:
         return np.stack([_curve(none, none) for none in np.empty((channels, 0))])
-    first = [tuple(np.argwhere(table == channel)[0]) for channel in range(channels)]
-    known = [
-        np.stack([a[y::rows, x::columns][:high, :wide] for y, x in first], -1)
-        for a in (values, flags, variance)
-    ]
     which = table[np.arange(high)[:, None] % rows, np.arange(wide) % columns]
     mosaic = [np.take_along_axis(a, which[..., None], 2)[..., 0] for a in known]
     made, noted, spread = interpolate(*mosaic)

@@ -23,6 +23,7 @@ from levkas.core.problems import Problem
 LARGEST = 4.0  # Σ|w| of a stencil that extrapolates; a larger window is tried before more
 WINDOWS = 4  # how many periods a window may reach to each side
 Taps = list[tuple[int, int, float, bool]]
+"""Offsets (dy, dx), weight, and whether the sensel is of the channel that is made."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,10 @@ class Place:
     def holds(self, reach: int) -> bool:
         """Whether the frame reaches so far to all sides."""
         return reach <= self.y < self.shape[0] - reach and reach <= self.x < self.shape[1] - reach
+
+
+Method = Callable[[Place, int], Taps]
+"""Of a place and a channel: the taps that make it."""
 
 
 def normalised(place: Place, channel: int) -> Taps:
@@ -217,7 +222,7 @@ class Stencils(NamedTuple):
 def lay_out(
     table: np.ndarray,
     shape: tuple[int, int],
-    method: Callable[[Place, int], Taps],
+    method: Method,
     weights: np.ndarray | None = None,
 ) -> Stencils:
     """Return the stencils of `method` for every kind of place in a frame of `shape`.
@@ -329,7 +334,7 @@ def _merge_flags(flags, y, x, plan, begin, end):  # type: ignore[no-untyped-def]
     return flag
 
 
-METHODS: dict[str, Callable[[Place, int], Taps]] = {
+METHODS: dict[str, Method] = {
     "malvar": malvar,
     "bilinear": normalised,
     "normalised": normalised,
@@ -342,7 +347,7 @@ def demosaic(
     variance: np.ndarray | None,
     pattern: str | Sequence[Sequence[str]],
     *,
-    method: str | None = None,
+    method: str | Method | None = None,
     channels: Sequence[str] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Interpolate every channel of a mosaic at every sensel.
@@ -357,10 +362,10 @@ def demosaic(
         Of `values`, taken as independent from sensel to sensel.
     pattern : str or rows of channel names
         ``"RGGB"`` or any rows; names may repeat.
-    method : str, optional
+    method : str or Method, optional
         ``"malvar"`` [malvar2004]_, for Bayer patterns; ``"bilinear"`` and ``"normalised"`` are
         both first-order normalised convolution under a tent, which on a Bayer pattern *is*
-        bilinear. Default: Malvar for Bayer patterns, normalised for all others.
+        bilinear; or that of `wiener_mosaic`. Default: Malvar for Bayer patterns, normalised for all others.
     channels : sequence of str, optional
         Order of the last axis; default that of first appearance in `pattern`.
 
@@ -391,19 +396,29 @@ def demosaic(
     table, stencil = method_of(pattern, method, channels)
     made, noted, spread = interpolate(values, flags, variance, table, stencil)
     if variance is not None and spread is not None:
+        # A method that compares channels gains where they are known at one place.
+        side = 8 * max(table.shape)
+        compares = not lay_out(table, (side, side), stencil).own.all()
         spread += interpolation_variance(
-            values, flags, variance, table, lambda v, f, u: interpolate(v, f, u, table, stencil)
+            (values, flags, variance),
+            table,
+            lambda v, f, u: interpolate(v, f, u, table, stencil),
+            whole=(made, noted, spread) if compares else None,
         )
     return made, noted, spread
 
 
 def method_of(
-    pattern: str | Sequence[Sequence[str]], method: str | None, channels: Sequence[str] | None
-) -> tuple[np.ndarray, Callable[[Place, int], Taps]]:
+    pattern: str | Sequence[Sequence[str]],
+    method: str | Method | None,
+    channels: Sequence[str] | None,
+) -> tuple[np.ndarray, Method]:
     """Return the table of a pattern and the stencils of a method, arguments and refusals as of `demosaic`."""
     table = channel_table(pattern, channels)
     if method is None:
         method = "malvar" if _is_bayer(table) else "normalised"
+    if not isinstance(method, str):
+        return table, method
     if method not in METHODS:
         raise CalibrationRefused(
             Problem(
@@ -422,7 +437,7 @@ def interpolate(
     flags: np.ndarray,
     variance: np.ndarray | None,
     table: np.ndarray,
-    method: Callable[[Place, int], Taps],
+    method: Method,
     weights: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Apply a stencil method to a mosaic whose pattern is `table`, (rows, columns) of indices.

@@ -192,7 +192,7 @@ class CameraKeys(Table):
     sensors: tuple[SensorKeys, ...] = ()
     scan: Literal["push-broom", "mirror"] | None = None
     denoise: Literal["hysime"] | None = None
-    demosaic: Literal["malvar", "bilinear", "normalised"] | None = None
+    demosaic: Literal["malvar", "bilinear", "normalised", "wiener"] | None = None
     dark: Names | None = None
     white: Names | None = None
     registration: RegistrationKeys = RegistrationKeys()
