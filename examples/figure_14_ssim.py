@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+INKS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#000000", "#56b4e9")
 MAPS = ("levkas", "mirhashemi2019", "gdbicp-radial", "surf-projective")
 
 
@@ -31,8 +32,9 @@ def main(folder: Path, output: Path) -> Figure:
     whole = figure.subfigures(2, 1, height_ratios=(1.25, 1))
     axes = whole[0].subplots()
     for place, (method, values) in enumerate(scores.items()):
+        ink, mark = INKS[place % len(INKS)], "osD^vP*"[place % 7]
         shift = (place - (len(scores) - 1) / 2) * 0.06
-        axes.plot(np.arange(len(layers)) + shift, values, "o", markersize=5, label=method)
+        axes.plot(np.arange(len(layers)) + shift, values, mark, color=ink, ms=6, label=method)
     axes.set_xticks(range(len(layers)), layers)
     axes.set(ylabel="SSIM to the reference camera")
     axes.spines[["top", "right"]].set_visible(False)

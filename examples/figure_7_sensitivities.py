@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from levkas.planning import GRID, load_setup, plan_exposure
 
 BENCH = Path(__file__).parent / "plan"
-LETTERS = {"R": "#a40000", "G": "#4e9a06", "B": "#204a87", "I": "#555753"}
+LETTERS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2", "I": "#555555"}
 
 
 def colour_of(label: str, wavelength: float):
@@ -35,8 +35,11 @@ def main(output: Path) -> Figure:
                 top = int(drawn.argmax())
                 axes.annotate(label, (GRID[top], drawn[top]), (0, 3), textcoords="offset points")
         words = f"({letter}) {name}: weakest under the proposed light {exposure.limiting}"
+        if name == "msbs":
+            peaks = camera.quantum.max(1) / camera.quantum.max(1).min()
+            words += f"\npeaks {':'.join(camera.labels)} = {':'.join(f'{v:.1f}' for v in peaks)}"
         axes.set_title(words, loc="left", fontsize=10)
-        axes.set(xlim=(380, 1000), ylim=(0, 1.18), ylabel="relative")
+        axes.set(xlim=(380, 1000), ylim=(0, 1.18), ylabel="relative sensitivity")
         axes.spines[["top", "right"]].set_visible(False)
     axes.set_xlabel("wavelength (nm)")
     figure.savefig(output, dpi=90)

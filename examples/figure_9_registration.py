@@ -16,13 +16,12 @@ SMALL = Preset(scale=0.25, thin=True, charts=False, supersampling=1, fineness=2.
 
 
 def register_simulated_pair() -> Registration:
-    """The green sensels of a colour camera to a filter camera, with every mutual match."""
+    """Register green sensels of a colour camera to a filter camera, with every mutual match."""
     with TemporaryDirectory() as folder:
         list(levkas.simulate_campaign(Path(folder, "icon"), preset=SMALL, cameras=["d80"]))
         raw = Path(folder, "icon", "raw")
         reference = BandImage.of("550", tifffile.imread(raw / "lctf-vis/icon1/550nm_00.tif"))
-        mosaic = tifffile.imread(raw / "d80/icon1/DSC_1000.tif")
-    target = BandImage.of("G", mosaic[::2, 1::2])
+        target = BandImage.of("G", tifffile.imread(raw / "d80/icon1/DSC_1000.tif")[::2, 1::2])
     options = {"reference_band": "550", "method": "mirhashemi2019", "matching": "mutual"}
     return levkas.register([reference], [target], **options)
 
@@ -46,11 +45,12 @@ def main(output: Path, found: Registration | None = None) -> Figure:
         axes.plot(*a[kept].T, ".", color="tab:red", markersize=3, label="reference points")
         axes.plot(*mapped.T, ".", color="tab:blue", markersize=3, label="target points")
         axes.set(title=f"{name}: {kept.sum()} pairs", aspect="equal")
+    shared = np.sort(np.clip(fitted, 0, trace.size), axis=0)[1:3]  # by a target hardly turned
+    (x, y), (u, v) = shared + 0.07 * np.ptp(shared, axis=0) * [[1], [-1]]
+    axes.fill([x, u, u, x], [y, y, v, v], fill=False, edgecolor="darkcyan", label="final region")
     panels[0, 0].set(xlim=(-60, trace.size[0] + 60), ylim=(trace.size[1] + 50, -50))
-    figure.supxlabel("x (reference px)", fontsize=10)
-    figure.supylabel("y (reference px)", fontsize=10)
-    legend = axes.get_legend_handles_labels()
-    figure.legend(*legend, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    panels[1, 0].set(xlabel="x (reference px)", ylabel="y (reference px)")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     figure.savefig(output, dpi=90)
     return figure
 

@@ -110,6 +110,9 @@ def test_least_squares_goes_astray_until_the_outliers_are_cut(script, registrati
     # Drawn is the fit that was made; before the cut it folds the target's frame.
     np.testing.assert_allclose(frames[1], trace.corners[0], atol=1e-3)
     np.testing.assert_allclose(frames[3], trace.corners[-1], atol=1e-3)
+    region = next(p for p in figure.axes[3].patches if p.get_label() == "final region").get_xy()
+    assert region.min() > 0 and (region.max(0) < trace.size).all()
+    assert (region.min(0) > frames[3][0]).all() and (region.max(0) < frames[3][2]).all()
     areas = [area(frame) / np.prod(trace.size) for frame in frames]
     assert areas[0] < 0.5 and min(areas[1:]) > 1.0
     points = [curves(axes) for axes in figure.axes]
@@ -167,10 +170,14 @@ def test_previews_of_all_cameras_stand_side_by_side(script, tmp_path):
 def test_snr_grows_with_the_signal_and_the_blurring_filter_is_seen_through(script, tmp_path):
     figure = script("figure_15_snr").main(tmp_path / "15.png")
     assert decoded(tmp_path / "15.png").std() > 5
+    assert [len(axes.get_legend().texts) for axes in figure.axes] == [3, 7, 16, 6]
     for axes in figure.axes[:3]:
         for line in axes.lines:
             x, y = line.get_xydata().T
-            assert np.corrcoef(np.log(x), y)[0, 1] > 0.97
+            assert line.get_label() == "IR" or np.corrcoef(np.log(x), y)[0, 1] > 0.97
+    infrared, green = (curves(figure.axes[1])[label][:, 1] for label in ("IR", "G1"))
+    above = infrared - green  # the two darkest patches, last, reflect 30 % in the infrared
+    assert above[:4].max() < 0 and above[4:].min() > 0.8
     measured, corrected = (
         [line.get_ydata() for line in figure.axes[3].lines[k::2]] for k in (0, 1)
     )
@@ -247,7 +254,9 @@ def test_the_light_drops_by_less_than_ten_per_cent_in_the_frame(script, tmp_path
 def test_sensitivities_are_drawn_channel_by_channel(script, tmp_path):
     figure = script("figure_7_sensitivities").main(tmp_path / "7.png")
     assert [len(axes.lines) for axes in figure.axes] == [51, 3, 7]
-    assert "weakest under the proposed light B2" in figure.axes[2].get_title(loc="left")
+    title = figure.axes[2].get_title(loc="left")
+    assert "weakest under the proposed light B2" in title
+    assert "R1:G1:B1:R2:G2:B2:IR = 1.6:2.4:1.2:2.6:1.3:1.0:1.5" in title  # as the paper has them
 
 
 def test_scores_and_maps_of_a_comparison_are_drawn_as_they_are(script, tmp_path):

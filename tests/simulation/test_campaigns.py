@@ -57,6 +57,33 @@ def test_a_campaign_has_raw_files_truth_and_a_campaign_toml(tiny):
     assert frame.max() <= 4095
 
 
+def test_every_lighting_that_is_asked_for_has_frames_of_its_own(tmp_path):
+    result = simulate(tmp_path / "four", cameras=["d80"], setups=["crossed", "d65"])
+    facts = tomllib.loads(result.campaign.read_text())
+    assert list(facts["setups"]) == ["crossed", "d65"]
+    means = {}
+    for setup in ("", "crossed", "d65"):
+        folder = tmp_path / "four/raw" / setup / "d80"
+        frames = [
+            tifffile.imread(folder / t / f"DSC_{n:04d}.tif")
+            for t, n in (("icon1", 1000), ("white", 100))
+        ]
+        means[setup] = [
+            f[y::2, x::2].mean() for f in frames for y, x in ((0, 0), (1, 1))
+        ]  # red, blue
+    assert (
+        means["d65"][3] / means["d65"][2] > 1.1 * means[""][3] / means[""][2]
+    )  # bluer light on the white
+    assert means["crossed"][0] < means[""][0]  # gold does not shine
+    even = simulate(tmp_path / "even", cameras=["d80"])
+    with_one = digests(tmp_path / "four"), digests(tmp_path / "even")
+    name = "raw/d80/icon1/DSC_1000.tif"
+    assert (
+        with_one[0][name] != with_one[1][name]
+    )  # ground and leaf lean where lightings are compared
+    assert even.files < result.files
+
+
 def test_the_truth_has_the_layout_that_evaluate_reads(tiny):
     folder, result = tiny
     for camera, bands in (("d80", 3), ("msbs", 7), ("lctf-vis", 16), ("lctf-nir", 11), ("v10", 25)):
@@ -76,7 +103,7 @@ def test_the_truth_has_the_layout_that_evaluate_reads(tiny):
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_of_any_subset(tiny, tmp_path):
     folder, _ = tiny
-    simulate(tmp_path / "one", cameras=["v10"])
+    simulate(tmp_path / "one", cameras=["v10"], setups=True)  # as uneven as the whole one
     first, second = digests(folder), digests(tmp_path / "one")
     raw = {name: d for name, d in second.items() if name.startswith("raw/")}
     assert any("v10" in name for name in raw)
@@ -138,6 +165,11 @@ def test_the_hard_preset_turns_the_scanner_on_its_side(tmp_path):
         ({"preset": "soft"}, "no such preset .*found: soft; expected: default, small"),
         ({"cameras": ["d90"]}, "no such camera .*found: d90"),
         ({"scale": 1.5}, "out of range .*found: 1.5"),
+        (
+            {"setups": ["raking"]},
+            "no such lighting .*found: raking; expected: 45-degree, crossed, soft, d65",
+        ),
+        ({"preset": replace(TINY, unevenness_deg=40.0)}, "unevenness is out of range .*found: 40"),
         ({"objects": 0}, "needs an object"),
     ],
 )

@@ -10,6 +10,7 @@ import numpy as np
 
 from levkas.building.build_records import Written
 from levkas.building.capture_statistics import focus_of, note_light, note_sensels
+from levkas.building.chart_white import lights_by_chart
 from levkas.building.exposures import (
     average_shots,
     check_scaling,
@@ -34,6 +35,7 @@ from levkas.building.native_cubes import (
 from levkas.building.scan_parts import PARTS, pictures_of, write_scan
 from levkas.building.scans import Scan, develop_scan, is_streamed, open_scan
 from levkas.building.spectra import broad_centroids, read_sensitivity, white_reflectance
+from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA, light_variance
 from levkas.calibration.defects import replace_defects
 from levkas.calibration.equalising import equalise_phases
 from levkas.calibration.flatfield import Calibrated
@@ -44,6 +46,7 @@ from levkas.calibration.sensor_context import (
     SensorContext,
     doubts_of,
     exposure_of,
+    placed,
     require_exposures,
 )
 from levkas.calibration.templates import CalibrationRefused, Template, describe_gaps
@@ -53,11 +56,13 @@ from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
 from levkas.core.files import remove, together
 from levkas.core.problems import Problem, Refused
+from levkas.core.rounding import round_root
 from levkas.database.credits import credits_of
 from levkas.readers.frames import UnreadableCapture, read_facts, read_frame
 
 if TYPE_CHECKING:
     from levkas.building.template_cache import TemplateCache
+    from levkas.calibration.chart_light import ChartLight
     from levkas.calibration.mosaic import Method
     from levkas.calibration.noise_fit import NoiseModel
     from levkas.campaign.campaign import Camera, Campaign
@@ -148,15 +153,24 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     camera = campaign.cameras[capture.camera]
     cubes, notes, captured = {}, [], None
     learnt: dict[str, dict[str, Any]] = {}
+    lights = _lights_of(capture, campaign, templates)
     try:
         for sensor in capture.sensors:
             facts = read_facts(sensor.object[0].path)
             captured = captured or facts.captured
-            context = SensorContext(campaign, camera, sensor, facts, templates)
+            light = lights.get(sensor.name)
+            context = SensorContext(campaign, camera, sensor, facts, templates, light=light)
             if camera.kind != "image":
                 require_exposures(context)
             notes += doubts_of(context)
+            if light is not None:
+                _require_chart_of_size(context, light)
+                context.told[CHART_WHITE] = dict(light.record)
+                context.told[LIGHT_SIGMA] = light.sigmas()
             cube, found = DEVELOPERS[camera.kind](context)
+            if light is not None and cube.sigma is not None:
+                shared = light_variance(cube.values, light.sigmas(), cube.labels)
+                cube = replace(cube, sigma=round_root(cube.sigma**2 + shared))
             cubes[sensor.name] = mark_glare_in(cube)
             notes += found
             learnt[sensor.name] = context.told
@@ -168,13 +182,40 @@ def develop(capture: Capture, campaign: Campaign, templates: TemplateCache) -> N
     return Native(cubes, aligns, captured, told, learnt)
 
 
+def _lights_of(
+    capture: Capture, campaign: Campaign, templates: TemplateCache
+) -> dict[str, ChartLight]:
+    """Return the light of every sensor by the chart that is its white; nothing where there is no such chart."""
+    if not any(sensor.chart for sensor in capture.sensors):
+        return {}
+    sensors = tuple(replace(s, object=s.chart, chart=()) for s in capture.sensors)
+    made = develop(replace(capture, sensors=sensors), campaign, templates)
+    return lights_by_chart(capture, campaign, made)
+
+
+def _require_chart_of_size(context: SensorContext, light: ChartLight) -> None:
+    """Refuse a chart whose frames have another size than the object's: its light lies elsewhere."""
+    height, width = context.facts.shape[:2]
+    seen = light.size
+    if (height, width) != seen:
+        problem = Problem(
+            "E_SIZE",
+            f"{context.camera.name}: chart and object are of different sizes",
+            field=f"cameras.{context.camera.name}.white.chart",
+            found=f"{seen[1]} x {seen[0]}",
+            expected=f"{width} x {height}",
+            fix="Capture the chart in the object's mode.",
+        )
+        raise CalibrationRefused(placed(problem, context.sensor.chart))
+
+
 def _all_problems(
     capture: Capture, campaign: Campaign, templates: TemplateCache, first: Refused
 ) -> list[Problem]:
     """What is wrong with every frame of a capture: who mends one wants to know of the others."""
     problems = list(first.problems)
     for sensor in capture.sensors:
-        for frame in (*sensor.object, *sensor.white, *sensor.dark):
+        for frame in (*sensor.object, *sensor.white, *sensor.dark, *sensor.chart):
             try:
                 facts = read_facts(frame.path)
                 context = SensorContext(
@@ -312,7 +353,9 @@ def _band(
     whites = context.templates(frames) if frames else []
     require_same_size(context, shots[0].mean.shape, darks, whites)
     exposed = expose(context, shots, darks, noise)
-    white = white_of(context, frames, darks, noise=noise, merged=exposed.shot.above_dark)
+    white = white_of(
+        *(context, frames, darks), noise=noise, merged=exposed.shot.above_dark, band=label
+    )
     doubt = check_scaling(context, exposed, white, (shots, whites), darks)
     note_light(context.told, white, darks, None, [label])
     flat = flatten(
@@ -384,7 +427,7 @@ def _noise_of_bands(context: SensorContext) -> NoiseModel | None:
         alike = [f for f in frames if exposure_of(f) == exposure_of(frames[0])]
         shots.append(context.average(alike))
         own = context.templates(_of_band(context.sensor.dark, label))
-        white = white_of(context, _of_band(context.sensor.white, label), own)
+        white = white_of(context, _of_band(context.sensor.white, label), own, band=label)
         require_same_size(context, shots[-1].mean.shape, own, [white] if white else [])
         whites.append(white)
         darks += own if any(f.band for f in context.sensor.dark) or not darks else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isnan
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from levkas.building.charts import edges_of
 from levkas.building.fingerprints import digest, written
 from levkas.building.graph import cameras_with_pages, page_key
 from levkas.building.sources import code_version
+from levkas.calibration.chart_light import CHART_WHITE, LIGHT_SIGMA
 from levkas.campaign.discovery.find_captures import find_charts
 from levkas.core.disk import WriteRefused
 from levkas.core.files import make_folder, write_json, write_text
@@ -150,6 +151,7 @@ def _measured(
     """Measure the charts that a camera saw, and write them."""
     from levkas.building.charts import develop_chart, measure_capture, problems_of, write_chart
     from levkas.quality.targets.charts import kind_of, reference_of
+    from levkas.quality.targets.measuring import ChartMeasure
 
     files: list[Path] = []
     measures: list[ChartMeasure | EdgeTargetMeasure] = []
@@ -162,6 +164,9 @@ def _measured(
             made = develop_chart(capture, campaign, templates)
             spectra = reference_of(chart) if chart else None
             found = measure_capture(name, made, chart, spectra, evenness=light)
+            white = campaign.cameras[page.camera].white_chart
+            if white is not None and isinstance(found, ChartMeasure):
+                found = replace(found, notes=(*found.notes, BY_ITSELF))
             measures.append(found)
             problems += problems_of(name, capture, Refused(*found.edges.problems))
             files += write_chart(places, campaign, capture, made, found)
@@ -190,16 +195,27 @@ def _page(
 ) -> str:
     """Return the HTML of a camera's page."""
     from levkas.calibration.sensor_context import spread
-    from levkas.pages.camera import CameraReport, light_row, render_camera, sensor_row
+    from levkas.pages.camera import (
+        CameraReport,
+        chart_white_rows,
+        light_row,
+        render_camera,
+        sensor_row,
+    )
     from levkas.pages.charts import describe_chart
     from levkas.pages.radiometry import draw_light
 
-    sensors, lights, figures, notes = [], [], [], []
+    sensors, lights, figures, notes, whites = [], [], [], [], []
     for setup, of_sensors in learnt.items():
         for sensor, told in of_sensors.items():
             name = " ".join(part for part in (setup, sensor) if part)
             if "sensor" in told:
                 sensors.append(sensor_row(name, told["sensor"]))
+            if CHART_WHITE in told:
+                whites += chart_white_rows(name, told[CHART_WHITE])
+                notes.append(
+                    f"{name or camera}: fitted to the patches of a chart, and extrapolated beyond it"
+                )
             fields = told.get("light", {})
             for label in spread(list(fields), FEW_BANDS):
                 lights.append(light_row(f"{name} {label}".strip(), fields[label]))
@@ -217,6 +233,7 @@ def _page(
             lights=lights,
             light_notes=notes,
             figures=figures,
+            whites=whites,
             charts=[describe_chart(m) for m in measures],
             problems=[{"code": p.code, "text": written(campaign, p)} for p in problems],
             footer=f"Levkas {__version__}. Camera {camera}; places are in its native pixels.",
@@ -224,6 +241,10 @@ def _page(
     )
 
 
+BY_ITSELF = (
+    "the camera's white is a chart: where it is this one, its colours agree with the published ones because "
+    "they were made to; held-out errors say how well"
+)
 PICTURES = ("levels", "shape", "step", "size")
 """Of a light field: its map, which the camera's page shows."""
 
@@ -290,7 +311,7 @@ def _bands(bands: Sequence[Band]) -> list[dict[str, Any]]:
 def _without_pictures(told: Mapping[str, Any]) -> dict[str, Any]:
     return {
         sensor: {
-            **{k: v for k, v in facts.items() if k != "light"},
+            **{k: v for k, v in facts.items() if k not in ("light", LIGHT_SIGMA)},
             "light": {
                 band: {k: v for k, v in light.items() if k not in PICTURES}
                 for band, light in facts.get("light", {}).items()

@@ -69,7 +69,7 @@ def claim(
 def check_apart(campaign: Campaign, output: Path, captures: Iterable[Capture]) -> None:
     """Refuse an output that holds the campaign or its frames, or lies among frames."""
     sensors = [sensor for capture in captures for sensor in capture.sensors]
-    frames = (frame for s in sensors for frame in (*s.object, *s.dark, *s.white))
+    frames = (frame for s in sensors for frame in (*s.object, *s.dark, *s.white, *s.chart))
     folders = {folder.resolve() for folder in {frame.path.parent for frame in frames}}
     among = folders - {campaign.root, *campaign.root.parents}
     why = unusable_output(output, campaign.root)

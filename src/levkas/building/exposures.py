@@ -119,8 +119,16 @@ def white_of(
     *,
     noise: NoiseModel | None = None,
     merged: bool = False,
+    band: str = "",
 ) -> Template | None:
-    """The white of one exposure, the best one; or several of them merged, above dark."""
+    """The white of one exposure, the best one; or several of them merged, above dark; or what a chart tells.
+
+    `band` is named where each has frames of its own.
+    """
+    if context.light is not None:
+        height, width = context.facts.shape[:2]
+        labels = [band] if band else [one.label for one in context.sensor.bands]
+        return context.light.white((height, width), labels)
     if not frames:
         return None
     whites = context.templates(frames)
@@ -176,6 +184,8 @@ def noise_of(
 ) -> NoiseModel | None:
     """Noise of the sensor from stacks, darks among them, or from single shots where there are no stacks."""
     dark = darks[0] if darks else None
+    if context.light is not None:  # smooth: it tells no noise
+        whites = [None] * len(whites)
     stacks = [t for t in (*shots, *(w for w in whites if w is not None)) if t.count > 1]
     black = context.black or 0.0
     fitted = None
@@ -274,6 +284,9 @@ def flatten(
     except CalibrationRefused as refused:
         frames = context.sensor.white or context.sensor.object
         raise CalibrationRefused(*(placed(p, frames) for p in refused.problems)) from None
+    if white is None and context.camera.white_chart is not None:
+        taken = dict.fromkeys(board.labels or (), shot.exposure_s)
+        context.told.setdefault("exposures_s", {}).update(taken)
     if context.camera.kind != "cube" and not shot.above_dark:
         found = _rounding(context, shot, dark, white, board)
         context.told.setdefault("rounding", {}).update(found)

@@ -28,7 +28,7 @@ CALIBRATION_KEYS = (
     "kind", "bits", "black", "saturation", "exposures", "scan", "denoise", "demosaic",
 )  # fmt: skip
 NOT_THERE = "not registered"
-ROLES = ("object", "dark", "white")
+ROLES = ("object", "dark", "white", "chart")
 OF_A_FRAME = ("band", "wavelength", "exposure_s", "shot", "page")
 ONLY_WRITTEN = {
     "calibrate": ("campaign.", "objects.", "tag 65000"),
@@ -135,6 +135,7 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
         prints["targets.white.reflectance"] = white.reflectance
         if isinstance(white.reflectance, str) and (campaign.root / white.reflectance).is_file():
             prints[f"file {white.reflectance}"] = hashes(campaign.root / white.reflectance)
+    prints |= _white_chart(campaign, capture, hashes)
     for sensor in capture.sensors:
         where = (
             f"cameras.{camera.name}.sensors.{sensor.name}"
@@ -152,6 +153,31 @@ def of_calibration(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict
         uses.append(use_of(name, role, frame))
         prints |= {f"file {path}": content for path, content in files.items()}
     return plain(prints)
+
+
+def _white_chart(campaign: Campaign, capture: Capture, hashes: Hashes) -> dict[str, Any]:
+    """The chart that is a camera's white, what it is, and the tables by which its reflectance is known."""
+    camera = campaign.cameras[capture.camera]
+    white = camera.white_chart
+    if white is None:
+        return {}
+    where = f"cameras.{camera.name}.white"
+    lighting = campaign.setups.get(capture.setup or campaign.campaign.setup or "default")
+    tables = {
+        f"{where}.reference": white.reference,
+        f"cameras.{camera.name}.sensitivity": camera.sensitivity,
+        "setup's spectrum": lighting.spectrum if lighting else None,
+    }
+    prints: dict[str, Any] = {
+        f"{where}.chart": white.chart,
+        f"{where}.corners": white.corners,
+        f"targets.charts.{white.chart}": campaign.targets.charts.get(white.chart, ""),
+    }
+    for key, table in tables.items():
+        prints[key] = table
+        if table and (campaign.root / table).is_file():
+            prints[f"file {table}"] = hashes(campaign.root / table)
+    return prints
 
 
 def frames_of(capture: Capture) -> Iterator[tuple[str, str, FrameRef]]:

@@ -6,6 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from levkas.core.problems import Refused
+from levkas.core.text import read_json
 from levkas.database.layout import Places, layer_name
 from levkas.database.registrations import (
     mm_per_px,
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from levkas.building.graph import BuildReport, Step
 
+PROVENANCE = "provenance.json"
 STAGES = ("calibrate", "register", "resample")
 
 
@@ -64,7 +66,27 @@ def _row(output: Path, name: str, camera: str, setup: str, steps: Sequence[Step]
         "next_step": verdict.get("next_step", ""),
         "method": record.get("method", ""),
         **_errors(record),
+        **_chart_white(output, name, camera, setup),
     }
+
+
+def _chart_white(output: Path, name: str, camera: str, setup: str) -> dict[str, Any]:
+    """Return by which chart a layer is reflectance, sensor by sensor, as its provenance says; nothing of others."""
+    path = output / "objects" / name / PROVENANCE
+    try:
+        steps = read_json(path)["steps"]
+    except (
+        Refused,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+    ):  # `validate` says what is wrong with it
+        return {}
+    for step in steps:
+        if (step["camera"], step["setup"], step["stage"]) == (camera, setup, "calibrate"):
+            return {key: step[key] for key in ("chart_white",) if key in step}
+    return {}
 
 
 def _errors(record: Mapping[str, Any]) -> dict[str, Any]:

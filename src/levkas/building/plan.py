@@ -12,9 +12,9 @@ from levkas.building.graph import Graph, Step, graph_of, ordered
 from levkas.building.removal import NoReference, refused_step
 from levkas.campaign.campaign import Campaign, CampaignInvalid, load_campaign
 from levkas.campaign.discovery.captures import Capture, Refusals
-from levkas.campaign.discovery.check_names import check_names
+from levkas.campaign.discovery.check_names import check_edits, check_names
 from levkas.campaign.discovery.file_index import scan_folders
-from levkas.campaign.discovery.find_captures import check_edits, find_captures
+from levkas.campaign.discovery.find_captures import find_captures
 from levkas.campaign.edits import FILE_NAME, Edits
 from levkas.core.problems import Problem, closest_match
 

@@ -15,6 +15,7 @@ from levkas.building.build_records import Key, key_of
 from levkas.building.fingerprints import written
 from levkas.building.graph import keys_of
 from levkas.building.sources import LIBRARIES
+from levkas.calibration.chart_light import CHART_WHITE
 from levkas.calibration.sensor_context import Times, times_of
 from levkas.campaign.schema.toml import to_toml
 from levkas.core.files import make_folder, together, write_json, write_text
@@ -339,14 +340,16 @@ def provenance_of(
         ``camera``, ``setup``, ``stage``, ``code`` (hash of the sources that it rests on),
         ``parameters``, ``inputs`` and ``products`` (SHA-256 by relative path; of products not the Zarr
         chunks, which hold the same numbers as the TIFFs); of a calibration ``frames`` too: of every
-        frame its role, what its name says, its exposure in s, and the SHA-256 of all its files.
+        frame its role, what its name says, its exposure in s, and the SHA-256 of all its files; and of a camera
+        whose white is a chart ``chart_white``: by which, and how good, sensor by sensor.
     """
     steps = []
     for capture in captures:
         for key in keys_of(campaign, capture).values():
             if step := _step(records, key):
                 frames = _frames(campaign, capture, step["inputs"])
-                steps.append(step | ({"frames": frames} if key.stage == "calibrate" else {}))
+                own = {"frames": frames, **_white_of(records, key)}
+                steps.append(step | (own if key.stage == "calibrate" else {}))
     return {
         "object": name,
         "levkas": __version__,
@@ -354,6 +357,13 @@ def provenance_of(
         "instructions": describe_instructions(),
         "steps": steps,
     }
+
+
+def _white_of(records: BuildRecords, key: Key) -> dict[str, Any]:
+    """Return by which chart a calibration made reflectance, sensor by sensor; nothing where a white did."""
+    learnt = records.notes(key).get("learnt", {})
+    found = {sensor: told[CHART_WHITE] for sensor, told in learnt.items() if CHART_WHITE in told}
+    return {CHART_WHITE: found} if found else {}
 
 
 def _step(records: BuildRecords, key: Key) -> dict[str, Any]:

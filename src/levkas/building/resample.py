@@ -23,6 +23,7 @@ from levkas.building.native_cubes import FiledSigma, Native, PackedSigma, least_
 from levkas.building.reference import ReferenceFrame, maps_of
 from levkas.building.spectra import broad_centroids
 from levkas.building.streaming import Passing, resample_scan, white_of
+from levkas.calibration.chart_light import LightNodes, light_variance
 from levkas.calibration.mosaic import interpolate, method_of
 from levkas.core.cube import Cube, Flag
 from levkas.core.disk import require_space
@@ -51,6 +52,8 @@ NOISE_PX = 320
 """Side of the noise that is resampled to see what neighbours share: it tells variances to 1 %."""
 LEAST_SHARED = 1.04
 """Less is chance."""
+LIGHT_NODES = 97
+"""Places a side of the grid at which the sigma of a chart's light is looked up."""
 
 
 class Mosaic(NamedTuple):
@@ -215,11 +218,13 @@ def resample(
     grid: Grid,
     sigmas: dict[str, PackedSigma | FiledSigma],
     mosaics: Mapping[str, Mosaic],
+    lights: Mapping[str, Mapping[str, Any]],
 ) -> Cube:
     """Return the capture on the grid; orientation, crop, scale and registration are one map.
 
     `sigmas` are taken out one by one, so that their memory goes. `mosaics` are the sensors that were
-    demosaiced: neighbours of theirs share noise.
+    demosaiced: neighbours of theirs share noise. `lights` are records of the light's sigma, of sensors whose
+    white is a chart: all neighbours share its error, and no interpolation makes it smaller.
     """
     shape = (grid.size[1], grid.size[0])
     parts = []
@@ -228,10 +233,16 @@ def resample(
         sigma = sigmas.pop(sensor).unpack() if sensor in sigmas else None
         # In place: a scan's sigma is most of a gigabyte.
         variance = None if sigma is None else np.square(sigma, out=sigma)
+        shared = lights.get(sensor)
+        if variance is not None and shared:
+            variance -= light_variance(cube.values, shared, cube.labels)
+            np.maximum(variance, 0, out=variance)
         if variance is not None and sensor in mosaics:
             variance *= shared_noise(mosaics[sensor], maps, shape)
         warped = warp(cube.values, maps, shape, flags=cube.flags, variance=variance)
         found = warped.variance
+        if found is not None and shared:
+            found += _light_on_grid(warped.values, shared, cube.labels, maps)
         if found is not None:
             found = round_root(found, out=found)
         parts.append((round_values(warped.values, out=warped.values), warped.flags, found))
@@ -244,6 +255,24 @@ def resample(
         native.bands,
         native.quantity,
     )
+
+
+def _light_on_grid(
+    values: np.ndarray,
+    sigmas: Mapping[str, Any],
+    labels: Sequence[str],
+    maps: Sequence[Transform],
+) -> np.ndarray:
+    """Return the variance that the light of a chart gives to resampled values; `maps` are grid px → native px."""
+    rows, columns = (np.arange(n) for n in values.shape[:2])
+    y, x = (np.linspace(0, n - 1, LIGHT_NODES) for n in values.shape[:2])
+    points = np.stack([part.ravel() for part in np.meshgrid(x, y)], 1)
+    found = np.empty(values.shape, np.float32)
+    for i, (label, one) in enumerate(zip(labels, maps, strict=True)):
+        there = np.nan_to_num(one(points), nan=-1.0)
+        share = LightNodes.from_record(sigmas[label]).near(there).reshape(len(y), len(x))
+        found[..., i] = (values[..., i] * LightNodes(x, y, share).at(rows, columns)) ** 2
+    return found
 
 
 def shared_noise(mosaic: Mosaic, maps: Sequence[Transform], shape: tuple[int, int]) -> np.ndarray:

@@ -246,12 +246,14 @@ class Stages:
             write_resampled,
         )
         from levkas.building.scans import Scan
+        from levkas.calibration.chart_light import LIGHT_SIGMA
         from levkas.core.files import make_folder
 
         capture, _ = captures_of(task)
         frame = self.held.frame(task, self.graph)
         native = self.held.native(capture)
-        captured = self.records.notes(key_of(capture, "calibrate")).get("captured", "")
+        notes = self.records.notes(key_of(capture, "calibrate"))
+        captured = notes.get("captured", "")
         target = target_of(capture, native, frame, record_of(self.places, capture), captured)
         for folder in (self.places.folder(capture.object), self.places.store(capture.object)):
             make_folder(folder)
@@ -260,6 +262,7 @@ class Stages:
         sigmas = self.held.sigmas(capture)
         mosaics = mosaics_of(capture, self.campaign)
         self.held.let_go()
-        cube = resample(native, target.transforms, target.grid, sigmas, mosaics)
+        lights = {name: one.get(LIGHT_SIGMA, {}) for name, one in notes.get("learnt", {}).items()}
+        cube = resample(native, target.transforms, target.grid, sigmas, mosaics, lights)
         del native
         return partial(write_resampled, cube, flag_glare_in(cube, target), target, frame)

@@ -17,6 +17,7 @@ from levkas.core.problems import Problem
 from levkas.readers.frames import Facts, read_facts, read_frame
 
 if TYPE_CHECKING:
+    from levkas.calibration.chart_light import ChartLight
     from levkas.campaign.campaign import Camera, Campaign
     from levkas.campaign.discovery.captures import FrameRef, SensorFrames
 
@@ -43,6 +44,8 @@ class SensorContext:
     cache: Averages | None
     told: dict[str, Any] = field(default_factory=dict)
     """What is learnt of sensor and light on the way, for the reports."""
+    light: ChartLight | None = None
+    """By a chart, in place of a white."""
 
     @property
     def saturation(self) -> float | None:
@@ -146,7 +149,9 @@ def doubts_of(context: SensorContext) -> list[str]:
     targets = context.campaign.targets
     if camera.kind == "image":
         return doubts
-    if not context.sensor.white:
+    if context.light is not None:
+        doubts += context.light.notes
+    elif not context.sensor.white:
         doubts.append("no white reference is declared: the cube stays in counts")
     elif targets.white and not isinstance(targets.white.reflectance, str):
         given = targets.white.reflectance

@@ -108,8 +108,8 @@ class Campaign(Document):
         """Values of {target} that are whites of a camera; none for a plain image."""
         if camera.kind == "image":
             return ()
-        if camera.white is not None:
-            return camera.white
+        if camera.white_names is not None:
+            return camera.white_names
         return self.targets.white.names if self.targets.white else ()
 
 

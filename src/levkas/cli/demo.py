@@ -93,6 +93,20 @@ def simulate(
     ] = 1,
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 1,
     setups: Annotated[bool, typer.Option(help="Also the 45-degree lighting.")] = False,
+    setup: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--setup",
+            help="Also the colour camera under this lighting: 45-degree, crossed (polarisers), soft or d65; "
+            "may be repeated.",
+        ),
+    ] = None,
+    unevenness: Annotated[
+        float | None,
+        typer.Option(
+            help="Degrees by which ground and leaf lean from the panel; default 5 with other lightings, else 0."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate a five-camera campaign with known truth."""
@@ -102,11 +116,11 @@ def simulate(
     chosen = choose_preset(preset, scale=scale, objects=objects)
     steps = simulate_campaign(
         folder,
-        preset=replace(chosen, own_pigments=objects > 1),
+        preset=replace(chosen, own_pigments=objects > 1, unevenness_deg=unevenness),
         scale=scale,
         objects=objects,
         seed=seed,
-        setups=setups,
+        setups=setup or setups,
     )
     draw_steps(steps, as_json)
     print_report("simulate", as_json, True, [], campaign=str(folder))

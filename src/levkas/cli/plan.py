@@ -108,32 +108,56 @@ def exposure(
         bool,
         typer.Option("--object", help="The frames show the object: gold may outshine a white."),
     ] = False,
+    snr: Annotated[
+        float,
+        typer.Option(
+            help="With --object: that one sensel of the darkest paint is to reach, linear."
+        ),
+    ] = 20.0,
+    quantile: Annotated[
+        float,
+        typer.Option(help="Share of the object darker than what is called its darkest paint."),
+    ] = 0.01,
+    longest: Annotated[
+        float | None, typer.Option(help="Longest exposure in s that can be set.")
+    ] = None,
+    region: Annotated[
+        str | None, typer.Option(help="x,y,width,height of the object, native pixels.")
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Of the setup file, whose white the frames show: its regulating filter is computed from it."
+            help="Of the setup file, whose white the frames show: its regulating filter is computed from it. With "
+            "--object: whose noise and full well choose times and ISO."
         ),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", "-o", help="HTML page of the setup file, with that filter."),
+        typer.Option(
+            "--report",
+            "-o",
+            help="HTML page of the setup file, with that filter; with --object of the series.",
+        ),
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Which exposure to set: from frames, channel by channel or band by band, with SNR and ISO.
 
-    From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
+    From frames of the object (--object) also the series that brings its darkest paint to an SNR. From a setup file: exposure, SNR and limiting channel of every camera, regulating filter, dose, flicker.
     """
     if not frames and setup is None:
         raise typer.BadParameter("give frames of a white, --setup FILE, or both")
-    if camera and (not frames or setup is None or of_object):
-        raise typer.BadParameter("--camera needs frames of a white and --setup FILE")
+    if camera and (not frames or setup is None):
+        raise typer.BadParameter("--camera needs frames and --setup FILE")
+    series_wanted = bool(frames) and of_object
     if report is not None:
         from levkas.core.ownership import require_free
 
-        if setup is None:
-            raise typer.BadParameter("--report needs --setup FILE")
+        if setup is None and not series_wanted:
+            raise typer.BadParameter(
+                "--report needs --setup FILE, or frames of the object and --object"
+            )
         require_free(report, overwrite=overwrite)
     white = None
     record: dict[str, Any] = {}
@@ -153,15 +177,22 @@ def exposure(
         )
         record["bands"] = [c.to_dict() for c in found]
         texts.append(advice_text(found))
-        if camera:
+        if series_wanted:
+            from levkas.planning.exposure_series import SeriesWish
+
+            wish = SeriesWish(snr, quantile, longest, _four(region) if region else None)
+            told, words = _series(found, wish, (setup, camera), report)
+            record.update(told)
+            texts += words
+        elif camera:
             white = white_levels(found, camera)
-    if setup is not None:
+    if setup is not None and not (series_wanted and camera):
         from levkas.planning.text_report import exposure_record, exposure_text
 
         planned = exposure_record(setup, name, white)
         record.update(planned)
         texts.append(exposure_text(planned))
-        if report is not None:
+        if report is not None and not series_wanted:
             from levkas.pages.plan import write_report
             from levkas.planning.loading import load_setup
 
@@ -170,6 +201,26 @@ def exposure(
     print_report("plan exposure", as_json, True, [], **record)
     if not as_json:
         typer.echo("\n\n".join(texts))
+
+
+def _series(
+    found: list[Any], wish: Any, sensor: tuple[Path | None, str | None], report: Path | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Plan the exposure series of an object; `sensor` is a setup file and its camera."""
+    from levkas.planning.series_report import series_record, series_text
+
+    plans, refused = series_record(found, wish, *sensor)
+    record: dict[str, Any] = {
+        "series": [plan.to_dict() for plan in plans],
+        "series_refused": refused,
+    }
+    texts = [series_text(plans, refused)]
+    if report is not None:
+        from levkas.pages.series import write_series
+
+        record["report"] = str(write_series(report, plans, refused))
+        texts.append(f"Written: {report}")
+    return record, texts
 
 
 @refusing("plan fit")

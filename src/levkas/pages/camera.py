@@ -17,6 +17,9 @@ SOURCES = {
     "spatial": "single shots, an upper estimate",
 }
 
+ORDERS = ("even", "a plane", "quadratic", "cubic")
+"""Light fields by their order."""
+
 
 @dataclass(frozen=True)
 class CameraReport:
@@ -28,6 +31,7 @@ class CameraReport:
     lights: Sequence[Sequence[str]] = ()
     light_notes: Sequence[str] = ()
     figures: Sequence[Figure] = ()
+    whites: Sequence[Sequence[str]] = ()
     charts: Sequence[ChartSection] = ()
     problems: Sequence[dict[str, str]] = ()
     radiometry: Sequence[Any] = ()
@@ -67,3 +71,24 @@ def light_row(label: str, light: Mapping[str, Any]) -> list[str]:
         f"{100 * light['share']:.0f} %",
         "{:.1f}, {:.1f}".format(*light["bits"]) if "bits" in light else "–",
     ]
+
+
+def chart_white_rows(name: str, record: Mapping[str, Any]) -> list[list[str]]:
+    """Return how well a chart makes reflectance of the bands of a sensor, a row a band, as texts."""
+    rows = []
+    for label, band in record["bands"].items():
+        worst = max(band["patches"], key=lambda patch: abs(band["patches"][patch]))
+        field = f"of {band['light_of']}" if band["light_of"] else ORDERS[band["order"]]
+        rows.append(
+            [
+                f"{name} {label}".strip(),
+                f"{band['held_out']:.3f}",
+                f"{band['held_out_even_light']:.3f}",
+                f"{worst} {band['patches'][worst]:+.3f}",
+                field,
+                f"{100 * band['sigma_of_level']:.2g} %",
+                f"{100 * band['sigma_at_edge_of_chart']:.2g} %",
+                f"{100 * band['sigma_most']:.3g} %",
+            ]
+        )
+    return rows

@@ -17,6 +17,7 @@ _HOMES = {
     "plan_framing": "framing",
     "plan_exposure": "exposure_plan",
     "plan_dose": "exposure_plan",
+    "plan_series": "exposure_series",
     "regulating_filter": "exposure_plan",
     "render_sheet": "render",
     "fit_lamps": "lamp_fit",

@@ -40,6 +40,7 @@ TOLERATED = 1e-3  # share of pixels at saturation: glints and hot sensels
 FAINT = 0.002  # of saturation: less does not suffice to advise a time
 PRNU = 0.01  # where it is not measured
 NO_WHITE = 1.0  # (brightest − darkest)/mean, above which no evenly lit white was shown
+FEWEST_ELECTRONS = 500.0  # of the brightest sensel: with fewer it is texture that was read as noise
 LIT, FEWEST_BLOCKS = 0.1, 16  # share of saturation from which a white shows PRNU, on so many blocks
 
 
@@ -67,6 +68,17 @@ class BandAdvice:
         Whether the sensor's PRNU was measured on them, or 1 % is assumed.
     full, full_from : float, str
         Counts at which a sensel is full, and where that is known from.
+    shots : tuple of Shot
+        All exposures of the band.
+    levels : tuple of float
+        Counts without light of each of `shots`.
+    read_variance : float
+        Without light, counts².
+    pattern : str or rows of names, optional
+    dark_share : float
+        One over the number of darks of the exposure; 0 without.
+    one_shot : bool
+        Whether the noise was read off one shot, whose texture counts as noise.
     """
 
     shot: Shot
@@ -78,6 +90,12 @@ class BandAdvice:
     prnu_known: bool = False
     full: float = float("nan")
     full_from: str = ""
+    shots: tuple[Shot, ...] = ()
+    levels: tuple[float, ...] = ()
+    read_variance: float = 0.0
+    pattern: str | Sequence[Sequence[str]] | None = None
+    dark_share: float = 0.0
+    one_shot: bool = True
 
     @property
     def first(self) -> Advice:
@@ -327,8 +345,10 @@ def _coach_band(
     if shot.exposure_s is None:
         notes.append("the exposure is not known: multiply the one that was set")
     return BandAdvice(
-        shot, advices, sensor, iso, notes, is_white, prnu is not None, full, scale.source
-    )
+        shot, advices, sensor, iso, notes, is_white, prnu is not None, full, scale.source,
+        tuple(shots), tuple(levels[s.exposure_s] for s in shots), noise.read_variance, pattern,
+        1 / dark.count if dark else 0.0, noise.source != "temporal",
+    )  # fmt: skip
 
 
 def _prnu(
@@ -352,21 +372,27 @@ def _readings(
 ) -> list[Reading]:
     """Read each channel; of several phases of one, the brighter counts."""
     values = np.where(shot.stack.saturated, np.maximum(shot.stack.mean, full), shot.stack.mean)
-    if values.ndim == 3:
-        names = "RGB" if values.shape[2] == 3 else [str(i) for i in range(values.shape[2])]
-        planes = [(name, values[..., i]) for i, name in enumerate(names)]
-    elif pattern is None:
-        planes = [("", values)]
-    else:
-        table, known = channel_table(pattern), channel_names(pattern)
-        phases = zip(table.ravel(), split(values, *table.shape), strict=True)
-        planes = [(known[channel], phase) for channel, phase in phases]
+    planes = planes_of(values, pattern)
     found: dict[str, Reading] = {}
     for name, plane in planes:
         reading = read_channel(plane, black=black, saturation=full, channel=name)
         if name not in found or reading.peak > found[name].peak:
             found[name] = reading
     return list(found.values())
+
+
+def planes_of(
+    values: np.ndarray, pattern: str | Sequence[Sequence[str]] | None
+) -> list[tuple[str, np.ndarray]]:
+    """Return the channels of a frame, (h, w) or (h, w, bands), as named planes: of a mosaic its phases."""
+    if values.ndim == 3:
+        names = "RGB" if values.shape[2] == 3 else [str(i) for i in range(values.shape[2])]
+        return [(name, values[..., i]) for i, name in enumerate(names)]
+    if pattern is None:
+        return [("", values)]
+    table, known = channel_table(pattern), channel_names(pattern)
+    phases = zip(table.ravel(), split(values, *table.shape), strict=True)
+    return [(known[channel], phase) for channel, phase in phases]
 
 
 def _noise(
@@ -382,9 +408,9 @@ def _noise(
     single = None
     if shot.stack.mean.ndim == 2:
         single = fit_noise_single([shot.stack], [None], dark, black=black, pattern=pattern)
-    if single is None or single.gain <= 0:
-        # 8 bits of a usual sensor; the advice on time does not hang on it, the SNR does.
-        top = float(np.max(shot.stack.mean))
+    top = float(np.max(shot.stack.mean))
+    if single is None or not 0 < single.gain <= max(top - black, 1.0) / FEWEST_ELECTRONS:
+        # 8 bits of a usual sensor, or texture all over: the advice on time does not hang on it, the SNR does.
         assumed = NoiseModel(max(top, 1.0) / 20_000, 1.0, "spatial")
         return assumed, ["noise could not be told: 20,000 electrons are assumed at the peak"]
     note = "one shot only: the SNR is a lower bound, for texture counts as noise; two shots tell it"

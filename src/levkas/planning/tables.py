@@ -174,6 +174,8 @@ class StudioCameraKeys(Table):
     lens_transmittance: Annotated[Number, Field(gt=0, le=1)] = 0.9
     full_well_e: Positive = 45_000.0
     read_e: NotNegative = 5.0
+    read_after_e: NotNegative | None = None
+    isos: tuple[Positive, ...] = ()
     dark_e_per_s: NotNegative = 32.0
     prnu: Annotated[Number, Field(ge=0, lt=1)] = 0.019
     bits: Annotated[Whole, Field(ge=4, le=32)] = 12

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from levkas.calibration.noise_model import Sensor
+from levkas.colour.illuminants import illuminant
 from levkas.simulation.optics import ChromaticOptics, Viewpoint, turn
 from levkas.simulation.painting import Panel
 from levkas.simulation.pigments import WAVELENGTHS
@@ -171,6 +172,30 @@ class CameraModel:
             step_mm=1 / self.sampling,
             wobble=self.wobble,
         )
+
+
+def relit(camera: CameraModel, illuminant_name: str) -> CameraModel:
+    """Return a camera under lamps that filters bring to a CIE illuminant instead of D50.
+
+    The brightest band of each sensor keeps its level, as a new exposure time would make it. Beyond
+    830 nm, where CIE's tables end, the ratio of the two is held.
+    """
+    if illuminant_name == "D50":
+        return camera
+    known = [illuminant(name) for name in (illuminant_name, "D50")]
+    power, d50 = (np.interp(WAVELENGTHS, *table) for table in known if table is not None)
+    seen = [band.response * power / d50 for band in camera.bands]
+    levels = [band.level * r.sum() for band, r in zip(camera.bands, seen, strict=True)]
+    for sensor in camera.sensors:
+        before = max(camera.bands[i].level for i in sensor.bands)
+        scale = before / max(levels[i] for i in sensor.bands)
+        for i in sensor.bands:
+            levels[i] *= scale
+    bands = tuple(
+        replace(b, response=r / r.sum(), level=float(v), wavelength=b.centre)
+        for b, r, v in zip(camera.bands, seen, levels, strict=True)
+    )
+    return replace(camera, bands=bands)
 
 
 def _tuned(

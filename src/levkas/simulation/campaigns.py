@@ -11,7 +11,7 @@ import numpy as np
 
 from levkas.core.files import Folder, publishing
 from levkas.core.ownership import require_outside, stands_in
-from levkas.simulation.cameras import BandModel, CameraModel, camera_models, response_table
+from levkas.simulation.cameras import BandModel, CameraModel, camera_models, relit, response_table
 from levkas.simulation.capture import (
     WHITE_REFLECTANCE,
     PaintingView,
@@ -21,22 +21,25 @@ from levkas.simulation.capture import (
     view_painting,
 )
 from levkas.simulation.icon import paint_icon
+from levkas.simulation.lighting import SETUPS
 from levkas.simulation.optics import Viewpoint, turn
-from levkas.simulation.painting import Painting, Panel
+from levkas.simulation.painting import Painting, Panel, make_uneven
 from levkas.simulation.photographs import chart_panel, paint_chart, paint_photograph
 from levkas.simulation.pigments import WAVELENGTHS, draw_pigments, paint_spectra
 from levkas.simulation.presets import (
     REFERENCE,
+    UNEVEN_DEG,
     Preset,
     choose_cameras,
     choose_preset,
+    choose_setups,
     refusal,
 )
 from levkas.simulation.rendering import tabulate
 from levkas.simulation.truth import SimulatedTruth
 
 CHART = "macbeth"
-SETUP = ("45-degree", "d80")
+SETUP_CAMERA = "d80"
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ def simulate_campaign(
     scale: float | None = None,
     objects: int = 1,
     cameras: Sequence[str] | None = None,
-    setups: bool = False,
+    setups: bool | Sequence[str] = False,
     grid: bool = True,
     library: Path | str | None = None,
     photographs: Sequence[Path | str] = (),
@@ -93,8 +96,9 @@ def simulate_campaign(
     objects : int
     cameras : sequence of str, optional
         All five if left out; the reference, lctf-vis, is always among them.
-    setups : bool
-        Also d80 under one lamp at 45 degrees, with glare.
+    setups : bool or sequence of str
+        Also d80 under these lightings of `presets.OTHER_SETUPS`; True is one lamp at 45 degrees.
+        Ground and leaf then lean by 5 degrees, unless the preset has its own unevenness.
     grid : bool
         Publish upright and cropped: icons lie on their side before the cameras.
     library : path, optional
@@ -110,8 +114,8 @@ def simulate_campaign(
     Raises
     ------
     SimulationRefused
-        On an unknown preset or camera, a scale that is not in (0, 1], no object, or a folder that
-        holds something.
+        On an unknown preset, camera or lighting, a scale that is not in (0, 1], no object, or a
+        folder that holds something.
     levkas.core.disk.WriteRefused
         Where the folder cannot be written or the disk is full.
     """
@@ -119,24 +123,30 @@ def simulate_campaign(
     folder = folder.resolve() if folder.is_symlink() else folder
     chosen = choose_preset(preset, scale=scale, objects=objects)
     models = choose_cameras(chosen, cameras)
+    lightings = choose_setups(setups)
+    if chosen.unevenness_deg is None and lightings:
+        chosen = replace(chosen, unevenness_deg=UNEVEN_DEG)
+    lightings = lightings if SETUP_CAMERA in models else ()
     require_outside(folder, fix="Give another folder.")
     if found := stands_in(folder):
         why = "the folder is not empty" if found == "a folder" else f"{found} stands there"
         raise refusal(why, "folder", str(folder), "a new folder")
     root = int(np.random.default_rng(seed).integers(2**62))
     session = SimulatedSession(chosen, models, root, objects)
-    under_lamp = setups and SETUP[1] in models
     need = _bytes_needed(models, objects + int(chosen.charts))
+    need += len(lightings) * _bytes_needed(
+        {k: models[k] for k in {SETUP_CAMERA} & {*models}}, objects
+    )
     with publishing(folder, bytes_needed=need) as aside:
         writer = FrameWriter(aside)
-        yield from session.run(writer, under_lamp, library, [Path(p) for p in photographs])
+        yield from session.run(writer, lightings, library, [Path(p) for p in photographs])
         truth = session.truth()
         truth.save(aside.path / "truth")
         write_tables(aside, models)
         write_campaign_toml(
             aside, models, session.panels,
             chart=CHART if chosen.charts else None,
-            setup=SETUP if under_lamp else None, upright=grid,
+            setups=lightings, upright=grid,
         )  # fmt: skip
     yield Simulated(
         session.total, session.total, f"{writer.files} files", True,
@@ -210,7 +220,7 @@ class SimulatedSession:
     def run(
         self,
         writer: FrameWriter,
-        setups: bool,
+        setups: Sequence[str],
         library: Path | str | None,
         photographs: list[Path],
     ) -> Iterator[SimulationStep]:
@@ -219,25 +229,25 @@ class SimulatedSession:
         targets = len(self.names) + int(p.charts)
         self.total = sum(len(m.bands) for m in self.models.values()) * (targets + 2)
         self.total += len(self.names)
-        under_lamp = None
-        if setups:
-            model = self.models[SETUP[1]]
-            under_lamp = SimulatedCamera(model, self.root, SETUP[0], p.supersampling)
+        others = []
+        for setup in setups:
+            model = relit(self.models[SETUP_CAMERA], SETUPS[setup].illuminant)
+            others.append(SimulatedCamera(model, self.root, setup, p.supersampling))
             self.total += len(model.bands) * (len(self.names) + 1)
         for camera in self.cameras.values():
             for target in ("dark", "white"):
                 yield from self._take(writer, camera, target, None)
-        if under_lamp is not None:
-            yield from self._take(writer, under_lamp, "white", None)
+        for other in others:
+            yield from self._take(writer, other, "white", None)
         for i, name in enumerate(self.names):
             photograph = photographs[i] if i < len(photographs) else None
             painting = self.paint(name, i, library, photograph)
             self.done += 1
             yield SimulationStep(self.done, self.total, f"{name} painted", True)
-            yield from self._capture(writer, name, self.panels[name], painting, under_lamp)
+            yield from self._capture(writer, name, self.panels[name], painting, others)
         if p.charts:
             chart = paint_chart(self._fineness())
-            yield from self._capture(writer, CHART, chart_panel(), chart, None)
+            yield from self._capture(writer, CHART, chart_panel(), chart, [])
 
     def _fineness(self) -> float:
         """Samples of a painting per mm: 1.75 for a pixel of the finest camera, taking part or not."""
@@ -250,14 +260,22 @@ class SimulatedSession:
         """Paint one object: from a photograph where there is one, else an icon."""
         panel, rng = self.panels[name], self._rng("painting", name)
         if photograph is not None:
-            return paint_photograph(
-                panel, self._fineness(), rng, photograph=photograph, library=library
+            return self._aged(
+                name,
+                paint_photograph(
+                    panel, self._fineness(), rng, photograph=photograph, library=library
+                ),
             )
         icon = paint_icon(panel, self._fineness(), rng, saints=index % 3 + 1, library=library)
+        icon = self._aged(name, icon)
         if not self.preset.own_pigments or index == 0:
             return icon
         pigments = draw_pigments(self._rng("pigments", name))
         return replace(icon, spectra=paint_spectra(icon.names, WAVELENGTHS, pigments=pigments))
+
+    def _aged(self, name: str, painting: Painting) -> Painting:
+        lean = self.preset.unevenness_deg
+        return make_uneven(painting, lean, self._rng("unevenness", name)) if lean else painting
 
     def _capture(
         self,
@@ -265,7 +283,7 @@ class SimulatedSession:
         name: str,
         panel: Panel,
         painting: Painting,
-        under_lamp: SimulatedCamera | None,
+        others: Sequence[SimulatedCamera],
     ) -> Iterator[SimulationStep]:
         # Finest first: each camera looks at the painting averaged to its own sampling.
         by_factor = {1: painting}
@@ -277,11 +295,12 @@ class SimulatedSession:
             lattice = tabulate(view, panel)
             sight = view_painting(camera.model, view, panel, seen, lattice=lattice)
             yield from self._take(writer, camera, name, sight)
-            if under_lamp is not None and camera.model.name == under_lamp.model.name:
-                glared = view_painting(
-                    camera.model, view, panel, seen, setup=SETUP[0], lattice=lattice
-                )
-                yield from self._take(writer, under_lamp, name, glared)
+            for other in others:
+                if other.model.name == camera.model.name:
+                    seen_so = view_painting(
+                        other.model, view, panel, seen, setup=other.setup, lattice=lattice
+                    )
+                    yield from self._take(writer, other, name, seen_so)
 
     def _take(
         self, writer: FrameWriter, camera: SimulatedCamera, target: str, sight: PaintingView | None
@@ -397,7 +416,7 @@ def write_campaign_toml(
     panels: Mapping[str, Panel],
     *,
     chart: str | None,
-    setup: tuple[str, str] | None,
+    setups: Sequence[str],
     upright: bool,
 ) -> None:
     """Write campaign.toml."""
@@ -418,11 +437,10 @@ def write_campaign_toml(
         f'[targets]\ndark = "dark"\nwhite = {{ names = "white", reflectance = "{WHITE_TABLE}" }}\n'
         f"{charts}objects = [{names}]\n"
     )
-    if setup:
-        label, camera = setup
+    for label in setups:
         parts.append(
-            f"[setups.{label}.cameras.{camera}]\n"
-            f'files = "raw/{label}/{camera}/{{target}}/DSC_{{shot}}.tif"\n'
+            f"[setups.{label}.cameras.{SETUP_CAMERA}]\n"
+            f'files = "raw/{label}/{SETUP_CAMERA}/{{target}}/DSC_{{shot}}.tif"\n'
         )
     for name, panel in panels.items():
         size = (panel.width_mm, panel.height_mm)

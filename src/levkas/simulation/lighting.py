@@ -2,7 +2,8 @@
 
 A reflectance factor is the light that a camera gets over what it would get from a flat white
 diffuser in the panel's plane. Paint gives its reflectance times the shading; varnish and gold leaf
-add a lobe of facets, GGX of Walter et al. 2007.
+add a lobe of facets, GGX of [walter2007]_. Crossed polarisers let their leak through of that lobe, and
+twice as much of it as of what is diffuse, which has lost its polarisation.
 """
 
 from __future__ import annotations
@@ -20,21 +21,25 @@ if TYPE_CHECKING:
     from levkas.simulation.painting import Painting, Panel
 
 VARNISH_MIRROR = 0.04
-VARNISH_ROUGHNESS = 0.16
-GOLD_ROUGHNESS = 0.55
 PAINT_TRANSPARENT_NM, PAINT_EDGE_NM, PAINT_TRANSPARENCY = 820.0, 55.0, 0.85
 MACRO_STEP_MM = 0.5
 PENUMBRA_MM = 0.35
+LEAK = 1e-3  # of crossed sheet polarisers over parallel ones, as in a setup file of the planner
+POINTS = 4  # of a large lamp a side
 
 
 @dataclass(frozen=True)
 class SimulatedLamp:
-    """A small lamp: degrees from the panel's normal, degrees from X towards Y, mm, relative power."""
+    """A lamp: degrees from the panel's normal, degrees from X towards Y, mm, relative power.
+
+    `size_mm` is the side of a square that faces the panel's middle; 0 is a small lamp.
+    """
 
     elevation: float
     azimuth: float
     distance_mm: float = 2100.0
     power: float = 1.0
+    size_mm: float = 0.0
 
     def place(self) -> np.ndarray:
         """Return its place in the world, mm, (3,)."""
@@ -43,11 +48,47 @@ class SimulatedLamp:
             [np.sin(e) * np.cos(a), np.sin(e) * np.sin(a), -np.cos(e)]
         )
 
+    def points(self) -> np.ndarray:
+        """Return the points of light that stand for it, mm, (1 or 16, 3)."""
+        middle = self.place()
+        if not self.size_mm:
+            return middle[None]
+        side = np.array([-middle[1], middle[0], 0.0]) / np.hypot(*middle[:2])
+        up = np.cross(middle, side) / self.distance_mm
+        offsets = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * self.size_mm
+        x, y = (g.ravel()[:, None] for g in np.meshgrid(offsets, offsets))
+        return middle + x * side + y * up
 
-SETUPS: dict[str, tuple[SimulatedLamp, ...]] = {
-    "proposed": (SimulatedLamp(70.0, 0.0), SimulatedLamp(70.0, 180.0)),
-    "45-degree": (SimulatedLamp(45.0, 195.0, 1500.0),),
-    "scan": (SimulatedLamp(45.0, 90.0, 500.0),),
+
+@dataclass(frozen=True)
+class SimulatedLighting:
+    """Lamps, and what stands before them and the camera.
+
+    Parameters
+    ----------
+    lamps : tuple of SimulatedLamp
+    crossed : bool
+        Sheet polarisers before lamps and camera, crossed.
+    illuminant : str
+        CIE illuminant to which filters bring the lamps; D50, as the cameras' own, without.
+    """
+
+    lamps: tuple[SimulatedLamp, ...]
+    crossed: bool = False
+    illuminant: str = "D50"
+
+
+def _pair(elevation: float, distance_mm: float, **more: float) -> tuple[SimulatedLamp, ...]:
+    return tuple(SimulatedLamp(elevation, a, distance_mm, **more) for a in (0.0, 180.0))
+
+
+SETUPS: dict[str, SimulatedLighting] = {
+    "proposed": SimulatedLighting(_pair(70.0, 2100.0)),
+    "45-degree": SimulatedLighting((SimulatedLamp(45.0, 195.0, 1500.0),)),
+    "crossed": SimulatedLighting(_pair(45.0, 1500.0), crossed=True),
+    "soft": SimulatedLighting(_pair(45.0, 1000.0, size_mm=600.0)),
+    "d65": SimulatedLighting(_pair(70.0, 2100.0), illuminant="D65"),
+    "scan": SimulatedLighting((SimulatedLamp(45.0, 90.0, 500.0),)),
 }
 
 
@@ -81,17 +122,16 @@ def transmitted(angle_deg: float, index: float = 1.5) -> float:
 
 
 def light(
-    painting: Painting, panel: Panel, view: Viewpoint, lamps: tuple[SimulatedLamp, ...]
+    painting: Painting, panel: Panel, view: Viewpoint, lighting: SimulatedLighting
 ) -> SimulatedLight:
-    """Light a painting with `lamps` for one camera.
-
-    The lamps of a line scanner travel with it.
-    """
+    """Light a painting for one camera; the lamps of a line scanner travel with it."""
+    lamps = lighting.lamps
+    points = [(place, lamp) for lamp in lamps for place in lamp.points()]
     s = np.arange(-panel.width_mm / 2, panel.width_mm / 2 + 2 * MACRO_STEP_MM, MACRO_STEP_MM)
     t = np.arange(-panel.height_mm / 2, panel.height_mm / 2 + 2 * MACRO_STEP_MM, MACRO_STEP_MM)
     height = panel.heights(np.stack(np.meshgrid(s, t), -1).reshape(-1, 2)).reshape(len(t), len(s))
     across, along = np.gradient(height, MACRO_STEP_MM)
-    lit = [_reached(height, lamp) for lamp in lamps]
+    lit = [_reached(height, place) for place, _ in points]
     macro = np.stack([along, across, *lit], -1).astype(np.float32)
     eye = -np.reshape(view.rotation, (3, 3)).T @ np.array(view.translation)
     power = sum(lamp.power for lamp in lamps)
@@ -104,21 +144,21 @@ def light(
             panel.radius_mm,
             *eye,
             *(view.motion or (0.0, 0.0, 0.0)),
-            GOLD_ROUGHNESS**2,
-            VARNISH_ROUGHNESS**2,
+            *painting.facets,
             1 - painting.gloss * (1 - entered / transmitted(45.0)),
             MACRO_STEP_MM,
         ]
     )
-    places = np.array([[*lamp.place(), lamp.power * lamp.distance_mm**2] for lamp in lamps])
+    places = np.array([[*place, lamp.power * lamp.distance_mm**2] for place, lamp in points])
     out = np.empty((3, *painting.relief.shape), np.float32)
     _light(painting.relief, macro, numbers, places, out)
+    if lighting.crossed:
+        out[1:] *= np.float32(2 * LEAK)
     return SimulatedLight(*out)
 
 
-def _reached(height: np.ndarray, lamp: SimulatedLamp) -> np.ndarray:
-    """Return how far a lamp reaches each node past the ledge, 0 to 1, with a soft edge."""
-    place = lamp.place()
+def _reached(height: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return how far a point of light reaches each node past the ledge, 0 to 1, with a soft edge."""
     low = np.array([place[0], place[1]]) / -place[2]
     reach = (height.max() - height.min()) * np.hypot(*low)
     hidden = np.full(height.shape, -np.inf)

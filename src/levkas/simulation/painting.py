@@ -19,6 +19,13 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
+EVEN_FACETS = (0.55**2, 0.16**2)
+AGED_FACETS = (0.2, 0.1)
+"""GGX alpha of gold and varnish: of a new, even panel, and of the planner's bench."""
+UNEVEN_MM, UNEVEN_UM = 1.2, 576.0
+"""Distance of the nodes of an uneven ground; its unit for a slope of 1, at 5 samples per mm."""
+
+
 @dataclass(frozen=True, eq=False)
 class Painting:
     """What covers a panel, sampled finely; the first row is at t = −height/2, first column at s = −width/2.
@@ -40,6 +47,8 @@ class Painting:
     px_per_mm : float
     names : tuple of str
         Of the paints.
+    facets : (gold, varnish)
+        GGX alpha of the leaf and of the varnish.
     """
 
     amounts: np.ndarray
@@ -50,6 +59,7 @@ class Painting:
     px_per_mm: float
     gloss: float = 1.0
     names: tuple[str, ...] = ()
+    facets: tuple[float, float] = EVEN_FACETS
 
     def reduced(self, factor: int) -> Painting:
         """Return the painting averaged over blocks of factor x factor samples."""
@@ -72,6 +82,26 @@ class Painting:
             relief=relief,
             px_per_mm=self.px_per_mm / factor,
         )
+
+
+def make_uneven(painting: Painting, lean_deg: float, rng: np.random.Generator) -> Painting:
+    """Let ground and leaf lean from the panel, as hand-scraped gesso and lifted craquelure do.
+
+    Parameters
+    ----------
+    painting : Painting
+    lean_deg : float
+        Along any direction, root mean square, degrees.
+    rng : Generator
+
+    Returns
+    -------
+    painting : Painting
+        With the roughness of the planner's bench, `AGED_FACETS`.
+    """
+    field = grain(painting.relief.shape, painting.px_per_mm, (UNEVEN_MM,) * 2, rng, octaves=1)
+    relief = painting.relief + np.float32(UNEVEN_UM * np.tan(np.radians(lean_deg))) * field
+    return replace(painting, relief=relief, facets=AGED_FACETS)
 
 
 class Canvas:

@@ -9,6 +9,8 @@ from levkas.core.problems import Problem, Refused
 from levkas.simulation.cameras import CameraModel, camera_models
 
 REFERENCE = ("lctf-vis", "550 nm")
+OTHER_SETUPS = ("45-degree", "crossed", "soft", "d65")
+UNEVEN_DEG, MOST_UNEVEN_DEG = 5.0, 15.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class Preset:
         The line scanner turned about its axis: 90 scans along the other side.
     own_pigments : bool
         Every painting after the first has the pigments of another workshop.
+    unevenness_deg : float, optional
+        How far ground and leaf lean, as in a setup file of the planner; 0 is an even panel with a
+        varnish that mirrors. Left out, it is 5 where lightings are compared, else 0.
     """
 
     scale: float = 0.32
@@ -55,6 +60,7 @@ class Preset:
     full_well: float | None = None
     scanner_turn_deg: float = 0.0
     own_pigments: bool = False
+    unevenness_deg: float | None = None
 
 
 PRESETS: dict[str, Preset] = {
@@ -90,10 +96,23 @@ def choose_preset(preset: str | Preset, *, scale: float | None, objects: int) ->
         preset = replace(preset, scale=scale)
     if not 0 < preset.scale <= 1:
         raise refusal("the scale is out of range", "scale", preset.scale, "0 < scale <= 1")
+    lean = preset.unevenness_deg
+    if lean is not None and not 0 <= lean <= MOST_UNEVEN_DEG:
+        expected = f"0 <= unevenness <= {MOST_UNEVEN_DEG:g}"
+        raise refusal("the unevenness is out of range", "unevenness", lean, expected)
     if objects < 1:
         raise refusal("a campaign needs an object", "objects", objects, "1 or more")
     # At full size sub-pixels are as fine as the painting's samples with two a side already.
     return replace(preset, supersampling=2) if preset.scale > 0.6 else preset
+
+
+def choose_setups(setups: bool | Sequence[str]) -> tuple[str, ...]:
+    """Return the lightings besides the cameras' own; raises `SimulationRefused` on unknown ones."""
+    wanted = (OTHER_SETUPS[:1] if setups else ()) if isinstance(setups, bool) else tuple(setups)
+    unknown = [name for name in wanted if name not in OTHER_SETUPS]
+    if unknown:
+        raise refusal("there is no such lighting", "setup", unknown[0], ", ".join(OTHER_SETUPS))
+    return tuple(dict.fromkeys(wanted))
 
 
 def choose_cameras(preset: Preset, cameras: Sequence[str] | None) -> dict[str, CameraModel]:

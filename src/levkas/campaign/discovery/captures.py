@@ -65,6 +65,10 @@ class SensorFrames:
         Shots and exposures; of a `cube` the strips of the scan, in order.
     dark, white : tuple of FrameRef
         With a band where they belong to one, without where they serve all.
+    chart : tuple of FrameRef
+        Of the chart that takes the place of a white, band by band as the object's.
+    without_reference : tuple of str
+        Bands that were left out: nobody knows what the chart reflects there.
     """
 
     name: str
@@ -74,6 +78,8 @@ class SensorFrames:
     object: tuple[FrameRef, ...]
     dark: tuple[FrameRef, ...] = ()
     white: tuple[FrameRef, ...] = ()
+    chart: tuple[FrameRef, ...] = ()
+    without_reference: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

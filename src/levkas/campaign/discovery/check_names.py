@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from levkas.campaign.discovery.captures import CaptureRefused
+from levkas.campaign.discovery.captures import Capture, CaptureRefused
 from levkas.campaign.discovery.file_index import declared_targets
 from levkas.campaign.discovery.find_captures import near_names
 from levkas.campaign.discovery.patterns import natural
+from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
 from levkas.core.problems import Problem, closest_match
 
 if TYPE_CHECKING:
@@ -38,7 +40,8 @@ def check_names(campaign: Campaign, index: FileIndex, refusals: Refusals) -> Non
 
 def _lost_templates(campaign: Campaign, there: Sequence[str]) -> Iterator[Problem]:
     raw = [(name, camera) for name, camera in campaign.cameras.items() if camera.kind != "image"]
-    roles = {f"cameras.{n}.{kind}": getattr(c, kind) for n, c in raw for kind in ("dark", "white")}
+    roles = {f"cameras.{n}.dark": c.dark for n, c in raw}
+    roles |= {f"cameras.{n}.white": c.white_names for n, c in raw}
     if raw:  # photographs are calibrated by none
         roles["targets.dark"] = campaign.targets.dark
         roles["targets.white"] = campaign.targets.white.names if campaign.targets.white else ()
@@ -71,3 +74,47 @@ def _lost_objects(campaign: Campaign, index: FileIndex, there: Sequence[str]) ->
                 f"one of {', '.join(there)}",
                 fix=near,
             )
+
+
+# --- corrections by hand ----------------------------------------------------------------------
+
+
+def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
+    """Refuse corrections of what the campaign does not have, and two tables of one sensor.
+
+    Raises
+    ------
+    EditsInvalid
+    """
+    known: dict[str, dict[str, dict[str, str]]] = {}
+    for capture in captures:
+        labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
+        known.setdefault(capture.object, {})[capture.layer] = labels
+    problems = []
+    edited: dict[tuple[str, str, str], str] = {}
+    for name, frame in sorted(edits.frames):
+        layer, _, band = frame.partition(":")
+        where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
+        for kind, wanted, names in (
+            ("object", name, list(known)),
+            ("camera", layer, list(layers)),
+            ("band", band, list(layers.get(layer, {}))),
+        ):
+            if wanted and wanted not in names:
+                known_names = ", ".join(sorted(names))
+                problem = Problem(
+                    "E_VALUE", f"there is no such {kind}", None, where, wanted, known_names
+                )
+                problems.append(with_explanation(problem, path))
+                break
+        else:
+            sensors = layers[layer]
+            place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
+            if (first := edited.setdefault(place, frame)) != frame:
+                message = "the sensor is edited twice"
+                problem = Problem(
+                    "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
+                )
+                problems.append(with_explanation(problem, path))
+    if problems:
+        raise EditsInvalid(*problems)

@@ -462,7 +462,7 @@ def _patterns_of_sensor(
 def declared_targets(campaign: Campaign) -> tuple[str, ...]:
     """Return every value of {target} that campaign.toml knows."""
     targets = campaign.targets
-    own = [n for c in campaign.cameras.values() for n in (*(c.dark or ()), *(c.white or ()))]
+    own = [n for c in campaign.cameras.values() for n in (*(c.dark or ()), *(c.white_names or ()))]
     white = targets.white.names if targets.white else ()
     named = (*targets.dark, *white, *targets.charts, *(targets.objects or ()), *campaign.objects)
     return tuple(dict.fromkeys((*named, *own)))

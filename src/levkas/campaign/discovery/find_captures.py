@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from levkas.campaign.discovery.bands import (
@@ -26,6 +25,12 @@ from levkas.campaign.discovery.captures import (
     Rows,
     SensorFrames,
 )
+from levkas.campaign.discovery.chart_whites import (
+    bands_beyond,
+    no_chart_frames,
+    nothing_known,
+    other_chart_bands,
+)
 from levkas.campaign.discovery.file_index import (
     FileIndex,
     FoundFile,
@@ -37,7 +42,6 @@ from levkas.campaign.discovery.file_index import (
     scan_folders,
 )
 from levkas.campaign.discovery.patterns import Pattern, natural
-from levkas.campaign.edits import Edits, EditsInvalid, with_explanation
 from levkas.campaign.schema.cross_checks import is_safe_name
 from levkas.core.cube import find_band
 from levkas.core.problems import Problem, Refused, closest_match
@@ -333,8 +337,45 @@ def _sensor(
     _check_exposures(camera, found, frames)
     for kind, templates in (("dark", darks), ("white", whites)):
         _check_every_band(camera, kind, templates, bands)
+    chart = _chart_frames(index, camera, sensor, setup, found, bands)
+    left_out = bands_beyond(index.campaign, camera, bands) if camera.kind == "bands" else ()
+    if left_out:
+        frames, darks, chart = (
+            [f for f in role if f.band not in left_out] for role in (frames, darks, chart)
+        )
+        bands = tuple(band for band in bands if band.label not in left_out)
+        if not bands:
+            raise CaptureRefused(nothing_known(index.campaign, camera, left_out))
     align = sensor.align if sensor else "measure"
-    return SensorFrames(label, pattern, bands, align, tuple(frames), tuple(darks), tuple(whites))
+    return SensorFrames(
+        *(label, pattern, bands, align, tuple(frames), tuple(darks), tuple(whites), tuple(chart)),
+        without_reference=left_out,
+    )
+
+
+def _chart_frames(
+    index: FileIndex,
+    camera: Camera,
+    sensor: SensorKeys | None,
+    setup: str,
+    found: list[FoundFile],
+    bands: tuple[Band, ...],
+) -> list[FrameRef]:
+    """Return the frames of the chart that takes the place of a white; `found` are the object's own."""
+    white = camera.white_chart
+    if white is None:
+        return []
+    label = sensor.name if sensor else ""
+    if white.chart in index.campaign.targets.charts:
+        files = in_natural_order(index.of(white.chart, camera.name, setup))
+        found = [f for f in files if f.sensor == label]
+    if not found:
+        raise CaptureRefused(no_chart_frames(index, camera, setup))
+    frames, _, seen = _frames_and_bands(index, camera, sensor, found, setup)
+    if [b.label for b in seen] != [b.label for b in bands]:
+        raise CaptureRefused(other_chart_bands(index, camera, bands, seen))
+    _check_exposures(camera, found, frames)
+    return frames
 
 
 def _ref(found: FoundFile) -> FrameRef:
@@ -528,47 +569,3 @@ def _no_template(
 def near_names(names: Iterable[str], there: Sequence[str]) -> str | None:
     """Return which name that is there one of some may mean; None where none is near."""
     return next((fix for name in names if (fix := closest_match(name, there))), None)
-
-
-# --- corrections by hand ----------------------------------------------------------------------
-
-
-def check_edits(edits: Edits, captures: Iterable[Capture], path: Path) -> None:
-    """Refuse corrections of what the campaign does not have, and two tables of one sensor.
-
-    Raises
-    ------
-    EditsInvalid
-    """
-    known: dict[str, dict[str, dict[str, str]]] = {}
-    for capture in captures:
-        labels = {band.label: sensor.name for sensor in capture.sensors for band in sensor.bands}
-        known.setdefault(capture.object, {})[capture.layer] = labels
-    problems = []
-    edited: dict[tuple[str, str, str], str] = {}
-    for name, frame in sorted(edits.frames):
-        layer, _, band = frame.partition(":")
-        where, layers = f"objects.{name}.cameras.{frame}", known.get(name, {})
-        for kind, wanted, names in (
-            ("object", name, list(known)),
-            ("camera", layer, list(layers)),
-            ("band", band, list(layers.get(layer, {}))),
-        ):
-            if wanted and wanted not in names:
-                known_names = ", ".join(sorted(names))
-                problem = Problem(
-                    "E_VALUE", f"there is no such {kind}", None, where, wanted, known_names
-                )
-                problems.append(with_explanation(problem, path))
-                break
-        else:
-            sensors = layers[layer]
-            place = (name, layer, sensors[band] if band else next(iter(sensors.values())))
-            if (first := edited.setdefault(place, frame)) != frame:
-                message = "the sensor is edited twice"
-                problem = Problem(
-                    "E_VALUE", message, None, where, f"{first}, {frame}", "one of them"
-                )
-                problems.append(with_explanation(problem, path))
-    if problems:
-        raise EditsInvalid(*problems)

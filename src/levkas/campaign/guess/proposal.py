@@ -27,7 +27,11 @@ from levkas.campaign.guess.listing import Listing
 from levkas.campaign.guess.names import name_targets
 from levkas.campaign.guess.pixels import Samples
 from levkas.campaign.guess.words import GENERIC, chart_in
-from levkas.campaign.schema.cross_checks import find_contradictions, is_safe_name
+from levkas.campaign.schema.cross_checks import (
+    KINDS_BY_CHART,
+    find_contradictions,
+    is_safe_name,
+)
 from levkas.campaign.schema.tables import Document
 from levkas.campaign.schema.toml import to_inline_toml, to_toml_key
 from levkas.core.cube import band_labels
@@ -313,13 +317,19 @@ def _chart(target: str) -> str:
 
 
 def _with_own_templates(camera: CameraGuess, targets: dict[str, Guess]) -> CameraGuess:
-    """Add to a camera that it has no dark or white where others have one."""
+    """Add to a camera that it has no dark or white where others have one, and a chart as a hint in its place."""
     if camera.kind == "image":
         return camera
     keys = dict(camera.keys)
     for role in ("dark", "white"):
         if role in targets and role not in camera.targets.values():
             keys[role] = Guess([], f"no {role} of this camera was found")
+    seen = [name for name, role in camera.targets.items() if role == "chart"]
+    if seen and "white" not in camera.targets.values() and camera.kind in KINDS_BY_CHART:
+        value = to_inline_toml({"chart": min(seen, key=natural)})
+        instead = " instead of the line above" if "white" in keys else ""
+        hint = f"white = {value}  # reflectance by the chart{instead}"
+        return replace(camera, keys=keys, hints=(*camera.hints, hint))
     return replace(camera, keys=keys)
 
 

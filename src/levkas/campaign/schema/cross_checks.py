@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from levkas.campaign.chart_names import CHARTS, kind_of_chart
 from levkas.campaign.discovery.patterns import Pattern
 from levkas.campaign.methods import DEFAULT_METHOD, METHODS, owners_of
 from levkas.campaign.schema.tables import (
@@ -36,6 +37,7 @@ def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
     yield from _targets(document)
     for name, camera in document.cameras.items():
         yield from check_camera(f"cameras.{name}", camera)
+        yield from _white_chart(f"cameras.{name}.white", camera, document.targets.charts)
     yield from _setups(document)
     yield from _registration(document)
     yield from _files(document, root)
@@ -343,6 +345,8 @@ def without_effect(field: str) -> str:
 def _files(document: Document, root: Path) -> Iterator[Problem]:
     white = document.targets.white
     named = {f"cameras.{n}.sensitivity": c.sensitivity for n, c in document.cameras.items()}
+    charts = {n: c.white_chart for n, c in document.cameras.items()}
+    named |= {f"cameras.{n}.white.reference": w.reference for n, w in charts.items() if w}
     if white and isinstance(white.reflectance, str):
         named["targets.white.reflectance"] = white.reflectance
     named |= {f"setups.{n}.spectrum": setup.spectrum for n, setup in document.setups.items()}
@@ -362,6 +366,8 @@ def _files(document: Document, root: Path) -> Iterator[Problem]:
             )
 
 
+KINDS_BY_CHART = ("mosaic", "bands", "sensors")
+"""Kinds of cameras that a chart can calibrate in place of a white frame."""
 KEYS_OF_KINDS = {
     "pattern": ("mosaic", "bands"),
     "bands": ("mosaic", "bands", "cube", "image"),
@@ -413,10 +419,40 @@ def check_camera(where: str, camera: CameraKeys) -> Iterator[Problem]:
             camera.black,
             f"< {camera.saturation:g}",
         )
-    dark, white = set(camera.dark or ()), set(camera.white or ())
+    dark, white = set(camera.dark or ()), set(camera.white_names or ())
     if dark & white:
         yield value_problem(
             f"{where}.white", "a template is dark and white at once", min(dark & white)
+        )
+
+
+def _white_chart(where: str, camera: CameraKeys, charts: Collection[str]) -> Iterator[Problem]:
+    """Yield what is wrong with a chart in place of a white frame."""
+    white = camera.white_chart
+    if white is None:
+        return
+    if camera.kind not in KINDS_BY_CHART:
+        why = (
+            "a line scan has no picture of the light"
+            if camera.kind == "cube"
+            else "it is not calibrated"
+        )
+        yield value_problem(
+            f"{where}.chart",
+            f"a camera of kind {camera.kind!r} cannot be calibrated by a chart: {why}",
+            white.chart,
+            " or ".join(f'kind = "{kind}"' for kind in KINDS_BY_CHART),
+            "Capture a white, or write white = [].",
+        )
+    if white.chart not in charts and kind_of_chart(white.chart) is None:
+        known = [*charts, *sorted(set(CHARTS.values()))]
+        yield value_problem(
+            f"{where}.chart",
+            "this is neither a target that is declared as a chart nor the name of a chart",
+            white.chart,
+            f"one of {listed(known)}",
+            closest_match(white.chart, known)
+            or 'Declare it: charts = { macbeth = "ColorChecker24" } in [targets].',
         )
 
 

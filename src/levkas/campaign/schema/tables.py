@@ -87,6 +87,12 @@ def _white(value: Any) -> Any:
     return {"names": value} if isinstance(value, str | list) else value
 
 
+def _camera_white(value: Any) -> Any:
+    if isinstance(value, dict) and {"chart", "names"} <= value.keys():
+        raise ValueError("must be white frames or a chart, not both: take out `chart` or `names`")
+    return value
+
+
 def _creator(value: Any) -> Any:
     return {"name": value} if isinstance(value, str) else value
 
@@ -164,6 +170,29 @@ OPTIONS = tuple(name for name in OptionKeys.model_fields if name != "method")
 """Keys of [registration] that are options of a method."""
 
 
+MOST_PX = 1e6
+
+Place = Annotated[Number, Field(ge=-MOST_PX, le=MOST_PX)]
+Corner = tuple[Place, Place]
+
+
+class ChartWhite(Table):
+    """A colour chart of known spectra in place of a white frame.
+
+    `corners` are the centres of the corner patches, native px, clockwise from the first.
+    """
+
+    chart: Annotated[Text, Field(min_length=1)]
+    reference: Annotated[Text, Field(min_length=1)] | None = None
+    corners: tuple[Corner, Corner, Corner, Corner] | None = None
+
+
+CameraWhite = Annotated[
+    Annotated[ChartWhite, Tag("<table>")] | Annotated[Names, Tag("<names>")],
+    Discriminator(lambda value: "<table>" if isinstance(value, dict | ChartWhite) else "<names>"),
+]
+
+
 class SensorKeys(Table):
     """One sensor of a multi-sensor camera."""
 
@@ -194,7 +223,7 @@ class CameraKeys(Table):
     denoise: Literal["hysime"] | None = None
     demosaic: Literal["malvar", "bilinear", "normalised", "wiener"] | None = None
     dark: Names | None = None
-    white: Names | None = None
+    white: Annotated[CameraWhite | None, BeforeValidator(_camera_white)] = None
     registration: RegistrationKeys = RegistrationKeys()
 
     @property
@@ -203,6 +232,16 @@ class CameraKeys(Table):
         return (
             self.wavelengths.values() if isinstance(self.wavelengths, Range) else self.wavelengths
         )
+
+    @property
+    def white_names(self) -> tuple[str, ...] | None:
+        """Declared values of {target} that are whites; none where a chart takes their place."""
+        return () if isinstance(self.white, ChartWhite) else self.white
+
+    @property
+    def white_chart(self) -> ChartWhite | None:
+        """The chart that takes the place of a white frame."""
+        return self.white if isinstance(self.white, ChartWhite) else None
 
     @property
     def patterns(self) -> tuple[str, ...]:
@@ -292,9 +331,6 @@ class Document(Table):
     publication: PublicationKeys = PublicationKeys()
 
 
-MOST_PX = 1e6
-
-Place = Annotated[Number, Field(ge=-MOST_PX, le=MOST_PX)]
 Pair = tuple[Place, Place, Place, Place]
 Move = tuple[Place, Place, Place, Place, Place, Place, Place, Place]
 

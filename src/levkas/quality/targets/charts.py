@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from levkas.campaign.chart_names import CHARTS as WORDS
+from levkas.campaign.chart_names import NEAR_NM, kind_of_chart
 from levkas.core.problems import Problem, Refused
 from levkas.geometry.transforms import Homography
 from levkas.readers.spectra import are_spectra, parse_spectra
@@ -20,11 +20,6 @@ if TYPE_CHECKING:
 HERE = Path(__file__)
 """Beside it stand tables of colour-science 0.4: BabelColor's average of 30 charts, and luminances of charts
 made after November 2014."""
-NAMES = {
-    **dict.fromkeys(("colorchecker24", "colorcheckerclassic", "classic", "cc24"), "ColorChecker24"),
-    **dict.fromkeys(("colorcheckerdigitalsg", "sg", "sg140"), "ColorCheckerSG"),
-}
-"""Names of charts beside the words that files are named by."""
 SAMPLED = 0.5
 """Side of the sampled area over the pitch of the patches."""
 LEAST_SIDE = 6.0
@@ -97,10 +92,8 @@ def chart_of(name: str) -> Chart:
     >>> chart_of("ColorChecker Classic").patches[:2], chart_of("colour-checker SG").rows, chart_of("Farbkarte").rows
     (('A1', 'B1'), 10, 4)
     """
-    plain = "".join(c for c in name.lower() if c.isalnum())
-    for word in (plain, plain.replace("colour", "color")):
-        if kind := NAMES.get(word) or WORDS.get(word):
-            return CHARTS[kind]
+    if kind := kind_of_chart(name):
+        return CHARTS[kind]
     raise ChartRefused(
         Problem(
             "E_CHART_KIND",
@@ -136,10 +129,12 @@ class ChartReference(NamedTuple):
     def at(self, wavelengths: np.ndarray) -> np.ndarray:
         """Return reflectances at some wavelengths, (n, k); NaN beyond what was measured."""
         rows = [np.interp(wavelengths, self.wavelengths, s) for s in self.spectra]
-        inside = (wavelengths >= self.wavelengths[0] - 5) & (
-            wavelengths <= self.wavelengths[-1] + 5
-        )
-        return np.where(inside, np.array(rows), np.nan)
+        return np.where(self.covers(wavelengths), np.array(rows), np.nan)
+
+    def covers(self, wavelengths: np.ndarray) -> np.ndarray:
+        """Tell where the spectra are known: where they were measured, and 5 nm beyond; not at NaN."""
+        low, high = self.wavelengths[0] - NEAR_NM, self.wavelengths[-1] + NEAR_NM
+        return np.asarray((wavelengths >= low) & (wavelengths <= high))
 
 
 def reference_of(chart: Chart) -> ChartReference | None:

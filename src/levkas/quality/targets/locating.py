@@ -234,7 +234,8 @@ def rank_agreement(
     Bands whose wavelength is known are compared with the reference, each by itself: a filter that
     leaks must not hide what the others see. The first number is the mean of the bands that fit
     (`LEAST_AGREEMENT`), or the best of all where none does. Broad channels are compared with the
-    patches' luminance, the best of them and their mean.
+    patches' luminance, the best of them and their mean. Where all bands lie beyond the reference, in the
+    infrared, the grey patches alone are compared.
 
     Returns
     -------
@@ -250,6 +251,11 @@ def rank_agreement(
     if np.isfinite(bands).any():
         fit = bands >= LEAST_AGREEMENT
         return float(np.mean(bands[fit]) if fit.any() else np.nanmax(bands)), bands
+    if reference is not None and len(wavelengths) and np.isfinite(wavelengths).all():
+        # All bands lie beyond what is published, where paints look otherwise: only greys stay grey.
+        greys = list(chart.greys)
+        found = [_rank_correlation(column[greys], chart.luminances[greys]) for column in means.T]
+        return max(found), bands
     # Infrared channels see other things than the eye does: the best of channels and mean.
     tried = [means.mean(1), *means.T]
     if means.shape[1] == 3:

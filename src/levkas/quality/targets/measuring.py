@@ -227,6 +227,7 @@ def measure(
     wavelengths = np.array([band.wavelength for band in bands], float)
     unfit = np.concatenate([s.located.unfit for s in seen])
     remarks = [*notes, *_warnings(table, bands, seen), *_misfits(bands, seen, reference)]
+    remarks += _unknown_bands(bands, reference)
     if reference is not None and reference.note:
         remarks.append(f"reference: {reference.note}")
     colours, rows = None, []
@@ -235,6 +236,8 @@ def measure(
     reflective = photograph or all(s.cube.quantity == "reflectance" for s in seen)
     visible = ~np.isfinite(wavelengths) | ((wavelengths > 380) & (wavelengths < 740))
     visible &= ~unfit
+    if reference is not None:  # a channel in the infrared tells no colour
+        unfit = unfit | (np.isfinite(wavelengths) & ~reference.covers(wavelengths))
     clean = table.saturated.max() <= SATURATED
     if reference is None:
         remarks.append("no reference spectra: give --reference for colour differences")
@@ -298,6 +301,28 @@ def _misfits(
             f"{bands[i].label} does not see what its wavelength says: rank correlation {fit[i]:.2f}; "
             f"{like}{leak}. It is left out of the colours"
         )
+    return said
+
+
+def _unknown_bands(bands: Sequence[Band], reference: ChartReference | None) -> list[str]:
+    """Say of which bands nothing is published; they are compared with nothing."""
+    if reference is None:
+        return []
+    wavelengths = np.array([band.wavelength for band in bands], float)
+    beyond = np.isfinite(wavelengths) & ~reference.covers(wavelengths)
+    said = []
+    for where, part in (
+        ("infrared", beyond & (wavelengths > reference.wavelengths[-1])),
+        ("ultraviolet", beyond & (wavelengths < reference.wavelengths[0])),
+    ):
+        labels = [bands[i].label for i in map(int, np.flatnonzero(part))]
+        if labels:
+            more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
+            said.append(
+                f"no reference in the {where} for {', '.join(labels[:6])}{more}: the spectra ({reference.source}) are "
+                f"known from {reference.wavelengths[0]:g} to {reference.wavelengths[-1]:g} nm. Signal and noise are "
+                "told there, and nothing is compared; give a CSV that reaches so far"
+            )
     return said
 
 
