@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from levkas.geometry.transforms import Transform
 
 LEAST_OVERLAP = 8
-"""Samples; fewer hold no window of three cells."""
+"""Samples of the right strip that are looked for in the left one."""
+NARROWEST = 16
+"""Samples of an overlap; in fewer no window of Lucas-Kanade is usable."""
 LEAST_CORRELATION = 0.7
 LARGEST_ERROR_PX = 0.15
 """Standard error of the offset; beyond it the overlap shows too little."""
@@ -270,7 +272,10 @@ def _measure(a: np.ndarray, b: np.ndarray, transform: Transform, left: int) -> _
     goal = np.einsum("rcij,rcj->ri", information, shift) / share
     usable = np.linalg.det(total) > 1e-9 * np.maximum(np.trace(total, axis1=1, axis2=2), 1e-30) ** 2
     if usable.sum() < 2:
-        raise _apart("no window of the overlap has detail both along and across the scan")
+        raise _apart(
+            f"an overlap of {one.shape[1]} samples without detail both along and across the scan",
+            f"detail in an overlap of at least {NARROWEST} samples",
+        )
     line = found.centres.reshape(rows, -1, 2)[usable, 0, 1]
     return _Windows(
         line, np.linalg.solve(total[usable], goal[usable][..., None])[..., 0], total[usable]
