@@ -96,7 +96,7 @@ def test_the_record_tells_the_course_and_the_matches_what_became_of_them(correct
     numbers = record["errors"]["sensors"][""]
     assert sum(sensor["checks"]["found"]) == numbers["borne_out"]["found"]
     page = (folder / "database/objects/bad/report.html").read_text()
-    assert "lie where the map puts them" in page and "Figure 10" not in page
+    assert "check windows agree with the map" in page and "Figure 10" not in page
     assert f"over {percent(numbers['checked'])}" in page
     # What an X-ray and a photograph have in common is not likeness.
     assert "SSIM map" not in page and page.index("In short") < page.index('id="evidence"')

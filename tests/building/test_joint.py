@@ -58,7 +58,7 @@ def test_a_record_says_with_whom_it_was_adjusted_and_how_far_it_moved(plates):
     assert told["with"]
     assert 0 <= told["moved_px"]["mean"] <= told["moved_px"]["max"] < 1
     reasons = _record(plates, "one", "infrared")["verdict"]["reasons"]
-    assert any("adjusted together with" in reason for reason in reasons)
+    assert any("joint adjustment with" in reason for reason in reasons)
 
 
 def _adjusted(folder, spoilt=0.0):

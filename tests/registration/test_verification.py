@@ -76,7 +76,7 @@ def test_a_repeated_ornament_is_refused():
     views = [view + rng.normal(0, 0.005, view.shape) for view in views]
     verdict = run(*views).verdict
     assert verdict.decision == "refuse"
-    assert any("repeats itself" in r or "not the place" in r for r in verdict.reasons)
+    assert any("pattern repeats" in r or "wrong place" in r for r in verdict.reasons)
 
 
 def test_a_band_without_a_finite_value_is_refused_by_name(front):

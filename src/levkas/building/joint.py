@@ -271,7 +271,7 @@ def _shown(outside: Sequence[Sequence[float]], points: np.ndarray) -> np.ndarray
 
 
 def _write_verdict(record: dict[str, Any]) -> None:
-    """Judge what is written now, and say with whom each sensor was adjusted."""
+    """Judge the adjusted maps, and add to the reasons which captures each sensor was adjusted with."""
     verdict = judge_windows(_whole(record["verdict"]["numbers"])).to_dict()
     said = []
     for sensor in record["model"]["sensors"]:
@@ -280,9 +280,9 @@ def _write_verdict(record: dict[str, Any]) -> None:
             continue
         where = f"sensor {sensor['sensor']}: " if sensor["sensor"] else ""
         moved, names = told["moved_px"], ", ".join(told["with"])
-        text = f"{where}adjusted together with {names}, which moved it by {moved['mean']:.3f} px in the mean and {moved['max']:.3f} at most"
+        text = f"{where}the joint adjustment with {names} moved the map by {moved['mean']:.3f} px in the mean, at most {moved['max']:.3f} px"
         if "base" in told.get("alone", {}):
-            text += f"; blocks left out are predicted to {told['held_out_px']:.3f} px, {told['alone']['held_out_px']:.3f} by itself"
+            text += f"; the held-out error is {told['held_out_px']:.3f} px, without the adjustment {told['alone']['held_out_px']:.3f} px"
         said.append(f"{text}.")
     record["verdict"] = verdict | {"reasons": [*verdict["reasons"], *said]}
     for name, numbers in verdict["numbers"].items():

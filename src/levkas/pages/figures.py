@@ -134,7 +134,7 @@ def _draw_checks(axes: Axes, checks: CheckWindows, size: Sequence[int]) -> None:
             checks.centres[mask, 0], checks.centres[mask, 1], s=14, linewidths=0.8, edgecolors=themed(edge),
             facecolors="none" if face is None else themed(face),
         )  # fmt: skip
-    title = f"{int(good.sum())} of {len(good)} lie where the map puts them"
+    title = f"{int(good.sum())} of {len(good)} check windows agree with the map"
     _frame_panel(axes, frame_corners((int(size[0]), int(size[1]))), title)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,7 +108,7 @@ def split_sensors(files: Sequence[Path]) -> dict[str, tuple[list[Path], Rows | N
     found = _frames_of_campaign(files[0])
     groups: dict[str, tuple[list[Path], Rows | None]] = {}
     for file in files:
-        camera, sensor = found.get(file.resolve(), (None, ""))
+        camera, sensor = found.get(_absolute(file), (None, ""))
         keys = next((s for s in camera.sensors if s.name == sensor), None) if camera else None
         if keys is None or camera is None:
             return {"": (list(files), None)}
@@ -118,12 +119,17 @@ def split_sensors(files: Sequence[Path]) -> dict[str, tuple[list[Path], Rows | N
     return groups
 
 
+def _absolute(path: Path) -> Path:
+    """Return a path from the root; a frame that is a link belongs to the campaign in which the link lies."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 - `resolve` follows the link
+
+
 def _frames_of_campaign(file: Path) -> dict[Path, tuple[Camera, str]]:
     """Return camera and sensor of every frame of the campaign above a file; nothing without one."""
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.file_index import scan_folders
 
-    above = next((p for p in file.resolve().parents if (p / "campaign.toml").is_file()), None)
+    above = next((p for p in _absolute(file).parents if (p / "campaign.toml").is_file()), None)
     if above is None:
         return {}
     try:
@@ -132,7 +138,7 @@ def _frames_of_campaign(file: Path) -> dict[Path, tuple[Camera, str]]:
     except Refused:
         return {}
     return {
-        f.path.resolve(): (campaign.cameras[camera], f.sensor)
+        _absolute(f.path): (campaign.cameras[camera], f.sensor)
         for (camera, _), found in frames.items()
         for f in found
     }
@@ -143,7 +149,7 @@ def _declared(file: Path) -> tuple[Camera | None, Path | None]:
     from levkas.campaign.campaign import load_campaign
     from levkas.campaign.discovery.file_index import scan_folders
 
-    file = file.resolve()
+    file = _absolute(file)
     above = next((p for p in file.parents if (p / "campaign.toml").is_file()), None)
     if above is None:
         return None, None
@@ -153,6 +159,6 @@ def _declared(file: Path) -> tuple[Camera | None, Path | None]:
     except Refused:
         return None, None
     for (camera, _), found in frames.items():
-        if any(f.path.resolve() == file for f in found):
+        if any(_absolute(f.path) == file for f in found):
             return campaign.cameras[camera], campaign.path
     return None, None

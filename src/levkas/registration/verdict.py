@@ -1,4 +1,4 @@
-"""Verdict: rules on evidence decide whether a registration is accepted, with reasons in a user's words.
+"""Verdict: rules on evidence decide whether a registration is accepted, and give the reasons.
 
 A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it. Where nothing contradicts a
 map and nothing confirms it either, it is accepted, and what was not checked is named and counted: a
@@ -26,10 +26,9 @@ from levkas.registration.verdict_rules import (
 def judge_matches(numbers: dict[str, Any]) -> Verdict:
     """Decide on a map that rests on matches, by the numbers of `mirhashemi2019.measure`."""
     praise = (
-        f"{numbers['kept']} of {numbers['matches']} matches are kept, {numbers['agreeing']} of "
-        f"{numbers['found']} windows that are recognised lie where the map puts them, "
-        f"{numbers['window_median']:.2f} px off in the median; blocks left out of the fit are "
-        f"predicted to {numbers['held_out_median']:.2f} px."
+        f"{numbers['kept']} of {numbers['matches']} matches were kept. {numbers['agreeing']} of the "
+        f"{numbers['found']} check windows that were found agree with the map; their median error is "
+        f"{numbers['window_median']:.2f} px. The held-out error is {numbers['held_out_median']:.2f} px."
     )
     objections = [
         (one.reason, one.on_matches or one.next_step, one.decision)
@@ -68,15 +67,15 @@ def _decide(
 ) -> Verdict:
     """Refuse where one rule refuses; the next step is that of the first rule of the decision.
 
-    What was not checked is said of maps that are accepted or doubtful, behind the reasons for that.
+    Accepted and doubtful maps list what was not checked, after the reasons for the decision.
     """
     open_ones = [(reason, step) for reason, step, one in objections if one == "unchecked"]
     decisions: tuple[Decision, ...] = ("refuse", "warn")
     for decision in decisions:
         found = [(reason, step) for reason, step, one in objections if one == decision]
         if found:
-            told = found if decision == "refuse" else [*found, *open_ones]
-            reasons = tuple(reason for reason, _ in told)
+            listed = found if decision == "refuse" else [*found, *open_ones]
+            reasons = tuple(reason for reason, _ in listed)
             return Verdict(decision, reasons, found[0][1], numbers, unchecked)
     reasons = (*praise, *(reason for reason, _ in open_ones))
     return Verdict("accept", reasons, open_ones[0][1] if open_ones else "", numbers, unchecked)
@@ -94,7 +93,7 @@ def _where(name: str) -> str:
 def _praise(numbers: Numbers) -> str:
     n = numbers["borne_out"]
     return (
-        f"{n.get('agreeing', 0)} of {n.get('found', 0)} windows that are recognised lie where "
-        f"the map puts them; blocks left out of the fit are predicted to {numbers['held_out_px']:.2f} px, "
-        f"over the {percent(n['checked'])} of the object that is checked."
+        f"{n.get('agreeing', 0)} of the {n.get('found', 0)} check windows that were found agree with the map. "
+        f"The held-out error is {numbers['held_out_px']:.2f} px over the {percent(n['checked'])} of the object "
+        "that was checked."
     )

@@ -1,4 +1,4 @@
-"""Rules of the verdict: what each piece of evidence on a registration says, in a user's words.
+"""Rules of the verdict: decision, reason and next step for each piece of evidence on a registration.
 
 A rule that finds a contradiction makes a map doubtful (``"warn"``) or refuses it; what only was not checked is
 ``"unchecked"``. No rule looks at the residuals of the matches that were kept: the removal of outliers makes those
@@ -116,11 +116,13 @@ SETTINGS = VerdictSettings()
 #: Name among the numbers of a sensor without one.
 ONLY = "sensor"
 
-OTHER = "Check that both pictures show the same object, the same way up and framed alike"
-POINTS = "run `levkas inspect CAMPAIGN`, open this camera and click four places that you see in both pictures"
+OTHER = "Check that both pictures show the same object, with the same side up and the same framing"
+POINTS = (
+    "run `levkas inspect CAMPAIGN`, open this camera and mark four points that both pictures show"
+)
 BY_HAND = f"{OTHER}; if they do, {POINTS}."
-LOOK = "Look at both pictures in the report with the flicker before you rely on this camera."
-REGION = "Use nothing from there, or add pairs there in `levkas inspect CAMPAIGN`."
+LOOK = "Compare both pictures in the report, with the flicker, before you use this layer."
+REGION = "Do not use the layer there, or add pairs there in `levkas inspect CAMPAIGN`."
 
 Numbers = Mapping[str, Any]
 
@@ -157,13 +159,13 @@ def percent(share: float) -> str:
     return f"{min(round(100 * share), 100 if share >= 1 else 99)} %"
 
 
-def _off(error: float) -> str:
-    """Return how far off something is, as text.
+def _error_text(error: float) -> str:
+    """Return an error as text.
 
-    >>> _off(0.5), _off(float("inf"))
-    ('0.50 px off', 'not predicted at all')
+    >>> _error_text(0.5), _error_text(float("inf"))
+    ('0.50 px', 'not measurable')
     """
-    return f"{error:.2f} px off" if np.isfinite(error) else "not predicted at all"
+    return f"{error:.2f} px" if np.isfinite(error) else "not measurable"
 
 
 def _places(cells: Sequence[Sequence[float]]) -> str:
@@ -182,8 +184,8 @@ def enough_matches(n: Numbers) -> Objection | None:
         return None
     return Objection(
         "refuse",
-        f"Only {n['kept']} matches are left for a map with {n['terms']} coefficients for each of "
-        f"x and y; at least {least} are needed.",
+        f"Only {n['kept']} matches were kept. A map with {n['terms']} coefficients for each of x and y "
+        f"needs at least {least}.",
         f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
     )
 
@@ -194,8 +196,7 @@ def more_than_chance(n: Numbers) -> Objection | None:
         return None
     return Objection(
         "refuse",
-        f"{n['kept']} matches are kept, but {n['chance_kept']} are kept too when places are paired "
-        "at random: the map may be chance.",
+        f"{n['kept']} matches were kept, and {n['chance_kept']} of random pairs: the map may be due to chance.",
         f"{OTHER}; if they do, lower `reject` or try the method `levkas`.",
     )
 
@@ -206,7 +207,7 @@ def begins_with_key_points(n: Numbers) -> Objection | None:
         return None
     return Objection(
         "warn",
-        "No key points of the two pictures agree; the map was begun from the outlines of whole pictures.",
+        "No key points match between the two pictures. The search started from their outlines.",
         LOOK,
     )
 
@@ -219,7 +220,7 @@ def better_than_chance(n: Numbers) -> Objection | None:
     refused = share < SETTINGS.predicted.refuse
     return Objection(
         "refuse" if refused else "warn",
-        f"Only {percent(share)} of the windows are predicted better than windows that cannot match.",
+        f"Only {percent(share)} of the check windows match better than chance (95 % limit of unrelated windows).",
         BY_HAND if refused else LOOK,
         lacks_evidence=refused,
     )
@@ -236,15 +237,17 @@ def predicts_windows(n: Numbers) -> Objection | None:
     if np.isinf(error):
         return Objection(
             "refuse",
-            "Too little was recognised to leave some of it out of the fit and predict it.",
+            "Too few windows were found to measure a held-out error.",
             BY_HAND,
             lacks_evidence=True,
         )
     bad = not error < max(SETTINGS.bad_px, SETTINGS.bad_steps * step)
     return Objection(
         "refuse" if bad else "warn",
-        f"Windows that the model did not see are {_off(error)}: no one map fits all of them.",
-        f"{OTHER}; what has been bent or cut has no one map." if bad else LOOK,
+        f"The held-out error is {_error_text(error)}: no single map fits all windows.",
+        f"{OTHER}; an object that was bent or cut between the captures has no single map."
+        if bad
+        else LOOK,
     )
 
 
@@ -253,14 +256,14 @@ def does_not_fold(n: Numbers) -> Objection | None:
     if n["overlap"] == 0:
         return Objection(
             "refuse",
-            "The map puts the reference wholly outside the other picture.",
+            "The map places the whole reference outside the other picture.",
             BY_HAND,
         )
     if n["folded"] == 0:
         return None
     return Objection(
         "refuse",
-        f"The map folds over or has no answer in {percent(n['folded'])} of the overlap.",
+        f"The map folds or is undefined in {percent(n['folded'])} of the overlap.",
         BY_HAND,
         f"{OTHER}; if they do, lower the order of the polynomial.",
     )
@@ -274,8 +277,7 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
     if n["scale_min"] < low or n["scale_max"] > high:
         return Objection(
             "refuse",
-            f"The map scales by {n['scale_min']:.2g} to {n['scale_max']:.2g}, beyond "
-            f"{low:g} to {high:g}.",
+            f"The scale of the map is {n['scale_min']:.2g} to {n['scale_max']:.2g}; a camera gives {low:g} to {high:g}.",
             BY_HAND,
         )
     decisions = (
@@ -287,9 +289,9 @@ def has_plausible_shape(n: Numbers) -> Objection | None:
     refused = "refuse" in decisions
     return Objection(
         "refuse" if refused else "warn",
-        f"The map stretches one way {n['anisotropy']:.2f} times as much as across, and "
-        f"areas {n['area_ratio']:.2f} times as much in one place as in another.",
-        f"{OTHER}; a camera that looks very aslant should be set up anew." if refused else LOOK,
+        f"The map stretches one direction {n['anisotropy']:.2f} times as much as the other, and its scale of "
+        f"area varies by a factor of {n['area_ratio']:.2f}.",
+        f"{OTHER}; if the camera was strongly tilted, set it up again." if refused else LOOK,
     )
 
 
@@ -297,18 +299,16 @@ def predicts_matches(n: Numbers) -> Objection | None:
     """Refuse or warn where blocks of matches that were not fitted are off."""
     miss = n["held_out_median"]
     if miss > n["tolerance"]:
-        text = f"off by {miss:.2f} px in the median" if np.isfinite(miss) else "not predicted"
+        text = f"{miss:.2f} px in the median" if np.isfinite(miss) else "not measurable"
         return Objection(
             "refuse",
-            f"Blocks of matches that are left out of the fit are {text}: the map fits its matches "
-            "and says nothing of the rest.",
+            f"The held-out error is {text}: the map fits its own matches and is wrong between them.",
             f"{OTHER}; if they do, lower the order of the polynomial.",
         )
     if n["held_out_p90"] > 3 * n["tolerance"]:
         return Objection(
             "warn",
-            f"One match in ten that is left out of the fit is off by more than "
-            f"{n['held_out_p90']:.1f} px.",
+            f"The held-out error exceeds {n['held_out_p90']:.1f} px at one match in ten.",
             LOOK,
         )
     return None
@@ -321,19 +321,17 @@ def windows_agree(n: Numbers) -> Objection | None:
         sure = n["kept"] >= SETTINGS.sure_matches_per_term * n["terms"]
         return Objection(
             "warn" if sure else "refuse",
-            f"Of {n['windows']} windows of the reference only {n['found']} are recognised where "
-            "the map puts them: there is nothing to check the map by.",
+            f"Only {n['found']} of {n['windows']} check windows were found: too few to check the map.",
             LOOK if sure else BY_HAND,
             lacks_evidence=not sure,
         )
     few = n["agreeing"] < SETTINGS.least_agreeing_share * n["found"]
     if few or n["window_median"] > n["tolerance"]:
         off = n["window_median"] > n["tolerance"]
-        median = f"; they are {n['window_median']:.1f} px off in the median" if off else ""
+        median = f"; the median error is {n['window_median']:.1f} px" if off else ""
         return Objection(
             "refuse",
-            f"Of {n['found']} windows of the reference that are recognised, only {n['agreeing']} lie "
-            f"where the map puts them{median}.",
+            f"Only {n['agreeing']} of the {n['found']} check windows that were found agree with the map{median}.",
             BY_HAND,
             f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
         )
@@ -345,7 +343,7 @@ def fits_nowhere_else(n: Numbers) -> Objection | None:
     if n["rival"] > 1:
         return Objection(
             "refuse",
-            "Shifted elsewhere, the pictures agree better than here: this is not the place.",
+            "The pictures agree better at another shift: the map is in the wrong place.",
             BY_HAND,
             f"{OTHER}; if they do, try the method `levkas`, or {POINTS}.",
         )
@@ -354,9 +352,8 @@ def fits_nowhere_else(n: Numbers) -> Objection | None:
         return None
     return Objection(
         decision,
-        f"Shifted elsewhere, the pictures agree {100 * n['rival']:.0f} % as well as here: "
-        "the picture repeats itself.",
-        "Give `region` so that something that does not repeat is in it, or control points.",
+        f"The pictures agree {100 * n['rival']:.0f} % as well at another shift: the pattern repeats.",
+        "Choose a `region` with detail that does not repeat, or give control points.",
     )
 
 
@@ -367,9 +364,8 @@ def shows_the_reference(n: Numbers) -> Objection | None:
     refused = n["overlap"] < SETTINGS.overlap.refuse
     return Objection(
         "refuse" if refused else "unchecked",
-        f"This camera shows {percent(n['overlap'])} of the reference; nothing is known "
-        "of the rest.",
-        f"{OTHER}." if refused else "Use nothing outside the overlap.",
+        f"This camera covers {percent(n['overlap'])} of the reference; it has no data for the rest.",
+        f"{OTHER}." if refused else "Do not use the layer outside the overlap.",
     )
 
 
@@ -378,14 +374,13 @@ def matches_cover(n: Numbers) -> Objection | None:
     if n["off_share"] > SETTINGS.off_share:
         return Objection(
             "refuse",
-            f"The map is off in {percent(n['off_share'])} of what both pictures show.",
+            f"The map is wrong in {percent(n['off_share'])} of the overlap.",
             f"{OTHER}; if they do, raise `reject` or try the method `levkas`.",
         )
     if n["coverage"] < SETTINGS.coverage.refuse:
         return Objection(
             "refuse",
-            f"Only {percent(n['coverage'])} of what both pictures show is confirmed by matches "
-            "or by comparison.",
+            f"Matches and check windows confirm the map in only {percent(n['coverage'])} of the overlap.",
             BY_HAND,
         )
     return _off_or_unconfirmed(n)
@@ -398,8 +393,8 @@ def windows_cover(n: Numbers) -> Objection | None:
     if n["off_share"] > SETTINGS.off_share or n["coverage"] < SETTINGS.least_coverage:
         return Objection(
             "refuse",
-            f"Comparison confirms the map in only {percent(n['coverage'])} of what both pictures show"
-            + (f", and shows it off in {percent(n['off_share'])}." if n["off_share"] else "."),
+            f"Check windows confirm the map in only {percent(n['coverage'])} of the overlap"
+            + (f" and contradict it in {percent(n['off_share'])}." if n["off_share"] else "."),
             BY_HAND,
             lacks_evidence=n["off_share"] <= SETTINGS.off_share,
         )
@@ -411,15 +406,14 @@ def _off_or_unconfirmed(n: Numbers) -> Objection | None:
     if n["off"]:
         return Objection(
             "warn",
-            f"The map is off in {percent(n['off_share'])} of what both pictures show {_places(n['off'])}{_plane(n)}.",
+            f"The map is wrong in {percent(n['off_share'])} of the overlap {_places(n['off'])}{_plane(n)}.",
             REGION,
         )
     if n["coverage"] >= SETTINGS.coverage.warn:
         return None
     return Objection(
         "warn" if n["coverage"] < SETTINGS.least_checked else "unchecked",
-        f"Nothing confirms the map in {percent(1 - n['coverage'])} of what both pictures show "
-        f"{_places(n['unsupported'])}.",
+        f"The map was not checked in {percent(1 - n['coverage'])} of the overlap {_places(n['unsupported'])}.",
         REGION,
     )
 
@@ -434,7 +428,7 @@ def _plane(n: Numbers) -> str:
     apart = np.hypot(*(shifts - middle).T)
     if not (apart <= max(n["tolerance"], SETTINGS.alike * length)).all():
         return ""
-    return f", by {length:.1f} px alike: there is more than one plane, or a part has moved, and the map follows the larger one"
+    return f", everywhere by about {length:.1f} px: the object has more than one plane, or a part has moved; the map follows the larger part"
 
 
 def is_checked(n: Numbers) -> Objection | None:
@@ -446,13 +440,12 @@ def is_checked(n: Numbers) -> Objection | None:
     return Objection(
         "warn",
         (
-            f"Blocks left out of the fit are predicted to {n['held_out_px']:.2f} px over the {percent(share)} of "
-            "the object that could be checked"
+            f"The held-out error is {n['held_out_px']:.2f} px over the {percent(share)} of the object that was checked"
             if np.isfinite(n["held_out_px"])
-            else f"Only {percent(share)} of the object could be checked"
+            else f"Only {percent(share)} of the object was checked"
         )
-        + f"; nothing confirms the map in {percent(part)} of it (x, y, width, "
-        f"height: {', '.join(f'{v:.0f}' for v in box)}), where it only reaches over.",
+        + f". In {percent(part)} of the object the map is extrapolated (x, y, width, "
+        f"height: {', '.join(f'{v:.0f}' for v in box)}).",
         REGION,
     )
 
@@ -466,21 +459,21 @@ def shows_the_same_painting(n: Numbers) -> Objection | None:
     if strange is None or strange < SETTINGS.strange.warn:
         return None
     found = n["found"] / max(n["windows"], 1)
-    seen = f"Where windows are recognised, {percent(strange)} of their detail (strokes, cracks) is not in the reference"
+    seen = f"{percent(strange)} of the fine detail (strokes, cracks) in the matched windows is absent from the reference"
     copied = strange >= SETTINGS.strange.refuse and found < SETTINGS.most_found_of_a_copy
     if n["alike"] and copied:
         return Objection(
             "refuse",
-            f"{seen}, which sees the same light: it is another painting by the same pattern.",
+            f"{seen}, taken in the same light: this is another painting made from the same pattern.",
             BY_HAND,
         )
     unknown = n.get("light") == "unknown"
     return Objection(
         "unchecked" if unknown else "warn",
-        f"{seen}: another light shows other detail, and so does another painting by the same pattern; nothing "
-        "here can tell them apart."
+        f"{seen}. Either the light differs, or this is another painting made from the same pattern; the "
+        "pictures alone cannot decide."
         if unknown
-        else f"{seen}: it may be another painting by the same pattern, or one seen in quite another light.",
+        else f"{seen}. This may be another painting made from the same pattern, or the light may differ strongly.",
         LOOK,
     )
 
@@ -492,9 +485,9 @@ def stays_within_its_sigma(n: Numbers) -> Objection | None:
         return None
     return Objection(
         "warn",
-        f"Adjusted with other captures, {excess['band']} moves by {excess['px']:.2f} px in the mean, "
-        f"{excess['sigmas']:.0f} times what its own windows leave open.",
-        "Look at the other captures of this camera, or build without `joint`.",
+        f"The joint adjustment moves {excess['band']} by {excess['px']:.2f} px in the mean, "
+        f"{excess['sigmas']:.0f} times its own standard deviation.",
+        "Check the other captures of this camera, or build without `joint`.",
     )
 
 
@@ -503,7 +496,7 @@ def is_compared(n: Numbers) -> Objection | None:
     if n["cover"] is None or n["cover"] >= SETTINGS.least_cover:
         return None
     return Objection(
-        "unchecked", f"Only {percent(n['cover'])} of the reference could be compared.", LOOK
+        "unchecked", f"Only {percent(n['cover'])} of the reference was compared.", LOOK
     )
 
 
@@ -513,7 +506,7 @@ def has_converged(n: Numbers) -> Objection | None:
         return None
     return Objection(
         "warn",
-        f"The map had not come to rest in the last of {n['rounds']} rounds: it still moved by {n['moved']:.2f} px.",
+        f"The map did not converge in {n['rounds']} rounds: the last round moved it by {n['moved']:.2f} px.",
         LOOK,
     )
 
@@ -557,8 +550,8 @@ def objections_to(numbers: Numbers, basis: frozenset[str]) -> list[Objection]:
     if not lacking or not outlines or not _agree(outlines):
         return found
     text = (
-        f"{outlines['agreeing']} of {outlines['blocks']} large blocks lie, by their outlines, within "
-        f"{outlines['px']:.1f} px of where the map puts them; closer than that it could not be checked."
+        f"The outlines of {outlines['agreeing']} of {outlines['blocks']} large blocks agree with the map "
+        f"within {outlines['px']:.1f} px. A finer check was not possible."
     )
     doubted = [replace(one, decision="warn") if one in lacking else one for one in found]
     return [Objection("warn", text, LOOK), *doubted]

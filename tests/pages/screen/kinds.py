@@ -115,7 +115,7 @@ def comparison():
             )
             facts = {
                 "failure": lost, "bands": [] if lost else bands, "seconds": 1.5, "ssim": None if lost else 0.9 - j / 9,
-                "note": "116 of 117 windows that are recognised lie where the map puts them",
+                "note": "116 of the 117 check windows that were found agree with the map",
             }  # fmt: skip
             rows.append(ComparedRow(ComparedLayer("icon1", layer), method, facts))
     return render_comparison(Comparison(rows))
