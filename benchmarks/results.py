@@ -116,24 +116,23 @@ def save(results: Results, path: Path = FILE) -> None:
 
 
 def record(
-    path: Path | None, table: str, values: Mapping[str | tuple[str, str], Value], unit: str = ""
+    path: Path | None, table: str, values: Mapping[str, Value] | Mapping[tuple[str, str], Value]
 ) -> None:
     """Bring figures of one table up to date, with command, machine, version and date of this run.
 
-    `values` by row, or by (row, column). A figure that the file has keeps unit and goal; a new one
-    needs `unit` and has no goal until somebody writes one. Does nothing without a path.
+    `values` by row, or by (row, column). The file has the figure already, with unit and goal: one
+    that it lacks (of a shorter run, for example) raises ValueError, and nothing is written. Does
+    nothing without a path.
     """
     if path is None:
         return
     results = load(path)
     known = {f.key: f for f in results.figures}
-    for name, value in sorted(values.items(), key=str):
-        what, aspect = (name, "") if isinstance(name, str) else name
-        key = (table, what, aspect)
-        if key not in known and not unit:
-            raise ValueError(f"{path.name} has no figure {key}: give its unit, or another name")
-        old = known.get(key) or Figure(*key, None, unit, None, "", "", "", "")
-        known[key] = replace(old, value=_rounded(value), **_run())
+    for name, value in values.items():
+        key = (table, name, "") if isinstance(name, str) else (table, *name)
+        if key not in known:
+            raise ValueError(f"{path.name} has no figure {key}: write its line there first")
+        known[key] = replace(known[key], value=_rounded(value), **_run())
     save(Results(results.tables, tuple(known.values())), path)
 
 

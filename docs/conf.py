@@ -19,7 +19,6 @@ extensions = [
 ]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-myst_heading_slug_func = "docutils.nodes.make_id"
 autosummary_generate = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"

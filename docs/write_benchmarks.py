@@ -84,12 +84,13 @@ def head(column: str, figures: list[Figure], units: set[str], *, shared: bool) -
 
 
 def origin(figures: list[Figure]) -> list[str]:
-    """Return the line below a table: command, dates, machines."""
+    """Return the line below a table: command, dates, and the machine where it is one."""
     commands = list(dict.fromkeys(f.command for f in figures))
     first = [f"`{commands[0]}`"] if len(commands) == 1 else []
     days = sorted({f.date for f in figures})
     machines = sorted({f.machine for f in figures} - {UNKNOWN})
-    return ["; ".join([*first, ", ".join(days), *machines]) + ".", ""]
+    last = machines if len(machines) == 1 else []
+    return ["; ".join([*first, ", ".join(days), *last]) + ".", ""]
 
 
 def number(value: float) -> str:
