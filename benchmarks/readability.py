@@ -124,7 +124,9 @@ def texts_of(root: Path) -> Iterator[Text]:
             if len(WORD.findall(part)) >= LEAST_WORDS:
                 yield Text("pages", str(path.relative_to(root)), " ".join(part.split()))
     for path in sorted((root / "frontend" / "src").rglob("*.ts")):
-        for found in SCRIPT_STRING.finditer(re.sub(r"(?m)^\s*(//|\*|/\*).*$", "", path.read_text())):
+        for found in SCRIPT_STRING.finditer(
+            re.sub(r"(?m)^\s*(//|\*|/\*).*$", "", path.read_text())
+        ):
             text = re.sub(r"\$\{[^}]*\}", "X", found[1] or found[2] or "")
             if is_prose(text) and not text.startswith((".", "#", "M")):
                 yield Text("screens", str(path.relative_to(root)), text)
@@ -132,7 +134,9 @@ def texts_of(root: Path) -> Iterator[Text]:
 
 def main() -> None:
     """Print the figures of each kind of text, and of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--commit", help="a commit to measure instead of the working tree")
     parser.add_argument("--list", action="store_true", help="print every text instead")
     options = parser.parse_args()
@@ -153,10 +157,14 @@ def main() -> None:
         for one in texts:
             print(f"{one.kind}\t{one.place}\t{one.text!r}")
         return
-    print("| text | texts | words | words per sentence | Flesch reading ease |\n|---|---:|---:|---:|---:|")
+    print(
+        "| text | texts | words | words per sentence | Flesch reading ease |\n|---|---:|---:|---:|---:|"
+    )
     for kind in (*dict.fromkeys(one.kind for one in texts), "all"):
         f = figures([one.text for one in texts if kind in (one.kind, "all")])
-        print(f"| {kind} | {f.texts} | {f.words} | {f.words_per_sentence:.1f} | {f.reading_ease:.1f} |")
+        print(
+            f"| {kind} | {f.texts} | {f.words} | {f.words_per_sentence:.1f} | {f.reading_ease:.1f} |"
+        )
 
 
 if __name__ == "__main__":

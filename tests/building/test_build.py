@@ -268,7 +268,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_any_work(tmp_path):
 
 
 def test_an_output_over_the_campaign_is_refused(campaign):
-    with pytest.raises(Refused, match="written over the campaign"):
+    with pytest.raises(Refused, match="replace the campaign"):
         list(build(campaign, output=campaign))
 
 

@@ -161,7 +161,7 @@ def test_codes_at_the_upper_end_of_16_bits_are_read_where_saturation_says_so(tmp
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda f, *_: f >> 4, "no code is above"),
+        (lambda f, *_: f >> 4, "no code exceeds"),
         (
             lambda f, *_: np.round((f >> 4) * (4095 / 255)).astype(np.uint16),
             "8 bits stretched to 12",

@@ -129,7 +129,7 @@ def test_five_hundred_objects_and_forty_cameras_are_read_soon(facts, tmp_path):
     if facts == "object":
         assert len(load_campaign(tmp_path).cameras) == 40
     else:
-        with pytest.raises(CampaignInvalid, match="not among targets"):
+        with pytest.raises(CampaignInvalid, match="not listed in targets"):
             load_campaign(tmp_path)
     assert time.process_time() - before < MOST_S
 

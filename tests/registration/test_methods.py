@@ -113,7 +113,7 @@ def test_an_installed_package_adds_a_method(tmp_path):
             "import nowhere_to_be_found",
             "raises ModuleNotFoundError: No module named 'nowhere_to_be_found'",
         ),
-        ("METHOD = print", "is no Method with a function"),
+        ("METHOD = print", "is not a Method with a function"),
     ],
 )
 def test_a_method_that_cannot_be_loaded_is_named_and_stops_only_who_chooses_it(

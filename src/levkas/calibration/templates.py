@@ -140,7 +140,7 @@ def average(
             sums.add(frame)
     if sums is None:
         raise CalibrationRefused(
-            Problem("E_NO_FRAMES", "there is nothing to average", found=0, expected="1 or more")
+            Problem("E_NO_FRAMES", "there are no frames to average", found=0, expected="1 or more")
         )
     return sums.template(exposure_s)
 
@@ -178,7 +178,7 @@ class _Sums:
             raise CalibrationRefused(
                 Problem(
                     "E_SIZE" if frame.shape != self.first.shape else "E_VALUE",
-                    f"shot {index} does not fit shot 0",
+                    f"shot {index} differs from shot 0 in size or type",
                     found=f"{frame.shape} {frame.dtype}",
                     expected=f"{self.first.shape} {self.first.dtype}",
                     fix="Average shots of one sensor and one mode only.",
@@ -341,6 +341,6 @@ def no_values(band: int, shape: tuple[int, ...]) -> CalibrationRefused:
             field="pixels",
             found=f"{shape[1]} x {shape[0]} values, each NaN or infinite in some frame",
             expected="finite numbers",
-            fix="Export the frame again, or leave it out of `files`.",
+            fix="Export the frame again, or remove it from `files`.",
         )
     )
