@@ -225,7 +225,7 @@ def test_a_different_painting_is_refused_by_reason_and_nothing_of_it_is_written(
     assert not (campaign / "database/objects/panel/panel_irr.tif").exists()
     assert "irr" not in (campaign / "database/catalogue.csv").read_text()
     page = (campaign / "database/objects/panel/report.html").read_text()
-    assert "irr was left out: it could not be aligned" in page
+    assert "irr was left out: its registration was refused" in page
     assert "What was refused" not in page  # its own section says why
 
 

@@ -111,7 +111,7 @@ def test_every_hostile_file_of_notes_is_refused_with_a_sentence_and_nothing_runs
     take(opened, tmp_path, page(note("A crack")))
     for name, text in ANNOTATIONS.items():
         said = take(opened, tmp_path, text, "evil.json")
-        assert said.startswith("evil.json is not taken: ") and said.endswith("."), name
+        assert said.startswith("evil.json was refused: ") and said.endswith("."), name
         assert len(said) < 300, name
         state = opened.evaluate(EVIL)
         assert state == {"evil": None, "tags": [], "attributes": []}, name
