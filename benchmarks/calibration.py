@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+from results import add_option, record
 
 from levkas.calibration.flatfield import flat_field
 from levkas.calibration.mosaic import demosaic
@@ -55,7 +56,7 @@ def calibrate(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     return made.values, made.flags, made.variance
 
 
-def whites_alone(count: int, shape: tuple[int, int]) -> None:
+def whites_alone(count: int, shape: tuple[int, int], results: Path | None) -> None:
     """In a process of its own: the peak of memory that averaging many whites adds."""
     frame = np.resize(np.arange(4000, dtype=np.uint16), shape)
     average(iter([frame[:64, :64]] * 3), saturation=SATURATION)  # compiled
@@ -64,6 +65,8 @@ def whites_alone(count: int, shape: tuple[int, int]) -> None:
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(f"{count} whites of {frame.size / 1e6:.0f} Mpx: {(after - before) / 1e3:.0f} MB", end="")
     print(f" more than before, {after / 1e3:.0f} MB in all")
+    name = f"{count} whites of {round(frame.size / 1e6)} Mpx"
+    record(results, "speed", {name: after / 1e3})
 
 
 def main() -> None:
@@ -71,11 +74,12 @@ def main() -> None:
     parser.add_argument("--megapixels", type=float, default=10)
     parser.add_argument("--whites", type=int, default=50)
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
+    add_option(parser)
     told = parser.parse_args()
     height = int(np.sqrt(told.megapixels * 1e6 / 1.5)) // 2 * 2
     shape = (height, height * 3 // 2 // 2 * 2)
     if told.alone:
-        whites_alone(told.whites, shape)
+        whites_alone(told.whites, shape, told.results)
         return
     with tempfile.TemporaryDirectory() as folder, steady_libraries():
         size = write(Path(folder), shape)
@@ -87,6 +91,7 @@ def main() -> None:
             best = min(best, time.perf_counter() - start)
         print(f"{size / 1e6:.0f} MB of raw to reflectance with sigma: {best:.2f} s, ", end="")
         print(f"{size / 1e6 / best:.0f} MB/s")
+        record(told.results, "speed", {"raw to reflectance": size / 1e6 / best})
         for method in ("malvar", "bilinear"):
             demosaic(*made, "RGGB", method=method)
             start = time.perf_counter()
@@ -95,6 +100,7 @@ def main() -> None:
             print(f"demosaicing {method}, values, flags and variance: {took:.2f} s, ", end="")
             print(f"{made[0].size / 1e6 / took:.0f} Mpx/s")
     command = [sys.executable, __file__, "--alone", "--whites", str(told.whites)]
+    command += ["--results", str(told.results)] if told.results else []
     subprocess.run([*command, "--megapixels", str(told.megapixels)], check=True)
 
 

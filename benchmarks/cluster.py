@@ -27,6 +27,7 @@ import time
 from pathlib import Path
 
 import psutil
+from results import record, taken_option
 
 from levkas.core.digests import hash_tree
 from levkas.core.files import PARTIAL
@@ -87,7 +88,7 @@ def build(campaign, output, *options, threads=None, program=LEVKAS, **more):
     return time.monotonic() - started, busy, done.stderr.strip().splitlines()[-1]
 
 
-def speed(campaign, folder):
+def speed(campaign, folder, results):
     counted = [sys.executable, "-c", WITH_MESSAGES]
     ways = {
         "one process, one thread": (("--workers", "0"), 1, LEVKAS),
@@ -116,6 +117,8 @@ def speed(campaign, folder):
             f"that of two workers; two workers {least['2 workers'] / least['one process'] - 1:+.1%} and "
             f"one worker {least['1 worker'] / least['one process'] - 1:+.1%} of one process"
         )
+    figures = {f"cluster: {name}": (min(each), max(each)) for name, each in walls.items()}
+    record(results, "speed", figures)
     print("the same bytes" if len(hashes) == 1 else f"{len(hashes)} DIFFERENT DATABASES")
 
 
@@ -136,7 +139,7 @@ def setups(folder):
     return folder
 
 
-def kinds(campaign, folder):
+def kinds(campaign, folder, results):
     streams = folder / "streams.py"
     streams.write_text(STREAMED)
     streamed = [sys.executable, "-c", f"{STREAMED}\nfrom levkas.cli import main; main()"]
@@ -208,7 +211,7 @@ def resume(process):
         process.resume()
 
 
-def kills(campaign, folder):
+def kills(campaign, folder, results):
     expected_wall, _, _ = build(campaign, folder / "alone", "--workers", "0")
     expected = hash_tree(folder / "alone")
     machines, rng = Machines(28786), random.Random(1)
@@ -258,9 +261,13 @@ def kills(campaign, folder):
     same = hash_tree(output) == expected
     left = [p for p in folder.rglob("*") if PARTIAL.fullmatch(p.name)]
     print("the same bytes" if same else "OTHER BYTES", f"{len(left)} partial files")
+    if killed == KILLS:
+        name = f"{KILLS} workers killed: other bytes"
+        record(results, "robustness", {name: int(not same)})
 
 
 if __name__ == "__main__":
+    results = taken_option()
     what = sys.argv[1] if sys.argv[1:] else "speed"
     with tempfile.TemporaryDirectory() as place:
         given = Path(sys.argv[2]) if sys.argv[2:] else None
@@ -269,4 +276,4 @@ if __name__ == "__main__":
             "speed": (simulated, speed), "kinds": (setups, kinds), "kills": (plates, kills)
         }[what]  # fmt: skip
         chosen = given or make(folder)
-        measure(chosen.resolve(), Path(place))
+        measure(chosen.resolve(), Path(place), results)

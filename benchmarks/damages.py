@@ -13,6 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from results import record, taken_option
 
 from levkas.core.cube import Band, Cube
 from levkas.core.files import write_json, write_text
@@ -70,7 +71,7 @@ def put(contents):
             path.write_bytes(data)
 
 
-def main(count, clean):
+def main(count, clean, results):
     """Print how many damages of each kind were found, with exactly the damaged files named."""
     rng, started = np.random.default_rng(0), time.perf_counter()
     done, right = Counter(), Counter()
@@ -94,7 +95,13 @@ def main(count, clean):
     for kind in KINDS:
         print(f"{kind:8} {done[kind]:6} damages, {right[kind]:6} found and named exactly")
     print(f"{clean} clean checks, {alarms} false alarms; {time.perf_counter() - started:.0f} s")
+    figures = {
+        f"{count:,} damages: found and named": right.total(),
+        f"{clean:,} clean checks: false alarms": alarms,
+    }
+    record(results, "robustness", figures)
 
 
 if __name__ == "__main__":
-    main(*(int(n) for n in (sys.argv[1:] + ["10000", "1000"][len(sys.argv) - 1 :])[:2]))
+    results = taken_option()
+    main(*(int(n) for n in (sys.argv[1:] + ["10000", "1000"][len(sys.argv) - 1 :])[:2]), results)

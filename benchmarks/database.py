@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from results import add_option, record
 
 from levkas import database as levkas_database
 from levkas.core.cube import Band, Cube
@@ -160,10 +161,14 @@ def main() -> None:
     for name, value in (("height", 1040), ("width", 1392), ("bands", 33), ("rounds", ROUNDS)):
         options.add_argument(f"--{name}", type=int, default=value)
     options.add_argument("--json", type=Path)
+    add_option(options)
     chosen = options.parse_args()
     report = measure(chosen.height, chosen.width, chosen.bands, chosen.rounds)
     for name, value in report.items():
         print(f"{name:16} {value:8.2f}")
+    names = {"tiff ratio": "TIFF over tifffile", "zarr ratio": "Zarr over zarr"}
+    names["spectrum ms"] = "one spectrum from Zarr"
+    record(chosen.results, "speed", {text: report[name] for name, text in names.items()})
     if chosen.json:
         chosen.json.write_text(json.dumps(report, indent=1) + "\n")
 

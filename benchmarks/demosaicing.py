@@ -1,6 +1,6 @@
 """Demosaicing of a beam-splitter camera's six channels: error a channel by method, and whether sigma holds.
 
-    python benchmarks/demosaicing.py [FOLDER]
+    python benchmarks/demosaicing.py [FOLDER] [--results FILE]
 
 Paintings (photographs in FOLDER, default ../shared/data/paintings, at half their size) as the two Bayer sensors of the simulated
 beam-splitter camera see them. Reflectance spectra are mixtures of three smooth ones ("smooth"), or of the simulation's paints that
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from results import record, taken_option
 from scipy.optimize import nnls
 
 from levkas.calibration.mosaic import demosaic
@@ -91,8 +92,8 @@ def score(truth, method):
     return np.array(psnr), float(pull.std()), float(np.mean(np.abs(pull) < 1.96))
 
 
-def main(folder="../shared/data/paintings"):
-    bands = sensitivities()
+def main(folder="../shared/data/paintings", *, results=None):
+    bands, gains, pulls = sensitivities(), {"bilinear": [], "malvar": []}, []
     print(
         "| painting, spectra, sensor | method | PSNR of R, G, B, dB | mean | error over sigma | within 1.96 |\n|---|---|---|---|---|---|"
     )
@@ -100,13 +101,25 @@ def main(folder="../shared/data/paintings"):
         for number in (0, 1):
             part = slice(3 * number, 3 * number + 3)
             own = wiener_method(correlate_channels(WAVELENGTHS, bands[:, part]))
+            means = {}
             for label, method in (("bilinear", "bilinear"), ("malvar", "malvar"), ("wiener", own)):
                 psnr, pull, within = score(picture[..., part], method)
                 three = ", ".join(f"{p:.1f}" for p in psnr)
                 print(
                     f"| {name}, {number + 1} | {label} | {three} | {psnr.mean():.2f} | {pull:.2f} | {100 * within:.1f} % |"
                 )
+                means[label] = psnr.mean()
+            pulls.append(pull)  # of the last, "wiener"
+            for label, several in gains.items():
+                several.append(means["wiener"] - means[label])
+    figures = {
+        "over bilinear": gains["bilinear"],
+        "over Malvar": gains["malvar"],
+        "error over sigma": pulls,
+    }
+    record(results, "demosaicing", {k: (min(v), max(v)) for k, v in figures.items()})
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    results = taken_option()
+    main(*sys.argv[1:], results=results)

@@ -1,6 +1,6 @@
 """Methods of spectral estimation on measured pigments: errors, coverage of the interval, time of a cube.
 
-    python benchmarks/estimation.py [DATA] [--sensitivities CSV] [--methods NAME…] [--cube] [--json OUT]
+    python benchmarks/estimation.py [DATA] [--sensitivities CSV] [--methods NAME…] [--cube] [--json OUT] [--results FILE]
 
 DATA is the folder of real data, ../shared/data by default: 1,592 swatches of 332 historical pigments,
 410 to 720 nm by 10. Responses are those of a camera under D50, with noise of one part in 100 of each;
@@ -17,6 +17,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+from results import add_option
+from results import record as record_figures
 
 from levkas.colour.illuminants import illuminant
 from levkas.estimation import metrics
@@ -29,6 +31,13 @@ BANDS = np.arange(410.0, 721.0, 10.0)
 SNR, FOLDS, SEED = 100, 5, 0
 CUBE, CHANNELS, CUBE_BANDS, ANCHORS = 1700 * 1300, 16, 33, 1500
 WIDE = 1.959964
+NAMES = {
+    "pseudo-inverse": "pseudo-inverse", "wiener": "Wiener", "principal-components": "principal components",
+    "polynomial": "polynomial", "root-polynomial": "root-polynomial", "matern": "kernel ridge, Matérn 3/2",
+    "local-linear": "locally weighted linear", "gaussian-process": "Gaussian process",
+    "matern-logit": "kernel ridge, Matérn 3/2, logit link",
+}  # fmt: skip
+"""How results.json names a method; others are in the printed table only."""
 
 
 def read_pigments(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -125,6 +134,7 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=list(METHODS))
     parser.add_argument("--cube", action="store_true")
     parser.add_argument("--json", type=Path)
+    add_option(parser)
     asked = parser.parse_args()
     sensitivities, camera = read_sensitivities(asked.sensitivities)
     samples = simulate(asked.data, sensitivities, np.random.default_rng(SEED))
@@ -145,6 +155,12 @@ def main() -> None:
             + (f"  cube {found['cube_seconds']['wall']:.0f} s" if asked.cube else ""),
             flush=True,
         )
+    figures = {}
+    for name, found in record["methods"].items():
+        for column, kind in (("RMSE", "rmse"), ("ΔE00 D65", "delta_e_d65")):
+            if name in NAMES:
+                figures[NAMES[name], column] = found[kind]["mean"]
+    record_figures(asked.results, "estimation", figures)
     if asked.json:
         asked.json.write_text(json.dumps(record, indent=1), encoding="utf-8")
 

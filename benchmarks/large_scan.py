@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from results import add_option, record
 
 SAMPLES, BANDS = 2048, 256
 CAMPAIGN = """
@@ -127,6 +128,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--mirror", action="store_true")
     parser.add_argument("--work", action="store_true", help=argparse.SUPPRESS)
+    add_option(parser)
     options = parser.parse_args()
     if options.work:
         work(options.folder, options.memory)
@@ -144,6 +146,9 @@ def main() -> None:
         f"{raw / 1e6 / told['seconds']:.0f} MB/s of raw, {told['peak'] / 1e9:.2f} GB of private "
         f"memory at its peak of {options.memory:g}, {told['written'] / 1e6:.0f} MB written"
     )
+    name = f"{raw / 1e9:.0f} GB scan"
+    record(options.results, "speed", {name: raw / 1e6 / told["seconds"]})
+    record(options.results, "speed", {f"{name}, private memory": told["peak"] / 1e9})
     if options.folder is None:
         shutil.rmtree(folder)
 

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+from results import add_option, record
 
 from levkas.building import build
 from levkas.core.cube import Flag
@@ -48,6 +49,9 @@ KINDS = {
     "bands": 'kind = "bands"\nfiles = "raw/{target}_{wavelength}nm_{exposure}ms_{shot}.tif"',
     "mosaic": 'kind = "mosaic"\npattern = [["A", "B"], ["C", "D"]]\nfiles = "raw/{target}_*_{exposure}ms_{shot}.tif"',
 }
+
+
+COLUMNS = ("bias", "variance / bound", "spread")
 
 
 def scene(side: int) -> tuple[np.ndarray, np.ndarray]:
@@ -119,7 +123,8 @@ def bound(reflectance: float, black: str, told: argparse.Namespace) -> float:
     return of_rate / WHITE**2 + reflectance**2 * of_white
 
 
-def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> None:
+def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> np.ndarray:
+    """Print a line a patch; return bias %, variance over the bound and spread of each, (patches, 3)."""
     write(folder, kind, black, told)
     for step in build(folder):
         if step.state in ("refused", "failed"):
@@ -151,6 +156,7 @@ def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> N
         ),
     ).astype(bool)
     there = inside & moving & (np.roll(moving, (-edge, -edge), (0, 1)))
+    found = []
     for reflectance in PATCHES:
         part = panel == reflectance
         here = part & still
@@ -166,6 +172,8 @@ def measured(folder: Path, kind: str, black: str, told: argparse.Namespace) -> N
         print(
             f"{reflectance:7.4f}  {bias:+7.2f}  {own:7.2f}  {over:12.3f} {z:16.3f} {false:20.2f} {true:15.0f}"
         )
+        found.append((bias, over, z))
+    return np.array(found)
 
 
 def main() -> None:
@@ -175,13 +183,19 @@ def main() -> None:
     parser.add_argument("--whites", type=int, default=16)
     parser.add_argument("--darks", type=int, default=8, help="of each exposure")
     parser.add_argument("--only", default="", help="for example bands:darks")
+    add_option(parser)
     told = parser.parse_args()
+    figures = {}
     for kind in KINDS:
         for black in ("campaign", "frames", "dng", "darks"):
             if (kind, black) == ("bands", "dng") or told.only not in f"{kind}:{black}":
                 continue
             with tempfile.TemporaryDirectory() as folder:
-                measured(Path(folder), kind, black, told)
+                found = measured(Path(folder), kind, black, told)
+            name = {"campaign": "campaign.toml", "dng": "DNG"}.get(black, black)
+            for column, several in zip(COLUMNS, found.T, strict=True):
+                figures[f"{kind}, {name}", column] = (several.min(), several.max())
+    record(told.results, "merging", figures)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from pairs import view
+from results import add_option, record
 from verdict_classes import DATA, judged, real_bands, sample
 
 from levkas.geometry.transforms import Affine, Composed
@@ -139,8 +140,8 @@ def pair(rng: np.random.Generator, lenses: list, pictures: dict, *, same: bool =
     )
 
 
-def tell(rows: list[dict]) -> None:
-    """Print right maps, wrong maps and impostors by class."""
+def tell(rows: list[dict]) -> dict[str, int]:
+    """Print right maps, wrong maps and impostors by class; return the counts of the results file."""
     print(f"{'pairs':20s} {'n':>4s}  right: accept doubtful refuse  wrong: accept doubtful refuse")
     for name in [*sorted({r["name"] for r in rows}), "all"]:
         group = [r for r in rows if name in ("all", r["name"])]
@@ -151,6 +152,15 @@ def tell(rows: list[dict]) -> None:
             said[right, one] for right in (True, False) for one in ("accept", "warn", "refuse")
         ]
         print(f"{name:20s} {len(group):4d} ", *(f"{n:8d}" for n in cells))
+    pairs = [r for r in rows if r["true"]]
+    said = Counter((r.get("error", 1e3) <= RIGHT_PX, r["decision"]) for r in pairs)
+    impostors = [r["decision"] for r in rows if not r["true"]]
+    return {
+        f"unlike light, {len(pairs)} pairs: right, accepted": said[True, "accept"],
+        "right, doubtful": said[True, "warn"],
+        "wrong, accepted": said[False, "accept"],
+        f"{len(impostors)} impostors: not refused": sum(d != "refuse" for d in impostors),
+    }
 
 
 def main() -> None:
@@ -161,13 +171,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=51)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--again", type=Path)
+    add_option(parser)
     arguments = parser.parse_args()
     if arguments.again:
         rows = json.loads(arguments.again.read_text(encoding="utf-8"))
         for row in rows:
             if row.get("numbers"):
                 row |= judge_windows(row["numbers"]).to_dict()
-        tell(rows)
+        record(arguments.results, "verdict", tell(rows))
         return
     lenses, pictures, rows = lens_pairs(), real_bands(), []
     for same, count in ((True, arguments.pairs), (False, arguments.impostors)):
@@ -177,7 +188,7 @@ def main() -> None:
             rows.append(judged(name, reference, target, truth, shown, picture))
             if arguments.json:
                 arguments.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    tell(rows)
+    record(arguments.results, "verdict", tell(rows))
 
 
 if __name__ == "__main__":

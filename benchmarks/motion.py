@@ -24,6 +24,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tifffile
+from results import add_option, record
 
 from levkas.building import build
 from levkas.core.cube import Flag
@@ -185,7 +186,8 @@ def flags_of(folder: Path) -> np.ndarray:
     return (bands & int(Flag.MOVED)) > 0
 
 
-def trial(camera: Taken, size: tuple[int, int]) -> None:
+def trial(camera: Taken, size: tuple[int, int]) -> tuple[float, float]:
+    """Print and return percent flagged where nothing moved, and of what must be found."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "trial"
         moved, must = write(folder, camera, size)
@@ -199,6 +201,7 @@ def trial(camera: Taken, size: tuple[int, int]) -> None:
         near = cv2.dilate(moved.astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
         false, true = 100 * flagged[~near].mean(), 100 * flagged[must].mean()
         print(f"{camera.name:42} {false:8.3f} {true:8.1f}   ({must.sum()} px)", flush=True)
+        return false, true
 
 
 def filter_wheel() -> None:
@@ -222,14 +225,17 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=(480, 360), help="px")
     parser.add_argument("--only", default="", help="part of a row's name")
     parser.add_argument("--filter-wheel", action="store_true")
+    add_option(parser)
     given = parser.parse_args()
     if given.filter_wheel:
         filter_wheel()
         return
     print(f"{'camera':42} {'false %':>8} {'found %':>8}")
-    for camera in CAMERAS:
-        if given.only in camera.name:
-            trial(camera, tuple(given.size))
+    found = [trial(c, tuple(given.size)) for c in CAMERAS if given.only in c.name]
+    if len(found) == len(CAMERAS):
+        false, true = ((min(several), max(several)) for several in zip(*found, strict=True))
+        figures = {"flagged where nothing moved": false, "flagged of what changed": true}
+        record(given.results, "motion", figures)
 
 
 if __name__ == "__main__":

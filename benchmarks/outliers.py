@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from results import add_option, record
 
 from levkas.geometry.transforms import Affine, Polynomial
 from levkas.registration.outliers import RemovalTerms, clean
@@ -66,6 +67,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--plain", type=int, default=400)
     parser.add_argument("--json", type=Path)
+    add_option(parser)
     given = parser.parse_args()
     target, reference = matches(given.matches, 1)
     removed = run(target, reference)
@@ -79,7 +81,7 @@ def main() -> None:
     start = time.process_time()
     slow = plain(*few)
     each = (time.process_time() - start) / max(len(slow), 1) * given.matches / given.plain
-    record = {
+    report = {
         "matches": given.matches,
         "removed": len(removed),
         "seconds": float(np.min(wall)),
@@ -87,9 +89,11 @@ def main() -> None:
         "same_pairs_as_plain": run(*few).tolist() == slow,
         "plain_cpu_seconds": each * len(removed),
     }
-    print(json.dumps(record, indent=1))
+    print(json.dumps(report, indent=1))
     if given.json:
-        given.json.write_text(json.dumps(record))
+        given.json.write_text(json.dumps(report))
+    name = f"removal of {len(removed):,} outliers"
+    record(given.results, "speed", {name: float(np.min(worked))})
 
 
 if __name__ == "__main__":

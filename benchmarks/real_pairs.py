@@ -1,6 +1,6 @@
 """Real captures with points that are known: disks, a chessboard, five lenses, stained tissue.
 
-    python benchmarks/real_pairs.py
+    python benchmarks/real_pairs.py [--results FILE]
 
 Reads ../shared/data beside the checkout, or `$LEVKAS_REAL_DATA`; builds the examples of this
 repository in a temporary folder. Errors in px of the reference of each.
@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from results import record, taken_option
 
 import levkas
 from levkas.building import build
@@ -23,6 +24,7 @@ from levkas.registration import BandImage, RegistrationRefused, register
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("LEVKAS_REAL_DATA", ROOT.parent / "shared" / "data"))
+COLUMNS = ("mean", "largest")
 LENSES = {1: "Blue", 2: "Green", 3: "Red", 4: "NIR", 5: "Red edge"}
 
 
@@ -44,34 +46,45 @@ def table(path: Path) -> np.ndarray:
     return np.array([[float(v) for v in row] for row in rows])
 
 
-def say(name: str, found: np.ndarray, known: np.ndarray, verdict: str = "") -> None:
+Figures = dict[tuple[str, str], float | tuple[float, float]]
+
+
+def say(name: str, found: np.ndarray, known: np.ndarray, verdict: str = "") -> tuple[float, float]:
+    """Print and return mean and largest error."""
     miss = np.linalg.norm(found - known, axis=1)
     print(f"{name:44s} {len(known):4d} {miss.mean():7.3f} {miss.max():7.3f}  {verdict}")
+    return float(miss.mean()), float(miss.max())
 
 
-def disks(folder: Path) -> None:
+def disks(folder: Path) -> Figures:
     database = built("filterwheel-disks", folder)
     (name,) = levkas.open(database)
     (camera,) = levkas.open(database)[name]
     points = table(DATA / "filterwheel-disks/disk_centroids_per_band.csv").reshape(-1, 7, 2)
+    figures = {}
     for i, nm in enumerate(range(400, 701, 50)):
         if nm != 550:
             ends = {"source": f"{camera}:{nm} nm", "target": f"{camera}:550 nm"}
             found = levkas.map_points(database, name, points[:, i], **ends)
-            say(f"disks, {nm} nm to 550 nm", found, points[:, 3])
+            errors = say(f"disks, {nm} nm to 550 nm", found, points[:, 3])
+            figures |= zip(((f"disks, {nm} nm", c) for c in COLUMNS), errors, strict=True)
+    return figures
 
 
-def board(folder: Path) -> None:
+def board(folder: Path) -> Figures:
     database = built("silios-kinect", folder)
     points = table(DATA / "silios-kinect/sim3_chessboard_corners.csv")
     found = levkas.map_points(
         database, "board", points[:, 2:4], source="kinect", target="silios:B5"
     )
-    say("chessboard, Kinect to SILIOS", found, points[:, :2])
+    name = "chessboard, Kinect to SILIOS"
+    errors = say(name, found, points[:, :2])
+    return dict(zip(((name, c) for c in COLUMNS), errors, strict=True))
 
 
-def lenses() -> None:
+def lenses() -> Figures:
     """Five lenses of one camera: every pair registered by itself, loops through the red one."""
+    figures = {}
     for number, scene in (("0000", "panel"), ("0001", "orchard")):
         images = {}
         for lens, name in LENSES.items():
@@ -91,16 +104,23 @@ def lenses() -> None:
             print(f"{scene}, {name} to Red: {found.verdict.decision} {found.verdict.reasons[0]}")
             if found.verdict.decision != "refuse":
                 views.append(LoopView(name, images[name], name, found.transforms[name]))
+        means, largest = [], []
         for loop in close_loops(views, points_on(images["Red"][0])):
             told = loop.to_dict()
             name = f"{scene}, loop Red, {loop.first}, {loop.second}"
             if told["mean"] is None:
                 print(f"{name:44s} not closed: {loop.refused}")
             else:
+                means.append(told["mean"])
+                largest.append(told["max"])
                 print(
                     f"{name:44s} {told['points']:4d} {told['mean']:7.3f} {told['max']:7.3f}  "
                     f"median {np.median(loop.error):.3f}, {loop.verdict}"
                 )
+        if len(means) == 6:
+            for column, several in zip(COLUMNS, (means, largest), strict=True):
+                figures[f"RedEdge {scene}, six loops", column] = (min(several), max(several))
+    return figures
 
 
 def tissue() -> None:
@@ -134,12 +154,13 @@ def tissue() -> None:
 
 def main() -> None:
     """Print a line a pair: points, mean and largest error."""
+    results = taken_option()
     print(f"{'pair':44s} {'n':>4s} {'mean':>7s} {'max':>7s}")
     with tempfile.TemporaryDirectory() as folder:
-        disks(Path(folder))
-        board(Path(folder))
-    lenses()
+        figures = disks(Path(folder)) | board(Path(folder))
+    figures |= lenses()
     tissue()
+    record(results, "real", figures)
 
 
 if __name__ == "__main__":

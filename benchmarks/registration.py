@@ -1,7 +1,7 @@
 """Simulated campaigns, several seeds, the default method and the paper's side by side in one run.
 
     python benchmarks/registration.py [FOLDER] [--seeds 1 2 3 …] [--presets small hard] [--scale 0.2]
-        [--objects 1] [--methods levkas joint mirhashemi2019]
+        [--objects 1] [--methods levkas joint mirhashemi2019] [--results FILE]
 
 "joint" is the default method with all objects of a camera adjusted together; it wants several.
 
@@ -19,6 +19,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from results import add_option, record
 
 from levkas.building import build
 from levkas.geometry import from_dict
@@ -52,6 +53,10 @@ KEYS = {
 }
 
 
+COLUMNS = {"levkas": "Levkas", "mirhashemi2019": "paper"}
+"""How results.json names a method."""
+
+
 def run(
     folder: Path, preset: str, seed: int, scale: float, methods: list[str], objects: int
 ) -> dict[str, dict]:
@@ -78,8 +83,9 @@ def run(
     return result
 
 
-def tell(results: dict[str, list[dict]]) -> None:
-    """Print a line a preset, camera and method."""
+def tell(results: dict[str, list[dict]]) -> dict[tuple[str, str], float | None]:
+    """Print a line a preset, camera and method; return the median of the means, by camera and method."""
+    medians = {}
     print(f"{'preset':8s} {'capture':20s} {'method':16s} {'n':>3s} {'mean':>7s} {'worst':>7s} "
           f"{'p99.9':>7s} {'worst':>7s}  verdicts")  # fmt: skip
     for preset, several in results.items():
@@ -95,6 +101,10 @@ def tell(results: dict[str, list[dict]]) -> None:
             numbers = (np.median(means), max(means), np.median(highs), max(highs)) if means else ()
             text = " ".join(f"{v:7.3f}" for v in numbers)
             print(f"{preset:8s} {name:20s} {method:16s} {len(row):3d} {text}  {counts}")
+            if method in COLUMNS:
+                camera = name, f"{preset}, {COLUMNS[method]}"
+                medians[camera] = numbers[0] if numbers else None
+    return medians
 
 
 def main() -> None:
@@ -106,6 +116,7 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=0.2)
     parser.add_argument("--objects", type=int, default=1)
     parser.add_argument("--methods", nargs="+", choices=KEYS, default=["levkas", "mirhashemi2019"])
+    add_option(parser)
     arguments = parser.parse_args()
     results: dict[str, list[dict]] = defaultdict(list)
     for seed in arguments.seeds:
@@ -116,7 +127,7 @@ def main() -> None:
             )  # fmt: skip
             results[preset].append(one)
             print(f"== {preset}, seeds up to {seed}", flush=True)
-    tell(results)
+    record(arguments.results, "seeds", tell(results))
     (arguments.folder / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
 
 

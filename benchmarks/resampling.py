@@ -1,6 +1,6 @@
 """Resampling through real maps against OpenCV's remap, band by band, in one run.
 
-    python benchmarks/resampling.py [--bands 33 121] [--repeats 7] [--size 1392 1040] [--json OUT]
+    python benchmarks/resampling.py [--bands 33 121] [--repeats 7] [--size 1392 1040] [--json OUT] [--results FILE]
 
 remap is given its float32 maps ready and writes to planes that are there; our time has the
 evaluation of the maps in it (an affine grid, then the third-order polynomial of a registration),
@@ -19,6 +19,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from results import add_option, record
 
 from levkas.geometry.grid import Grid
 from levkas.geometry.pixel_maps import lay
@@ -126,6 +127,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--types", nargs="+", default=["float32", "uint16"])
     parser.add_argument("--json", type=Path)
+    add_option(parser)
     options = parser.parse_args()
     size = (options.size[0], options.size[1])
     rows = []
@@ -141,9 +143,16 @@ def main() -> None:
     errors = ramp_errors(size)
     for name, error in errors.items():
         print(f"position error on a ramp, {name}: {error:.1e} px")
+    names = {"one map": "one map", "own maps, 1.0 px": "own maps"}
+    ratios = {
+        f"{row['bands']} bands, {names[row['job']]}": row["ratio"]
+        for row in rows
+        if row["type"] == "float32" and row["job"] in names
+    }
+    record(options.results, "speed", ratios)
     if options.json:
-        record = {"size": size, "threads": cv2.getNumThreads(), "rows": rows, "ramp_px": errors}
-        options.json.write_text(json.dumps(record, indent=1))
+        report = {"size": size, "threads": cv2.getNumThreads(), "rows": rows, "ramp_px": errors}
+        options.json.write_text(json.dumps(report, indent=1))
 
 
 if __name__ == "__main__":

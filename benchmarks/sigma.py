@@ -1,6 +1,6 @@
 """Whether what a registration says of its own accuracy is true: the share of errors that circles hold.
 
-    python benchmarks/sigma.py [DATABASE=TRUTH …]
+    python benchmarks/sigma.py [DATABASE=TRUTH …] [--results FILE]
 
 Of every band of every camera of databases whose truth is known: the share of truth's points that lie
 within the circle that should hold nine of ten, by the sigma of the registration record. Without an argument, of `levkas demo` with another seed.
@@ -14,6 +14,8 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from results import record as record_figures
+from results import taken_option
 
 from levkas.geometry import from_dict
 from levkas.quality.evaluation.similarity import read_truth
@@ -46,7 +48,7 @@ def made(folder: Path) -> str:
     return f"{folder / 'database'}={folder / 'truth'}"
 
 
-def main(pairs: list[str]) -> None:
+def main(pairs: list[str], results: Path | None) -> None:
     """Print a line a capture and the share of each camera over all."""
     pairs = pairs or [made(Path(tempfile.mkdtemp()) / "seed7")]
     shares = defaultdict(list)
@@ -65,7 +67,11 @@ def main(pairs: list[str]) -> None:
             shares[record["camera"]].append(share)
     for camera, several in shares.items():
         print(f"{camera:42s} {np.mean(several):5.2f}  of {len(several)} captures")
+    figures = {camera: float(np.mean(several)) for camera, several in shares.items()}
+    figures["all"] = float(np.mean([share for several in shares.values() for share in several]))
+    record_figures(results, "sigma-position", figures)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    results = taken_option()
+    main(sys.argv[1:], results)

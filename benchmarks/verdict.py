@@ -1,6 +1,6 @@
 """How often a registration succeeds and its verdict is right: true pairs and impostors in one run.
 
-    python benchmarks/verdict.py [--pairs 320] [--impostors 1000] [--method levkas] [--json OUT]
+    python benchmarks/verdict.py [--pairs 320] [--impostors 1000] [--method levkas] [--json OUT] [--results FILE]
 
 A true pair is one surface seen twice through known maps: any rotation, scale 0.2 to 5, shifted by up
 to 40 % each way, SNR from 10, visible, near infrared or inverted, mirrored, half covered; an impostor
@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from pairs import Studio, impostor, right_pair
+from results import add_option, record
 
 from levkas.registration import METHODS, BandImage, RegistrationRefused, register
 
@@ -59,8 +60,8 @@ def judge_pair(number, name, reference, target, truth=None, shown=None, *, metho
     return row | {"seconds": time.perf_counter() - start}
 
 
-def tell(rows: list[dict]) -> None:
-    """Print what came of each kind of pair and the rates over all."""
+def tell(rows: list[dict]) -> tuple[float, int]:
+    """Print what came of each kind of pair; return percent of true pairs that are right and not refused, and impostors that are not refused."""
     print(f"{'pairs':24s} {'n':>4s} {'accept':>7s} {'warn':>5s} {'refuse':>7s} {'right':>6s}")
     for name in sorted({r["name"] for r in rows}, key=lambda n: ("/" not in n, n)):
         group = [r for r in rows if r["name"] == name]
@@ -83,6 +84,7 @@ def tell(rows: list[dict]) -> None:
     for r in rows:
         if r in false_accepts or (r["true"] and r not in good):
             print("  ", r["number"], r["name"], r["decision"], f"{r['error']:.2f}", *r["reasons"])
+    return share, sum(not r["true"] for r in false_accepts)
 
 
 def main() -> None:
@@ -93,6 +95,7 @@ def main() -> None:
     parser.add_argument("--method", default="levkas", choices=sorted(METHODS))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path)
+    add_option(parser)
     arguments = parser.parse_args()
     studio, rows = Studio(arguments.seed), []
     for kind, (make, count) in enumerate(
@@ -102,7 +105,13 @@ def main() -> None:
             rng = np.random.default_rng([arguments.seed, kind, number])
             pair = make(studio, rng, number)
             rows.append(judge_pair(number, *pair, method=arguments.method))
-    tell(rows)
+    share, accepted = tell(rows)
+    figures = {
+        f"{arguments.pairs:,} true pairs: right, not refused": share,
+        f"{arguments.impostors:,} impostors: accepted": accepted,
+    }
+    if arguments.method == "levkas":
+        record(arguments.results, "verdict", figures)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 

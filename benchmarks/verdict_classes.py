@@ -1,6 +1,6 @@
 """What each class of verdict is worth: right maps and wrong ones by class, on simulated and real pictures.
 
-    python benchmarks/verdict_classes.py [--pairs 200] [--real 160] [--impostors 100] [--json OUT]
+    python benchmarks/verdict_classes.py [--pairs 200] [--real 160] [--impostors 100] [--json OUT] [--results FILE]
     python benchmarks/verdict_classes.py --again OUT
 
 Pairs of the battery (`benchmarks/pairs.py`), surfaces that are bent and of which a part lost its detail
@@ -23,6 +23,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from pairs import Studio, impostor, right_pair, view
+from results import add_option, record
 from scipy import ndimage
 from unchecked import bent
 from unchecked import pair as bent_pair
@@ -173,8 +174,8 @@ def is_right(row: dict) -> bool:
     return row["true"] and row.get("error", 1e3) <= RIGHT_PX and row["off"] <= OFF_SHARE
 
 
-def tell(rows: list[dict]) -> None:
-    """Print right and wrong maps by class, and the shares that the classes promise."""
+def tell(rows: list[dict]) -> dict[str, float]:
+    """Print right and wrong maps by class; return the shares that the classes promise, percent."""
     print(f"{'pairs':28s} {'n':>4s}  right: accept doubtful refuse  wrong: accept doubtful refuse")
     counts = {}
     for name in [*sorted({r["name"] for r in rows}), "all"]:
@@ -189,15 +190,13 @@ def tell(rows: list[dict]) -> None:
     accepted = said[True, "accept"] + said[False, "accept"]
     right = sum(n for (good, _), n in said.items() if good)
     doubtful = said[True, "warn"] + said[False, "warn"]
-    print(
-        f"of what is accepted {100 * said[True, 'accept'] / max(accepted, 1):.1f} % are right (goal 99)"
-    )
-    print(
-        f"of right maps {100 * said[True, 'accept'] / max(right, 1):.1f} % are accepted (goal 80)"
-    )
-    print(
-        f"of doubtful ones {100 * said[False, 'warn'] / max(doubtful, 1):.1f} % are wrong somewhere (goal 50)"
-    )
+    shares = {
+        "accepted maps that are right": 100 * said[True, "accept"] / max(accepted, 1),
+        "right maps that are accepted": 100 * said[True, "accept"] / max(right, 1),
+        "doubtful maps that are wrong somewhere": 100 * said[False, "warn"] / max(doubtful, 1),
+    }
+    for (name, share), goal in zip(shares.items(), (99, 80, 50), strict=True):
+        print(f"{name}: {share:.1f} % (goal {goal})")
     for r in rows:
         if not is_right(r) and r["decision"] == "accept":
             print(
@@ -205,6 +204,7 @@ def tell(rows: list[dict]) -> None:
                 r["name"],
                 f"{r.get('error', 1e3):.2f} px, {r.get('off', 1):.2f} off",
             )
+    return shares
 
 
 def main() -> None:
@@ -217,13 +217,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=31)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--again", type=Path)
+    add_option(parser)
     arguments = parser.parse_args()
     if arguments.again:
         rows = json.loads(arguments.again.read_text(encoding="utf-8"))
         for row in rows:
             if row.get("numbers"):
                 row |= judge_windows(row["numbers"]).to_dict()
-        tell(rows)
+        record(arguments.results, "verdict", tell(rows))
         return
     rows, studio, pictures = [], Studio(arguments.seed), real_bands()
 
@@ -244,7 +245,7 @@ def main() -> None:
             rows.append(judged(name, reference, target, *known))
             if arguments.json:
                 arguments.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    tell(rows)
+    record(arguments.results, "verdict", tell(rows))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Speed of the viewer in a real Chromium: many objects, or one large one with --one.
 
     python benchmarks/viewer.py [--objects 100] [--width 640]
-    python benchmarks/viewer.py --one
+    python benchmarks/viewer.py --one [--results FILE]
 
 Writes a database of simulated panels, its viewer, and opens `index.html` from a static server on this
 machine and from file://, each several times in a fresh profile. Told are the first contentful paint,
@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from playwright.sync_api import sync_playwright
+from results import add_option, record
 
 from levkas.core.cube import Band, Cube, Flag
 from levkas.database.catalogue import write_catalogue
@@ -158,6 +159,29 @@ def measure(chromium, address: str, runs: int) -> dict:
     return {key: sorted(one[key] for one in seen)[runs // 2] for key in seen[0]}
 
 
+def figures(found: dict, options: argparse.Namespace) -> dict[tuple[str, str], float]:
+    """Return times by row and column of the results file, ms."""
+    made = {}
+    for how, column in (("file", "file://"), ("http", "server")):
+        one = found[how]
+        if not options.one:
+            made[f"{options.objects} objects, first paint", column] = one["first"]
+            continue
+        made["first paint", column] = one["first"]
+        made["region of 1 Mpx", column] = one["region of a million pixels"]
+        for name, median, slow in (
+            ("hover, new tile", "spectrum, new tile, median", "third slowest of 60"),
+            (
+                "hover, same tile",
+                "spectrum, loaded tile, median",
+                "loaded tile, third slowest of 60",
+            ),
+        ):
+            made[median, column] = one[name]["median"]
+            made[slow, column] = one[name]["of 20 the slowest"]
+    return made
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--one", action="store_true", help="one large object")
@@ -165,6 +189,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=480)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--keep", type=Path, help="folder for the database; used again if there")
+    add_option(parser)
     options = parser.parse_args()
     if shutil.which("chromium") is None:
         print("no Chromium on this machine: not measured")
@@ -202,6 +227,10 @@ def main() -> None:
         chromium.close()
     server.shutdown()
     print(json.dumps(found, indent=1))
+    record(options.results, "viewer", figures(found, options))
+    if not options.one:
+        sent = {f"viewer of {options.objects} objects, sent": found["http"]["bytes"] / 1e6}
+        record(options.results, "speed", sent)
     if options.keep is None:
         shutil.rmtree(root)
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from results import record, taken_option
 
 from levkas.campaign.edits import Edits, FrameEdits, write_edits
 from levkas.core.cube import Band
@@ -221,11 +222,18 @@ def page(wrong: int) -> list[tuple[str, float]]:
 
 def main() -> None:
     """Print the table."""
+    results = taken_option()
     with tempfile.TemporaryDirectory() as folder:
         rows = edits(10_000, 0, Path(folder)) + edits(10_000, 5_000, Path(folder))
     rows += tiles()
     if "--page" in sys.argv:
-        rows += page(0) + page(5_000)
+        figures = {}
+        for wrong, name in ((0, "none removed before"), (5_000, "5,000 removed before")):
+            measured = page(wrong)
+            rows += measured
+            figures[name, "side by side"] = 1000 * measured[0][1]
+            figures[name, "under the curtain"] = 1000 * measured[2][1]
+        record(results, "workbench", figures)
     print("| what | ms |\n|---|---|")
     for name, seconds in rows:
         print(f"| {name} | {1000 * seconds:.0f} |")

@@ -18,6 +18,7 @@ extensions = [
     "sphinxcontrib.bibtex",
 ]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
 autosummary_generate = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"

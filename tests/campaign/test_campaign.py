@@ -324,7 +324,6 @@ def test_every_key_is_documented_in_the_section_of_its_table():
             "cameras.NAME.wavelengths": "`[cameras.NAME]`",
             "campaign.reference": "`[campaign]`",
             "publication.creators": "`[[publication.creators]]`",
-            "cameras.NAME.white": "`[[cameras.NAME.sensors]]`",
             "targets.white": "`[targets]`",
             "setups.NAME.cameras.NAME": "`[setups.NAME.cameras.CAM]`",
             "setups.NAME": "`[setups.NAME.cameras.CAM]`",
