@@ -8,6 +8,11 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 
 
+def pages():
+    """Return the pages that people write."""
+    return {p for p in DOCS.rglob("*.md") if not {"_build", "_generated"} & {*p.parts}}
+
+
 def test_the_command_reference_is_what_the_commands_say(monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
     sys.modules.pop("write_commands", None)
@@ -23,9 +28,21 @@ def test_every_public_name_loads_and_is_in_the_documentation():
         assert name in text, name
 
 
-def test_pages_of_the_documentation_are_in_its_index():
-    listed = set(re.findall(r"^([a-z]+)$", (DOCS / "index.md").read_text(), re.MULTILINE))
-    assert {p.stem for p in DOCS.glob("*.md")} - {"index"} == listed
+def test_every_page_of_the_documentation_is_in_one_list_of_pages():
+    listed = []
+    for index in pages():
+        text = index.read_text(encoding="utf-8")
+        for block in re.findall(r"^```\{toctree\}\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+            names = [n for n in block.splitlines() if n and not n.startswith(":")]
+            paths = [index.parent / f"{name}.md" for name in names]
+            listed += [p.resolve() for path in paths for p in path.parent.glob(path.name)]
+    assert sorted(listed) == sorted(pages() - {DOCS / "index.md"})
+
+
+def test_links_of_the_documentation_lead_to_files():
+    for page in (*pages(), ROOT / "README.md"):
+        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page}: {link}"
 
 
 def test_the_lock_file_names_no_registry_and_pins_by_hash():

@@ -1,0 +1,106 @@
+"""The tutorials: every command of docs/tutorials runs in order, in a folder that holds the examples alone."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TUTORIALS = ROOT / "docs" / "tutorials"
+BLOCK = re.compile(r"^```(sh|\{code-block\} \w+\n:caption: (\S+)\n)\n?(.*?)^```$", re.M | re.S)
+PROGRAMS = {"levkas": ("-c", "from levkas.cli import main; main()"), "python": ()}
+WORDS = 1500
+
+
+def follow(page, folder):
+    """Do what a tutorial has: write its files, run its commands; return what they printed."""
+    printed = []
+    for kind, name, text in BLOCK.findall((TUTORIALS / page).read_text(encoding="utf-8")):
+        if kind != "sh":
+            (folder / name).write_text(text, encoding="utf-8")
+            continue
+        for line in text.splitlines():
+            program, *arguments = shlex.split(line)
+            ended = subprocess.run(
+                [sys.executable, *PROGRAMS[program], *arguments],
+                cwd=folder,
+                env=os.environ | {"PYTHONPATH": str(ROOT / "src"), "PYTHONUTF8": "1"},
+                capture_output=True,
+                encoding="utf-8",
+            )
+            assert ended.returncode == 0, f"{line}\n{ended.stdout}{ended.stderr}"
+            printed.append(ended.stdout)
+    return printed
+
+
+def studio(folder):
+    """Return the folder with the examples that the tutorials use."""
+    (folder / "examples").mkdir()
+    shutil.copy(ROOT / "examples/three_pictures.py", folder / "examples")
+    shutil.copytree(ROOT / "examples/plan", folder / "examples/plan")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    folder = studio(tmp_path_factory.mktemp("first"))
+    return folder, follow("first_database.md", folder)
+
+
+def test_the_first_database_is_accepted_and_maps_points(first):
+    folder, printed = first
+    *_, mapped, validated = printed
+    rows = [[float(c) for c in row.split(",")] for row in mapped.splitlines()[1:]]
+    # The middle of the photograph by the planted turns, tilts and scales of the script.
+    assert rows[0] == pytest.approx([381.5, 491.8], abs=0.5)
+    assert "all whole" in validated
+    catalogue = (folder / "panel/database/catalogue.csv").read_text()
+    assert catalogue.count(",accept,") == 3
+
+
+@pytest.mark.slow
+def test_the_first_database_is_published(first):
+    folder, _ = first
+    *_, validated, _ = follow("publishing_a_database.md", folder)
+    assert "all whole" in validated
+    assert (folder / "panel/database.published/viewer").is_dir()
+    assert list((folder / "panel-envi").glob("*.hdr"))
+
+
+def test_a_session_is_planned(tmp_path):
+    framing, light, best, exposure = follow("planning_a_session.md", studio(tmp_path))
+    for figure, printed in (
+        ("Stand at 263 cm", framing),
+        ("drop 9.2 %", light),
+        ("Best pair: 69°", best),
+        ("SNR 151", exposure),
+        ("252 lx·h: 0.17 %", exposure),
+    ):
+        assert figure in printed
+    assert (tmp_path / "plan.html").is_file()
+
+
+@pytest.mark.slow
+def test_five_cameras_are_built_and_compared_with_the_truth(tmp_path):
+    printed = follow("five_cameras.md", tmp_path)
+    assert printed[1].count(" accept ") == 5
+
+
+@pytest.mark.slow
+def test_spectra_are_estimated_and_written(tmp_path):
+    follow("estimating_spectra.md", tmp_path)
+    assert "vis-estimated" in (tmp_path / "paintings/database/catalogue.csv").read_text()
+
+
+@pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda p: p.stem)
+def test_a_tutorial_is_short_and_has_commands_that_can_be_run(page):
+    text = page.read_text(encoding="utf-8")
+    assert len(text.split()) < WORDS
+    for kind, _, block in BLOCK.findall(text):
+        for line in block.splitlines() if kind == "sh" else ():
+            assert shlex.split(line)[0] in PROGRAMS, line
