@@ -298,7 +298,8 @@ def test_a_frame_without_the_chart_is_refused(copy):
         summarise(build(copy))
     problem = refused.value.problems[0]
     assert (
-        problem.code == "E_CHART_MISSING" and "no frame shows the chart 'macbeth'" in problem.message
+        problem.code == "E_CHART_MISSING"
+        and "no frame shows the chart 'macbeth'" in problem.message
     )
 
 

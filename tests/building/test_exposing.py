@@ -99,7 +99,11 @@ def test_merged_exposures_have_the_sigma_that_they_have(tmp_path):
 @pytest.mark.parametrize(
     ("times", "odd", "said"),
     [
-        ((0.25, 0.5, 1.0, 2.0), (0.5,), "exposures of 0.5 s are not proportional to 0.25 s, 1 s, 2 s"),
+        (
+            (0.25, 0.5, 1.0, 2.0),
+            (0.5,),
+            "exposures of 0.5 s are not proportional to 0.25 s, 1 s, 2 s",
+        ),
         ((0.25, 1.0), (0.25,), "only 1 s is used, 0.25 s not"),
     ],
 )

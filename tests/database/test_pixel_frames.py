@@ -158,7 +158,10 @@ def test_tables_that_are_none_are_refused_with_all_their_lines(database):
         map_table(database, "icon1", "1,2\n", source="grid", target="vis")
     with pytest.raises(MappingRefused) as info:
         map_table(database, "icon1", "x,y\n1,a\n\n3\n4,5\n", source="grid", target="vis")
-    assert [p.message for p in info.value.problems] == ["line 2 is not a point", "line 4 is not a point"]
+    assert [p.message for p in info.value.problems] == [
+        "line 2 is not a point",
+        "line 4 is not a point",
+    ]
     assert map_table(database, "icon1", "\ufeffx,y\n", source="grid", target="vis") == "x,y\n"
 
 

@@ -74,9 +74,7 @@ MAPS = [map_of(title) for title in ("Error of the registration", "Sigma", "Flags
 def test_in_short_says_error_worst_camera_glare_noise_and_what_to_do():
     marks, told = zip(*summarise_layers([REFERENCE, COLOUR], ROWS, 1.212), strict=True)
     assert marks == ("ok", "warn", "ok", "next")
-    assert told[0].startswith(
-        "rgb is registered to vis: held-out error 0.060 px = 0.073 mm"
-    )
+    assert told[0].startswith("rgb is registered to vis: held-out error 0.060 px = 0.073 mm")
     assert "96 % of the object" in told[0]
     assert "at most 2 % of the object (rgb)" in told[1]
     assert "0.002 (rgb) to 0.008 (vis)" in told[2]
@@ -224,10 +222,7 @@ def test_tables_are_cards_on_a_phone_and_a_thumb_can_scroll_past_the_picture(bro
     page = browser.open(written(tmp_path, [REFERENCE, COLOUR]).as_uri(), width=390, height=844)
     assert page.locator("#evidence thead").is_hidden()
     cell = page.locator("#evidence tbody td").nth(2)
-    assert (
-        cell.evaluate("c => getComputedStyle(c, '::before').content")
-        == '"Held-out error"'
-    )
+    assert cell.evaluate("c => getComputedStyle(c, '::before').content") == '"Held-out error"'
     assert page.locator("#stage").evaluate("s => getComputedStyle(s).touchAction") == "pan-y"
 
 
