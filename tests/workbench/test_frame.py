@@ -159,7 +159,7 @@ def test_what_was_never_built_says_how(correctable, tmp_path):
     for path in (folder / "database/objects/icon/registration").iterdir():
         path.unlink()
     library = Library(folder)
-    assert {row["decision"] for row in library.list()} == {"not been built"}
+    assert {row["decision"] for row in library.list()} == {"not built"}
     with pytest.raises(FrameMissing) as refused:
         library.open(id_of("icon", "xray"))
     assert "levkas build" in refused.value.problems[0].fix

@@ -241,7 +241,10 @@ def _page(
     )
 
 
-BY_ITSELF = "the camera's white is a chart: the colours of that chart were fitted to the published ones, so only their held-out errors are a test"
+BY_ITSELF = (
+    "the camera's white is a chart: the colours of that chart were fitted to the "
+    "published ones, so only their held-out errors are a test"
+)
 PICTURES = ("levels", "shape", "step", "size")
 """Of a light field: its map, which the camera's page shows."""
 

@@ -262,7 +262,8 @@ def _fit_bands(
         reflectance = known.reflectance[:, i].copy()
         if found.unfit[i] and band.label not in why:
             why[band.label] = (
-                f"the order of its patches does not match its wavelength ({found.bands[i]:.2f}), as with a leaking filter; it is scaled by the grey patches alone"
+                f"the order of its patches does not match its wavelength ({found.bands[i]:.2f}), as "
+                "with a leaking filter; it is scaled by the grey patches alone"
             )
         if band.label in why:
             keep = np.isin(np.arange(len(reflectance)), chart.greys)
@@ -316,7 +317,8 @@ def _too_few(
             f"{band.label}: {why}",
             found="nothing there",
             expected="spectra over the whole range of the band",
-            fix='Measure the spectra of the chart over this range and write `reference = "chart.csv"` beside `chart`, or capture a white.',
+            fix="Measure the spectra of the chart over this range and write `reference = "
+            '"chart.csv"` beside `chart`, or capture a white.',
         )
     full = [chart.patches[n] for n in greys if patches.saturated[n, i] > SATURATED]
     if full:
@@ -453,7 +455,8 @@ def _notes(fitted: SensorLight, record: Mapping[str, Any], reference: ChartRefer
     ]
     if held > DOUBTFUL:
         notes.append(
-            f"the chart differs from its spectra by {held:.2g} rms in {worst}: check for glare, another chart, or a wrong wavelength"
+            f"the chart differs from its spectra by {held:.2g} rms in {worst}: check for glare, "
+            "another chart, or a wrong wavelength"
         )
     if reference.note:
         notes.append(f"chart: {reference.note}")

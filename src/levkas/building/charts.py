@@ -51,7 +51,10 @@ if TYPE_CHECKING:
 UNSEEN = ("E_CHART_MISSING", "E_CHART_FRAME", "E_CHART_SIZE", "E_CHART_ORDER")
 """Refusals that say no more than that a layer, which need not be one, is no chart."""
 
-ENCODED = "a rendered photograph: the response is measured on its encoded values, because no grey scale gives their tone curve; ISO 12233 requires linear values"
+ENCODED = (
+    "a rendered photograph: the response is measured on its encoded values, because no "
+    "grey scale gives their tone curve; ISO 12233 requires linear values"
+)
 
 # --- charts of a campaign, or in files ------------------------------------------------------------
 
@@ -474,7 +477,8 @@ def _lines(measure: ChartMeasure | EdgeTargetMeasure) -> list[str]:
     ]
     if blurred:
         lines.append(
-            f"  the noise of neighbouring pixels is correlated in {', '.join(blurred)} (blur or demosaicing): SNR corrected"
+            f"  the noise of neighbouring pixels is correlated in {', '.join(blurred)} (blur or "
+            "demosaicing): SNR corrected"
         )
     return lines + _edge_lines(measure)
 

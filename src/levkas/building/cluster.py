@@ -83,7 +83,8 @@ def check_address(address: str, *, insecure: bool = False) -> None:
     raise ClusterRefused(
         Problem(
             "E_INSECURE",
-            "the connection to the scheduler is not encrypted; anyone with access to it can run programs on all its workers",
+            "the connection to the scheduler is not encrypted; anyone with access to it can run "
+            "programs on all its workers",
             field="--cluster",
             found=address,
             expected="an address of this machine (through an ssh tunnel, say), or tls://",

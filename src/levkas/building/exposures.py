@@ -105,8 +105,15 @@ def _describe_choice(merged: Merged, shots: Sequence[Template]) -> str:
     taken = sorted({s.exposure_s or 0.0 for s in shots} - set(merged.left_out))
     out = ", ".join(f"{t:g} s" for t in sorted(merged.left_out))
     if len(taken) == 1:
-        return f"no two exposures are proportional within 1 %: only {taken[0]:g} s is used, {out} not; check the times and the black level"
-    return f"the exposures of {out} are not proportional to {', '.join(f'{t:g} s' for t in taken)} within 1 % and are left out; check their times"
+        return (
+            f"no two exposures are proportional within 1 %: only {taken[0]:g} s is used, {out} "
+            "not; check the times and the black level"
+        )
+    return (
+        f"the exposures of {out} are not proportional to "
+        f"{', '.join(f'{t:g} s' for t in taken)} within 1 % and are left out; check their "
+        "times"
+    )
 
 
 def white_of(

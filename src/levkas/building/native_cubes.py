@@ -259,7 +259,8 @@ def require_memory(capture: Capture, kind: str) -> None:
             field=f"cameras.{capture.camera}",
             found=f"{free / 1e9:.1f} GB free",
             expected=f"at least {needed / 1e9:.1f} GB",
-            fix="Build on a machine with more memory, or crop or bin the frames. Only ENVI line scans of cameras other than the reference are built line by line.",
+            fix="Build on a machine with more memory, or crop or bin the frames. Only ENVI line "
+            "scans of cameras other than the reference are built line by line.",
         )
     )
 

@@ -130,7 +130,8 @@ def report_of(
             layers=layers,
             problems=problems,
             mm_per_px=sampling,
-            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band unless stated otherwise.",
+            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band "
+            "unless stated otherwise.",
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=rows,
             short=summarise_layers(layers, rows, float(sampling) if sampling else None, lost),
@@ -243,7 +244,10 @@ def _checks(errors: dict[str, Any]) -> str:
     if not numbers:
         return ""
     mean, most = sum(numbers) / len(numbers), max(numbers)
-    return f"{len(found)} check points, set by hand and not fitted: mean error {mean:.2f} reference px, largest error {most:.2f} px."
+    return (
+        f"{len(found)} check points, set by hand and not fitted: mean error {mean:.2f} "
+        f"reference px, largest error {most:.2f} px."
+    )
 
 
 def _band_rows(record: dict[str, Any]) -> list[list[str]]:

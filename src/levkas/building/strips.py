@@ -212,7 +212,9 @@ class Seam:
         )
         if self.ratio > MOST_RATIO:
             yield (
-                f"{names} differ in their overlap by {self.ratio:.1f} times their sigma (in {self.worst[0]} by {self.worst[1]:.1f} times): light, focus or object changed between the passes"
+                f"{names} differ in their overlap by {self.ratio:.1f} times their sigma (in "
+                f"{self.worst[0]} by {self.worst[1]:.1f} times): light, focus or object changed "
+                "between the passes"
             )
 
 
@@ -364,7 +366,10 @@ def _joint(strips: Sequence[Strip], greys: Sequence[Greys], number: int) -> Stri
         fix = problem.fix
         try:
             joint = find_joint(greys[number + 1], greys[number])
-            fix = f"{names[1]} lies to the left of {names[0]} (they share {joint.overlap:.1f} samples): name the files in order from left to right."
+            fix = (
+                f"{names[1]} lies to the left of {names[0]} (they share {joint.overlap:.1f} samples): "
+                "name the files in order from left to right."
+            )
         except RegistrationRefused:
             pass
         raise CalibrationRefused(

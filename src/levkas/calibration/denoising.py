@@ -144,7 +144,8 @@ def _hysime(products: np.ndarray, pixels: int) -> Subspace:
         raise CalibrationRefused(
             Problem(
                 "E_CORRELATED",
-                "noise and signal cannot be separated: the noise of neighbouring bands is correlated, or there are too few bands",
+                "noise and signal cannot be separated: the noise of neighbouring bands is "
+                "correlated, or there are too few bands",
                 field="denoise",
                 found=f"excess correlation {excess:.2f}, {basis.shape[1]} of {bands} dimensions",
                 expected=f"within ±{CORRELATED:g}, at most {most} dimensions",

@@ -42,7 +42,24 @@ DIM = 4.0  # times the least variance of a group: brighter ones say little of no
 
 
 def best_exposure(shots: Sequence[Template]) -> Template:
-    "Return the longest exposure that is not saturated.\n\n    Parameters\n    ----------\n    shots : sequence of Template\n        One scene, one band; each with its `exposure_s`.\n\n    Returns\n    -------\n    shot : Template\n        One of `shots`; a share of `TOLERATED` saturated pixels does not count. Where all are saturated, the one with the fewest saturated pixels; its\n        flags tell.\n\n    Raises\n    ------\n    CalibrationRefused\n        E_NO_FRAMES without a shot, E_EXPOSURES where an exposure is unknown.\n"
+    """Return the longest exposure that is not saturated.
+
+    Parameters
+    ----------
+    shots : sequence of Template
+        One scene, one band; each with its `exposure_s`.
+
+    Returns
+    -------
+    shot : Template
+        One of `shots`; a share of `TOLERATED` saturated pixels does not count. Where all are saturated, the one with the fewest saturated pixels; its
+        flags tell.
+
+    Raises
+    ------
+    CalibrationRefused
+        E_NO_FRAMES without a shot, E_EXPOSURES where an exposure is unknown.
+    """
     timed = _in_order(shots)
     shares = [float(np.mean(shot.saturated)) for shot in timed]
     good = [shot for shot, share in zip(timed, shares, strict=True) if share <= TOLERATED]

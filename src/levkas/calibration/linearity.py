@@ -130,7 +130,8 @@ def require_reciprocity(found: Linearity) -> None:
             if found.points
             else "no scene lies between 5 and 95 % of saturation in two exposures",
             expected=f"at most {RECIPROCAL:.1%} rms",
-            fix="Capture object and white with the same exposure, or capture an exposure series of the white with a dark for each time."
+            fix="Capture object and white with the same exposure, or capture an exposure series of "
+            "the white with a dark for each time."
             if found.points
             else "Capture the white at three exposures or more, a factor of two apart.",
         )

@@ -156,7 +156,8 @@ def doubts_of(context: SensorContext) -> list[str]:
     elif targets.white and not isinstance(targets.white.reflectance, str):
         given = targets.white.reflectance
         doubts.append(
-            f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
+            f"the reflectance of the white is assumed to be {1.0 if given is None else given:g} "
+            "at every wavelength; give a CSV of its spectrum in targets.white.reflectance"
         )
     return doubts
 
@@ -235,7 +236,8 @@ def check_codes(values: np.ndarray, path: Path, camera: str, bits: int, full: fl
                 f"cameras.{camera}.bits",
                 f"{top}",
                 f"at most {most:g}",
-                f"Write `bits = {top.bit_length()}`. If the {bits} bits are stored in the upper bits of a code, write `saturation` in stored codes.",
+                f"Write `bits = {top.bit_length()}`. If the {bits} bits are stored in the upper bits "
+                "of a code, write `saturation` in stored codes.",
             )
         )
 
@@ -255,12 +257,14 @@ def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[st
         return []
     if seen[-1] <= 255:
         return [
-            f"no code exceeds {int(seen[-1])}, and {bits} bits are declared: the frames may have 8 bits, or very little light"
+            f"no code exceeds {int(seen[-1])}, and {bits} bits are declared: the frames may have "
+            "8 bits, or very little light"
         ]
     gap = int(np.diff(seen.astype(np.int64)).min())
     if seen.size <= 256 and gap >= EVEN * full / 255:
         return [
-            f"only {seen.size} codes, {gap} or more apart: 8 bits were stretched to {bits}, and the tones between are lost"
+            f"only {seen.size} codes, {gap} or more apart: 8 bits were stretched to {bits}, and "
+            "the tones between are lost"
         ]
     return []
 
@@ -374,7 +378,10 @@ def doubt_scaling(context: SensorContext, taken: Times, other: Times) -> str:
     pairs = zip(_spread(object_times, wide), _spread(white_times, wide), strict=True)
     if all(abs(mine / its - 1) <= SAME_TIME for mine, its in pairs):
         return ""
-    return f"{context.camera.name}: the white was exposed for {_shown(other)}, the object for {_shown(taken)}; without an exposure series the linearity is unknown"
+    return (
+        f"{context.camera.name}: the white was exposed for {_shown(other)}, the object for "
+        f"{_shown(taken)}; without an exposure series the linearity is unknown"
+    )
 
 
 def _spread(times: tuple[float, ...], bands: int) -> tuple[float, ...]:

@@ -302,18 +302,18 @@ def describe_gaps(lost: np.ndarray, label: str = "") -> str:
     """Say how many values were lost.
 
     >>> describe_gaps(np.array([True, False, False, False]), "550 nm")
-    '550 nm: 1 value (25 %) is no finite number in a frame: flagged as defect'
+    '550 nm: 1 value (25 %) is not a finite number: flagged as defect'
     """
     return describe_lost(int(np.count_nonzero(lost)), lost.size, label)
 
 
 def describe_lost(count: int, total: int, label: str = "") -> str:
     """Say that `count` values of `total` were lost."""
-    many = "values" if count > 1 else "value"
-    verb, what = ("are", "defects") if count > 1 else ("is", "defect")
-    share = 100 * count / total
-    start = f"{label}: " if label else ""
-    return f"{start}{count} {many} ({share:.2g} %) {verb} no finite number in a frame: flagged as {what}"
+    value = f"{f'{label}: ' if label else ''}{count} value"
+    share = f"({100 * count / total:.2g} %)"
+    if count == 1:
+        return f"{value} {share} is not a finite number: flagged as defect"
+    return f"{value}s {share} are not finite numbers: flagged as defects"
 
 
 def _filled(values: np.ndarray, lost: np.ndarray) -> np.ndarray:

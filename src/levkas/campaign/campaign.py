@@ -139,7 +139,8 @@ def load_campaign(path: str | Path) -> Campaign:
     except TomlRefused as refused:
         missing = refused.problems[0].found == "no such file"
         fix = (
-            "Give the folder of a campaign. For a folder of raw frames, `levkas look FOLDER --write` proposes a campaign.toml. docs/campaign.md explains every key."
+            "Give the folder of a campaign. For a folder of raw frames, `levkas look FOLDER "
+            "--write` proposes a campaign.toml. docs/campaign.md explains every key."
             if missing
             else None
         )

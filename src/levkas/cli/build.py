@@ -58,7 +58,8 @@ def build(
         bool,
         typer.Option(
             "--keep-removed",
-            help="Keep layers in the database that the campaign no longer has; the default moves them to OUTPUT.removed.",
+            help="Keep layers in the database that the campaign no longer has; the default moves them "
+            "to OUTPUT.removed.",
         ),
     ] = False,
     verify: Annotated[bool, typer.Option("--verify", help=VERIFY)] = False,
@@ -132,7 +133,8 @@ def validate(
     database: Annotated[
         Path,
         typer.Argument(
-            help="Database folder or its address (s3://…, https://…), also of a database by other software in the same form.",
+            help="Database folder or its address (s3://…, https://…), also of a database by other "
+            "software in the same form.",
             parser=path_or_address,
         ),
     ],

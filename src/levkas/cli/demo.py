@@ -97,7 +97,8 @@ def simulate(
         list[str] | None,
         typer.Option(
             "--setup",
-            help="Add the colour camera under this lighting: 45-degree, crossed (polarisers), soft or d65; may be repeated.",
+            help="Add the colour camera under this lighting: 45-degree, crossed (polarisers), soft or "
+            "d65; may be repeated.",
         ),
     ] = None,
     unevenness: Annotated[

@@ -18,7 +18,8 @@ def estimate(
         list[str] | None,
         typer.Option(
             "--from",
-            help="Layer to estimate from, or several joined: d80,msbs; may be repeated. Default: each camera with broad channels.",
+            help="Layer to estimate from, or several joined: d80,msbs; may be repeated. Default: each "
+            "camera with broad channels.",
         ),
     ] = None,
     target: Annotated[

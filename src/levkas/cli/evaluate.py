@@ -153,7 +153,7 @@ def map_points(
     mapped = map_table(database, name, text, source=source, target=target, file=file)
     if outside := mapped.count("\nnan,nan"):
         typer.secho(
-            f"warning: {outside} of {mapped.count(chr(10)) - 1} points lie outside the overlap of {source} and {target}; their rows are nan,nan",
+            f"warning: {outside} of {mapped.count(chr(10)) - 1} points lie outside the overlap of " f"{source} and {target}; their rows are nan,nan",
             err=True, fg=typer.colors.YELLOW,
         )  # fmt: skip
     if output is None:

@@ -36,7 +36,8 @@ def inspect(
     def tell(address: Address) -> None:
         typer.echo(f"The workbench is at {address.url}")
         typer.echo(
-            f"From another machine: ssh -L {address.port}:127.0.0.1:{address.port} …, then open the same address. Press Ctrl-C to stop."
+            f"From another machine: ssh -L {address.port}:127.0.0.1:{address.port} …, then open "
+            "the same address. Press Ctrl-C to stop."
         )
 
     serve(campaign, output=output, port=port, browse=not no_open, announce=tell)

@@ -133,7 +133,8 @@ def exposure(
     camera: Annotated[
         str | None,
         typer.Option(
-            help="Camera of the setup file that took the frames. From its white the regulating filter is computed; with --object its noise and full well determine times and ISO."
+            help="Camera of the setup file that took the frames. From its white the regulating filter "
+            "is computed; with --object its noise and full well determine times and ISO."
         ),
     ] = None,
     report: Annotated[

@@ -59,7 +59,8 @@ def publish(
         list[str] | None,
         typer.Option(
             "--analyse",
-            help="Also compute pictures from the layers: all, or pca, mnf, infrared-visible, ratio:700/1000, … separated by commas.",
+            help="Also compute pictures from the layers: all, or pca, mnf, infrared-visible, "
+            "ratio:700/1000, … separated by commas.",
         ),
     ] = None,
     no_iiif: Annotated[

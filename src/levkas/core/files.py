@@ -242,7 +242,10 @@ class Folder:
         self.path, self.final = path, final
 
     def write_bytes(self, name: str, data: bytes | bytearray | memoryview) -> None:
-        "Write one file of the folder; `name` is relative, with its folders made as needed.\n\n        Raises WriteRefused, as `copy_file` does, also where a name points outside the folder.\n"
+        """Write one file of the folder; `name` is relative, with its folders made as needed.
+
+        Raises WriteRefused, as `copy_file` does, also where a name points outside the folder.
+        """
         target, final = self._places(name)
         with refusing(final, memoryview(data).nbytes):
             target.parent.mkdir(parents=True, exist_ok=True)

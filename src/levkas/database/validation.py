@@ -101,7 +101,33 @@ def validate(
     threads: int | None = None,
     draw: Callable[[Iterable[Checked]], list[Checked]] = list,
 ) -> ValidationReport:
-    'Check a whole database.\n\n    Parameters\n    ----------\n    database : path\n        A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag;\n        or the address of such a one that has a manifest.\n    threads : int, optional\n        For hashing; default: `levkas.core.machine.count_threads`.\n    draw : callable\n        Consumes the steps; the command line draws them.\n\n    Returns\n    -------\n    report : ValidationReport\n\n    Raises\n    ------\n    DatabaseRefused\n        Where there is no database at all.\n\n    Examples\n    --------\n    >>> validate("no/such/folder")\n    Traceback (most recent call last):\n    levkas.database.catalogue.DatabaseRefused: no database was found here...\n'
+    """Check a whole database.
+
+    Parameters
+    ----------
+    database : path
+        A folder as `levkas build` writes it, one of the same kind by other hands, or a BagIt bag;
+        or the address of such a one that has a manifest.
+    threads : int, optional
+        For hashing; default: `levkas.core.machine.count_threads`.
+    draw : callable
+        Consumes the steps; the command line draws them.
+
+    Returns
+    -------
+    report : ValidationReport
+
+    Raises
+    ------
+    DatabaseRefused
+        Where there is no database at all.
+
+    Examples
+    --------
+    >>> validate("no/such/folder")
+    Traceback (most recent call last):
+    levkas.database.catalogue.DatabaseRefused: no database was found here...
+    """
     root = place(database)
     manifest = _find_manifest(root)
     steps = draw(check_files(root, threads=threads))

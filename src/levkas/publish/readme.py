@@ -23,7 +23,8 @@ PARTS = {
     "database.toml": "title, creators, licence, cameras and lightings",
     "splits.csv": "which objects to learn from, to choose with and to test on",
     "objects/": "one folder an object: spectral TIFFs with flags and sigma, previews, registration, report",
-    "objects/OBJECT/analysis/": "pictures computed from layers, as float TIFFs; the JSON file beside each gives the method",
+    "objects/OBJECT/analysis/": "pictures computed from layers, as float TIFFs; the JSON file beside each gives the "
+    "method",
     "zarr/": "the same layers as Zarr v3, one store an object",
     "cameras/": "sensors, sensitivities, report of each camera",
     "setups/": "spectra of the light",

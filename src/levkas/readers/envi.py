@@ -75,7 +75,15 @@ class EnviFile:
         return self.read_lines(0, self.facts.shape[0])
 
     def read_lines(self, start: int, stop: int) -> np.ndarray:
-        "Read lines `start` to `stop` − 1, (stop − start, samples, bands), native byte order, bands innermost.\n\n        Raises\n        ------\n        UnreadableCapture\n            Where the data are truncated.\n        ValueError\n            For lines that are not there.\n"
+        """Read lines `start` to `stop` − 1, (stop − start, samples, bands), native byte order, bands innermost.
+
+        Raises
+        ------
+        UnreadableCapture
+            Where the data are truncated.
+        ValueError
+            For lines that are not there.
+        """
         lines, samples, bands = self.facts.shape
         if not 0 <= start <= stop <= lines:
             raise ValueError(f"lines {start} to {stop} of {lines}")

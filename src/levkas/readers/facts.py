@@ -189,7 +189,8 @@ def check_expansion(
         field="width, height",
         found=f"{needed / 1e6:.0f} MB from {stored / 1e6:.2g} MB",
         expected=f"at most {most} to 1 where there are over {SMALL_SAMPLES >> 20} Mi samples",
-        fix=f"Check that this is the correct file. If it is, save it again without compression, or set {MEMORY} to the memory in GB that a command may use.",
+        fix="Check that this is the correct file. If it is, save it again without compression, "
+        f"or set {MEMORY} to the memory in GB that a command may use.",
     )
 
 
@@ -211,7 +212,8 @@ def check_memory(path: Path, samples: int, itemsize: int) -> None:
         field="width, height",
         found=f"{samples * itemsize / 1e6:.0f} MB decoded, {needed / 1e6:.0f} MB in work",
         expected=f"at most {bound / 1e6:.0f} MB, as `levkas doctor` reports",
-        fix=f"Use a machine with more memory, close other programs, or set {MEMORY} to the memory in GB that a command may use.",
+        fix=f"Use a machine with more memory, close other programs, or set {MEMORY} to the memory "
+        "in GB that a command may use.",
     )
 
 

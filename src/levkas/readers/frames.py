@@ -124,7 +124,8 @@ def _foreign(path: Path, name: str) -> UnreadableCapture:
         field="format",
         found=name,
         expected="TIFF, PNG, JPEG, camera raw or ENVI with its header",
-        fix="Save the cube as ENVI (spectral.envi.save_image in Python, enviwrite in MATLAB), or as a TIFF with one page per band, and name that file in `files`.",
+        fix="Save the cube as ENVI (spectral.envi.save_image in Python, enviwrite in MATLAB), or "
+        "as a TIFF with one page per band, and name that file in `files`.",
     )
 
 

@@ -58,7 +58,8 @@ def nothing_known(campaign: Campaign, camera: Camera, labels: Sequence[str]) -> 
         f"cameras.{camera.name}.white.reference",
         ", ".join(labels[:6]),
         f"bands from {first:g} to {last:g} nm, or spectra that reach further",
-        "Measure the spectra of the chart over this range and name them in `reference` beside `chart`, or capture a white.",
+        "Measure the spectra of the chart over this range and name them in `reference` "
+        "beside `chart`, or capture a white.",
     )
 
 

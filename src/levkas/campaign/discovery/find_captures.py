@@ -480,7 +480,8 @@ def _several_exposures(
         "one exposure",
         'Write exposures = "best" (the longest unsaturated) or "merge".'
         if camera.kind != "cube"
-        else 'Name one exposure in `files`. If the files are strips of one scan, write exposures = "best": each strip is divided by its own time.',
+        else "Name one exposure in `files`. If the files are strips of one scan, write exposures "
+        '= "best": each strip is divided by its own time.',
     )
 
 

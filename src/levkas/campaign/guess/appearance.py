@@ -68,7 +68,8 @@ def infer_roles(group: CameraGroup, samples: Samples) -> list[str]:
     group.frames = [f.with_role(roles.get(f.target, f.role)) for f in group.frames]
     if len(by_target) > MOST_TARGETS:
         reasons.append(
-            f"whether darks or whites are among {len(by_target) - MOST_TARGETS} of {len(by_target)} targets: their names do not show it, and their frames were not read"
+            f"whether darks or whites are among {len(by_target) - MOST_TARGETS} of "
+            f"{len(by_target)} targets: their names do not show it, and their frames were not read"
         )
     return reasons
 

@@ -335,7 +335,8 @@ def _check_exposures(group: CameraGroup, notes: CameraNotes) -> None:
     unclear = {text for texts in silent.values() for text in texts}
     if stated and silent:
         notes.unknown.append(
-            f"the exposure of {' and '.join(silent)} frames: other frames state it, and a build needs all or none; list them in a `manifest`"
+            f"the exposure of {' and '.join(silent)} frames: other frames state it, and a build "
+            "needs all or none; list them in a `manifest`"
         )
     elif len(unclear) > 1:
         shown = ", ".join(sorted(f"{text!r}" for text in unclear if text)[:3])
@@ -406,7 +407,7 @@ def find_white_table(root: Path, tables: Sequence[str]) -> str | None:
 
 
 def with_sensitivity(camera: CameraGuess, root: Path, tables: Sequence[str]) -> CameraGuess:
-    "Give a camera the table with its name, and its channels the names in it where they fit."
+    """Give a camera the table with its name, and its channels the names in it where they fit."""
     if camera.kind not in ("mosaic", "sensors", "image"):
         return camera
     for table in tables:

@@ -123,7 +123,8 @@ def propose(listing: Listing) -> Proposal:
     ]
     if len(cameras) == 1 and cameras[0].kind == "image" and len(cameras[0].targets) > 1:
         unknown.append(
-            "whether some of these pictures show the same object: each is treated as a separate object, and one camera needs no registration"
+            "whether some of these pictures show the same object: each is treated as a separate "
+            "object, and one camera needs no registration"
         )
     shapes = [group.frames[0].facts.shape for group in groups]
     reference, why = _reference(cameras, [shape[0] * shape[1] for shape in shapes])
@@ -242,7 +243,8 @@ def _without_strangers(
         files = camera.keys["files"].value
         where = files if isinstance(files, str) else files[0]
         left_out.append(
-            f"{where}: {shown} by a camera that shares no object with {reference.name}; give frames of one object the same name, or run `levkas look` on their folder alone"
+            f"{where}: {shown} by a camera that shares no object with {reference.name}; give "
+            "frames of one object the same name, or run `levkas look` on their folder alone"
         )
     return kept, left_out
 

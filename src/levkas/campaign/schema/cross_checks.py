@@ -24,7 +24,7 @@ from levkas.core.problems import LONGEST_NAME, MOST_COMPARED, Problem, closest_m
 
 MOST_LISTED = 20
 MOST_CAMERAS, MOST_LAYERS, MOST_PATTERNS = 1000, 20_000, 1000
-"Cameras; objects times cameras; patterns for one camera: each is looked up among the files."
+"""Cameras; objects times cameras; patterns for one camera: each is looked up among the files."""
 _UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|@{}]|^[.\s]|[.\s]$')
 
 
@@ -49,7 +49,13 @@ def find_contradictions(document: Document, root: Path) -> Iterator[Problem]:
 
 
 def unusable_output(output: Path, root: Path) -> str:
-    'Return why no database can be written to a folder, whatever is there; ``""`` where one can.\n\n    >>> unusable_output(Path("/"), Path("/data/icons"))\n    \'the database would replace a whole disk or a home folder\'\n    >>> unusable_output(Path("/data/icons/database"), Path("/data/icons"))\n    \'\'\n'
+    """Return why no database can be written to a folder, whatever is there; ``""`` where one can.
+
+    >>> unusable_output(Path("/"), Path("/data/icons"))
+    'the database would replace a whole disk or a home folder'
+    >>> unusable_output(Path("/data/icons/database"), Path("/data/icons"))
+    ''
+    """
     try:
         home = Path.home().resolve()
     except RuntimeError:  # a user without one
