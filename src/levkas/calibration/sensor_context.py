@@ -249,7 +249,7 @@ def doubt_codes(frames: Iterable[np.ndarray], bits: int, full: float) -> list[st
     --------
     >>> stretched = np.round(np.arange(256) * 4095 / 255).astype(np.uint16)
     >>> doubt_codes([stretched.reshape(16, 16)], 12, 4095)
-    ['only 256 codes, 16 or more apart: 8 bits stretched to 12, so that tones between them are lost']
+    ['only 256 codes, 16 or more apart: 8 bits were stretched to 12, and the tones between are lost']
     """
     codes = [np.unique(thin_rows(values)) for values in frames if values.dtype.kind in "ui"]
     seen = np.unique(np.concatenate(codes)) if codes else np.empty(0, int)

@@ -184,7 +184,7 @@ def parse_json(text: str) -> Any:
     --------
     >>> parse_json('{"a": 1, "a": 2}')
     Traceback (most recent call last):
-    ValueError: the key 'a' stands twice
+    ValueError: the key 'a' occurs twice
     """
     return json.loads(
         text, object_pairs_hook=_unique, parse_constant=_no_number, parse_float=_finite

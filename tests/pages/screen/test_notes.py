@@ -29,7 +29,7 @@ def take(opened, tmp_path, text, name="notes.json"):
     opened.evaluate("document.querySelector('#notes [role=status]').textContent = ''")
     opened.get_by_label("File of notes").set_input_files(path)
     opened.wait_for_function(
-        "() => /taken/.test(document.querySelector('#notes [role=status]').textContent)"
+        "() => /taken|refused/.test(document.querySelector('#notes [role=status]').textContent)"
     )
     return opened.locator("#notes [role=status]").inner_text()
 
