@@ -246,7 +246,7 @@ def test_light_that_changed_between_passes_is_warned_of(tmp_path):
 @pytest.mark.parametrize(
     "second, found",
     [
-        ((200, 0), "at best|look alike|known to"),
+        ((200, 0), "at best|match equally well|uncertainty"),
         ((-119.6, 1.2), "panel_2.hdr lies to the left of panel_1.hdr"),
     ],
     ids=["no overlap", "the other way round"],
