@@ -142,7 +142,7 @@ def test_what_is_no_frame_is_refused(text):
         ("icon2", "grid", "icon1"),
         ("../icon1", "grid", "no registered object"),
         ("icon1", "nir", "expected: grid, d80, d80@45-degree, v10, vis"),
-        ("icon1", "vis:700 nm", "no band"),
+        ("icon1", "vis:700 nm", "unknown band"),
         ("icon1", "v10", "7 matches of 10.*Add pairs"),
     ],
 )
