@@ -39,10 +39,28 @@ def test_every_page_of_the_documentation_is_in_one_list_of_pages():
     assert sorted(listed) == sorted(pages() - {DOCS / "index.md"})
 
 
-def test_links_of_the_documentation_lead_to_files():
-    for page in (*pages(), ROOT / "README.md"):
-        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / link).exists(), f"{page}: {link}"
+def anchors(page):
+    """Return the anchors of the headings of a page, as GitHub and MyST make them."""
+    text = re.sub(r"^(`{3,}).*?^\1$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    plain = [
+        re.sub(r"\]\([^)]*\)|[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles
+    ]
+    return {*plain, *re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE)}
+
+
+def test_links_of_pages_lead_to_files_and_headings():
+    named = [ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")]
+    found = 0
+    for page in (*pages(), *named):
+        text = page.read_text(encoding="utf-8")
+        for path, anchor in re.findall(r"\]\(([^)#:\s]*)(?:#([^)\s]*))?\)", text):
+            target = (page.parent / path) if path else page
+            assert target.exists(), f"{page}: {path}"
+            if anchor and target.suffix == ".md":
+                assert anchor in anchors(target), f"{page}: {path}#{anchor}"
+            found += 1
+    assert found > 150
 
 
 def test_the_lock_file_names_no_registry_and_pins_by_hash():

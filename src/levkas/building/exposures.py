@@ -81,7 +81,7 @@ def _merge(
         raise CalibrationRefused(
             Problem(
                 "E_VALUE",
-                f"{context.camera.name}: exposures cannot be merged without a saturation level",
+                f"{context.camera.name}: merging exposures needs a saturation level",
                 field=f"cameras.{context.camera.name}.saturation",
                 fix="Declare `bits` or `saturation`.",
             )
@@ -105,10 +105,14 @@ def _describe_choice(merged: Merged, shots: Sequence[Template]) -> str:
     taken = sorted({s.exposure_s or 0.0 for s in shots} - set(merged.left_out))
     out = ", ".join(f"{t:g} s" for t in sorted(merged.left_out))
     if len(taken) == 1:
-        return f"no two exposures scale to within 1 %: {taken[0]:g} s is taken alone, {out} not at all; check times and black level"
+        return (
+            f"no two exposures are proportional within 1 %: only {taken[0]:g} s is used, {out} "
+            "not; check the times and the black level"
+        )
     return (
-        f"the exposures of {out} do not scale with {', '.join(f'{t:g} s' for t in taken)} to within 1 % and are "
-        "left out; check their times"
+        f"the exposures of {out} are not proportional to "
+        f"{', '.join(f'{t:g} s' for t in taken)} within 1 % and are left out; check their "
+        "times"
     )
 
 
@@ -221,10 +225,10 @@ def require_same_size(
         placed(
             Problem(
                 "E_SIZE",
-                f"{name} and object are of different sizes",
+                f"{name} and object differ in size",
                 found=str(template.mean.shape),
                 expected=str(shape),
-                fix="Capture templates in the object's mode; crops of other sessions do not fit.",
+                fix="Capture dark and white in the same mode and with the same crop as the object.",
             ),
             frames,
         )
@@ -326,7 +330,7 @@ def _with_movement(
     if moved is None or not moved.any():
         return flat
     share = float(np.mean(moved))
-    note = f"{context.camera.name}: {100 * share:.2g} % of the pixels moved between shots, flagged"
+    note = f"{context.camera.name}: {100 * share:.2g} % of the pixels moved between shots and are flagged"
     flags = np.where(moved, flat.flags | np.uint8(Flag.MOVED), flat.flags)
     return replace(flat, flags=flags, notes=(*flat.notes, note))
 

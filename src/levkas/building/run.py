@@ -183,10 +183,10 @@ def _chosen(cluster: str | None, workers: int | None, insecure: bool) -> Where |
         raise Refused(
             Problem(
                 "E_VALUE",
-                "--cluster has workers of its own",
+                "--cluster and --workers cannot be combined",
                 field="--workers",
                 found=str(workers),
-                fix="Give one of the two.",
+                fix="Give one of them.",
             )
         )
     address = cluster or (os.environ.get(SCHEDULER, "") if workers is None else "")
@@ -407,7 +407,7 @@ def _state_of_catalogue(
 ) -> Step:
     """Return whether catalogue and manifest are stale, because what they list is, or by themselves."""
     if any(step.state == "stale" for step in steps):
-        return Step(CATALOGUE, "stale", "what it lists is stale")
+        return Step(CATALOGUE, "stale", "it lists stale files")
     others = by_others(places, records)
     prints = prints_of_catalogue(plan.campaign, places, records, plan.captures, plan.names, others)
     why = records.why_stale(CATALOGUE, prints)

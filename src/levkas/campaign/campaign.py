@@ -152,8 +152,8 @@ def load_campaign(path: str | Path) -> Campaign:
     except TomlRefused as refused:
         missing = refused.problems[0].found == "no such file"
         fix = (
-            "Give a campaign's folder; `levkas look FOLDER --write` makes a first campaign.toml for a folder"
-            " of raw frames; docs/campaign.md has every key."
+            "Give the folder of a campaign. For a folder of raw frames, `levkas look FOLDER "
+            "--write` proposes a campaign.toml. docs/campaign.md explains every key."
             if missing
             else None
         )
@@ -161,7 +161,7 @@ def load_campaign(path: str | Path) -> Campaign:
         if missing:
             in_folder = path.name == "campaign.toml" and path.parent.is_dir()
             found = "a folder without campaign.toml" if in_folder else "no such folder"
-            message = "there is no campaign here"
+            message = "no campaign was found here"
             problems = [replace(p, message=message, found=found) for p in problems]
         raise CampaignInvalid(*problems) from None
     document, problems = _validate(path, record)

@@ -203,11 +203,11 @@ def find_band(labels: Sequence[str], text: str, wavelengths: Sequence[float] = (
     raise Refused(
         Problem(
             "E_BAND_MISSING",
-            f"there is no band {text!r}",
+            f"unknown band {text!r}",
             field="band",
             found=str(text),
             expected=", ".join(labels) if len(labels) <= 12 else f"{labels[0]} … {labels[-1]}",
-            fix=_near_bands(labels, text, number) or "Name a band as it stands in the list.",
+            fix=_near_bands(labels, text, number) or "Use a band name from the list.",
         )
     )
 
