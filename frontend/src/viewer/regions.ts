@@ -117,8 +117,8 @@ export class RegionPanel {
     button.setAttribute("aria-pressed", "true");
     this.message.textContent =
       kind === "polygon"
-        ? "Click the corners; a double click or Enter closes the polygon, Esc gives it up."
-        : `Drag over the painting${kind === "circle" ? ", from the middle outwards" : ""}; Esc gives it up.`;
+        ? "Click the corners; a double click or Enter closes the polygon, Esc cancels."
+        : `Drag over the painting${kind === "circle" ? ", from the middle outwards" : ""}; Esc cancels.`;
     const points = await done;
     button.setAttribute("aria-pressed", "false");
     this.message.textContent = "";

@@ -55,15 +55,13 @@ function pairKeys({ store, stage, table, pair }: Parts): Key[] {
     key("I", ["i"], "insert a pair: propose one in the middle of the reference", () =>
       stage.proposeAtMiddle(),
     ),
-    key("R", ["r"], "read how far off the pictures are in the middle", () =>
-      stage.measureAtMiddle(),
-    ),
+    key("R", ["r"], "measure the error in the middle of the view", () => stage.measureAtMiddle()),
     key("Del", ["Delete", "Backspace"], "delete the pair; the next one is chosen", () =>
       pair.act("delete"),
     ),
     key("U", ["u"], "use the pair again that was deleted or removed", () => pair.act("restore")),
     key("P", ["p"], "keep the pair (pin it): never to be removed", () => pair.act("pin")),
-    key("J", ["j"], "let it jump (snap) to where its surroundings agree", () => pair.act("snap")),
+    key("J", ["j"], "snap the pair to the best match nearby", () => pair.act("snap")),
     key("V", ["v"], "make it a check point, which verifies and is not fitted", () =>
       pair.act("check"),
     ),

@@ -17,10 +17,10 @@ const COLUMNS: [Key, string, string][] = [
   [
     "leave_one_out",
     "Without it",
-    "The same by a map that does not know this pair: large where a pair vouches only for itself",
+    "Error of a map fitted without this pair: large where no other pair supports it",
   ],
-  ["weight", "Weight", "How much the map rests on it"],
-  ["state", "State", "Whether the map rests on it"],
+  ["weight", "Weight", "Weight of the pair in the map"],
+  ["state", "State", "Whether the pair is used for the map"],
   ["reason", "Why", "Why it was removed, or what you did to it"],
 ];
 const FILTERS: [Filter, string][] = [

@@ -280,7 +280,7 @@ class ClusterExecutor:
                 field=f"cameras.{capture.camera}",
                 found=f"{most / 1e9:.1f} GB on the largest of {len(self._cluster.sizes)} workers",
                 expected=f"at least {flight.need / 1e9:.1f} GB",
-                fix="Give the cluster a worker with more memory, or take fewer workers a machine.",
+                fix="Add a worker with more memory, or start fewer workers per machine.",
             )
         )
 
@@ -449,12 +449,12 @@ class ClusterExecutor:
         return Refused(
             Problem(
                 "E_WORKER",
-                f"{key.object}/{key.layer} {key.stage} failed on every worker that it was sent to",
+                f"{key.object}/{key.layer} {key.stage} failed on every worker that tried it",
                 found="; ".join(
                     f"{one['worker']}, {one['peak'] / 1e9:.1f} GB: {one['why']}"
                     for one in flight.attempts
                 ),
-                fix="See to those machines, then build again: what is done is kept.",
+                fix="Check those machines, then build again. Finished stages are kept.",
             )
         )
 
@@ -464,7 +464,9 @@ class ClusterExecutor:
         task = flight.due.task
         self._redone[key] += 1
         if self._redone[key] > RETRIES:
-            problem = Problem("E_DAMAGED", "a file is damaged whenever it is written", found=name)
+            problem = Problem(
+                "E_DAMAGED", "a file was damaged at every attempt to write it", found=name
+            )
             yield from self._end(task, self._endings.refuse(task, Refused(problem)))
             return
         self._queue.wait(task.key, key)
@@ -480,7 +482,9 @@ class ClusterExecutor:
         task, records = flight.due.task, self._records
         receipt = read_receipt(receipt_path(records, task.key, flight.part))
         if receipt.get("made of") != digest(flight.due.prints):
-            if again := self._give_up(flight, NotShared("the receipt is not seen here")):
+            if again := self._give_up(
+                flight, NotShared("the result is not visible on this machine")
+            ):
                 yield from self._end(task, self._endings.refuse(task, again))
             else:
                 self._resend(flight)

@@ -145,10 +145,10 @@ def no_reference(name: str, layer: str, failed: Step) -> NoReference:
     refused = NoReference(
         Problem(
             "E_NO_REFERENCE",
-            f"{name}: the reference camera could not be built, so nothing can be registered to it",
+            f"{name}: the reference camera could not be built, so no camera can be registered",
             field="campaign.reference",
             found=f"{layer}: {failed.why}",
-            fix="Mend the reference camera's frames first.",
+            fix="Correct the frames of the reference camera first.",
         )
     )
     refused.of_the_disk = is_of_the_disk(failed.problems)

@@ -130,7 +130,8 @@ def report_of(
             layers=layers,
             problems=problems,
             mm_per_px=sampling,
-            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band unless they say otherwise.",
+            footer=f"Levkas {__version__}. Object {name}; lengths are in pixels of the reference band "
+            "unless stated otherwise.",
             views=[{"name": layer.name, "src": layer.preview} for layer in layers if layer.preview],
             radiometry=rows,
             short=summarise_layers(layers, rows, float(sampling) if sampling else None, lost),
@@ -244,8 +245,8 @@ def _checks(errors: dict[str, Any]) -> str:
         return ""
     mean, most = sum(numbers) / len(numbers), max(numbers)
     return (
-        f"{len(found)} check points, set by hand and not fitted, are {mean:.2f} reference px off in the "
-        f"mean and {most:.2f} px at most."
+        f"{len(found)} check points, set by hand and not fitted: mean error {mean:.2f} "
+        f"reference px, largest error {most:.2f} px."
     )
 
 

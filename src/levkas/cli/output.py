@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Report as one JSON object.")]
 Overwrite = Annotated[
     bool,
-    typer.Option("--overwrite", help="Replace a file that stands where this is to be written."),
+    typer.Option("--overwrite", help="Replace an existing file."),
 ]
 DatabasePath = Annotated[
     Path | None,
@@ -115,7 +115,7 @@ def refusing(command: str) -> Callable[[Callable[..., None]], Callable[..., None
                 print_report(command, as_json, False, [_out_of_memory()])
                 raise typer.Exit(1) from None
             except KeyboardInterrupt:
-                typer.secho("interrupted; run the same command to go on", err=True)
+                typer.secho("interrupted; run the same command to continue", err=True)
                 raise typer.Exit(130) from None
 
         return wrapped
@@ -130,7 +130,7 @@ def _out_of_memory() -> Problem:
         "E_MEMORY",
         "memory ran out",
         found=f"{memory_bound() / 1e9:.1f} GB now free, or as {MEMORY} sets it",
-        fix="Close other programs, use a machine with more memory, or cut or bin the frames.",
+        fix="Close other programs, use a machine with more memory, or crop or bin the frames.",
     )
 
 

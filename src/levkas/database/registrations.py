@@ -68,11 +68,11 @@ def read_registration(path: Path, *, needed: tuple[str, ...] = ()) -> dict[str, 
         raise RecordRefused(
             Problem(
                 "E_VALUE",
-                f"{path.name} is no registration record: {reason}",
+                f"{path.name} is not a registration record: {reason}",
                 str(path),
                 field=place,
                 expected="a record as a build writes it",
-                fix="Copy the file anew, or build the database again.",
+                fix="Copy the file again, or build the database again.",
             )
         ) from error
     return record
@@ -174,13 +174,13 @@ def _check(place: str, part: Any) -> None:
     elif place == "verdict":
         decision, reasons = part.get("decision", ""), part.get("reasons", [])
         if not isinstance(decision, str) or not isinstance(reasons, list):
-            raise TypeError("the verdict is no text")
+            raise TypeError("the verdict is not text")
         if any(len(cell) != 4 for cell in unconfirmed_cells({"verdict": part})):
-            raise TypeError("a cell of the verdict is no rectangle")
+            raise TypeError("a cell of the verdict is not a rectangle")
     elif place in ("reference", "target") and isinstance(part, dict):
         for key in ("camera", "setup", "band"):
             if not isinstance(part.get(key) or "", str):
-                raise TypeError(f"{key} is no text")
+                raise TypeError(f"{key} is not text")
         check_plain_names(part.get("camera") or "-", part.get("setup") or "-")
         _check_size(part.get("size"))
     elif place == "errors":

@@ -183,6 +183,6 @@ def describe_model(model: dict[str, Any]) -> str:
     mask = model.get("mask") or {}
     if mask.get("automatic"):
         told.append(
-            f"only the object is compared, told from its background: {mask['share']:.0%} of the frame"
+            f"only the object is compared, without its background: {mask['share']:.0%} of the frame"
         )
     return "; ".join(told) or str(model.get("kind", "")).replace("_", " ")

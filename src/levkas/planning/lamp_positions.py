@@ -251,7 +251,7 @@ def _shown(
             value_problem(
                 str(setup.path),
                 "cameras",
-                "there is no such camera",
+                "unknown camera",
                 camera,
                 ", ".join(setup.cameras),
             )
@@ -347,7 +347,7 @@ def thin_white(stack: Template, floor: np.ndarray | float, box: Box, file: str) 
     light = _thinned(values.reshape(height, width, -1))
     if light.min() <= 0:
         raise WhiteRefused(
-            Problem("E_WHITE_DARK", "parts of the white do not stand above black", file,
+            Problem("E_WHITE_DARK", "parts of the white are not above the black level", file,
                     found=f"{light.min():.1f} counts above it", expected="more than 0",
                     fix="Give the board's place as --region, and the camera's own darks.")
         )  # fmt: skip

@@ -63,7 +63,7 @@ class HandMark(StrEnum):
     PINNED = "pinned by hand"
     RESTORED = "restored by hand"
     DELETED = "deleted by hand"
-    CHECK = "measures, is not fitted"
+    CHECK = "measured, not fitted"
 
 
 @dataclass(frozen=True)

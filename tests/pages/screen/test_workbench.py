@@ -294,7 +294,7 @@ def test_a_refused_camera_is_repaired_by_four_pairs_on_screen(
         page.wait_for_function("() => levkasWorkbench.store.proposal.value === null")
         told(page, "session.value.version")
     assert told(page, "session.value.summary.pairs") == 4
-    assert "no redundancy" in page.locator("#sum").inner_text()
+    assert "without redundancy" in page.locator("#sum").inner_text()
     page.locator("#build").click()
     page.wait_for_function(
         "() => document.querySelector('#build-status').textContent === 'Registered again.'",

@@ -36,7 +36,7 @@ FACTS = {
     **{"owner": "Owner", "inventory": "Inventory", "rights": "Rights"},
 }
 """Keys of object.toml, and what a page calls them."""
-LEFT_OUT = "Left out: it could not be aligned with the other cameras."
+LEFT_OUT = "Left out: its registration was refused."
 KINDS = {".tif": "spectral TIFF", ".flags.tif": "flags", ".sigma.tif": "sigma", ".png": "preview"}
 UP = ("..", "..", "..")
 
