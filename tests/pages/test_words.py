@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from levkas.pages.page import DECISIONS, describe_decision
+from levkas.pages.page import describe_decision
+from levkas.registration.record import DECISIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 OLD = (

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from levkas.core.text import counted
 from levkas.estimation.budget import CONDITIONS, SHIFTS_PX
 from levkas.estimation.report import title_of
 from levkas.estimation.scores import METRICS
@@ -143,7 +144,7 @@ def _facts(source: SourceReport) -> str:
     parts = [
         f"{source.channels} channels",
         f"{source.pixels:,} pixels of paint and {source.gold_pixels:,} of gold scored",
-        f"{folds} fold{'' if folds == 1 else 's'}",
+        counted(folds, "fold"),
     ]
     if source.ceiling is not None:
         parts.append(f"noise ceiling {source.ceiling:.4f} (the reference’s own sigma)")
