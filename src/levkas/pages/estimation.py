@@ -195,7 +195,7 @@ def _figures(source: SourceReport, report: EstimationReport, inks: dict[str, str
         ("distance", "distance to the training set, its standard deviations",
          "Error over the distance of a pixel’s responses to the nearest training sample: what a method makes of paint it has not seen."),
         ("sigma", "sigma of the reference",
-         "Error over the reference’s own sigma; below the dashed line no method can be told from a perfect one."),
+         "Error over the reference’s own sigma; below the dashed line no method can be distinguished from a perfect one."),
     ):  # fmt: skip
         figures.append(Figure(_over(source, what, words, inks), caption))
     if source.budget:
