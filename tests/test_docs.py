@@ -6,6 +6,10 @@ import levkas
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+WORDS = 1500
+REFERENCE = {"api.md", "campaign.md", "commands.md", "database.md"}
+REFERENCE_FOLDERS = (DOCS / "reference", DOCS / "development" / "measurements")
+"""Pages in which one looks things up: no limit of words."""
 
 
 def pages():
@@ -22,7 +26,7 @@ def test_the_command_reference_is_what_the_commands_say(monkeypatch):
 
 
 def test_every_public_name_loads_and_is_in_the_documentation():
-    text = "\n".join(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md"))
+    text = "\n".join(p.read_text(encoding="utf-8") for p in pages())
     for name in levkas.__all__:
         assert getattr(levkas, name) is not None
         assert name in text, name
@@ -61,6 +65,13 @@ def test_links_of_pages_lead_to_files_and_headings():
                 assert anchor in anchors(target), f"{page}: {path}#{anchor}"
             found += 1
     assert found > 150
+
+
+def test_a_page_that_one_reads_is_short():
+    for page in (*pages(), ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        words = [w for w in page.read_text(encoding="utf-8").split() if re.search(r"\w", w)]
+        looked_up = page.name in REFERENCE or page.parent in REFERENCE_FOLDERS
+        assert looked_up or len(words) <= WORDS, f"{page}: {len(words)} words"
 
 
 def test_the_lock_file_names_no_registry_and_pins_by_hash():

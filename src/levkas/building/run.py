@@ -106,6 +106,13 @@ def build(
     Refused
         Where the campaign itself cannot be read, the output cannot be written, or the cluster cannot be
         used.
+
+    Examples
+    --------
+    A second build of a campaign computes nothing:
+
+    >>> {step.state for step in build(plates)}
+    {'fresh'}
     """
     from levkas.core.sweeping import sweep
 
@@ -290,11 +297,33 @@ def status(
     output: str | Path | None = None,
     verify: bool | Literal["full"] = False,
 ) -> BuildReport:
-    """Say of every stage whether it is fresh or stale, and why; no pixel is read.
+    """Return of every stage whether it is fresh or stale, and why; no pixel is read.
 
-    Parameters are those of `build`, and it raises as `build`. Of a large campaign that has an index, and
-    without `verify`, the states are those of the last build, with what of its inputs has changed
-    since; `compared` says so.
+    Parameters
+    ----------
+    path : path
+        A campaign's folder or its campaign.toml.
+    output : path, optional
+        The database, instead of the campaign's own `output`.
+    verify : bool or "full"
+        As of `build`.
+
+    Returns
+    -------
+    report : BuildReport
+        `stages`: a `Step` each with `state` and `why`; `text`: a line a stage that is not fresh. Of a large
+        campaign that has an index, and without `verify`, the states are those of the last build, with what
+        of its inputs has changed since.
+
+    Raises
+    ------
+    Refused
+        Where the campaign cannot be read.
+
+    Examples
+    --------
+    >>> [str(step.key.stage) for step in status(plates).stages if step.state == "stale"]
+    []
     """
     started_ns = time.time_ns()
     campaign = load_campaign(path)

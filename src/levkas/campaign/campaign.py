@@ -121,12 +121,25 @@ def load_campaign(path: str | Path) -> Campaign:
     path : path
         A folder that holds campaign.toml, or the file itself.
 
+    Returns
+    -------
+    campaign : Campaign
+        Its keys as attributes, defaults filled in; no frame is read.
+
     Raises
     ------
     CampaignInvalid
         With every problem of the file: key, what was found, what is expected.
     EditsInvalid
         The same of edits.toml beside it, where there is one.
+
+    Examples
+    --------
+    `plates` is the folder of a campaign of one object, a photograph and an infrared picture.
+
+    >>> campaign = load_campaign(plates)
+    >>> list(campaign.cameras), campaign.reference.band
+    (['photo', 'infrared'], 'G')
     """
     path = Path(path)
     path = path / "campaign.toml" if path.is_dir() else path

@@ -24,7 +24,7 @@ from levkas.core.problems import Problem, Refused
 FILE_NAME = "edits.toml"
 MOST_TURNS = 50
 """Attempts to make a change while others change the file."""
-EXPLAINED = "docs/workbench.md explains every key; the workbench writes the file for you."
+EXPLAINED = "docs/reference/edits.md explains every key; the workbench writes the file for you."
 HEAD = """\
 # Corrections by hand; `levkas inspect` writes this file, `levkas build` replays it.
 # A pair is [reference x, reference y, target x, target y], native pixels, centres at whole numbers.

@@ -248,11 +248,14 @@ def map_points(
     Parameters
     ----------
     database : path
+        Folder or address of a database.
     name : str
         The object.
     points : ndarray, (n, 2), px of `source`
+        (x, y), pixel centres at integers.
     source, target : str
-        Names of frames.
+        Names of frames: ``"grid"``, ``"CAMERA"``, ``"CAMERA:BAND"``, ``"CAMERA@SETUP"`` or
+        ``"CAMERA@SETUP:BAND"``.
 
     Returns
     -------
@@ -262,6 +265,12 @@ def map_points(
     Raises
     ------
     MappingRefused
+        Where database, object, frame or band is not there, or the camera was refused.
+
+    Examples
+    --------
+    >>> map_points(plates / "database", "one", np.array([[100.0, 80.0]]), source="grid", target="infrared").round(1)
+    array([[100.6,  81.9]])
     """
     return find_map(database, name, source, target)(points)
 

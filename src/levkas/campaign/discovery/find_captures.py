@@ -70,7 +70,13 @@ def find_captures(
 
     A camera or setup that has frames of some objects did not take the others, without a refusal. One
     that has frames of none is refused for each; so is an object without a reference image.
-    `index` is what `scan_folders` found, where the folders were walked already.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        As `load_campaign` returns it.
+    index : FileIndex, optional
+        What `scan_folders` found, where the folders were walked already.
 
     Returns
     -------
@@ -83,6 +89,13 @@ def find_captures(
     ------
     CaptureRefused
         Where there is neither an object nor a chart.
+
+    Examples
+    --------
+    >>> from levkas.campaign.campaign import load_campaign
+    >>> captures, refusals = find_captures(load_campaign(plates))
+    >>> [capture.camera for capture in captures], refusals
+    (['photo', 'infrared'], {})
     """
     index = index or scan_folders(campaign)
     index.objects = _objects(index)

@@ -98,12 +98,24 @@ def assess(
     overwrite : bool
         Whether files may be replaced there that were not written so, or were changed since.
 
+    Returns
+    -------
+    assessment : Assessment
+        `results`: a dict a layer with verdict, errors of every band in reference px, and SSIM; `problems`:
+        what could not be evaluated; `text`: a table.
+
     Raises
     ------
     EvaluationRefused
         Where there is no database, or the points cannot be read.
     WriteRefused
         Where a map would replace a file that Levkas did not write, or the disk refuses.
+
+    Examples
+    --------
+    >>> found = assess(plates / "database")
+    >>> [(one["layer"], one["verdict"]) for one in found.results]
+    [('one/infrared', 'accept'), ('one/photo', 'accept')]
     """
     from levkas.core.ownership import OwnFiles
 
